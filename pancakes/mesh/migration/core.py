@@ -62,7 +62,7 @@ TIMES: Final = Times()
 
 
 def handle(
-    me: str, record: Record, volatile: Volatile, event: Event, times: Times = TIMES, permit: bool = True
+    me: str, record: Record, volatile: Volatile, event: Event, permit: bool = True, times: Times = TIMES
 ) -> list[Effect]:
     """Decides what one event means for one task.
 
@@ -71,8 +71,8 @@ def handle(
         record: the task's durable record here; `Record(task_id)` where there is none.
         volatile: what is known until the next crash.
         event: what has happened.
-        times: how long things may take.
         permit: of a guarded task: whether its guardians let it act now.
+        times: how long things may take.
 
     Returns:
         What to do, strictly in this order; empty where nothing follows.

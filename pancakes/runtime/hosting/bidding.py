@@ -25,6 +25,7 @@ from pancakes.mesh.migration.times import Times
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
 from pancakes.runtime.hosting.bidding_messages import (
+    MIGRATOR,
     Accounted,
     AttemptOver,
     BidAwarded,
@@ -44,7 +45,6 @@ from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 from pancakes.task import Task
 
-ADDRESS = "network/TaskMigrator"
 KEEP = reliable(1024)
 FIRST_LOOK_S = 0.5
 LOOK_S = 2.0
@@ -272,7 +272,7 @@ class TaskMigrator(Task):
         if not journal:
             return
         try:
-            self.publish(NETWORK, addressed(message, journal), to=join(peer, ADDRESS))
+            self.publish(NETWORK, addressed(message, journal), to=join(peer, MIGRATOR))
         except PancakesError as error:
             self.log("debug", f"{type(message).__name__} did not reach {peer}: {error}")
 

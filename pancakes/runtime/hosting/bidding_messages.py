@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
@@ -10,6 +10,9 @@ from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import TaskId
 from pancakes.runtime.kernel.reference import Reference
+
+MIGRATOR: Final = "network/TaskMigrator"
+"""Where on each agent the Task Migrator is."""
 
 # What a service tells the Task Migrator.
 

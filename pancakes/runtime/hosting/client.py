@@ -25,7 +25,7 @@ from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, agent_of, join
 from pancakes.runtime.hosting import hosting_effect, hosting_event
 from pancakes.runtime.hosting.arrivals import Arrivals
-from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
+from pancakes.runtime.hosting.bidding_messages import MIGRATOR, Accounted, BidAwarded, MigratorBegan, MoveOver
 from pancakes.runtime.hosting.carrier import Carrier
 from pancakes.runtime.hosting.census_messages import CENSUS, ClaimsCame, HostBegan
 from pancakes.runtime.hosting.checkpointing import Checkpointing
@@ -60,7 +60,6 @@ from pancakes.runtime.supervision.task_messages import Carried, LetterGiven, Loo
 from pancakes.service import Service
 from pancakes.task import TaskSpec
 
-MIGRATOR: Final = "network/TaskMigrator"
 KEEP: Final = reliable(1024)
 """Of each type of hand-off message; each is said again where it is needed."""
 
@@ -364,15 +363,18 @@ class ClientService(Service):
         slot.carried = Carried(slot.spec.settings, {}, heard=self.carried_of(slot).heard)
 
     def tell_courier(self, message: object) -> None:
-        """Tells this agent's courier something; nothing, while it is being started anew."""
-        courier = self.kernel.registry.get(join(self.agent, COURIER))
-        if courier is not None:
-            tell(courier, message)
+        self._tell(COURIER, message)
 
     def tell_census(self, message: object) -> None:
-        census = self.kernel.registry.get(join(self.agent, CENSUS))
-        if census is not None:
-            tell(census, message)
+        self._tell(CENSUS, message)
+
+    def tell_migrator(self, message: object) -> None:
+        self._tell(MIGRATOR, message)
+
+    def _tell(self, path: str, message: object) -> None:
+        component = self.kernel.registry.get(join(self.agent, path))
+        if component is not None:
+            tell(component, message)
 
     # What others tell ------------------------------------------------------------------------------------------
 
@@ -446,11 +448,6 @@ class ClientService(Service):
 
     def has_migrator(self) -> bool:
         return self.kernel.registry.get(join(self.agent, MIGRATOR)) is not None
-
-    def tell_migrator(self, message: object) -> None:
-        migrator = self.kernel.registry.get(join(self.agent, MIGRATOR))
-        if migrator is not None:
-            tell(migrator, message)
 
     # What is asked of it ---------------------------------------------------------------------------------------
 

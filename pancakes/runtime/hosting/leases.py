@@ -185,8 +185,9 @@ class Leases:
         tenancy.tenure = tenure = answered(tenancy.tenure, record, answer)
         if isinstance(answer, DenyLease):
             later = tenure.outvoted_by(record.guards)
-            if later != NO_EPOCH and not self.permits(place):
-                self._host.feed_place(place, ClaimHeard(later.minter, later))
+            if later != NO_EPOCH and place.taking is None and not self.permits(place):
+                peer = later.minter if later.minter != self._host.agent else ""
+                self._host.feed_place(place, ClaimHeard(peer, later))
         elif tenure.is_behind(record.no):
             self._tell_behind(place, tenancy)
         else:

@@ -129,9 +129,7 @@ class HostingStep:
                 self._carry(effect)
             elif standing.events:
                 self.decided, *waiting = standing.events
-                effects = core.handle(
-                    self.at.me, standing.record, standing.volatile, self.decided, permit=self.at.permit
-                )
+                effects = core.handle(self.at.me, standing.record, standing.volatile, self.decided, self.at.permit)
                 self.change(events=tuple(waiting), effects=tuple(effects))
             else:
                 break
@@ -279,10 +277,12 @@ def _discard(step: HostingStep, effect: handoff_effect.Discard) -> None:
     life = step.life
     ends = life is not None and life.state in ACTOR
     step.do(hosting_effect.Drop(ends))
-    if life is not None:
-        record = step.standing.record
-        step.change(leaving=True)
-        step.live(life_event.StopAsked(reason=f"handed over to {record.peer}" if ends else "it is elsewhere"))
+    reason = f"handed over to {step.standing.record.peer}" if ends else "it is elsewhere"
+    step.change(leaving=life is not None)
+    if life is not None and life.state in UNDECIDED:
+        step.refuse(reason)
+    elif life is not None:
+        step.live(life_event.StopAsked(reason=reason))
 
 
 def _decline(step: HostingStep, effect: handoff_effect.Decline) -> None:
@@ -392,7 +392,7 @@ def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None
         return
     step.why_not = event.reason
     failed = handoff_event.PersistFailed(event.reason, waits.record)
-    effects = core.handle(step.at.me, standing.record, standing.volatile, failed, permit=step.at.permit)
+    effects = core.handle(step.at.me, standing.record, standing.volatile, failed, step.at.permit)
     step.change(waits=None, trouble=event.reason, effects=tuple(effects))
     owner = standing.record.phase is Phase.OWNER
     if waits.record.phase is Phase.ABSENT or (owner and waits.record.phase is Phase.RELEASED):

@@ -20,13 +20,12 @@ from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, join
 from pancakes.runtime.foundation import codecs
-from pancakes.runtime.hosting.bidding_messages import AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
+from pancakes.runtime.hosting.bidding_messages import MIGRATOR, AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
 from pancakes.runtime.hosting.guard_talk import GUARDIAN
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.timer import OneShot
 
-MIGRATOR: Final = "network/TaskMigrator"
 RANK_S: Final = 0.15
 """So much later than the guardian before it each guardian looks for a new owner: so that one of them does it."""
 CALLED_S: Final = 1.5
