@@ -15,7 +15,7 @@ from pancakes.testing import FleetInTest
 
 ACT = TaskId("a", "Act")
 SEEDS = 150
-acts = []
+acts: list[tuple[float, str, tuple[int, str]]] = []
 
 
 class Act(Task):
@@ -28,6 +28,7 @@ class Act(Task):
     @every(hz=20)
     def tick(self, tick):
         self.state.n += 1
+        assert self.fence is not None
         acts.append((self.kernel.host.now(), self.agent, self.fence.epoch))
 
 

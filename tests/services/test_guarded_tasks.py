@@ -2,6 +2,7 @@
 
 import pytest
 from services.counting import Count
+from services.numbered import SINK, Numbered, Sink, numbers, upto
 
 from pancakes.control import Migrate, Stop
 from pancakes.mesh.migration.record import Phase, TaskId
@@ -13,6 +14,10 @@ GUARDED = {"Count": {"type": Count, "guard": 3, "lease_s": 4.0, "checkpoint_s": 
 
 def record(fleet, name):
     return fleet.agents[name].agent.records.get(COUNT)
+
+
+def record_of(fleet, name):
+    return fleet.agents[name].agent.records.get(TaskId("a", "Sink"))
 
 
 def guards(fleet, name="a"):
@@ -136,6 +141,28 @@ def test_a_goodbye_ends_the_wait(guarded):
     assert guarded.run_until(lambda: where(guarded), 1.5)
     (taker,) = where(guarded)
     assert guarded.agents[taker].task("Count").state.n >= n
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.05, 0.3, 1.0])
+def test_a_packet_that_was_acknowledged_is_not_lost_with_the_owner(after_s):
+    with FleetInTest(seed=3) as fleet:
+        sink = {"type": Sink, "guard": 3, "lease_s": 2.0, "durability": "each"}
+        fleet.start("a", tasks={"Sink": sink})
+        fleet.start("b")
+        fleet.start("c")
+        fleet.connect()
+        assert fleet.run_until(lambda: len(record_of(fleet, "a").guards.members()) == 3, 10)
+        fleet.run_for(1.0)
+        for n in upto(20):
+            fleet.agents["c"].publish("system", Numbered(n), to=SINK)
+            fleet.run_for(0.02)
+        fleet.run_for(after_s)
+        fleet.crash("a")
+        for n in upto(40)[20:]:
+            fleet.agents["c"].publish("system", Numbered(n), to=SINK)
+        fleet.run_for(20.0)
+        assert numbers(fleet) == upto(40)
+        assert not fleet.agents["c"].agent.outbox.waiting()
 
 
 def test_a_stopped_task_is_not_taken_over(guarded):

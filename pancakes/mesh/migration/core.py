@@ -115,7 +115,7 @@ def _decide(me: str, record: Record, volatile: Volatile, event: Event, times: Ti
         case ForgettingAsked():
             return owner.forget(me, record, volatile, event)
         case ClaimHeard():
-            if record.guarded and event.epoch != record.epoch:
+            if record.guarded and (event.epoch != record.epoch or not event.peer):
                 return guarded.claimed(record, volatile, event, permit)
             return owner.claimed(me, record, volatile, event)
         case PermitGiven():

@@ -113,10 +113,10 @@ class ForgettingAsked(msgspec.Struct, frozen=True):
 
 
 class ClaimHeard(msgspec.Struct, frozen=True):
-    """Another agent says that it owns the task.
+    """Another agent says that it owns the task, or the guardians of the task follow another owner.
 
     Attributes:
-        peer: that agent.
+        peer: that agent; empty: the guardians follow an epoch of this agent's own, under which it never owned the task.
         epoch: the epoch under which it owns it.
     """
 

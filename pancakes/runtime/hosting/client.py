@@ -176,7 +176,7 @@ class ClientService(Service):
         place = self.places.at[slot.name]
         self.feed_place(place, hosting_event.StartConfigured(slot.fresh))
         if place.standing.record.guarded:
-            self.settle(slot)  # its guardians may be away for long, and the agent is ready all the same
+            self.settle(slot)  # its guardians may be away for long
 
     def settle_all(self) -> None:
         # The last checkpoint of each task may wait for the one before it to be written.
@@ -211,8 +211,7 @@ class ClientService(Service):
 
     def _step(self, place: Place, event: AnyEvent) -> None:
         slot, before = place.slot, place.standing
-        now_s, permits = self.kernel.host.now(), self._guarded.permits(place)
-        at = Now(self.agent, now_s, self.keeper.draw, self.closing, permits)
+        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing, self._guarded.permits(place))
         life, place.standing, effects = handle(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
             slot.life = life
