@@ -14,8 +14,8 @@ DISPUTES: Final = (
     ),
     HostingMutant(
         "a task that waits for leave is stopped, where another owns it",
-        "    if life is not None and life.state in UNDECIDED:\n        step.refuse",
-        "    if False:\n        step.refuse",
+        "        step.refuse(effect.reason)",
+        "        pass",
     ),
     HostingMutant(
         "what a refused task carried is not written down, where another owns it",

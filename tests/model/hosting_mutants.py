@@ -207,12 +207,12 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what was given away keeps its place",
-        "        step.change(leaving=True)\n        step.live(life_event.StopAsked(reason=f",
-        "        step.live(life_event.StopAsked(reason=f",
+        "    step.change(leaving=life is not None)\n",
+        "",
     ),
     HostingMutant(
         "what was given away goes on",
-        'step.live(life_event.StopAsked(reason=f"handed over to {record.peer}" if ends else "it is elsewhere"))',
+        "step.live(life_event.StopAsked(reason=reason))",
         "pass",
     ),
     HostingMutant(

@@ -15,7 +15,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from pancakes.mesh.migration import candidate, guarded, owner, source
+from pancakes.mesh.migration import candidate, guarded_task, owner, source
 from pancakes.mesh.migration.effect import After, AttemptFailed, Effect, Persist, Remember, Resume, Warn
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
@@ -77,7 +77,7 @@ def handle(
     Returns:
         What to do, strictly in this order; empty where nothing follows.
     """
-    return guarded.gated(record, _decide(me, record, volatile, event, times, permit), permit)
+    return guarded_task.gated(record, _decide(me, record, volatile, event, times, permit), permit)
 
 
 def _decide(me: str, record: Record, volatile: Volatile, event: Event, times: Times, permit: bool) -> Sequence[Effect]:
@@ -116,14 +116,14 @@ def _decide(me: str, record: Record, volatile: Volatile, event: Event, times: Ti
             return owner.forget(me, record, volatile, event)
         case ClaimHeard():
             if record.guarded and (event.epoch != record.epoch or not event.peer):
-                return guarded.claimed(record, volatile, event, permit)
+                return guarded_task.claimed(record, volatile, event, permit)
             return owner.claimed(me, record, volatile, event)
         case PermitGiven():
-            return guarded.permit_given(record, volatile)
+            return guarded_task.permit_given(record, volatile)
         case GuardsChosen():
-            return guarded.guards_chosen(me, record, event)
+            return guarded_task.guards_chosen(me, record, event)
         case Seized():
-            return guarded.seized(me, record, volatile, event)
+            return guarded_task.seized(me, record, volatile, event)
         case PersistFailed():
             return _persist_failed(record, volatile, event, times)
         case WriteAgain():
@@ -135,7 +135,7 @@ def recover(record: Record, times: Times = TIMES) -> list[Effect]:
 
     A guarded task waits for its guardians: what they have granted before is not known any more.
     """
-    return guarded.gated(record, _recover(record, times), permit=False)
+    return guarded_task.gated(record, _recover(record, times), permit=False)
 
 
 def _recover(record: Record, times: Times) -> list[Effect]:

@@ -29,7 +29,7 @@ from pancakes.mesh.migration.event import (
     RunAsked,
     WriteAgain,
 )
-from pancakes.mesh.migration.guarded import first_guards
+from pancakes.mesh.migration.guarded_task import first_guards
 from pancakes.mesh.migration.record import Phase, Record, Wanted
 from pancakes.mesh.migration.volatile import Volatile
 

@@ -261,8 +261,9 @@ class _ConfigReader:
     def _check_guard(self, task: TaskConfig, config: Config) -> None:
         key = ("task", task.name)
         if not task.guard:
+            usual = TaskConfig(task.name, task.type)
             for name in ("lease_s", "checkpoint_s", "guardians", "takeover"):
-                if self._places.has(*key, name):
+                if getattr(task, name) != getattr(usual, name):
                     self._fault((*key, name), "is for guarded tasks: set `guard = 3` too")
             return
         if task.service in ("device", "network", "log"):

@@ -157,7 +157,7 @@ class ClientService(Service):
             if place.slot is None:
                 self.feed_place(place, hosting_event.TakeUp())
         self._checkpointing.begin()
-        self._guarded.begin()
+        self._guarded.begin(self.places.values())
         self._mover.begin()
         self.tell_census(HostBegan(self))
 
@@ -176,7 +176,7 @@ class ClientService(Service):
         place = self.places.at[slot.name]
         self.feed_place(place, hosting_event.StartConfigured(slot.fresh))
         if place.standing.record.guarded:
-            self.settle(slot)  # its guardians may be away for long
+            self.settle(slot)  # its guardians may be away
 
     def settle_all(self) -> None:
         # The last checkpoint of each task may wait for the one before it to be written.
@@ -211,13 +211,14 @@ class ClientService(Service):
 
     def _step(self, place: Place, event: AnyEvent) -> None:
         slot, before = place.slot, place.standing
-        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing, self._guarded.permits(place))
+        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing, place.permit)
         life, place.standing, effects = handle(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
             slot.life = life
             slot.rest = rest_of(place.standing.record) if life.state in RESTS else ""
             self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
-        self._guarded.look(place)
+        if place.standing.record is not before.record:
+            self._guarded.look(place)
         for effect in effects:
             if isinstance(effect, hosting_effect.HostingEffect):
                 self._carry_out(place, effect, slot)
@@ -267,7 +268,7 @@ class ClientService(Service):
             case hosting_effect.OpenPlace():
                 self._arrivals.open(place, effect.start)
             case hosting_effect.Unreserve():
-                self.kernel.registry.unreserve(self._address_of(place.task_id))
+                self.kernel.registry.unreserve(join(self.address, place.task_id.name))
             case hosting_effect.Decided():
                 if place.adoption is not None:
                     self._decisions.started(place, place.adoption, effect.reason)
@@ -316,9 +317,6 @@ class ClientService(Service):
             self._checkpointing.look_at_late()
 
     # Starting and ending ---------------------------------------------------------------------------------------
-
-    def _address_of(self, task_id: TaskId) -> str:
-        return join(self.address, task_id.name)
 
     def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
         """Returns a task as data, encoded."""

@@ -46,7 +46,6 @@ class GuardedTasks:
         self._takings = Takings(host, self._talk)
         self.begin = self._leases.begin
         self.close = self._leases.close
-        self.permits = self._leases.permits
         self.look = self._leases.look
         self._on_disk = on_disk
 

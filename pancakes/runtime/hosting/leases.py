@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Final
 
@@ -61,8 +61,10 @@ class Leases:
         self._on_disk = on_disk
         self._held: list[Place] = []
 
-    def begin(self) -> None:
-        """Looks at the guardians of all tasks from now on."""
+    def begin(self, places: Iterable[Place]) -> None:
+        """Looks at the guardians of all tasks from now on; `places`: those of which there is a record."""
+        for place in list(places):
+            self.look(place)
         self._host.after_host(CHOOSE_S, self._choose_all)
 
     def permits(self, place: Place) -> bool:
@@ -108,7 +110,7 @@ class Leases:
     def _end(self, place: Place) -> None:
         assert place.tenancy is not None
         place.tenancy.cancel()
-        place.tenancy = None
+        place.tenancy, place.permit = None, False
         self._held.remove(place)
         self._host.kernel.permits.revoke(self._address(place))
 
@@ -207,9 +209,9 @@ class Leases:
             permits.revoke(address)
             return
         self._wait_for_end(place, tenancy)
-        if tenancy.permit:
+        if place.permit:
             return
-        tenancy.permit = True
+        place.permit = True
         without_s = self._host.kernel.host.now() - tenancy.lost_s
         self._host.event("permit_given", task=place.task_id.name, without_s=without_s)
         self._host.feed_place(place, PermitGiven())
@@ -226,12 +228,12 @@ class Leases:
 
     def _look_for_end(self, place: Place) -> None:
         tenancy = place.tenancy
-        if tenancy is None or not tenancy.permit:
+        if tenancy is None or not place.permit:
             return
         if self.permits(place):
             self._wait_for_end(place, tenancy)
             return
-        tenancy.permit, tenancy.lost_s = False, self._host.kernel.host.now()
+        place.permit, tenancy.lost_s = False, self._host.kernel.host.now()
         slot = place.slot
         if slot is not None and slot.task is not None:
             self._host.hold_actuators(slot, "its guardians do not answer")

@@ -87,6 +87,7 @@ class Place(msgspec.Struct):
         adoption: the adoption that waits for its start; None: none.
         forgetting: the requests to forget it that wait for the disk.
         follows: the task that it is started after; None: none.
+        permit: of a guarded task: whether it may act, as far as its service has looked; its actor looks at the clock.
         tenancy: of a guarded task that is owned here: what its guardians have said; None: it is none.
         taking: what guardians have said of a task that this agent is to take; None: it is to take none.
         other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
@@ -105,6 +106,7 @@ class Place(msgspec.Struct):
     adoption: Adoption | None = None
     forgetting: tuple[Request, ...] = ()
     follows: TaskId | None = None
+    permit: bool = False
     tenancy: Tenancy | None = None
     taking: Taking | None = None
     other: OtherOwner | None = None

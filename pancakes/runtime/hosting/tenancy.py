@@ -10,7 +10,7 @@ from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.event import PacketId
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId
-from pancakes.runtime.kernel.permits import Moment
+from pancakes.runtime.kernel.permits import PermitEnd
 from pancakes.runtime.kernel.timer import OneShot
 
 
@@ -22,7 +22,6 @@ class Tenancy(msgspec.Struct):
         rule: how the task is guarded; None: it is to be guarded no longer.
         tenure: what its guardians have said.
         until: until when each asking would let the task act, by beat.
-        permit: whether the task may act, as its service has last told it.
         lost_s: since when, in host time, it may not.
         told: the epoch, the checkpoint and the guards that guardians were told of last.
         bodies: which checkpoint each guardian was sent last, and with which beat.
@@ -39,8 +38,7 @@ class Tenancy(msgspec.Struct):
     type: str = ""
     rule: GuardRule | None = None
     tenure: Tenure = Tenure()
-    until: dict[int, Moment] = {}
-    permit: bool = False
+    until: dict[int, PermitEnd] = {}
     lost_s: float = 0.0
     told: tuple[Epoch, int, int] | None = None
     bodies: dict[GuardianId, tuple[int, int]] = {}

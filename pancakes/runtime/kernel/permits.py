@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 from pancakes.runtime.clock import Clock
 
 
-class Moment(NamedTuple):
+class PermitEnd(NamedTuple):
     """A moment by two clocks.
 
     Attributes:
@@ -19,12 +19,12 @@ class Moment(NamedTuple):
     boot_s: float
     wall_s: float
 
-    def later(self, delay_s: float) -> Moment:
+    def later(self, delay_s: float) -> PermitEnd:
         """Returns the moment that comes so many host seconds after this one."""
-        return Moment(self.boot_s + delay_s, self.wall_s + delay_s)
+        return PermitEnd(self.boot_s + delay_s, self.wall_s + delay_s)
 
 
-_PAST: Final = Moment(-1.0, -1.0)
+_PAST: Final = PermitEnd(-1.0, -1.0)
 
 
 class Permits:
@@ -40,15 +40,15 @@ class Permits:
     def __init__(self, host: Clock, virtual: bool) -> None:
         self._host = host
         self._virtual = virtual
-        self._until: dict[str, Moment] = {}
+        self._until: dict[str, PermitEnd] = {}
 
-    def moment(self) -> Moment:
+    def moment(self) -> PermitEnd:
         """Returns this moment."""
         if self._virtual:
-            return Moment(self._host.now(), 0.0)
-        return Moment(time.clock_gettime(time.CLOCK_BOOTTIME), time.time())
+            return PermitEnd(self._host.now(), 0.0)
+        return PermitEnd(time.clock_gettime(time.CLOCK_BOOTTIME), time.time())
 
-    def give(self, address: str, until: Moment) -> None:
+    def give(self, address: str, until: PermitEnd) -> None:
         """Lets a task act until a moment."""
         self._until[address] = until
 
@@ -76,6 +76,6 @@ class Permits:
         boot_s = until.boot_s - now.boot_s
         return max(0.0, boot_s if self._virtual else min(boot_s, until.wall_s - now.wall_s))
 
-    def _before(self, until: Moment) -> bool:
+    def _before(self, until: PermitEnd) -> bool:
         now = self.moment()
         return now.boot_s < until.boot_s and (self._virtual or now.wall_s < until.wall_s)
