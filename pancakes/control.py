@@ -213,6 +213,34 @@ class Migrations(msgspec.Struct, frozen=True):
     """
 
 
+@packet_type("guarding")
+class Guarding(msgspec.Struct, frozen=True):
+    """Asks an agent which guarded tasks it owns, and which it guards.
+
+    The reply's `result` is a list of plain mappings. Each has `task_id`, `agent` (the one that answers), `owner` (the
+    agent that its guardian follows), `epoch`, `checkpoint` (the number of the newest that it holds under that epoch),
+    `age_s` (how long ago that came, in host seconds), `silent_s` (how long ago it heard the owner) and `lease` (whether
+    the owner's lease runs there). That of the owner has `guardians` and `permit_s` too: for how long the task may act.
+    """
+
+
+@packet_type("take")
+class Take(msgspec.Struct, frozen=True):
+    """Has a guarded task taken over whose owner is silent; asked of one of its guardians.
+
+    More than half of the guardians must say that no lease of the owner runs.
+
+    Attributes:
+        task: its name.
+        birthplace: the agent that it was born on, where two of its name are guarded here.
+        dry_run: only says which agent would take it, and from which checkpoint.
+    """
+
+    task: str
+    birthplace: str = ""
+    dry_run: bool = False
+
+
 @packet_type("describe")
 class Describe(msgspec.Struct, frozen=True):
     """Asks what an agent is and runs; the reply's `result` is plain.
@@ -381,12 +409,14 @@ class Hold(msgspec.Struct, frozen=True):
 CONTROLS: tuple[type, ...] = (
     Start,
     Stop,
+    Take,
     Restart,
     Reschedule,
     Configure,
     Migrate,
     Adopt,
     Forget,
+    Guarding,
     Revive,
     SetFence,
     Migrations,

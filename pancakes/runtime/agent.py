@@ -36,7 +36,6 @@ from pancakes.runtime.hosting.census_messages import CENSUS, NeighbourUp
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.hosting.courier import Courier
 from pancakes.runtime.hosting.courier_messages import COURIER
-from pancakes.runtime.hosting.guard_talk import GUARDIAN
 from pancakes.runtime.hosting.guardian import Guardian
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.ledgers import Ledgers
@@ -63,6 +62,7 @@ from pancakes.runtime.services.network import NetworkService
 from pancakes.runtime.services.root import Root
 from pancakes.runtime.services.wanted_recordings import wanted_recordings
 from pancakes.runtime.state_dir import state_dir_of
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDown
 from pancakes.runtime.transport_settings import keys_for, network_settings, tcp_addresses, transport_settings
 from pancakes.service import Service

@@ -4,7 +4,7 @@ import pytest
 from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 
-from pancakes.control import Migrate, Stop
+from pancakes.control import Guarding, Migrate, Stop, Take
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.testing import FleetInTest
 
@@ -172,3 +172,36 @@ def test_a_stopped_task_is_not_taken_over(guarded):
     guarded.crash("a")
     guarded.run_for(8.0)
     assert where(guarded) == []
+
+
+def test_a_person_has_a_task_taken_over_that_waits_for_one():
+    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+        fleet.start("a", tasks={"Count": {**GUARDED["Count"], "takeover": "ask"}})
+        fleet.start("b")
+        fleet.start("c")
+        fleet.connect()
+        assert fleet.run_until(lambda: guards(fleet) == [["a", "b", "c"]], 10)
+        b = fleet.agents["b"]
+        assert "a has a lease on it" in b.ask(Take("Count")).reason
+        assert "does not guard Nope, but a/Count" in b.ask(Take("Nope")).reason
+        fleet.crash("a")
+        fleet.run_for(10.0)
+        assert where(fleet) == []
+        assert any("waits for you" in line for line in b.lines("warning"))
+        would = b.ask(Take("Count", dry_run=True))
+        assert would.ok and would.result["winner"] in "bc" and where(fleet) == []
+        took = b.ask(Take("Count"))
+        assert took.ok and fleet.run_until(lambda: where(fleet) == [took.result["winner"]], 5)
+
+
+def test_what_guardians_know_can_be_asked(guarded):
+    guarded.run_for(3.0)
+    (owner,) = guarded.agents["a"].ask(Guarding()).result
+    assert owner["owner"] == "a" and owner["guardians"] == ["a", "b", "c"]
+    assert 1.0 < owner["permit_s"] <= 3.6 and owner["lease"]
+    (row,) = guarded.agents["b"].ask(Guarding()).result
+    assert row["checkpoint"] > 1 and row["age_s"] < 1.0 and row["silent_s"] < 1.0
+    guarded.crash("a")
+    guarded.run_for(1.0)
+    refused = guarded.agents["b"].ask(Take("Count")).reason
+    assert "a has a lease on it" in refused

@@ -21,7 +21,7 @@ from pancakes.mesh.security.access import Access
 from pancakes.mesh.security.rules import RIGHTS, AccessRule, Right
 from pancakes.packet import NETWORK
 from pancakes.runtime.hosting import guardian
-from pancakes.runtime.hosting.guard_talk import GUARDIAN
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.testing import FleetInTest
 
 TASK = TaskId("a", "Scan")

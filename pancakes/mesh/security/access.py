@@ -13,6 +13,7 @@ from pancakes.control import (
     Describe,
     Follow,
     Forget,
+    Guarding,
     History,
     Migrate,
     Migrations,
@@ -25,6 +26,7 @@ from pancakes.control import (
     Shutdown,
     Start,
     Stop,
+    Take,
     Traces,
     Unfollow,
 )
@@ -33,10 +35,11 @@ from pancakes.mesh.security.rules import AccessRule, Bearer, Right, allows
 from pancakes.packet import CTRL, NETWORK, SYSCTRL, Packet, agent_of, type_name
 
 RIGHT_OF: Final[dict[type, Right]] = {
-    **dict.fromkeys((Describe, Channels, History, Traces, Migrations, Follow, Unfollow), "look"),
+    **dict.fromkeys((Describe, Channels, History, Traces, Migrations, Guarding, Follow, Unfollow), "look"),
     **dict.fromkeys((Start, Stop, Restart, Reschedule, Configure, Begin, SetFence, ReloadKeys), "change"),
     **dict.fromkeys((Adopt, Forget, Revive), "adopt"),
     Migrate: "move",
+    Take: "move",
     Shutdown: "end",
 }
 """The right that each control packet needs. A dry run needs `look`."""

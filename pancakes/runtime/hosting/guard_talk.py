@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from pancakes.errors import PancakesError
 from pancakes.mesh.guarding.choosing import MayGuard
 from pancakes.mesh.guarding.guard_messages import KeepLease, SeizeTask, YieldLease
@@ -12,9 +10,7 @@ from pancakes.mesh.migration.messages import ForJournal, addressed, is_for
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, join
 from pancakes.runtime.hosting.hosting_service import HostingService
-
-GUARDIAN: Final = "kernel/Guardian"
-"""Where on each agent the guardian is."""
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 
 ToGuardian = KeepLease | SeizeTask | YieldLease | MayGuard
 

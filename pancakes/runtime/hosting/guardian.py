@@ -8,6 +8,8 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes.control import Guarding, Take
+from pancakes.errors import ControlRefused
 from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
 from pancakes.mesh.guarding.guard_messages import DenyLease, GuardAnswer, KeepLease, SeizeTask, YieldLease
 from pancakes.mesh.guarding.guardian_core import (
@@ -27,8 +29,9 @@ from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.messages import is_for
 from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.net.mesh import Mesh
-from pancakes.packet import NETWORK, Packet, agent_of
+from pancakes.packet import NETWORK, Packet, agent_of, join
 from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MoveOver
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.registers import Registers, RegisterWritten
@@ -36,7 +39,9 @@ from pancakes.runtime.hosting.takeover import Takeovers
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
+from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.timer import OneShot
+from pancakes.runtime.supervision.guardian_messages import AskedOfGuardian, GuardianAnswers
 
 KEEP: Final = queue(1024)
 """What falls out is said again."""
@@ -63,6 +68,7 @@ class _Guarded(msgspec.Struct):
         waiting: the events that wait, each with the address that asked.
         event: the event that is being dealt with.
         heard_s: when the owner was heard last, in host time.
+        saved_s: when the checkpoint was written, in host time.
     """
 
     register: GuardRegister
@@ -74,6 +80,7 @@ class _Guarded(msgspec.Struct):
     waiting: list[tuple[str, GuardEvent]] = msgspec.field(default_factory=list)
     event: GuardEvent | None = None
     heard_s: float = 0.0
+    saved_s: float = 0.0
 
 
 class Guardian(Component):
@@ -101,7 +108,7 @@ class Guardian(Component):
         for task, why in self._registers.lost().items():
             self.log("error", f"{self.agent} guards {task!a} no more, as it may have forgotten a pledge: {why}")
         for register in self._registers.all():
-            one = self._guarded[register.task_id] = _Guarded(register, heard_s=self.kernel.host.now())
+            one = self._guarded[register.task_id] = _Guarded(register, heard_s=self._began_s, saved_s=self._began_s)
             one.effects.extend(recover(register))
             self._go_on(one)
 
@@ -115,9 +122,64 @@ class Guardian(Component):
                 self._takeovers.over(message)
             case Accounted():
                 pass
+            case AskedOfGuardian():
+                self._asked(message)
             case _:
                 return super().on_receive(message)
         return None
+
+    def _asked(self, asked: AskedOfGuardian) -> None:
+        try:
+            if isinstance(asked.body, Guarding):
+                tell(asked.root, GuardianAnswers(asked.request, result=[self._row(one) for one in self._kept()]))
+            else:
+                self._takeovers.take(asked, self._to_take(asked.body).register.task_id)
+        except ControlRefused as error:
+            tell(asked.root, GuardianAnswers(asked.request, str(error)))
+
+    def _kept(self) -> list[_Guarded]:
+        return [one for one in self._guarded.values() if self._me in one.register.guards.members()]
+
+    def _to_take(self, body: Take) -> _Guarded:
+        """Returns the task that is to be taken over.
+
+        Raises:
+            ControlRefused: this agent guards none, or two, of this name; or its owner is not silent.
+        """
+        kept = {one.register.task_id: one for one in self._kept()}
+        found = [one for it, one in kept.items() if it.name == body.task and body.birthplace in ("", it.birthplace)]
+        if not found:
+            names = ", ".join(map(str, kept)) or "no task"
+            raise ControlRefused(f"{self.agent} does not guard {body.task}, but {names}")
+        if len(found) > 1:
+            names = " and ".join(str(one.register.task_id) for one in found)
+            raise ControlRefused(f"{self.agent} guards {names}: say which birthplace is meant")
+        (one,) = found
+        if one.lease.epoch is not None:
+            owner, name = one.lease.epoch.minter, one.register.task_id.name
+            hint = f"`pancakes task migrate {owner}/{name}` moves it"
+            raise ControlRefused(f"{one.register.task_id} is not taken over: {owner} has a lease on it. {hint}")
+        return one
+
+    def _row(self, one: _Guarded) -> dict[str, Any]:
+        """Returns what is to be known about a task that is guarded here, as plain values."""
+        register, now_s = one.register, self.kernel.host.now()
+        owner = register.promised.minter
+        row = {
+            "task_id": str(register.task_id),
+            "agent": self.agent,
+            "owner": owner,
+            "epoch": str(register.promised),
+            "checkpoint": register.checkpoint.no,
+            "age_s": now_s - one.saved_s,
+            "silent_s": now_s - one.heard_s,
+            "lease": one.lease.epoch is not None,
+        }
+        if owner != self.agent or register.body is None:
+            return row
+        service = Snapshot.decode(register.body.snapshot).service
+        permit_s = self.kernel.permits.left_s(join(self.agent, service, register.task_id.name))
+        return {**row, "guardians": [member.agent for member in register.guards.members()], "permit_s": permit_s}
 
     def _written(self, message: RegisterWritten) -> None:
         one = self._guarded[message.task_id]
@@ -125,6 +187,8 @@ class Guardian(Component):
         if message.why_not:
             one.effects.clear()  # as after a crash: nothing of it has happened, and nothing was promised
         elif written is not None:
+            if written.checkpoint != one.register.checkpoint:
+                one.saved_s = self.kernel.host.now()
             one.register = written
         self._go_on(one)
 

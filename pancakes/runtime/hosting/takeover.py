@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.errors import MigrationError, PancakesError
+from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.mesh.guarding.guardian_core import GuardRegister
 from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen, TakeTask
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
@@ -21,15 +21,17 @@ from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, join
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.hosting.bidding_messages import MIGRATOR, AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
-from pancakes.runtime.hosting.guard_talk import GUARDIAN
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.timer import OneShot
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN, AskedOfGuardian, GuardianAnswers
 
 RANK_S: Final = 0.15
 """So much later than the guardian before it each guardian looks for a new owner: so that one of them does it."""
 CALLED_S: Final = 1.5
 """An agent that was called to take a task has so long to ask for its first lease."""
+POLLED_S: Final = 1.0
+"""A person who asks is told after this time that too few guardians have answered."""
 NEGOTIATED_S: Final = 10.0
 """A negotiation that has not ended by then is forgotten: the Task Migrator was started anew."""
 
@@ -48,7 +50,7 @@ class _Orphan(msgspec.Struct):
         asks: how often neighbours were asked for bids.
         negotiating_s: since when, in host time; None: bids are not compared now.
         called: the agent that was called to take it.
-        ordered: whether a person has said that it is to be taken.
+        asked: what a person has asked for that waits for an answer; None: nothing.
         told: whether people were told that it waits for a person.
         timer: what comes next.
     """
@@ -63,7 +65,7 @@ class _Orphan(msgspec.Struct):
     asks: int = 0
     negotiating_s: float | None = None
     called: str = ""
-    ordered: bool = False
+    asked: AskedOfGuardian | None = None
     told: bool = False
     timer: OneShot | None = None
 
@@ -90,8 +92,15 @@ class Takeovers:
             heard_s: when its owner was heard last, in host time.
             wait_s: for so long no new owner is looked for.
         """
-        self._drop(register.task_id)
         members = register.guards.members()
+        known = self._orphans.get(register.task_id)
+        if (
+            known is not None and self._me in members
+        ):  # an agent asks for a pledge, which may be the one that was called
+            known.register, known.promised = register, max(known.promised, register.promised)
+            self._later(known, wait_s + RANK_S * members.index(self._me))
+            return
+        self._drop(register.task_id)
         if register.body is None or register.body.wanted is not Wanted.RUNNING or self._me not in members:
             return
         try:
@@ -112,6 +121,7 @@ class Takeovers:
         if orphan is None:
             return
         self._drop(task_id)
+        self._answer(orphan, "", {"task_id": str(task_id), "winner": epoch.minter})
         if orphan.negotiating_s is None:
             return
         if epoch.minter == orphan.called:
@@ -178,7 +188,7 @@ class Takeovers:
     def _look(self, orphan: _Orphan) -> None:
         if orphan.negotiating_s is not None or not orphan.guards.has_quorum(orphan.over):
             return
-        if orphan.rule.takeover == "ask" and not orphan.ordered:
+        if orphan.rule.takeover == "ask" and orphan.asked is None:
             self._tell_waiting(orphan)
             return
         self._negotiate(orphan)
@@ -213,9 +223,12 @@ class Takeovers:
         )
         now_s = self._guardian.kernel.host.now()
         orphan.negotiating_s = now_s
+        asked = orphan.asked
         owner, no = orphan.register.checkpoint.epoch.minter, orphan.register.checkpoint.no
-        asked_by = f"its guardians: {owner} silent for {now_s - orphan.heard_s:.1f} s, checkpoint {no}"
-        self._tell_migrator(Negotiate(self._guardian, request, asked_by, "", False, itself=True))
+        who = asked.request.by if asked is not None else "its guardians"
+        asked_by = f"{who}: {owner} silent for {now_s - orphan.heard_s:.1f} s, checkpoint {no}"
+        dry_run = asked is not None and asked.dry_run
+        self._tell_migrator(Negotiate(self._guardian, request, asked_by, "", dry_run, itself=True))
 
     def awarded(self, awarded: BidAwarded) -> None:
         """The bids are compared: calls the cheapest bidder."""
@@ -243,9 +256,42 @@ class Takeovers:
         if orphan is None:
             return
         orphan.negotiating_s, orphan.called = None, ""
+        if orphan.asked is not None:
+            self._answer(orphan, over.reason, over.result)
+            return
         if over.reason and not orphan.told:
             orphan.told = True
             self._guardian.log("warning", f"{over.task_id} runs nowhere, and is not taken over: {over.reason}")
+
+    # What a person asks for -----------------------------------------------------------------------------------
+
+    def take(self, asked: AskedOfGuardian, task_id: TaskId) -> None:
+        """A person says that a task is to be taken over.
+
+        Raises:
+            ControlRefused: it does not wait for that.
+        """
+        orphan = self._orphans.get(task_id)
+        if orphan is None:
+            raise ControlRefused(f"{task_id} is not to run, as its checkpoint says: there is nothing to take over")
+        if orphan.negotiating_s is not None or orphan.asked is not None:
+            raise ControlRefused(f"{task_id} is being taken over already")
+        orphan.asked = asked
+        self._poll(orphan)
+        self._guardian.after_host(POLLED_S, partial(self._look_at_polled, orphan))
+
+    def _look_at_polled(self, orphan: _Orphan) -> None:
+        if orphan.asked is None or orphan.negotiating_s is not None:
+            return
+        members = orphan.guards.members()
+        silent = ", ".join(sorted(one.agent for one in members if one not in orphan.over))
+        known = f"{len(orphan.over)} of its {len(members)} guardians say that its owner is silent"
+        self._answer(orphan, f"{orphan.register.task_id} is not taken over: {known}, and not {silent}")
+
+    def _answer(self, orphan: _Orphan, reason: str, result: Any = None) -> None:
+        asked, orphan.asked = orphan.asked, None
+        if asked is not None:
+            tell(asked.root, GuardianAnswers(asked.request, reason, result))
 
     def _tell_migrator(self, message: object) -> None:
         migrator = self._guardian.kernel.registry.get(join(self._guardian.agent, MIGRATOR))

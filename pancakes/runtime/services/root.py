@@ -24,6 +24,7 @@ from pancakes.control import (
     Describe,
     Follow,
     Forget,
+    Guarding,
     History,
     Migrate,
     Migrations,
@@ -35,6 +36,7 @@ from pancakes.control import (
     Shutdown,
     Start,
     Stop,
+    Take,
     Traces,
     Unfollow,
 )
@@ -45,12 +47,14 @@ from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.dispatch import defer
 from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.life.life_event import StartAsked, StopAsked
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
 from pancakes.runtime.services.service_spec import ServiceSpec
 from pancakes.runtime.supervision.answers import Answers
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN, AskedOfGuardian, GuardianAnswers
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, ServiceEnded, ServiceReady
 from pancakes.runtime.supervision.task_commands import WAITING
 from pancakes.runtime.supervision.task_description import describe_task
@@ -121,6 +125,8 @@ class Root(Component):
             case NoRoom():
                 # It has its place in the order like any other.
                 self.reply(self._numbered(message.packet), message.reason)
+            case GuardianAnswers():
+                self.reply(message.request, message.reason, message.result)
             case Close():
                 self._services.close()
             case _:
@@ -194,6 +200,9 @@ class Root(Component):
         if isinstance(body, Shutdown):
             self._end_agent(body, request)
             return
+        if isinstance(body, (Guarding, Take)):
+            self._hand_to_guardian(body, request)
+            return
         if isinstance(body, Migrations):
             self.reply(request, result=self._migrations())
             return
@@ -209,6 +218,11 @@ class Root(Component):
             self._hand(service, task, body, request)
         else:
             self._control_service(self.places[service], body, request)
+
+    def _hand_to_guardian(self, body: Guarding | Take, request: Request) -> None:
+        guardian = self.kernel.registry.get(join(self.agent, GUARDIAN))
+        if guardian is None or not tell(guardian, AskedOfGuardian(body, request, self)):
+            raise ControlRefused(f"the guardian of {self.agent} is being started anew")
 
     def _must_be_allowed(self, body: Any, request: Request, service: str, task: str) -> None:
         """Looks whether a peer may ask for this.

@@ -15,6 +15,7 @@ from pancakes.tools.cli.name_types import TaskName, a_task, agents
 from pancakes.tools.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, keep_state_option, orders_agents
 from pancakes.tools.cli.output import show, show_json, show_sections
 from pancakes.tools.cli.verbs.fence import fence
+from pancakes.tools.cli.verbs.guards import guards, take
 from pancakes.tools.cli.verbs.migration import adopt, forget, migrate, migrations
 from pancakes.tools.cli.verbs.param_names import Changes, set_option
 from pancakes.tools.cli.verbs.resolve import resolve
@@ -40,6 +41,8 @@ task.add_command(forget)
 task.add_command(resolve)
 task.add_command(revive)
 task.add_command(fence)
+task.add_command(guards)
+task.add_command(take)
 
 
 @task.command("list")
