@@ -171,6 +171,7 @@ class Revive(msgspec.Struct, frozen=True):
         restart: what its service does when it fails, as in `[task.NAME] restart`; empty: what is usual.
         durability: `lazy` or `each`.
         migrate: its rule for moving, as in `[task.NAME] migrate`; None: it has none.
+        guard: how it is guarded, a `GuardRule` as plain values; None: it is not.
         force: whether to do it; without, the refusal says what it would mean.
         dry_run: only says whether it would be done, and changes nothing.
     """
@@ -182,6 +183,7 @@ class Revive(msgspec.Struct, frozen=True):
     restart: dict[str, Any] = {}
     durability: Literal["lazy", "each"] = "lazy"
     migrate: dict[str, Any] | None = None
+    guard: dict[str, Any] | None = None
     force: bool = False
     dry_run: bool = False
 

@@ -8,7 +8,6 @@ from typing import Any
 from msgspec.structs import asdict
 
 from pancakes.errors import PluginError
-from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.runtime.config import Config, DeviceConfig, ServiceConfig, TaskConfig
 from pancakes.runtime.folders import Folders
 from pancakes.runtime.installed import Installed
@@ -141,19 +140,13 @@ class Composition:
             restart=config.restart,
             durability=config.durability,
             rule=config.migrate,
-            guard=_guard_of(config),
+            guard=config.guard_rule,
             arguments=self._arguments.get(config.name, {}),
         )
 
     def _skip(self, part: str, error: PluginError) -> None:
         """Names one bad plug-in; the rest runs."""
         self._skipped.append(f"{part} does not run: {error}")
-
-
-def _guard_of(config: TaskConfig) -> GuardRule | None:
-    if not config.guard:
-        return None
-    return GuardRule(config.guard, config.lease_s, config.checkpoint_s, config.guardians, config.takeover)
 
 
 def _turn_of(spec: ServiceSpec) -> int:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta, Struct, field
 
 from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
-from pancakes.mesh.migration.guard_rule import LONGEST_LEASE_S, SHORTEST_LEASE_S
+from pancakes.mesh.migration.guard_rule import LONGEST_LEASE_S, SHORTEST_LEASE_S, GuardRule
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.mesh.security.rules import AccessRule, Right
 from pancakes.mesh.wire.link_messages import MOST_LISTEN
@@ -186,6 +186,13 @@ class TaskConfig(Struct, frozen=True):
     checkpoint_s: Annotated[float, Meta(ge=0.05, le=3600.0)] = 1.0
     guardians: Annotated[tuple[str, ...], Meta(max_length=4)] = ()
     takeover: Literal["auto", "ask"] = "auto"
+
+    @property
+    def guard_rule(self) -> GuardRule | None:
+        """How it is guarded; None: it is not."""
+        if not self.guard:
+            return None
+        return GuardRule(self.guard, self.lease_s, self.checkpoint_s, self.guardians, self.takeover)
 
 
 class Config(Struct, frozen=True):

@@ -154,6 +154,7 @@ class Arrivals:
             restart=body.restart,
             durability=body.durability,
             migrate=body.migrate,
+            guard=body.guard,
         ).encode()
 
     def room(self, slot: Slot, place: Place, asked: AskRoom) -> Room:

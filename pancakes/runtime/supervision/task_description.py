@@ -67,6 +67,7 @@ def describe_in_detail(kernel: Kernel, slot: Slot, settings_class: type, carried
         "settings": settings_of(kernel, slot, settings_class, carried),
         "settings_schema": _schema_of_settings(settings_class),
         "durability": spec.durability,
+        "guard": msgspec.structs.asdict(spec.guard) if spec.guard is not None else None,
         "restart": msgspec.structs.asdict(spec.restart),
         "failure": msgspec.to_builtins(slot.failure),
         "fence": {"task_id": slot.fence.task_id, "epoch": slot.fence.epoch[0]} if slot.fence is not None else None,

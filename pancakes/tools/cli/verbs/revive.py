@@ -78,6 +78,7 @@ def _asked(task: TaskConfig, task_id: str, service: str, force: bool, dry_run: b
         msgspec.to_builtins(task.restart),
         task.durability,
         msgspec.to_builtins(task.migrate) if task.migrate is not None else None,
+        msgspec.to_builtins(task.guard_rule) if task.guard_rule is not None else None,
         force or dry_run,
         dry_run,
     )

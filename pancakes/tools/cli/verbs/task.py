@@ -191,6 +191,7 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
             "starts": found["incarnation"],
             "requires": found["requires"],
             "on disk": found["durability"],
+            "guarded": _guarding(found["guard"]),
             "started again": _policy(found["restart"]),
             "epoch": None if fence is None else f"{fence['epoch']} of {fence['task_id']}",
             "packets dropped": found["dropped"],
@@ -213,6 +214,10 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
         "settings": found["settings"],
         f"last failure, at {failure['t_s']:.3f} s" if failure else "": failure["traceback"] if failure else "",
     }
+
+
+def _guarding(guard: Mapping[str, Any] | None) -> str:
+    return f"by {guard['guard']}, lease {guard['lease_s']:g} s" if guard is not None else "no"
 
 
 def _policy(restart: Mapping[str, Any]) -> str:

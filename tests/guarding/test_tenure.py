@@ -1,0 +1,150 @@
+"""What an owner makes of what its guardians say, and an agent that is to take a task."""
+
+import pytest
+
+from pancakes.mesh.guarding.guard_messages import (
+    NO_CHECKPOINT,
+    CheckpointBody,
+    CheckpointId,
+    DenyLease,
+    LeaseKept,
+    Pledge,
+)
+from pancakes.mesh.guarding.tenure import Seizing, Tenure, answered, asked_again, keep_lease, told
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.guards import GuardianId, Guards
+from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
+
+TASK = TaskId("a", "Scan")
+A, B, C, D = (GuardianId(name, "j") for name in "abcd")
+E1, E2, E3 = Epoch(1, "a"), Epoch(2, "b"), Epoch(3, "c")
+THREE = Guards(E1, 2, ((A, B, C),))
+JOINT = Guards(E1, 1, ((A,), (A, B, C)))
+OWNER = Record(TASK, Phase.OWNER, E1, E1, snapshot=b"s", guards=THREE, no=4)
+
+
+def kept(guardian, beat=1, no=4, version=2, epoch=E1):
+    return LeaseKept(TASK, epoch, guardian, beat, no, version)
+
+
+def deny(guardian, promised, epoch=E1):
+    return DenyLease(TASK, epoch, guardian, promised, "why")
+
+
+def after(*answers, record=OWNER, beats=3):
+    tenure = Tenure()
+    for _ in range(beats):
+        tenure = asked_again(tenure, record)
+    for answer in answers:
+        tenure = answered(tenure, record, answer)
+    return tenure
+
+
+class TestAPermit:
+    def test_it_needs_a_quorum_for_the_same_beat(self):
+        assert after(kept(A)).granted_beat(THREE) == 0
+        assert after(kept(A), kept(B)).granted_beat(THREE) == 1
+        assert after(kept(A, 3), kept(B, 1)).granted_beat(THREE) == 1
+        assert after(kept(A, 3), kept(B, 2), kept(C, 1)).granted_beat(THREE) == 2
+
+    def test_while_guardians_are_replaced_it_needs_one_of_each_set(self):
+        record = Record(TASK, Phase.OWNER, E1, E1, guards=JOINT)
+        both = [kept(B, version=1), kept(C, version=1)]
+        assert after(*both, record=record).granted_beat(JOINT) == 0
+        assert after(*both, kept(A, version=1), record=record).granted_beat(JOINT) == 1
+
+    def test_a_guardian_that_does_not_know_the_guards_does_not_count(self):
+        assert after(kept(A), kept(B, version=1)).granted_beat(THREE) == 0
+
+    def test_what_a_stranger_says_and_what_is_late_or_of_another_epoch_counts_for_nothing(self):
+        before = after(kept(A))
+        for answer in (kept(D), kept(B, epoch=E2), kept(B, beat=9), kept(A, beat=0)):
+            assert answered(before, OWNER, answer) == before
+
+    def test_a_new_epoch_begins_without_answers_and_its_beats_go_on(self):
+        tenure = asked_again(after(kept(A), kept(B)), Record(TASK, Phase.OWNER, E2, E2, guards=THREE))
+        assert tenure.answers == () and tenure.beat == 4
+
+    def test_an_owner_whose_disk_is_an_old_copy_is_told(self):
+        assert not after(kept(A)).is_behind(4)
+        assert after(kept(B, no=5)).is_behind(4)
+
+
+class TestACheckpoint:
+    def test_it_is_safe_once_a_quorum_has_it(self):
+        assert after(kept(A, no=4)).replicated_no(THREE) == -1
+        assert after(kept(A, no=4), kept(B, no=3)).replicated_no(THREE) == 3
+        assert after(kept(A, no=4), kept(B, no=3), kept(C, no=4)).replicated_no(THREE) == 4
+
+    def test_an_older_answer_takes_nothing_back(self):
+        assert after(kept(A, 2, no=4), kept(A, 2, no=-1)).of(A).no == 4
+
+
+class TestOutvoted:
+    def test_one_that_follows_another_is_not_enough(self):
+        assert after(deny(B, E2)).outvoted_by(THREE) == NO_EPOCH
+
+    def test_it_is_once_the_others_are_no_quorum(self):
+        assert after(deny(B, E2), deny(C, E3)).outvoted_by(THREE) == E3
+
+    def test_a_guardian_that_denies_for_another_reason_follows_no_other(self):
+        assert after(deny(B, E1), deny(C, NO_EPOCH)).outvoted_by(THREE) == NO_EPOCH
+
+    def test_one_that_grants_again_follows_the_owner_again(self):
+        assert after(deny(B, E2), deny(C, E2), kept(B)).outvoted_by(THREE) == NO_EPOCH
+
+
+def test_a_lease_is_asked_for_with_what_is_on_disk():
+    keep = keep_lease(after(), OWNER, "scan", 2.0, with_body=True)
+    assert (keep.epoch, keep.beat, keep.checkpoint, keep.guards) == (E1, 3, CheckpointId(E1, 4), THREE)
+    assert keep.body == CheckpointBody(b"s", Wanted.RUNNING)
+    assert keep_lease(after(), OWNER, "scan", 2.0, with_body=False).body is None
+
+
+def pledge(guardian, no=4, body=b"s", epoch=E2, guards=THREE, of=E1):
+    held = CheckpointBody(body) if body else None
+    return Pledge(TASK, epoch, guardian, CheckpointId(of, no) if body else NO_CHECKPOINT, guards, held)
+
+
+SEIZING = Seizing(TASK, "scan", E2, THREE, NO_CHECKPOINT, None)
+
+
+def seizing(*answers, start=SEIZING):
+    for answer in answers:
+        start = told(start, answer)
+    return start
+
+
+class TestTaking:
+    def test_it_needs_a_quorum(self):
+        assert seizing(pledge(A)).result() is None
+        result = seizing(pledge(A), pledge(B)).result()
+        assert (result.epoch, result.snapshot, result.source) == (E2, b"s", "")
+
+    def test_a_guardian_counts_once(self):
+        assert seizing(pledge(A), pledge(A)).result() is None
+
+    def test_the_newest_checkpoint_counts(self):
+        assert seizing(pledge(A, 5, b"new"), pledge(B, 4, b"old")).result().snapshot == b"new"
+        assert seizing(pledge(A, 9, b"old"), pledge(B, 0, b"new", of=E2)).result().snapshot == b"new"
+
+    def test_what_was_given_counts_where_it_is_the_newest(self):
+        given = Seizing(TASK, "scan", E2, THREE, CheckpointId(E1, 6), CheckpointBody(b"given"), E1, "a", E1)
+        result = seizing(pledge(B, 5, b"old"), pledge(C, 5, b"old"), start=given).result()
+        assert (result.snapshot, result.source, result.offer) == (b"given", "a", E1)
+
+    def test_the_newest_guards_that_any_of_them_knows_decide(self):
+        newer = Guards(E1, 3, ((B, C, D),))
+        so_far = seizing(pledge(A), pledge(B, guards=newer))
+        assert so_far.result() is None and so_far.unasked() == [C, D]
+        assert seizing(pledge(D, guards=newer), start=so_far).result().guards == newer
+
+    def test_without_a_checkpoint_there_is_nothing_to_run(self):
+        assert seizing(pledge(A, body=b""), pledge(B, body=b"")).result() is None
+
+    @pytest.mark.parametrize("answer", [pledge(B, epoch=E3), kept(B, epoch=E2), deny(B, E3, epoch=E3)])
+    def test_what_answers_something_else_changes_nothing(self, answer):
+        assert told(SEIZING, answer) == SEIZING
+
+    def test_it_knows_what_epoch_it_must_exceed(self):
+        assert seizing(deny(B, E3, epoch=E2), deny(C, E1, epoch=E2)).promised() == E3
