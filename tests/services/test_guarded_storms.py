@@ -10,6 +10,8 @@ import pytest
 
 from pancakes.control import Migrate
 from pancakes.mesh.migration.record import TaskId
+from pancakes.runtime.kernel.permits import PermitEnd
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 
@@ -104,3 +106,32 @@ def test_never_do_two_act_and_at_the_end_one_does(first):
         assert len({agent for at_s, agent, _ in acts if at_s > ended_s - 2.0}) == 1, (
             f"seed {seed}: none acts at the end"
         )
+
+
+def set_rate(agent, rate):
+    """Lets the clocks of an agent run at so many times the true rate."""
+    kernel = agent.kernel
+    kernel.permits.moment = lambda: PermitEnd(kernel.host.now() * rate, 0.0)
+    guardian = agent.component(GUARDIAN)
+    after_host = guardian.after_host
+    guardian.after_host = lambda delay_s, function: after_host(delay_s / rate, function)
+
+
+@pytest.mark.parametrize(("apart", "holds"), [(0.01, True), (0.05, True), (0.1, False)])
+def test_clocks_may_differ_by_five_percent_and_by_no_more_than_a_lease_is_longer_than_a_permit(apart, holds):
+    acts.clear()
+    with FleetInTest(seed=7, classes={"test.Act": Act}) as fleet:
+        fleet.start("a", tasks={"Act": {"type": Act, "guard": 3, "lease_s": 10.0}})
+        fleet.start("b")
+        fleet.start("c")
+        fleet.connect()
+        set_rate(fleet.agents["a"], 1.0 - apart)
+        set_rate(fleet.agents["b"], 1.0 + apart)
+        set_rate(fleet.agents["c"], 1.0 + apart)
+        fleet.run_for(9.5)  # the guardians have just answered
+        assert fleet.agents["a"].agent.records.get(ACT).guards.version == 2
+        fleet.faults.cut("a", for_s=14.0)
+        fleet.run_for(30.0)
+        epochs = [epoch for _, _, epoch in acts]
+        assert epochs[-1][0] == 1
+        assert (epochs == sorted(epochs)) is holds
