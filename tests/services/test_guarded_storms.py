@@ -129,7 +129,8 @@ def test_clocks_may_differ_by_five_percent_and_by_no_more_than_a_lease_is_longer
         set_rate(fleet.agents["b"], 1.0 + apart)
         set_rate(fleet.agents["c"], 1.0 + apart)
         fleet.run_for(9.5)  # the guardians have just answered
-        assert fleet.agents["a"].agent.records.get(ACT).guards.version == 2
+        record = fleet.agents["a"].agent.records.get(ACT)
+        assert record is not None and record.guards.version == 2
         fleet.faults.cut("a", for_s=14.0)
         fleet.run_for(30.0)
         epochs = [epoch for _, _, epoch in acts]

@@ -5,6 +5,10 @@ from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 
 from pancakes.control import Guarding, Migrate, Stop, Take
+from pancakes.mesh.guarding.guard_messages import NO_CHECKPOINT
+from pancakes.mesh.guarding.taking_over import TakeTask
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.messages import addressed
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.testing import FleetInTest
 
@@ -205,3 +209,32 @@ def test_what_guardians_know_can_be_asked(guarded):
     guarded.run_for(1.0)
     refused = guarded.agents["b"].ask(Take("Count")).reason
     assert "a has a lease on it" in refused
+
+
+def test_calls_to_take_made_up_tasks_leave_nothing(guarded):
+    b, c = guarded.agents["b"], guarded.agents["c"]
+    members = record(guarded, "a").guards
+    for n in range(100):
+        call = TakeTask(TaskId("c", f"Made{n}"), "test.Count", Epoch(5, "c"), members, NO_CHECKPOINT)
+        c.publish("network", addressed(call, b.agent.mesh.identity.journal), to="b/client")
+    guarded.run_for(0.5)
+    assert 0 < len(b.component("client").places) <= 64
+    guarded.run_for(5.0)
+    assert len(b.component("client").places) == 0
+    assert where(guarded) == ["a"]
+
+
+def test_an_owner_whose_disk_was_restored_goes_on_from_what_the_guardians_have(guarded):
+    before = {file: data for file, data in guarded.fleet.disk("a").items() if file != "lock"}
+    guarded.run_for(5.0)
+    n = guarded.agents["a"].task("Count").state.n
+    guarded.crash("a")
+    guarded.fleet.disk("a").clear()
+    guarded.fleet.disk("a").update(before)
+    a = guarded.restart("a")
+    assert guarded.run_until(lambda: where(guarded), 12)
+    (owner,) = where(guarded)
+    assert guarded.agents[owner].task("Count").state.n >= n - 10
+    assert any("is an old copy" in line for line in a.lines("error"))
+    guarded.run_for(5.0)
+    assert where(guarded) == [owner]

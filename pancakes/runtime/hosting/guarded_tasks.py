@@ -10,6 +10,7 @@ from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.effect import Seize
 from pancakes.mesh.migration.event import PacketId
 from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.record import Record
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import Packet, agent_of
 from pancakes.runtime.hosting.guard_talk import GuardTalk
@@ -17,6 +18,7 @@ from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.leases import Leases
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.hosting.takings import Takings
 
 
@@ -85,4 +87,5 @@ class GuardedTasks:
     def _called(self, peer: str, call: TakeTask) -> None:
         here = self._records.service_of(call.task_id) in ("", self._host.name)
         if here and not self._host.kernel.access.fault(peer, "guard", call.type):
-            self._takings.called(self._host.places[call.task_id], call)
+            place = self._host.places.get(call.task_id) or Place(call.task_id, Standing(Record(call.task_id)))
+            self._takings.called(place, call)

@@ -9,7 +9,7 @@ from typing import Final
 from pancakes.errors import MigrationError
 from pancakes.mesh.guarding.choosing import CanGuard, MayGuard, choose
 from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept, YieldLease
-from pancakes.mesh.guarding.tenure import answered, asked_again, keep_lease
+from pancakes.mesh.guarding.tenure import Tenure, answered, asked_again, keep_lease
 from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId, PermitGiven
 from pancakes.mesh.migration.guard_rule import PERMIT_SHARE, RENEWED, GuardRule
@@ -101,7 +101,9 @@ class Leases:
                     self._talk.say(guardian, YieldLease(record.task_id, record.epoch))
 
     def _begin(self, place: Place) -> None:
-        place.tenancy = Tenancy(lost_s=self._host.kernel.host.now())
+        now_s = self._host.kernel.host.now()
+        # An answer to this service's predecessor is older than every beat of its own, and so counts for nothing.
+        place.tenancy = Tenancy(tenure=Tenure(beat=int(now_s * 1e6)), lost_s=now_s)
         self._learn_rule(place)
         self._host.kernel.permits.revoke(self._address(place))
         self._held.append(place)
@@ -151,7 +153,7 @@ class Leases:
     def _renew(self, place: Place) -> None:
         """Asks all guardians of a task for a lease."""
         tenancy, record = place.tenancy, place.standing.record
-        if tenancy is None:
+        if tenancy is None or tenancy.behind:
             return
         self._learn_rule(place)
         tenancy.tenure = tenure = asked_again(tenancy.tenure, record)
@@ -242,13 +244,14 @@ class Leases:
         self._host.event("permit_lost", task=place.task_id.name)
 
     def _tell_behind(self, place: Place, tenancy: Tenancy) -> None:
-        if not tenancy.thin:
-            tenancy.thin = True
+        if not tenancy.behind:
+            tenancy.behind = True  # it asks for no lease any more, so the guardians look for an owner
             self._host.log(
                 "error",
-                f"{place.task_id} does not run: its guardians have a later checkpoint than the disk of"
-                f" {self._host.agent}, which is an old copy; `pancakes task take` lets the guardians decide",
+                f"the disk of {self._host.agent} is an old copy: the guardians of {place.task_id} have a later"
+                " checkpoint, and have an agent go on from that",
             )
+            self._host.event("disk_is_old", task=place.task_id.name)
 
     def owe(self, place: Place, packet: PacketId) -> None:
         """Acknowledges a packet once the checkpoint with its effect is at a quorum, so that a take-over keeps it."""

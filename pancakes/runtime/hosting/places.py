@@ -45,6 +45,11 @@ class Places(dict[TaskId, Place]):
             self[place.task_id] = place
             self._by_name.setdefault(place.task_id.name, []).append(place)
 
+    def drop(self, place: Place) -> None:
+        """Forgets a place where nothing has come of what was asked, and of which there is no record."""
+        if self.pop(place.task_id, None) is not None:
+            self._by_name[place.task_id.name].remove(place)
+
     def named(self, name: str) -> list[Place]:
         """Returns the places of all tasks of a name: each birthplace may have one."""
         return list(self._by_name.get(name, ()))

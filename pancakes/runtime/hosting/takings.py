@@ -23,6 +23,8 @@ from pancakes.runtime.hosting.tenancy import Taking
 
 AGAIN_S: Final = 0.25
 """How often guardians that have not answered are asked again, in host time."""
+MOST_CALLED: Final = 64
+"""So many tasks are being taken at once at the word of guardians; they call again."""
 GIVEN_UP_S: Final = 3.0
 """A task that a guardian has called this agent to take is left to others after this time."""
 
@@ -38,6 +40,7 @@ class Takings:
     def __init__(self, host: HostingService, talk: GuardTalk) -> None:
         self._host = host
         self._talk = talk
+        self._called = 0  # how many are being taken at a guardian's word
 
     def given(self, place: Place, effect: Seize) -> None:
         """The owner has given a task away, and never acts under its epoch again."""
@@ -67,6 +70,10 @@ class Takings:
         record, volatile = place.standing.record, place.standing.volatile
         if place.taking is not None or record.phase is Phase.FROZEN or volatile.running:
             return
+        if self._called >= MOST_CALLED:
+            return
+        self._host.places.keep(place)
+        self._called += 1
         epoch = Epoch(max(record.seen.n, call.promised.n) + 1, self._host.agent)
         ours = record.phase in (Phase.OWNER, Phase.COMMITTED) and record.guarded
         checkpoint = CheckpointId(record.epoch, record.no) if ours else NO_CHECKPOINT
@@ -76,8 +83,8 @@ class Takings:
         self._begin(place, seizing, self._host.kernel.host.now() + GIVEN_UP_S)
 
     def _begin(self, place: Place, seizing: Seizing, until_s: float | None) -> None:
-        if place.taking is not None and place.taking.again is not None:
-            place.taking.again.cancel()
+        if place.taking is not None:
+            self._end(place, place.taking)
         place.taking = Taking(seizing, until_s)
         self._ask(place, seizing.unasked())
         self._later(place, place.taking)
@@ -97,7 +104,7 @@ class Takings:
         late = taking.until_s is not None and self._host.kernel.host.now() >= taking.until_s
         gone = record.seen >= seizing.epoch or (seizing.source and record.phase is not Phase.PREPARED)
         if late or gone:
-            place.taking = None
+            self._end(place, taking)
             return
         if seizing.source and seizing.promised() > seizing.epoch:
             # Another agent has asked for the task: only a higher epoch can have it now.
@@ -105,6 +112,15 @@ class Takings:
             taking.seizing = replace(seizing, epoch=higher, pledged=(), denied=())
         self._ask(place, taking.seizing.unasked())
         self._later(place, taking)
+
+    def _end(self, place: Place, taking: Taking) -> None:
+        place.taking = None
+        if taking.again is not None:
+            taking.again.cancel()
+        if taking.until_s is not None:
+            self._called -= 1
+        if place.standing.record.unborn and place.slot is None:
+            self._host.places.drop(place)  # a peer may make up as many tasks as it likes
 
     def heard(self, place: Place, answer: GuardAnswer) -> None:
         """A guardian has answered."""
@@ -118,9 +134,8 @@ class Takings:
             return
         result = seizing.result()
         if result is not None:
-            place.taking = None
-            if taking.again is not None:
-                taking.again.cancel()
+            self._end(place, taking)
+            self._host.places.keep(place)
             self._host.feed_place(place, result)
         else:
             self._ask(place, [one for one in seizing.unasked() if one not in known])

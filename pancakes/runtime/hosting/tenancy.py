@@ -29,6 +29,7 @@ class Tenancy(msgspec.Struct):
         owed: packets that are acknowledged once a checkpoint of this number is at a quorum.
         answers: what neighbours have said that were asked whether they would guard it.
         asked_s: when they were asked last, in host time.
+        behind: whether this agent's disk is an old copy: the guardians have a later checkpoint.
         thin: whether people were told that it has fewer guardians than it should.
         renewal: asks for leases again.
         end: the end of the permit.
@@ -46,6 +47,7 @@ class Tenancy(msgspec.Struct):
     owed: list[tuple[int, PacketId]] = []
     answers: dict[str, CanGuard] = {}
     asked_s: float = -1e9
+    behind: bool = False
     thin: bool = False
     renewal: OneShot | None = None
     end: OneShot | None = None
