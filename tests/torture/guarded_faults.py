@@ -87,7 +87,7 @@ class GuardedFaults:
 
     def __init__(self, directory: Path, seed: int, spoilt_by: str = "") -> None:
         self._random = random.Random(f"guarded/{seed}")
-        directory.mkdir(parents=True, exist_ok=True)
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._count = directory / "One.count"
         task = f'[task.One]\ntype = "torture.Holder"\nguard = 3\nlease_s = {LEASE_S}\ncheckpoint_s = 0.5\n'
         task += f'settings = {{directory = "{directory}"}}\n'
