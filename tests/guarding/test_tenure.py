@@ -80,6 +80,15 @@ class TestACheckpoint:
         assert after(kept(A, 2, no=4), kept(A, 2, no=-1)).of(A).no == 4
 
 
+def test_guards_may_change_once_a_quorum_of_both_sets_has_them_and_the_newest_checkpoint():
+    record = Record(TASK, Phase.OWNER, E1, E1, guards=JOINT)
+    new = [kept(A, version=1), kept(B, version=1)]
+    assert after(*new, record=record).have(JOINT, 4)
+    assert not after(*new, record=record).have(JOINT, 5)
+    assert not after(kept(B, version=1), kept(C, version=1), record=record).have(JOINT, 4)
+    assert not after(kept(A, version=1), kept(B, version=0), record=record).have(JOINT, 4)
+
+
 class TestOutvoted:
     def test_one_that_follows_another_is_not_enough(self):
         assert after(deny(B, E2)).outvoted_by(THREE) == NO_EPOCH

@@ -79,9 +79,10 @@ class Tenure(msgspec.Struct, frozen=True):
         """Returns whether a guardian has a later checkpoint of the epoch: the owner's disk is an old copy."""
         return any(one.no > no for one in self.answers)
 
-    def know_version(self, guards: Guards) -> bool:
-        """Returns whether a quorum has these guards on its disks."""
-        return guards.has_quorum({one.guardian for one in self.answers if one.version == guards.version})
+    def have(self, guards: Guards, no: int) -> bool:
+        """Returns whether a quorum has these guards and the checkpoint of this number on its disks."""
+        know = {one.guardian for one in self.answers if one.version == guards.version}
+        return guards.has_quorum(know) and self.replicated_no(guards) >= no
 
     def outvoted_by(self, guards: Guards) -> Epoch:
         """Returns the latest epoch that guardians follow; `NO_EPOCH`: those that follow the owner are a quorum."""

@@ -198,7 +198,7 @@ class Leases:
             self._permit(place, tenancy)
             self._acknowledge(place, tenancy)
             both = record.guards.sets[1:]
-            if both and tenure.know_version(record.guards) and tenure.replicated_no(record.guards) >= record.no:
+            if both and tenure.have(record.guards, record.no):
                 self._host.feed_place(place, GuardsChosen(both))
 
     def _permit(self, place: Place, tenancy: Tenancy) -> None:

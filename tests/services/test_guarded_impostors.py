@@ -1,0 +1,126 @@
+"""What is said about a guarded task by an agent that has no right to say it changes nothing."""
+
+import pytest
+from services.counting import Count
+
+from pancakes.mesh.guarding.guard_messages import (
+    CheckpointBody,
+    CheckpointId,
+    DenyLease,
+    LeaseKept,
+    Pledge,
+    YieldLease,
+)
+from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen, TakeTask
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.guards import GuardianId, Guards
+from pancakes.mesh.migration.messages import addressed
+from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.security.access import Access
+from pancakes.mesh.security.rules import RIGHTS, AccessRule, Right
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.testing import FleetInTest
+
+COUNT = TaskId("a", "Count")
+FIRST, HIGH = Epoch(0, "a"), Epoch(7, "d")
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=5, classes={"test.Count": Count}) as made:
+        made.start("a", tasks={"Count": {"type": Count, "guard": 3, "lease_s": 2.0, "guardians": ["b", "c"]}})
+        for name in "bcd":
+            made.start(name)
+        made.connect()
+        assert made.run_until(lambda: len(record(made).guards.members()) == 3, 10)
+        made.run_for(1.0)
+        assert record(made).guards.version == 2
+        yield made
+
+
+def record(fleet, name="a"):
+    found = fleet.agents[name].agent.records.get(COUNT)
+    assert found is not None
+    return found
+
+
+def guardian(fleet, name):
+    return GuardianId(name, fleet.agents[name].agent.mesh.identity.journal)
+
+
+def say(fleet, speaker, message, to):
+    journal = fleet.agents[to.split("/")[0]].agent.mesh.identity.journal
+    fleet.agents[speaker].publish("network", addressed(message, journal), to=to)
+
+
+def goes_on(fleet):
+    fleet.run_for(3.0)
+    a = fleet.agents["a"]
+    return a.running() == ["Count"] and record(fleet).epoch == FIRST and not a.events("permit_lost")
+
+
+def test_leases_are_granted_by_guardians_alone(fleet):
+    a = fleet.agents["a"]
+    fleet.faults.cut("a", off=("b", "c"))
+    for _ in range(40):
+        beat = a.component("client").places[COUNT].tenancy.tenure.beat
+        for name in "bc":
+            say(fleet, "d", LeaseKept(COUNT, FIRST, guardian(fleet, name), beat, 99, 2), "a/client")
+        say(fleet, "d", LeaseKept(COUNT, FIRST, guardian(fleet, "d"), beat, 99, 2), "a/client")
+        fleet.run_for(0.1)
+    assert a.events("permit_lost")
+
+
+def test_denials_are_of_guardians_alone(fleet):
+    for name in "bcd":
+        say(fleet, "d", DenyLease(COUNT, FIRST, guardian(fleet, name), HIGH, "why"), "a/client")
+    assert goes_on(fleet)
+
+
+def test_pledges_are_of_guardians_alone(fleet):
+    b = fleet.agents["b"]
+    guards = record(fleet).guards
+    call = TakeTask(COUNT, "test.Count", FIRST, guards, CheckpointId(FIRST, 1))
+    say(fleet, "c", call, "b/client")
+    assert fleet.run_until(lambda: COUNT in b.component("client").places, 1.0)
+    body = CheckpointBody(b"made up")
+    for name in "abcd":
+        pledge = Pledge(COUNT, Epoch(1, "b"), guardian(fleet, name), CheckpointId(HIGH, 9), guards, body)
+        say(fleet, "d", pledge, "b/client")
+    assert goes_on(fleet) and b.running() == []
+
+
+def test_a_lease_is_given_up_by_its_owner_alone(fleet):
+    for name in "abc":
+        say(fleet, "d", YieldLease(COUNT, FIRST), f"{name}/{GUARDIAN}")
+        say(fleet, "d", YieldLease(COUNT, HIGH), f"{name}/{GUARDIAN}")
+    assert goes_on(fleet)
+
+
+def test_what_another_says_of_a_guardian_has_no_task_taken_over(fleet):
+    b = fleet.agents["b"]
+    fleet.faults.cut("b", off=("a", "c"))
+    for _ in range(50):
+        for name in "acd":
+            say(fleet, "d", LeaseSeen(COUNT, guardian(fleet, name), False, HIGH, Guards()), f"b/{GUARDIAN}")
+        fleet.run_for(0.1)
+    assert not b.events("task_called") and not fleet.agents["d"].events("task_called")
+    assert fleet.agents["a"].running() == ["Count"]
+
+
+def test_a_stranger_is_not_told_of_leases(fleet):
+    d = fleet.agents["d"]
+    d.publish("network", addressed(AskLease(COUNT), guardian(fleet, "b").journal), to=f"b/{GUARDIAN}")
+    fleet.run_for(0.5)
+    assert not d.probe.packets(LeaseSeen)
+
+
+def test_a_peer_without_the_right_to_guard_calls_no_agent(fleet):
+    b = fleet.agents["b"]
+    others: tuple[Right, ...] = tuple(right for right in RIGHTS if right != "guard")
+    strict = Access("b", own=(AccessRule(("*",), others),))
+    strict.bearer_of = b.kernel.access.bearer_of
+    b.kernel.access = strict
+    say(fleet, "c", TakeTask(COUNT, "test.Count", FIRST, record(fleet).guards, CheckpointId(FIRST, 1)), "b/client")
+    fleet.run_for(0.5)
+    assert not b.events("task_called")
