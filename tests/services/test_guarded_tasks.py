@@ -5,6 +5,7 @@ from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 
 from pancakes.control import Guarding, Migrate, Stop, Take
+from pancakes.errors import NoPermit
 from pancakes.mesh.guarding.guard_messages import NO_CHECKPOINT
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.epoch import Epoch
@@ -176,6 +177,26 @@ def test_a_stopped_task_is_not_taken_over(guarded):
     guarded.crash("a")
     guarded.run_for(8.0)
     assert where(guarded) == []
+    assert not record(guarded, "b") and not record(guarded, "c")
+
+
+@pytest.mark.parametrize("off", [("a",), ("a", "c")], ids=["from the owner", "from all"])
+def test_a_guardian_that_is_alone_with_its_opinion_calls_no_agent(guarded, off):
+    guarded.faults.cut("b", off=off)
+    guarded.run_for(12.0)
+    asked = [agent.events("migration_bid") for agent in guarded.agents.values()]
+    assert asked == [[], [], []] and where(guarded) == ["a"]
+
+
+def test_a_task_without_a_permit_publishes_nothing_but_log_lines(guarded):
+    a = guarded.agents["a"]
+    task = a.task("Count")
+    a.kernel.permits.revoke(task.address)
+    with pytest.raises(NoPermit, match="a/client/Count may not act until its guardians answer"):
+        task.publish("system", Numbered(1))
+    task.log("info", "said all the same")
+    guarded.run_for(0.1)
+    assert any("said all the same" in line for line in a.lines("info"))
 
 
 def test_a_person_has_a_task_taken_over_that_waits_for_one():

@@ -88,8 +88,6 @@ class Checkpointing:
             return
         place = self._host.places.at[slot.name]
         standing = place.standing
-        if not self._host.kernel.permits.holds(slot.address):
-            return
         if not idle(standing):
             # The disk is slow, or a hand-off under way: the next time will do, and nothing piles up meanwhile.
             self.late[place.task_id] = place

@@ -1,0 +1,103 @@
+"""What a guarded task promises besides: actuators, acknowledgements, guardians that follow an agent that never came."""
+
+from services.counting import Count
+from services.numbered import SINK, Numbered, Sink, numbers, upto
+
+from pancakes.bodies.devices.driver import Actuator
+from pancakes.control import Take
+from pancakes.mesh.guarding.guard_messages import KeepLease, SeizeTask
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.messages import addressed
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.testing import FleetInTest
+
+GUARD = {"guard": 3, "lease_s": 2.0, "guardians": ["b", "c"]}
+
+
+class Wheels(Actuator):
+    """Wheels that know how often they were brought to their safe hold."""
+
+    type = "motors"
+    held = 0
+
+    def apply(self, command, ttl_s, source):
+        pass
+
+    def hold(self):
+        type(self).held += 1
+
+
+class Drive(Count):
+    """Needs the wheels."""
+
+    requires = ("motors",)
+
+
+def guarded(name, cls, **others):
+    fleet = FleetInTest(seed=5)
+    devices = {"motors": Wheels} if cls is Drive else None
+    fleet.start("a", tasks={name: {"type": cls, **GUARD, **others}}, devices=devices)
+    for other in "bcd":
+        fleet.start(other)
+    fleet.connect()
+    assert fleet.run_until(lambda: record(fleet, name).guards.version == 2, 10)
+    fleet.run_for(1.0)
+    return fleet
+
+
+def record(fleet, name, agent="a"):
+    return fleet.agents[agent].agent.records.get(TaskId("a", name))
+
+
+def test_its_actuators_are_held_when_the_permit_is_over():
+    with guarded("Drive", Drive) as fleet:
+        Wheels.held = 0
+        fleet.faults.cut("a")
+        assert fleet.run_until(lambda: fleet.agents["a"].events("permit_lost"), 3.0)
+        fleet.run_for(0.1)
+        assert Wheels.held == 1
+
+
+def test_nothing_is_acknowledged_that_a_quorum_does_not_have():
+    with guarded("Sink", Sink, durability="each") as fleet:
+        fleet.faults.cut("a", off=("b", "c"))
+        for n in upto(5):
+            fleet.agents["d"].publish("system", Numbered(n), to=SINK)
+        fleet.run_for(1.0)
+        assert fleet.agents["a"].task("Sink").state.numbers == upto(5)
+        assert fleet.agents["d"].agent.outbox.waiting() == {"a/Sink": 5}
+        fleet.crash("a")
+        fleet.run_for(20.0)
+        assert numbers(fleet) == upto(5)
+        assert not fleet.agents["d"].agent.outbox.waiting()
+
+
+def test_a_state_that_did_not_change_is_not_sent_again():
+    with guarded("Sink", Sink) as fleet:
+        keeps = []
+        fleet.agents["b"].kernel.stream.tap("network", lambda packet: keeps.append(packet.body), ("guard.keep",))
+        fleet.run_for(5.0)
+        assert len(keeps) >= 8 and all(isinstance(keep, KeepLease) and keep.body is None for keep in keeps)
+        fleet.agents["d"].publish("system", Numbered(1), to=SINK)
+        fleet.run_for(5.0)
+        assert sum(keep.body is not None for keep in keeps) == 1
+
+
+def test_where_the_guardians_follow_an_agent_that_never_came_the_owner_gives_it_up():
+    with guarded("Count", Count, takeover="ask") as fleet:
+        a, d, before = fleet.agents["a"], fleet.agents["d"], record(fleet, "Count")
+        fleet.faults.cut("a")
+        fleet.run_for(4.0)
+        for name in "bc":
+            seize = SeizeTask(before.task_id, a.slot("Count").spec.type, Epoch(1, "d"), Epoch(0, ""), before.guards)
+            journal = fleet.agents[name].agent.mesh.identity.journal
+            d.publish("network", addressed(seize, journal), to=f"{name}/{GUARDIAN}")
+        fleet.run_for(0.5)
+        fleet.faults.calm()
+        fleet.run_for(12.0)
+        assert a.running() == [] and record(fleet, "Count").phase is Phase.RELEASED
+        took = fleet.agents["b"].ask(Take("Count"))
+        assert took.ok, took.reason
+        fleet.run_for(2.0)
+        assert fleet.agents[took.result["winner"]].running() == ["Count"]
