@@ -221,8 +221,9 @@ class Guarding(msgspec.Struct, frozen=True):
 
     The reply's `result` is a list of plain mappings. Each has `task_id`, `agent` (the one that answers), `owner` (the
     agent that its guardian follows), `epoch`, `checkpoint` (the number of the newest that it holds under that epoch),
-    `age_s` (how long ago that came, in host seconds), `silent_s` (how long ago it heard the owner) and `lease` (whether
-    the owner's lease runs there). That of the owner has `guardians` and `permit_s` too: for how long the task may act.
+    `age_s` (how long ago that came, in host seconds), `silent_s` (how long ago it heard the owner), `lease` (whether
+    the owner's lease runs there) and `wanted` (whether the task is to run). That of the owner has `guardians`, `guard`
+    (how many there are to be) and `permit_s` too: for how long the task may act.
     """
 
 

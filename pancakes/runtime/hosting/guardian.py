@@ -28,7 +28,7 @@ from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen
 from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.messages import is_for
-from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.record import TaskId, Wanted
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, agent_of, join
@@ -174,12 +174,15 @@ class Guardian(Component):
             "age_s": now_s - one.saved_s,
             "silent_s": now_s - one.heard_s,
             "lease": one.lease.epoch is not None,
+            "wanted": register.body is not None and register.body.wanted is Wanted.RUNNING,
         }
         if owner != self.agent or register.body is None:
             return row
-        service = Snapshot.decode(register.body.snapshot).service
-        permit_s = self.kernel.permits.left_s(join(self.agent, service, register.task_id.name))
-        return {**row, "guardians": [member.agent for member in register.guards.members()], "permit_s": permit_s}
+        snapshot = Snapshot.decode(register.body.snapshot)
+        permit_s = self.kernel.permits.left_s(join(self.agent, snapshot.service, register.task_id.name))
+        guardians = [member.agent for member in register.guards.members()]
+        number = snapshot.guard["guard"] if snapshot.guard is not None else 1
+        return {**row, "guardians": guardians, "guard": number, "permit_s": permit_s}
 
     def _written(self, message: RegisterWritten) -> None:
         one = self._guarded[message.task_id]

@@ -17,6 +17,7 @@ from pancakes.tools.cli.output import show_json, show_text
 
 if TYPE_CHECKING:
     from pancakes.tools.cli.verbs.finding import Finding
+    from pancakes.tools.cli.verbs.guard_checks import check_guards
 
 MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error": ("error", "red")}
 
@@ -67,7 +68,7 @@ def _look(machine: bool, ask: Ask) -> Iterator[Finding]:
 
 
 def _look_at_agents(ask: Ask) -> Iterator[Finding]:
-    from pancakes.control import Describe
+    from pancakes.control import Describe, Guarding
     from pancakes.errors import PancakesError
     from pancakes.runtime.runtime_dir import entries
     from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
@@ -99,3 +100,5 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
                 return None
 
         yield from check_fleet(found.agents, found.silent, told, found.asleep)
+        guarded = client.ask_each(Guarding(), *(agent["agent"] for agent in found.agents))
+        yield from check_guards([row for _, reply in guarded.replies if reply.ok for row in reply.result])

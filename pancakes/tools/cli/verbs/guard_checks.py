@@ -1,0 +1,46 @@
+"""What `pancakes doctor` looks at in guarded tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from pancakes.tools.cli.verbs.finding import Finding
+
+
+def check_guards(rows: Sequence[dict[str, Any]]) -> Iterator[Finding]:
+    """Looks at guarded tasks: whether each would outlive its agent, and whether one stands still.
+
+    Args:
+        rows: what all agents answer to `Guarding`.
+    """
+    tasks: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        tasks.setdefault(row["task_id"], []).append(row)
+    for task_id, known in sorted(tasks.items()):
+        newest = max(_number(row) for row in known)
+        owners = [row for row in known if "guardians" in row and _number(row) == newest]
+        name = task_id.partition("/")[2]
+        if owners:
+            yield from _check_owned(owners[0], known)
+        elif not any(row["lease"] for row in known) and any(row["wanted"] for row in known):
+            text = f"is run by no agent: its owner {known[0]['owner']} is silent"
+            yield Finding("error", task_id, text, f"pancakes task take {known[0]['agent']}/{name} has it taken over")
+
+
+def _number(row: dict[str, Any]) -> int:
+    return int(row["epoch"].partition("@")[0])
+
+
+def _check_owned(owner: dict[str, Any], known: Sequence[dict[str, Any]]) -> Iterator[Finding]:
+    about, guardians = f"{owner['agent']}/{owner['task_id'].partition('/')[2]}", owner["guardians"]
+    silent = [name for name in guardians if name not in {row["agent"] for row in known}]
+    if owner["wanted"] and not owner["permit_s"]:
+        text = "stands still: more than half of its guardians do not answer it"
+        yield Finding("error", about, text, f"see which: pancakes task guards {owner['agent']}")
+    elif len(guardians) < owner["guard"]:
+        text = f"is to be guarded by {owner['guard']} agents, and is by {len(guardians)}: it does not outlive its agent"
+        yield Finding("warning", about, text, "link it to more agents that may guard it; a witness will do")
+    elif silent:
+        text = f"has a guardian that does not answer: {', '.join(silent)}"
+        yield Finding("warning", about, text, "see whether it runs; after a minute another agent takes its place")

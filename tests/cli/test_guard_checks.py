@@ -1,0 +1,50 @@
+"""What `pancakes doctor` says of guarded tasks."""
+
+from pancakes.tools.cli.verbs.guard_checks import check_guards
+
+
+def guards(agent, **others):
+    row = {"task_id": "a/Scan", "agent": agent, "owner": "a", "epoch": "0@a", "lease": True, "wanted": True}
+    return {**row, **others}
+
+
+def owns(agent="a", **others):
+    return guards(agent, guardians=["a", "b", "c"], guard=3, permit_s=1.5, **others)
+
+
+def found(*rows):
+    return [(finding.level, finding.about, finding.text, finding.advice) for finding in check_guards(rows)]
+
+
+def test_a_task_that_would_outlive_its_agent_is_not_named():
+    assert found(owns(), guards("b"), guards("c")) == []
+
+
+def test_an_owner_that_was_is_none():
+    before = {**owns(epoch="9@a"), "permit_s": 0.0, "lease": False}
+    assert found(before, guards("b", epoch="10@b", lease=False)) != []
+    assert found(before, {**owns("b", epoch="10@b"), "guardians": ["a", "b"], "guard": 2}) == []
+
+
+def test_a_guardian_that_does_not_answer():
+    ((level, about, text, _),) = found(owns(), guards("b"))
+    assert (level, about) == ("warning", "a/Scan") and text.endswith("does not answer: c")
+
+
+def test_a_task_with_too_few_guardians():
+    ((level, _, text, advice),) = found({**owns(), "guardians": ["a"]})
+    assert level == "warning" and "by 3 agents, and is by 1" in text and "a witness will do" in advice
+
+
+def test_a_task_without_a_permit():
+    ((level, _, text, _),) = found({**owns(), "permit_s": 0.0}, guards("b"))
+    assert level == "error" and "stands still" in text
+    assert found({**owns(wanted=False), "permit_s": 0.0}, guards("b"), guards("c")) == []
+
+
+def test_a_task_whose_owner_is_silent():
+    ((level, about, text, advice),) = found(guards("b", lease=False), guards("c", lease=False))
+    assert (level, about) == ("error", "a/Scan") and "its owner a is silent" in text
+    assert advice.startswith("pancakes task take b/Scan")
+    assert found(guards("b", lease=False, wanted=False)) == []
+    assert found(guards("b"), guards("c", lease=False)) == []
