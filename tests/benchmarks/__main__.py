@@ -28,6 +28,7 @@ TOPICS = (
     "virtual_mission",
     "big_world",
     "fleet",
+    "guarded",
 )
 PEER_TOPICS = ("peer_pairs", "peer_crowds")
 """What needs environments of its own, and is therefore asked for."""

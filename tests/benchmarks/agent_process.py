@@ -22,7 +22,7 @@ TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.me
          "bench.Started": "benchmarks.idle_tasks:Started", "bench.Idle": "benchmarks.idle_tasks:Idle",
          "bench.Steady": "benchmarks.steady:Steady", "bench.Busy": "benchmarks.lateness:Busy",
          "bench.Periodic": "benchmarks.lateness:Periodic", "bench.Judge": "benchmarks.lateness:Judge",
-         "bench.Small": "benchmarks.many_tasks:Small",
+         "bench.Small": "benchmarks.many_tasks:Small", "bench.Kept": "benchmarks.guarded:Kept",
          "bench.Member": "benchmarks.crowd_tasks:Member"}  # fmt: skip
 PACKETS = {"bench": "benchmarks.mesh_tasks", "bench_crowd": "benchmarks.crowd_tasks"}
 INSECURE = """

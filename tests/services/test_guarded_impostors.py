@@ -3,10 +3,12 @@
 import pytest
 from services.counting import Count
 
+from pancakes.control import Guarding
 from pancakes.mesh.guarding.guard_messages import (
     CheckpointBody,
     CheckpointId,
     DenyLease,
+    KeepLease,
     LeaseKept,
     Pledge,
     YieldLease,
@@ -16,6 +18,7 @@ from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.guards import GuardianId, Guards
 from pancakes.mesh.migration.messages import addressed
 from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.security.access import Access
 from pancakes.mesh.security.rules import RIGHTS, AccessRule, Right
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN
@@ -124,3 +127,34 @@ def test_a_peer_without_the_right_to_guard_calls_no_agent(fleet):
     say(fleet, "c", TakeTask(COUNT, "test.Count", FIRST, record(fleet).guards, CheckpointId(FIRST, 1)), "b/client")
     fleet.run_for(0.5)
     assert not b.events("task_called")
+
+
+@pytest.mark.parametrize("moves", [None, {"when": 5}], ids=["no snapshot", "a malformed rule"])
+def test_a_guardian_outlives_a_checkpoint_that_cannot_be_read(fleet, moves):
+    bad = TaskId("d", "Bad")
+    rule = {"guard": 3, "lease_s": 2.0, "checkpoint_s": 1.0, "guardians": [], "takeover": "auto"}
+    snapshot = Snapshot(bad, "test.Count", "", "client", guard=rule, migrate=moves).encode() if moves else b"bad"
+    epoch = Epoch(0, "d")
+    guards = Guards(epoch, 0, (tuple(guardian(fleet, name) for name in "bcd"),))
+    body = CheckpointBody(snapshot)
+    for name in "bc":
+        keep = KeepLease(bad, "test.Count", epoch, 1, 1.0, CheckpointId(epoch, 1), guards, body)
+        say(fleet, "d", keep, f"{name}/{GUARDIAN}")
+    fleet.run_for(5.0)
+    b = fleet.agents["b"]
+    assert any("d/Bad cannot be taken over" in line for line in b.lines("error"))
+    assert {row["task_id"] for row in b.ask(Guarding()).result} == {"a/Count", "d/Bad"}
+    assert goes_on(fleet)
+
+
+def test_a_pledge_with_a_checkpoint_that_cannot_be_read_does_not_count(fleet):
+    b, guards = fleet.agents["b"], record(fleet).guards
+    say(fleet, "c", TakeTask(COUNT, "test.Count", FIRST, guards, CheckpointId(FIRST, 1)), "b/client")
+    assert fleet.run_until(lambda: COUNT in b.component("client").places, 1.0)
+    for name in "ac":
+        pledge = Pledge(
+            COUNT, Epoch(1, "b"), guardian(fleet, name), CheckpointId(HIGH, 9), guards, CheckpointBody(b"x")
+        )
+        say(fleet, name, pledge, "b/client")
+    assert goes_on(fleet) and b.running() == []
+    assert any("does not count" in line for line in b.lines("warning"))

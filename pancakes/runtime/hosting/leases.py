@@ -17,11 +17,11 @@ from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.record import Phase
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import join
-from pancakes.runtime.foundation import codecs
 from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.machine import idle
 from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.hosting.tenancy import Tenancy
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
@@ -143,10 +143,9 @@ class Leases:
             rule: GuardRule | None = place.slot.spec.guard
             return rule
         try:
-            guard = Snapshot.decode(snapshot or place.standing.record.snapshot).guard
+            return rules_of(snapshot or place.standing.record.snapshot, place.task_id)[1].guard
         except MigrationError:
             return None
-        return codecs.convert(guard, GuardRule) if guard is not None else None
 
     # Asking ----------------------------------------------------------------------------------------------------
 

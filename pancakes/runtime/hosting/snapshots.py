@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
+import msgspec
 from msgspec.structs import asdict
 
+from pancakes.errors import MigrationError
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.rule import MigrationRule
@@ -79,6 +81,37 @@ def spec_of(snapshot: Snapshot, catalogue: Installed) -> TaskSpec:
         rule=codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None,
         guard=codecs.convert(snapshot.guard, GuardRule) if snapshot.guard is not None else None,
     )
+
+
+class Rules(NamedTuple):
+    """How a task moves and is guarded.
+
+    Attributes:
+        move: when it moves by itself; None: it does not.
+        guard: how it is guarded; None: it is not.
+    """
+
+    move: MigrationRule | None
+    guard: GuardRule | None
+
+
+def rules_of(encoded: bytes, task_id: TaskId) -> tuple[Snapshot, Rules]:
+    """Reads a snapshot that another agent has kept, and what it says of its task.
+
+    Raises:
+        MigrationError: it cannot be read, or is of another task.
+    """
+    snapshot = Snapshot.decode(encoded)
+    if snapshot.task_id != task_id:
+        raise MigrationError(f"the snapshot is of {snapshot.task_id}, not of {task_id}")
+    try:
+        move = codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None
+        guard = codecs.convert(snapshot.guard, GuardRule) if snapshot.guard is not None else None
+        if snapshot.restart:
+            codecs.convert(snapshot.restart, RestartSpec)
+    except msgspec.ValidationError as error:
+        raise MigrationError(f"the snapshot of {task_id} is malformed: {error}") from None
+    return snapshot, Rules(move, guard)
 
 
 def carried_of(snapshot: Snapshot) -> Carried:

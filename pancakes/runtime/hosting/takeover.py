@@ -19,8 +19,8 @@ from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, join
-from pancakes.runtime.foundation import codecs
 from pancakes.runtime.hosting.bidding_messages import MIGRATOR, AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
+from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.timer import OneShot
@@ -43,6 +43,7 @@ class _Orphan(msgspec.Struct):
         register: what this guardian has of it.
         snapshot: its checkpoint.
         rule: how it is guarded.
+        move: when it moves by itself; None: it does not.
         heard_s: when its owner was heard last, in host time.
         over: the guardians that say that no lease runs there either.
         promised: the latest epoch that any of them follows.
@@ -58,6 +59,7 @@ class _Orphan(msgspec.Struct):
     register: GuardRegister
     snapshot: Snapshot
     rule: GuardRule
+    move: MigrationRule | None
     heard_s: float
     over: set[GuardianId] = set()
     promised: Epoch = NO_EPOCH
@@ -104,14 +106,15 @@ class Takeovers:
         if register.body is None or register.body.wanted is not Wanted.RUNNING or self._me not in members:
             return
         try:
-            snapshot = Snapshot.decode(register.body.snapshot)
-            rule = codecs.convert(snapshot.guard, GuardRule) if snapshot.guard is not None else None
-        except (MigrationError, msgspec.ValidationError) as error:
+            snapshot, rules = rules_of(register.body.snapshot, register.task_id)
+        except MigrationError as error:
             self._guardian.log("error", f"{register.task_id} cannot be taken over: {error}")
             return
-        if rule is None:
+        if rules.guard is None:
             return
-        orphan = _Orphan(register, snapshot, rule, heard_s, guards=register.guards, promised=register.promised)
+        orphan = _Orphan(
+            register, snapshot, rules.guard, rules.move, heard_s, guards=register.guards, promised=register.promised
+        )
         self._orphans[register.task_id] = orphan
         self._later(orphan, wait_s + RANK_S * members.index(self._me))
 
@@ -208,7 +211,7 @@ class Takeovers:
 
     def _negotiate(self, orphan: _Orphan) -> None:
         snapshot, task_id = orphan.snapshot, orphan.register.task_id
-        rule = codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None
+        rule = orphan.move
         self._asks += 1
         request = Solicit(
             task_id,

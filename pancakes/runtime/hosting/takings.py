@@ -8,7 +8,14 @@ from typing import Final
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
-from pancakes.mesh.guarding.guard_messages import NO_CHECKPOINT, CheckpointBody, CheckpointId, DenyLease, GuardAnswer
+from pancakes.mesh.guarding.guard_messages import (
+    NO_CHECKPOINT,
+    CheckpointBody,
+    CheckpointId,
+    DenyLease,
+    GuardAnswer,
+    Pledge,
+)
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.guarding.tenure import Seizing, told
 from pancakes.mesh.migration.effect import Seize
@@ -19,6 +26,7 @@ from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.hosting.tenancy import Taking
 
 AGAIN_S: Final = 0.25
@@ -127,6 +135,12 @@ class Takings:
         taking = place.taking
         if taking is None or answer.epoch != taking.seizing.epoch:
             return
+        if isinstance(answer, Pledge) and answer.body is not None:
+            try:
+                rules_of(answer.body.snapshot, place.task_id)
+            except MigrationError as error:
+                self._host.log("warning", f"the pledge of {answer.guardian.agent} does not count: {error}")
+                return
         known = taking.seizing.guards.members()
         taking.seizing = seizing = told(taking.seizing, answer)
         if isinstance(answer, DenyLease):
