@@ -126,13 +126,14 @@ class Service(Component):
         return reason
 
     @classmethod
-    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:
+    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any], for_s: float | None) -> str:
         """Says why the service must not be stopped now; empty: it may. Called in the root's actor.
 
         Args:
             kernel: the kernel, whose tables say what runs.
             name: the name of the service.
             arguments: what its class wants besides what every service gets; the tables that it shares are among it.
+            for_s: for how long it is to be stopped, in mission seconds; None: until it is started.
         """
         return ""
 

@@ -141,7 +141,7 @@ from pancakes.service import Service
 
 class Exits(Service):
     @classmethod
-    def refuse_stop(cls, kernel, name, arguments):
+    def refuse_stop(cls, kernel, name, arguments, for_s):
         sys.exit(3)
 """
 

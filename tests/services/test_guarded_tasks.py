@@ -259,3 +259,25 @@ def test_an_owner_whose_disk_was_restored_goes_on_from_what_the_guardians_have(g
     assert any("is an old copy" in line for line in a.lines("error"))
     guarded.run_for(5.0)
     assert where(guarded) == [owner]
+
+
+@pytest.mark.parametrize("name", ["a", "b"], ids=["its owner", "a guardian"])
+def test_an_agent_that_guards_a_task_sleeps_for_half_a_lease_at_most(guarded, name):
+    guarded.run_for(1.0)
+    agent = guarded.agents[name]
+    for for_s in (2.5, None):
+        assert "must not sleep longer than 2 s of the host's time, because this agent guards a/Count" in (
+            agent.ask(Stop("network", for_s=for_s)).reason
+        )
+    assert agent.ask(Stop("network", for_s=1.5)).ok
+    guarded.run_for(4.0)
+    assert where(guarded) == ["a"] and record(guarded, "a").epoch.n == 0
+    assert not guarded.agents["a"].events("permit_lost")
+
+
+def test_an_agent_that_guards_no_task_any_more_sleeps_as_it_likes(guarded):
+    guarded.run_for(1.0)
+    assert guarded.agents["a"].ask(Stop("client/Count")).ok
+    guarded.crash("a")
+    guarded.run_for(5.0)
+    assert guarded.agents["b"].ask(Stop("network")).ok

@@ -32,7 +32,7 @@ class RefusesBadly(Service):
     """Its `refuse_stop` is wrong."""
 
     @classmethod
-    def refuse_stop(cls, kernel, name, arguments):
+    def refuse_stop(cls, kernel, name, arguments, for_s):
         raise KeyError("battery")
 
 
@@ -60,7 +60,7 @@ class Exits(Service):
     running: ClassVar[Component]
 
     @classmethod
-    def refuse_stop(cls, kernel, name, arguments):
+    def refuse_stop(cls, kernel, name, arguments, for_s):
         Exits.running.publish("sysctrl", Describe())
         sys.exit(3)
 

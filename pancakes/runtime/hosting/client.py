@@ -491,7 +491,7 @@ class ClientService(Service):
         return self._arrivals.undecided(self.places.at[slot.name]) or super().refuse_start(slot)
 
     @classmethod
-    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:
+    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any], for_s: float | None) -> str:
         state: HostState = arguments["state"]
         for task_id in state.under_way(name):
             return f"{join(kernel.agent, name)} must not stop while {task_id} is being handed over"

@@ -193,6 +193,7 @@ class Guardian(Component):
             if written.checkpoint != one.register.checkpoint:
                 one.saved_s = self.kernel.host.now()
             one.register = written
+            self._note_shortest()
         self._go_on(one)
 
     @on(NETWORK, KeepLease, keep=KEEP, addressed=True)
@@ -322,7 +323,10 @@ class Guardian(Component):
             case SetLease(lease, lease_s):
                 if one.alarm is not None:
                     one.alarm.cancel()
+                began_or_ended = (one.lease.epoch is None) is not (lease.epoch is None)
                 one.lease, one.alarm = lease, None
+                if began_or_ended:
+                    self._note_shortest()
                 if lease.epoch is None:
                     # An agent that was given a pledge is about to be the owner.
                     wait_s = PLEDGED_S if isinstance(one.event, SeizeTask) else 0.0
@@ -334,6 +338,11 @@ class Guardian(Component):
                     one.alarm = self.after_host(lease_s, partial(self._lease_over, one, LeaseOver(lease.number)))
             case AnswerAsker(message):
                 self._say(one.asker, message)
+
+    def _note_shortest(self) -> None:
+        """Keeps true for how long this agent may be silent."""
+        leased = [one.register for one in self._guarded.values() if one.lease.epoch is not None]
+        self._state.shortest_lease = min(leased, key=lambda it: (it.lease_s, it.task_id), default=None)
 
     def _lease_over(self, one: _Guarded, over: LeaseOver) -> None:
         one.waiting.append(("", over))

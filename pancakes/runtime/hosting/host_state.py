@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes.mesh.guarding.guardian_core import GuardRegister
 from pancakes.mesh.migration.capability import Capability
 from pancakes.mesh.migration.cost import Cost, HostLoad
 from pancakes.mesh.migration.messages import Reserve, Solicit
@@ -44,6 +45,8 @@ class HostState:
         battery_level: what is left of this agent's battery, from 0 to 1, as it last said; None before that.
         measured: how busy the agent was lately; None before the first look.
         negotiated: the tasks for which the Task Migrator compares bids.
+        shortest_lease: the task with the shortest lease that this agent guards, as the guardian says; None: it guards
+            none.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class HostState:
         self.battery_level: float | None = None
         self.measured: MeasuredLoad | None = None
         self.negotiated: tuple[TaskId, ...] = ()
+        self.shortest_lease: GuardRegister | None = None
 
     # What the services keep true -------------------------------------------------------------------------------
 

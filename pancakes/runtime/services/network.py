@@ -149,7 +149,7 @@ class NetworkService(Service):
             self._unfollow(channel, by)
 
     @classmethod
-    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:
+    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any], for_s: float | None) -> str:
         address = join(kernel.agent, name)
         networked = {device.type for device in kernel.registry.devices() if device.networked}
         for task in kernel.tasks.all():
@@ -159,7 +159,15 @@ class NetworkService(Service):
                 return f"{address} must not sleep while {task.address} needs {types} from elsewhere"
         state: HostState = arguments["state"]
         moving = ", ".join(map(str, dict.fromkeys((*state.negotiated, *state.under_way()))))
-        return f"the network of {kernel.agent} must not sleep while {moving} is being moved" if moving else ""
+        if moving:
+            return f"the network of {kernel.agent} must not sleep while {moving} is being moved"
+        shortest = state.shortest_lease
+        if shortest is None or (for_s is not None and for_s / kernel.mission.speed <= shortest.lease_s / 2):
+            return ""
+        return (
+            f"the network of {kernel.agent} must not sleep longer than {shortest.lease_s / 2:g} s of the host's time,"
+            f" because this agent guards {shortest.task_id}: give that task a longer lease_s, or no guard"
+        )
 
     def on_receive(self, message: Any) -> Any:
         if not isinstance(message, PeerDown):

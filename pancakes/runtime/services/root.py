@@ -348,8 +348,10 @@ class Root(Component):
                 " no packet from elsewhere could start it again"
             )
         spec = place.spec
-        if place.service is not None and (reason := spec.cls.refuse_stop(self.kernel, spec.name, spec.arguments)):
-            raise ControlRefused(reason)
+        if place.service is not None:
+            reason = spec.cls.refuse_stop(self.kernel, spec.name, spec.arguments, body.for_s)
+            if reason:
+                raise ControlRefused(reason)
 
     def next_command(self, place: ServicePlace) -> None:
         """Carries out the commands for a service that waited behind another."""
