@@ -54,8 +54,8 @@ class Checkpointing:
         self.begin()
 
     def look_at(self, names: Sequence[str]) -> None:
-        places = self._host.places
         """Looks at some tasks, by name."""
+        places = self._host.places
         for name in names:
             slot = self._host.slots.get(name)
             if slot is None or slot.task is None or slot.life.state is not State.RUNNING:

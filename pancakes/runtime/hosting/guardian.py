@@ -192,8 +192,9 @@ class Guardian(Component):
         elif written is not None:
             if written.checkpoint != one.register.checkpoint:
                 one.saved_s = self.kernel.host.now()
-            one.register = written
-            self._note_shortest()
+            lease_s, one.register = one.register.lease_s, written
+            if written.lease_s != lease_s:
+                self._note_shortest()
         self._go_on(one)
 
     @on(NETWORK, KeepLease, keep=KEEP, addressed=True)

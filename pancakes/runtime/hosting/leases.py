@@ -123,7 +123,9 @@ class Leases:
         if place.slot is not None:
             self._save([place.slot.name])
         every_s = tenancy.rule.checkpoint_s if tenancy.rule is not None else CHOOSE_S
-        tenancy.tick = self._host.after_host(every_s, partial(self._look_at, place))
+        # All tasks of an agent at the same moments: their checkpoints share messages, and rounds of its disk.
+        to_next_s = every_s - self._host.kernel.host.now() % every_s
+        tenancy.tick = self._host.after_host(to_next_s, partial(self._look_at, place))
 
     def _learn_rule(self, place: Place) -> None:
         tenancy = place.tenancy
