@@ -47,7 +47,7 @@ _ASKING: Final = frozenset(map(type_name, RIGHT_OF))
 _CONTROL_TYPES: Final = _ASKING | {type_name(Reply)}
 _MOST_KNOWN: Final = 4096
 _AMONG_ITSELF: Final = ("migration.", "guard.", "post.", "task.")
-"""Types of packets by which agents answer what was asked: the state machines know of whom they asked it."""
+"""Types of packets by which agents answer what was asked: the state machines know which agents they asked."""
 
 
 def right_of(body: object) -> Right:
