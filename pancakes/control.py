@@ -10,7 +10,7 @@ name of a service, `service/` means the service.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import msgspec
 
@@ -409,31 +409,33 @@ class Hold(msgspec.Struct, frozen=True):
     reason: str
 
 
-CONTROLS: tuple[type, ...] = (
-    Start,
-    Stop,
-    Take,
-    Restart,
-    Reschedule,
-    Configure,
-    Migrate,
-    Adopt,
-    Forget,
-    Guarding,
-    Revive,
-    SetFence,
-    Migrations,
-    Describe,
-    Channels,
-    History,
-    Shutdown,
-    ReloadKeys,
-    Begin,
-    Follow,
-    Unfollow,
-    Traces,
-)
-"""All that can be asked for."""
+ControlRight = Literal["look", "change", "adopt", "move", "end"]
+"""What a peer needs to be obeyed; docs/security.md has a line for each."""
+CONTROLS: Final[Mapping[type, ControlRight]] = {
+    Start: "change",
+    Stop: "change",
+    Take: "move",
+    Restart: "change",
+    Reschedule: "change",
+    Configure: "change",
+    Migrate: "move",
+    Adopt: "adopt",
+    Forget: "adopt",
+    Guarding: "look",
+    Revive: "adopt",
+    SetFence: "change",
+    Migrations: "look",
+    Describe: "look",
+    Channels: "look",
+    History: "look",
+    Shutdown: "end",
+    ReloadKeys: "change",
+    Begin: "change",
+    Follow: "look",
+    Unfollow: "look",
+    Traces: "look",
+}
+"""All that can be asked for, and the right that it needs; a dry run needs `look`."""
 
 
 @packet_type("command")

@@ -145,7 +145,7 @@ def is_loopback(address: str) -> bool:
 def reachable_from(remote: str, addresses: Iterable[str]) -> tuple[str, ...]:
     """Returns those addresses that can be dialled at the other end of a connection.
 
-    What is local is for those who came by a local way, and the loopback is for this machine.
+    What is local is for peers that came by a local way, and the loopback is for this machine.
 
     Args:
         remote: the address of the other end, as this one sees it.

@@ -79,7 +79,7 @@ def find_browser() -> None:
 
 
 def may_install() -> bool:
-    """Whether packages of the system may be installed without asking anybody."""
+    """Whether packages of the system may be installed without a question."""
     return os.geteuid() == 0 and bool(os.environ.get("CI")) and shutil.which("apt-get") is not None
 
 

@@ -10,6 +10,7 @@ from kernel.virtual_rig import Diary, VirtualRig
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import Tick, every
 from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.task_timer import TaskTimer
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 
@@ -102,3 +103,15 @@ def test_random_numbers_are_each_actors_own_and_repeat_with_the_seed():
     assert drawn(1, "a/client/T") != drawn(1, "a/client/U")
     kernels = [Kernel("a", seed=seed, virtual=VirtualDispatcher(0)) for seed in (1, 2)]
     assert len({kernel.random_for("x").random() for kernel in kernels}) == 2
+
+
+def test_each_tick_is_told_with_its_lateness_to_those_that_want_to_hear(virtual: VirtualRig) -> None:
+    told: list[tuple[TaskTimer, float]] = []
+    hear = told.append
+    metronome = virtual.spawn(Metronome, "a/client/M")
+    virtual.kernel.hear_lateness(hear)
+    virtual.run_until(0.25)
+    assert told == [(metronome.timers["tick"], 0.0)] * 2
+    virtual.kernel.unhear_lateness(hear)
+    virtual.run_until(0.55)
+    assert len(told) == 2 and len(metronome.ticks) == 5

@@ -3,16 +3,21 @@
 import math
 import random
 import threading
+from collections.abc import Callable
+from queue import SimpleQueue
 
 import pytest
 
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
 from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.flag import Flag
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.pinned import PinnedDispatcher
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
-from pancakes.testing import Probe, VirtualClock, assert_published
+from pancakes.testing import Probe, VirtualClock, assert_published, no_thread_left
 
 PATIENCE_S = 10.0
 
@@ -295,3 +300,55 @@ def test_a_call_that_was_called_off_is_nothing_that_happens_next():
     assert dispatcher.next_s() == 2.0
     second.cancel()
     assert dispatcher.next_s() == math.inf
+
+
+class Runner:
+    """Gets turns on a thread of its own, and notes them."""
+
+    address = "a/client/Runner"
+    blocking = True
+
+    def __init__(self, mailbox: Mailbox, turn: Callable[[], object]) -> None:
+        self.actor_inbox = mailbox
+        self.actor_stopped = Flag()
+        self.turn = turn
+
+    def acts(self) -> bool:
+        return True
+
+    def take_turn(self, slice_s: float | None) -> None:
+        self.turn()
+
+
+def test_a_blocking_actor_is_woken_though_the_thread_before_it_ends_only_now() -> None:
+    """A task that starts again has the mailbox of the one before it."""
+    with no_thread_left():
+        dispatcher, mailbox = PinnedDispatcher("a"), Mailbox()
+        turns: SimpleQueue[None] = SimpleQueue()
+        second = Runner(mailbox, lambda: turns.put(None))
+
+        def last_turn() -> None:
+            dispatcher.attach(second)
+            first.actor_stopped.set()
+            threads.append(threading.current_thread())
+            turns.put(None)
+
+        threads: list[threading.Thread] = []
+        first = Runner(mailbox, last_turn)
+        dispatcher.attach(first)
+        for _ in range(2):  # the last of the first one, and the first of the second one
+            turns.get(timeout=PATIENCE_S)
+        threads[0].join(PATIENCE_S)
+        dispatcher.ready(mailbox)
+        turns.get(timeout=PATIENCE_S)
+        dispatcher.stop()
+
+
+def test_a_blocking_actor_that_does_not_come_back_does_not_keep_the_process() -> None:
+    with no_thread_left():
+        dispatcher = PinnedDispatcher("a")
+        daemons: SimpleQueue[bool] = SimpleQueue()
+        dispatcher.attach(Runner(Mailbox(), lambda: daemons.put(threading.current_thread().daemon)))
+        is_daemon = daemons.get(timeout=PATIENCE_S)
+        dispatcher.stop()
+    assert is_daemon

@@ -2,6 +2,7 @@
 
 import math
 import threading
+from typing import Any
 
 import pytest
 
@@ -209,3 +210,33 @@ def test_a_message_just_before_something_is_due_delays_nothing():
                 pass
             assert served.acquire(timeout=10.0), "it waits for ever"
         timer.halt()
+
+
+class HaltedInACall(Timer):
+    """Is told to end while it is in a call, which then goes on."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.told = threading.Event()
+
+    def stop(self) -> None:
+        super().stop()
+        self.told.set()
+
+
+def test_a_timer_that_is_halted_in_a_call_has_ended_once_that_returns() -> None:
+    host = MonotonicClock()
+    timer = HaltedInACall("a", MissionClock(host), host)
+    timer.launch()
+    (thread,) = [thread for thread in threading.enumerate() if thread.name == "a-timer"]
+    begun = threading.Event()
+
+    def call() -> None:
+        begun.set()
+        assert timer.told.wait(10.0)
+
+    timer.after_host(0.0, call)
+    assert begun.wait(10.0)
+    timer.halt()
+    assert not thread.is_alive()
+    assert thread.daemon, "a call that does not come back must not keep the process"

@@ -215,3 +215,7 @@ def test_a_thread_that_does_not_stay_leaves_all_to_its_successor_also_where_that
     rig.visitor = Visitor(rig.done)
     relieve()
     assert rig.done.first(4) == ["read a", "turn a", "read b", "turn b"]
+
+
+def test_a_loop_sleeps_between_packets_unless_it_is_told_otherwise(rig: Rig) -> None:
+    assert rig.loop.busy_poll.busy_poll_s == 0.0

@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from pancakes.mesh.net.address_book import FORGET_AFTER, MAX_LEARNT, MOST_OF_PEER
+from pancakes.mesh.net.address_book import FORGET_AFTER, MAX_LEARNT, MOST_OF_PEER, AddressBook
 from pancakes.mesh.net.peers import (
     MAX_AGENTS,
     MAX_CLIENTS,
@@ -466,3 +466,13 @@ def test_a_link_that_breaks_soon_is_dialled_again_at_once():
     it.up(dial.link, 0.0)
     it.over(dial.link, 0.5)
     assert 0.5 <= it.due_s() <= 0.6
+
+
+@pytest.mark.parametrize("address", ["tcp://c:1", "tcp://b:1", "no address"])
+def test_an_address_that_a_peer_may_not_name_is_no_news(address: str) -> None:
+    book = AddressBook(
+        ("tcp://b:1",), (), random.Random(1), LinkTimes(), 0.0, lambda name: False, lambda named: named == "tcp://a:1"
+    )
+    assert not book.learn(address, 0.0, by="peer")
+    assert book.learn("tcp://a:1", 0.0, by="peer")
+    assert [known for known, _ in book.items()] == ["tcp://a:1"]

@@ -175,7 +175,7 @@ def test_a_packet_that_fits_no_frame_is_refused_though_others_like_it_went_befor
     if how != "behind another":
         turn.end()
     peers["b"].congested = how == "to a slow peer"
-    with pytest.raises(LocalProtocolError, match="a frame holds"):
+    with pytest.raises(LocalProtocolError, match="a frame has room"):
         sending.send(packet(2, body="x" * MAX_MESSAGE_BYTES))
     sending.send(packet(3))
     turn.end()

@@ -6,8 +6,10 @@ import errno
 import os
 import socket
 import threading
+from typing import Any
 
 import pytest
+from net.conftest import TcpRig
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.socket_transport import SocketTransport
@@ -144,3 +146,31 @@ def test_a_path_is_no_place_on_a_network(tcp_rig):
     transport.dial("tcp:///run/a", ear)
     tcp_rig.until(lambda: ear.closed_for)
     assert ear.closed_for == ["'tcp:///run/a' is no address of TCP: write it as tcp://host:port"]
+
+
+def test_why_a_name_is_no_place_to_listen_is_said_as_the_resolver_says_it(
+    tcp_rig: TcpRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unknown(*arguments: Any, **more: Any) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "no such name")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(PancakesError, match=r"^cannot listen at tcp://robot1\.local:1: no such name$"):
+        tcp_rig.transport("a").listen("tcp://robot1.local:1", tcp_rig.ear)
+
+
+def test_a_name_is_not_looked_up_in_the_thread_of_all_links(tcp_rig: TcpRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, bool]] = []
+    look_up = socket.getaddrinfo
+
+    def noted(*arguments: Any, flags: int = 0, **more: Any) -> Any:
+        asked.append((threading.current_thread().name, bool(flags & socket.AI_NUMERICHOST)))
+        return look_up(*arguments, flags=flags, **more)
+
+    here, there = tcp_rig.ear(), tcp_rig.ear()
+    address = tcp_rig.transport("b").listen(tcp_rig.listen_at, lambda: there)
+    monkeypatch.setattr(socket, "getaddrinfo", noted)
+    tcp_rig.transport("a").dial(address.replace("127.0.0.1", "localhost"), here)
+    tcp_rig.until(lambda: there.connection)
+    assert [as_it_is for name, as_it_is in asked if name != "resolve"] == [True]
+    assert ("resolve", False) in asked

@@ -238,7 +238,7 @@ def test_a_file_that_was_only_just_made_spoils_no_recording(tmp_path, data):
     (tmp_path / "r.002.mcap").write_bytes(data)
     entries, reader = read(tmp_path / "r.mcap")
     assert entries == [pose(0)]
-    assert reader.notes() == [f"{tmp_path}/r.002.mcap is cut off: it holds nothing yet"]
+    assert reader.notes() == [f"{tmp_path}/r.002.mcap is cut off: it has nothing yet"]
     assert not repair(tmp_path / "r.002.mcap").whole
     entries, reader = read(tmp_path / "r.mcap")
     assert (entries, reader.notes()) == ([pose(0)], [])
@@ -257,7 +257,7 @@ def test_what_is_no_recording_is_named(tmp_path):
         read(tmp_path / "r.mcap")
     with pytest.raises(RecordingError, match="there is no recording"):
         read(tmp_path / "none.mcap")
-    with pytest.raises(RecordingError, match="holds no recording"):
+    with pytest.raises(RecordingError, match="has no recording"):
         (tmp_path / "empty").mkdir()
         read(tmp_path / "empty")
 

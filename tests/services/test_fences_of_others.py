@@ -61,7 +61,7 @@ def test_a_stranger_does_not_lock_the_task_of_another_out_of_wheels_elsewhere(fl
     assert marks(far) == {} and far.kernel.registry.holder("wheels") == "", "and it does not keep them either"
     (refused,) = far.events("command_refused", by="z/device/wheels")
     assert refused["reason"] == (
-        "a does not know that z was given a/Circle; pancakes task fence shows who has it, and sets that right"
+        "a does not know that z was given a/Circle; pancakes task fence shows which agent has it, and sets that right"
     )
     assert fleet.agents["a"].ask(Start("Circle")).ok
     assert drives(fleet) and marks(far) == {"a/Circle": (0, "a")}
@@ -245,4 +245,4 @@ def test_an_agent_that_does_not_say_to_whom_it_gave_a_task_is_named(fleet):
     for _ in range(6):
         forge(fleet, "z", (5, "z"))
     (refused,) = far.events("command_refused", by="z/device/wheels")
-    assert refused["reason"].startswith("a does not say to whom it gave a/Circle; pancakes task fence")
+    assert refused["reason"].startswith("a does not say where it gave a/Circle; pancakes task fence")

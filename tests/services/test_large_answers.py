@@ -83,7 +83,7 @@ def test_the_root_does_the_same(fleet):
     fleet.start("a", tasks={"Map": {"type": Map, "service": "chatty"}}, services={"chatty": Chatty})
     fleet.connect()
     reply = fleet.agents["b"].ask(Describe(), to="a")
-    assert reply.reason.startswith("the answer is lost: ") and "a frame holds" in reply.reason
+    assert reply.reason.startswith("the answer is lost: ") and "a frame has room" in reply.reason
 
 
 def test_an_asker_on_the_same_agent_gets_it_whole(fleet):
@@ -98,7 +98,7 @@ def test_over_a_link_of_sockets_it_is_a_refusal_too():
         with threaded_agent("b", INSECURE, peers=a.agent.mesh.listen[-1:]) as b:
             b.wait_for_event("peer_up", peer="a")
             reply = b.ask(Describe("Map", state=True), to="a")
-            assert "the answer is lost: " in reply.reason and "a frame holds" in reply.reason
+            assert "the answer is lost: " in reply.reason and "a frame has room" in reply.reason
 
 
 def test_an_agent_says_of_itself_once_who_it_is(fleet):

@@ -150,7 +150,7 @@ def test_named_tuples_enums_of_ints_and_the_like_become_plain():
         (numpy.zeros(2, dtype=[("a", "f4")]), "only numbers and booleans"),
         ([0] * (MAX_ARRAY_LENGTH + 1), "list of 65537"),
         ({str(number): 0 for number in range(MAX_MAP_LENGTH + 1)}, "map of 4097"),
-        (bytes(MAX_MESSAGE_BYTES), "a frame holds"),
+        (bytes(MAX_MESSAGE_BYTES), "a frame has room"),
     ],
 )
 def test_what_cannot_travel_is_an_error_that_names_the_packet(body, problem):

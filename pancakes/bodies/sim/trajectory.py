@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from pancakes.bodies.sim.quantities import Positive
+from pancakes.bodies.sim.row_file import RowFile
 from pancakes.bodies.sim.state import BodyState, WorldState
-from pancakes.bodies.sim.state_file import StateFile
+from pancakes.packet import SYSTEM, Packet
 from pancakes.settings import FilePath
+from pancakes.task import on
 
 MOTION: Final = "%.6f,%.6f,%.6f,%.6f,%.6f"
 """Where a body is, and how fast."""
@@ -26,13 +27,13 @@ def row(time_s: float, body: BodyState) -> str:
     return f"{time_s:.3f},{body.name},{numbers},{battery},{body.driven_by}"
 
 
-class Trajectory(StateFile):
+class Trajectory(RowFile):
     """Writes where all bodies are. Needs the task `sim.world` on the same agent."""
 
     header = HEADER
 
     @dataclass
-    class Settings(StateFile.Settings):
+    class Settings(RowFile.Settings):
         """Where to, and how often.
 
         Attributes:
@@ -43,5 +44,8 @@ class Trajectory(StateFile):
         path: FilePath = "trajectory.csv"
         rows_hz: Positive = 10.0
 
-    def rows(self, state: WorldState) -> Sequence[str]:
-        return [row(state.time_s, body) for body in state.bodies]
+    @on(SYSTEM, WorldState)
+    def passed(self, packet: Packet) -> None:
+        """Hears of one moment."""
+        state: WorldState = packet.body
+        self.write(state.time_s, lambda: [row(state.time_s, body) for body in state.bodies])

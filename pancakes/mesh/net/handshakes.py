@@ -1,4 +1,4 @@
-"""How many strangers an agent talks to before it knows who they are: handshakes cost a signature each. Pure."""
+"""How many strangers an agent talks to before it knows their certificates: handshakes cost a signature each. Pure."""
 
 from __future__ import annotations
 

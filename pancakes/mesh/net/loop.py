@@ -1,8 +1,8 @@
 """One thread that waits for sockets and for points in time, and runs what was put off.
 
-It may also give the turns of those to whom it has brought something, as a guest of the kernel's pool: a packet then
-reaches its task, and the task's answer the socket, without a hop to another thread (counted: one wake-up a packet on
-each side of a round trip, instead of two). Where a turn holds it, another thread takes the loop over.
+It may also give the turns of the components that it has brought packets to, as a guest of the kernel's pool: a packet
+then reaches its task, and the task's answer the socket, without a hop to another thread (counted: one wake-up a packet
+on each side of a round trip, instead of two). Where a turn holds it, another thread takes the loop over.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ READ: Final = selectors.EVENT_READ
 WRITE: Final = selectors.EVENT_WRITE
 
 READING_S: Final = 0.0002
-"""After so much reading those to whom it has brought something get their turns before more is read: what was just
+"""After so much reading, the components that got packets have their turns before more is read: what was just
 decoded is then still in the processor's cache, and little waits in mailboxes. Measured with eight agents that send as
 fast as they can to one: 2.1 µs of its processor time a packet, where reading them all first took 2.9.
 """
@@ -186,7 +186,7 @@ class Loop:
         return False
 
     def _serve_sockets(self, ready: list[tuple[int, int]], guest: Guest | None) -> None:
-        """Serves sockets that are ready; as a guest, gives the turns of those to whom that has brought something."""
+        """Serves sockets that are ready; as a guest, gives the turns of the components that got packets."""
         now, watched, forgotten = self._now, self._watched, self._forgotten
         last_s = now()
         left = len(ready)
@@ -205,7 +205,7 @@ class Loop:
                     continue
                 guest.work(now_s + GUEST_S)
                 if not guest.stays:
-                    return  # who has taken over finds the others ready as well
+                    return  # the thread that has taken over finds the others ready as well
                 last_s = now()
         finally:
             if guest is not None:
@@ -213,7 +213,7 @@ class Loop:
 
     def _take_over(self) -> None:
         """A turn holds the loop's thread: lets another one be the loop's. From any thread."""
-        with self._lock:  # who puts something off meanwhile is either seen by the new thread or wakes it
+        with self._lock:  # what another thread puts off meanwhile is either seen by the new thread or wakes it
             self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
         self._thread.start()
 

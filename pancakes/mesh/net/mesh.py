@@ -75,7 +75,7 @@ class Mesh:
             fails, or at once outside of one; so several packets of a turn leave with one system call.
         times: the times of links and membership.
         access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
-        keys: what this agent or this person shows, and whom it believes; None: it has no keys.
+        keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
     """
 
     def __init__(

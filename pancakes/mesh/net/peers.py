@@ -61,7 +61,7 @@ Decision = Dial | Admit | TurnDown
 
 
 class _Candidate(msgspec.Struct):
-    """A connection whose peer has said who it is; it is up or waits."""
+    """A connection whose peer has said its hello; it is up or waits."""
 
     link: int
     hello: Hello
@@ -154,8 +154,8 @@ class Peers:
         dials = [it.due_s for it in wanted if not (busy and it.by)]
         if len(self._candidates) == len(self._up):  # as nearly always
             return min(dials, default=math.inf)
-        holds = [candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None]
-        return min((*dials, *holds), default=math.inf)
+        waits = [candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None]
+        return min((*dials, *waits), default=math.inf)
 
     def tick(self, now_s: float) -> list[Decision]:
         """Dials what is due, and admits what has waited long enough for a dial of our own."""
@@ -174,7 +174,7 @@ class Peers:
         return decisions
 
     def met(self, link: int, hello: Hello, remote: str, now_s: float) -> list[Decision]:
-        """A peer has said who it is.
+        """A peer has said its hello.
 
         Args:
             link: the connection.

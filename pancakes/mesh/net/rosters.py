@@ -27,7 +27,7 @@ LookAgain = Callable[[float, Callable[[], None]], Scheduled]
 
 
 class Rosters:
-    """The roster that an agent knows, and who is told of it. In the transport's thread.
+    """The roster that an agent knows, and the peers that it tells of it. In the transport's thread.
 
     Args:
         keys: the agent's keys; None: it has none, and none of this happens.

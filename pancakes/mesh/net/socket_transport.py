@@ -25,7 +25,7 @@ class SocketTransport(Transport):
         name: the agent's name, which the thread bears.
         plugins: where transports are found.
         settings: the settings of transports, by scheme; they have been checked.
-        keys: what this agent or this person shows, and whom it believes; None: it has no keys.
+        keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
     """
 
     def __init__(

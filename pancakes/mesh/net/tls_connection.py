@@ -1,6 +1,6 @@
-"""A connection that knows who is there: TLS 1.3 with a certificate on both sides.
+"""A connection that knows what is at its other end: TLS 1.3 with a certificate on both sides.
 
-Nothing that comes in reaches the handler before the other side has shown whose key it holds. OpenSSL works on memory,
+Nothing that comes in reaches the handler before the other side has shown whose key it has. OpenSSL works on memory,
 and the socket stays the loop's. A caller that sends encrypts in its own thread, under the lock that the loop's thread
 takes to decrypt: OpenSSL allows one call at a time for each connection.
 """
@@ -32,8 +32,8 @@ class TlsConnection(StreamConnection):
         owner: the transport.
         sock: its socket.
         remote: the address of the other end.
-        handler: takes what comes.
-        keys: what it shows, and whom it believes.
+        handler: takes the bytes that come.
+        keys: the certificate that it shows, and those that it believes.
         dialled: whether it was dialled.
         shaken: called when the handshake is over, whatever came of it.
     """
@@ -126,7 +126,7 @@ class TlsConnection(StreamConnection):
             self._handler.opened(self)
 
     def _look(self) -> str:
-        """Learns who is there; returns why that is not believed, as a clause."""
+        """Reads the certificate of the other end; returns why that is not believed, as a clause."""
         try:
             found = certificate_shown(self._tls)
         except ValueError as error:

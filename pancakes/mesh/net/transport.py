@@ -102,7 +102,7 @@ class SchemeTransport(ABC):
     Args:
         loop: the transport's thread.
         settings: what the configuration says under `transports.SCHEME` in the settings of `[service.network]`.
-        keys: what this agent or this person shows, and whom it believes; None: it has no keys.
+        keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
     """
 
     class Settings(msgspec.Struct):

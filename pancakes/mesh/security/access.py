@@ -5,54 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from pancakes.control import (
-    Adopt,
-    Begin,
-    Channels,
-    Configure,
-    Describe,
-    Follow,
-    Forget,
-    Guarding,
-    History,
-    Migrate,
-    Migrations,
-    ReloadKeys,
-    Reply,
-    Reschedule,
-    Restart,
-    Revive,
-    SetFence,
-    Shutdown,
-    Start,
-    Stop,
-    Take,
-    Traces,
-    Unfollow,
-)
+from pancakes.control import CONTROLS, Reply
 from pancakes.mesh.security.roster import Roster
 from pancakes.mesh.security.rules import AccessRule, Bearer, Right, allows
 from pancakes.packet import CTRL, NETWORK, SYSCTRL, Packet, agent_of, type_name
 
-RIGHT_OF: Final[dict[type, Right]] = {
-    **dict.fromkeys((Describe, Channels, History, Traces, Migrations, Guarding, Follow, Unfollow), "look"),
-    **dict.fromkeys((Start, Stop, Restart, Reschedule, Configure, Begin, SetFence, ReloadKeys), "change"),
-    **dict.fromkeys((Adopt, Forget, Revive), "adopt"),
-    Migrate: "move",
-    Take: "move",
-    Shutdown: "end",
-}
-"""The right that each control packet needs. A dry run needs `look`."""
-_ASKING: Final = frozenset(map(type_name, RIGHT_OF))
+_ASKING: Final = frozenset(map(type_name, CONTROLS))
 _CONTROL_TYPES: Final = _ASKING | {type_name(Reply)}
 _MOST_KNOWN: Final = 4096
 _AMONG_ITSELF: Final = ("migration.", "guard.", "post.", "task.")
-"""Types of packets by which agents answer what was asked: the state machines know of whom they asked it."""
+"""Types of packets by which agents answer what was asked: the state machines know which agents they asked."""
 
 
 def right_of(body: object) -> Right:
     """Returns the right that a control packet needs."""
-    return "look" if getattr(body, "dry_run", False) else RIGHT_OF[type(body)]
+    return "look" if getattr(body, "dry_run", False) else CONTROLS[type(body)]
 
 
 def asks(packet: Packet) -> bool:

@@ -1,4 +1,4 @@
-"""An agent's own key and the certificate of its fleet: what it shows at each connection, and whom it believes."""
+"""An agent's own key and the certificate of its fleet: what it shows at each connection, and what it believes."""
 
 from __future__ import annotations
 

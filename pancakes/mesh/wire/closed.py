@@ -1,4 +1,4 @@
-"""Classes of bodies that say all about what they hold: numbers, texts, bytes, and lists, maps and classes of these.
+"""Classes of bodies that say all about what they contain: numbers, texts, bytes, and lists, maps and classes of these.
 
 The decoder of such a class alone checks a body that arrives. A body that leaves needs no check before: where it does
 not fit, the receiver finds out.
@@ -29,7 +29,7 @@ _SCALARS: Final = (
 
 @lru_cache(maxsize=4096)
 def is_closed(cls: type) -> bool:
-    """Returns whether an instance holds nothing but what its class says, and all of that travels."""
+    """Returns whether an instance has nothing but what its class says, and all of that travels."""
     try:
         return _is_closed(type_info(cls), ())
     except Exception:  # its annotations say nothing
@@ -37,9 +37,9 @@ def is_closed(cls: type) -> bool:
 
 
 def _is_closed(info: inspect.Type, within: tuple[type, ...]) -> bool:
-    """Returns whether a value of a type holds nothing but what its type says, to a depth that the type sets.
+    """Returns whether a value of a type has nothing but what its type says, to a depth that the type sets.
 
-    Where a type leaves something open, a value may be nested too deep, or hold an extension type.
+    Where a type leaves something open, a value may be nested too deep, or have an extension type in it.
     """
     match info:
         case inspect.Metadata(inner):

@@ -58,7 +58,7 @@ class Encoder:
         """Returns a packet as msgpack.
 
         Raises:
-            LocalProtocolError: it holds what cannot travel, or is larger than a frame. The sentence names the packet.
+            LocalProtocolError: a part of it cannot travel, or it is larger than a frame. The sentence names the packet.
         """
         try:
             body = encodable(packet.body)
@@ -76,7 +76,7 @@ class Encoder:
                 )
             )
             if len(message) > MAX_MESSAGE_BYTES:
-                raise LocalProtocolError(f"it takes {len(message)} bytes, and a frame holds {MAX_MESSAGE_BYTES}")
+                raise LocalProtocolError(f"it takes {len(message)} bytes, and a frame has room for {MAX_MESSAGE_BYTES}")
         except (WireError, OverflowError, UnicodeError, TypeError, ValueError, MemoryError) as error:
             raise unsendable(packet, error) from None
         return message
@@ -112,10 +112,10 @@ def rows_from_payload(payload: bytes) -> list[list[Any]]:
         raise RemoteProtocolError(f"a frame of {len(payload)} bytes is longer than {MAX_PAYLOAD_BYTES}")
     rows = unpacked(payload)
     if type(rows) is not list or not rows:
-        raise RemoteProtocolError("a frame holds no array of messages")
+        raise RemoteProtocolError("a frame has no array of messages")
     for row in rows:
         if type(row) is not list or not row or type(row[0]) not in (str, int):
-            raise RemoteProtocolError("a frame holds a message that is neither a packet nor the link's own")
+            raise RemoteProtocolError("a frame has a message that is neither a packet nor the link's own")
     return rows
 
 

@@ -58,7 +58,7 @@ class FrameReader:
 
     def __init__(self) -> None:
         self._rest = b""
-        self._missing = 0  # bytes without which `_rest` holds no whole frame
+        self._missing = 0  # bytes without which `_rest` has no whole frame
         self._chunks: list[bytes] = []
 
     def feed(self, data: bytes) -> list[memoryview]:

@@ -92,7 +92,7 @@ class SendMessage(msgspec.Struct, frozen=True):
 
 
 class Greeted(msgspec.Struct, frozen=True):
-    """The peer said who it is; call `Link.answer`, then `Link.admit` (the lower name, once), or else `Link.refuse`."""
+    """The peer said its hello; call `Link.answer`, then `Link.admit` (the lower name, once), or else `Link.refuse`."""
 
     hello: Hello
 

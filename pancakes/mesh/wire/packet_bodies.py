@@ -1,4 +1,4 @@
-"""What the body of a packet may hold, and what it becomes on the wire.
+"""What the body of a packet may contain, and what it becomes on the wire.
 
 A value that cannot travel is an error at its publisher. A body that does not fit its class costs that packet, where it
 arrives. A dataclass, or a structure of msgspec's, travels as a map of its fields; a numpy array as the one
@@ -33,7 +33,7 @@ def encodable(body: Any) -> Any:
     """Returns a body as msgspec may encode it: plain values, which are parts of it where they can be.
 
     Raises:
-        LocalProtocolError: it holds what does not travel; the sentence says where.
+        LocalProtocolError: a part of it does not travel; the sentence says where.
     """
     return _plain(body, BODY_DEPTH, "its body")
 
@@ -130,7 +130,7 @@ def received_body(kind: str, plain: Any, source: str) -> Any:
     """Makes the body of a packet of the type `kind` from what came in; where the type is unknown it stays plain.
 
     Raises:
-        RemoteProtocolError: it holds what may not be in a packet, or does not fit its type.
+        RemoteProtocolError: a part of it may not be in a packet, or it does not fit its type.
     """
     if type(plain) not in _LEAVES:
         _check_received(plain, BODY_DEPTH)
@@ -148,12 +148,12 @@ def _check_received(value: Any, depth: int) -> None:
     kind = type(value)
     if kind is dict:
         if not _STRINGS.issuperset(map(type, value)):
-            raise RemoteProtocolError("a packet holds a map with a key that is no string")
+            raise RemoteProtocolError("a packet has a map with a key that is no string")
         inner = value.values()
     elif kind is list:
         inner = value
     elif kind is msgpack.Timestamp:  # msgpack makes these by itself, before it asks for our types
-        raise RemoteProtocolError("a packet holds an extension type that is not ours: -1")
+        raise RemoteProtocolError("a packet has an extension type that is not ours: -1")
     else:
         return  # one of our arrays
     if depth > MAX_DEPTH:

@@ -45,8 +45,8 @@ _BAD_BODY: Final = (
     RecursionError,
     MemoryError,
 )
-"""What a body raises that cannot travel: the last three one without one of its fields, one that holds itself, and one
-for which there is no memory.
+"""What a body raises that cannot travel: the last three one without one of its fields, one that contains itself, and
+one for which there is no memory.
 """
 
 
@@ -85,7 +85,7 @@ _SOME_ROWS: Final[_Rows] = codecs.converter(Annotated[list[_Row], msgspec.Meta(m
 
 
 class Unfit(msgspec.Struct, frozen=True):
-    """A packet came whose body does not fit its type, or holds what no packet may: no subscriber gets it.
+    """A packet came whose body does not fit its type, or has a part that no packet may have: no subscriber gets it.
 
     Attributes:
         packet: the packet, with None for a body.
@@ -137,7 +137,7 @@ class RowEncoder:
         """Returns a packet as a row.
 
         Raises:
-            LocalProtocolError: it holds what cannot travel, or is larger than a frame. The sentence names the packet.
+            LocalProtocolError: a part of it cannot travel, or it is larger than a frame. The sentence names the packet.
         """
         body = packet.body
         try:
@@ -149,7 +149,9 @@ class RowEncoder:
             except TypeError:  # a number of numpy's, say, where its class has a number
                 row = encode((packet.stamp, packet.seq, packet.cause, encodable(body)))
             if len(row) > self.most:
-                raise LocalProtocolError(f"it takes {_ROOM - self.most + len(row)} bytes, and a frame holds {_ROOM}")
+                raise LocalProtocolError(
+                    f"it takes {_ROOM - self.most + len(row)} bytes, and a frame has room for {_ROOM}"
+                )
         except _BAD_BODY as error:
             raise unsendable(packet, error) from None
         return row
@@ -218,7 +220,7 @@ def packets_of(run: PacketRun) -> tuple[list[Packet], Sequence[Unfit]]:
 
 
 def _checked_rows(run: PacketRun) -> list[_Row]:
-    """Decodes rows whose bodies may hold anything: with a look at each part of them."""
+    """Decodes rows whose bodies may contain anything: with a look at each part of them."""
     rows = _SOME_ROWS(unpacked(run.rows))
     kind, source = run.kind, run.source
     return [(stamp, seq, cause, received_body(kind, body, source)) for stamp, seq, cause, body in rows]

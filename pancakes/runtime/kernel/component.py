@@ -220,7 +220,7 @@ class Component(PykkaActor):
         self.publish = refuse  # type: ignore[method-assign]
 
     def pause(self) -> None:
-        """Stands still: no tick, no packet, until `resume`. What comes meanwhile waits. In the actor."""
+        """Stands still: no tick, no packet, until `resume`: they wait. In the actor."""
         self.actor_inbox.paused = True
         for timer in self.timers.values():
             self.kernel.timer.cancel(timer)

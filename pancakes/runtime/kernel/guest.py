@@ -44,7 +44,7 @@ class Guest:
 
     def arrive(self) -> bool:
         """Takes the work over until `leave`, unless another thread is at work. Returns whether it did."""
-        return self._pool.welcome(self._shift)
+        return self._pool.begin_guest(self._shift)
 
     def work(self, until_s: float) -> None:
         """Gives the turns that wait, but none after `until_s` (host time)."""
@@ -53,4 +53,4 @@ class Guest:
 
     def leave(self) -> None:
         """Leaves what is still to be done to a worker."""
-        self._pool.farewell(self._shift)
+        self._pool.end_guest(self._shift)

@@ -33,7 +33,7 @@ class Inbox:
 
     def wait(self, timeout_s: float) -> None:
         """Waits for a message where there is none, but not longer than that; it may come back earlier."""
-        # First the look, then the bell: who puts a message rings after that.
+        # First the look, then the bell: a thread that puts a message rings after that.
         if not self._messages and timeout_s > 0:
             self._bell.acquire(timeout=min(timeout_s, LONGEST_S))
 

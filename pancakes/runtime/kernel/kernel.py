@@ -48,7 +48,7 @@ class Kernel:
     Attributes:
         host: the host clock.
         mission: the mission clock.
-        now: returns the mission time in seconds; one object for all who ask for it with each tick and packet.
+        now: returns the mission time in seconds; one object, which is asked with each tick and packet.
         stream: the information stream.
         registry: the actors that run here.
         permits: which guarded tasks may act.
@@ -204,7 +204,7 @@ class Kernel:
             self._pinned.stop()
 
     def crash(self) -> None:
-        """Lets nothing run any more, without a word to anybody. In virtual time only, between two turns."""
+        """Lets nothing run any more, and tells no component. In virtual time only, between two turns."""
         self.stream.silence()
         self.timer.halt()
         for component in self.registry.components():

@@ -169,7 +169,7 @@ class PoolDispatcher(Dispatcher):
             return True
         return False
 
-    def welcome(self, guest: Shift) -> bool:
+    def begin_guest(self, guest: Shift) -> bool:
         """Lets a guest do the work, if no other thread does it now."""
         with self._lock:
             if self._active or self._stopping or len(self._guests) >= MOST_WORKERS:
@@ -180,7 +180,7 @@ class PoolDispatcher(Dispatcher):
             self._watch_again()
             return True
 
-    def farewell(self, guest: Shift) -> None:
+    def end_guest(self, guest: Shift) -> None:
         """Lets a guest go; a worker does what it has left."""
         with self._lock:
             self._guests.remove(guest)
@@ -192,7 +192,7 @@ class PoolDispatcher(Dispatcher):
         """Counts on a thread from now on. Under the lock."""
         self._active += 1
         shift.here = True
-        shift.turns += 1  # what comes before its first turn is not seen as part of the last one
+        shift.turns += 1  # its work before the first turn is not seen as part of the last one
 
     def _end(self, shift: Shift) -> None:
         """Counts on a thread no more. Under the lock."""

@@ -28,7 +28,7 @@ class DeviceEntry(msgspec.Struct, frozen=True):
 
 
 class Registry:
-    """Who runs on this agent. All methods may be called from any thread.
+    """The components that run on this agent. All methods may be called from any thread.
 
     pykka's own registry is global to the process and scans a list; this one belongs to one agent and keeps its
     actors alive.

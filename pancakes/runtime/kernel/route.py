@@ -1,4 +1,4 @@
-"""Who gets packets of one type and destination on one channel."""
+"""Which components get packets of one type and destination on one channel."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Listener(msgspec.Struct):
         )
 
     def describe(self) -> dict[str, Any]:
-        """Returns who it is and how it reads, as plain values."""
+        """Returns its address and how it reads, as plain values."""
         return {"address": self.address, **self.bounds_and_queue()}
 
     def bounds_and_queue(self) -> dict[str, Any]:
@@ -67,7 +67,7 @@ class Listener(msgspec.Struct):
 
         `waiting_bytes` are those of the heavy packets among them, which `MOST_BYTES` bounds.
 
-        Of `types` it gets `open_types` from everybody, the others only where a packet's destination names it.
+        It gets `open_types` whatever their destination, the other `types` only where a packet's destination names it.
         """
         keeps = list(self.bounds.values())
         return {
@@ -82,12 +82,12 @@ class Listener(msgspec.Struct):
 
 
 class Route(msgspec.Struct, frozen=True):
-    """Who gets packets of one type and destination on one channel: an immutable snapshot, read without a lock.
+    """The readers of packets of one type and destination on one channel: an immutable snapshot, read without a lock.
 
     Attributes:
         queues: the queues of all components that get the packets.
         reliable: those components that may refuse a packet.
-        taps: who sees the packets besides.
+        taps: functions that see the packets besides.
     """
 
     queues: tuple[ChannelQueue, ...]

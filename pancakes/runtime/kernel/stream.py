@@ -96,7 +96,7 @@ class InformationStream:
             self._forget(name)
 
     def publish(self, packet: Packet) -> int:
-        """Gives a packet to everybody whom it concerns.
+        """Gives a packet to all that it concerns.
 
         Returns:
             How many components of this agent got it.
@@ -251,7 +251,7 @@ class InformationStream:
         return [by for _, _, by in self._taps.get(channel, ()) if by]
 
     def describe(self, channel: str) -> list[dict[str, Any]]:
-        """Returns who reads a channel, with which bounds, and what waits or was lost there, as plain values.
+        """Returns the readers of a channel, with their bounds, and what waits or was lost there, as plain values.
 
         Raises:
             UnknownChannel: there is no such channel.

@@ -26,7 +26,7 @@ _LOG: Final = logging.getLogger("pancakes.runtime.kernel")
 
 
 class Ticking(Protocol):
-    """Whom the timer ticks."""
+    """What the timer ticks."""
 
     def fire(self, deadline_s: float, missed: int) -> None:
         """A deadline has come. In the timer's thread: must do no more than put it into a mailbox."""

@@ -36,7 +36,7 @@ class VirtualCall(msgspec.Struct):
 class VirtualDispatcher(Dispatcher):
     """Runs whole fleets in virtual time, twice the same for the same seed.
 
-    Among the components that have something to do, the seed draws who goes next, so that many seeds
+    Among the components that have something to do, the seed draws the next one, so that many seeds
     try many orders. Time moves only when no component has anything to do.
 
     Args:
@@ -87,9 +87,9 @@ class VirtualDispatcher(Dispatcher):
         if not work:
             return
         component = work[-1].component
-        who = component.address if component is not None else "a task between restarts"
+        name = component.address if component is not None else "a task between restarts"
         raise PancakesError(
-            f"virtual time stands still at {self.clock.now()} s: after {MOST_TURNS} turns {who} still has work"
+            f"virtual time stands still at {self.clock.now()} s: after {MOST_TURNS} turns {name} still has work"
         )
 
     def step(self) -> bool:

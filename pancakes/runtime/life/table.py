@@ -194,7 +194,7 @@ def _never_began(life: Life, event: Admitted | LeaveRefused, at: Moment) -> Outc
 
 
 def _meant(life: Life, event: StopAsked) -> Life:
-    """Returns a life that is to end, or to end and begin anew; who asked for a start before is answered elsewhere."""
+    """Returns a life that is to end, or to end and begin anew; an earlier asker for a start is answered elsewhere."""
     wanted = life.wanted if event.asker is None or event.again else False
     return replace(life, reason=event.reason, asker=event.asker or life.asker, again=event.again, wanted=wanted)
 

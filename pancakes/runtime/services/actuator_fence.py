@@ -1,4 +1,4 @@
-"""The fence of one actuator: which commands of tasks that move it lets pass, and who is asked before it is raised."""
+"""The fence of one actuator: the commands that it lets pass of tasks that move, and the agents that it asks first."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ANSWER_S: Final = 1.0
 """So long other agents have to say where a task is, in host time."""
 AGAIN_S: Final = 1.0
 """An agent whose claim was refused makes no other for so long, in host time: each one costs questions and a line."""
-SET_RIGHT: Final = "pancakes task fence shows who has it, and sets that right"
+SET_RIGHT: Final = "pancakes task fence shows which agent has it, and sets that right"
 
 Done = Callable[[str, Mapping[str, Any]], None]
 """Takes why something was not done, empty: it was, and what is to be known of it."""
@@ -63,7 +63,7 @@ class _Pending(msgspec.Struct):
         claim: the epoch, and the agent.
         packet: the command.
         since_s: since when it waits, in mission time.
-        peer: the agent that is asked who has the task; empty: the epoch is being written down.
+        peer: the agent that is asked which one has the task; empty: the epoch is being written down.
         asked: how many agents have been asked.
         until_s: how long that one has to answer, in host time.
     """
@@ -138,7 +138,7 @@ class ActuatorFence:
         if pending is not None and pending.claim == claim:
             pending.packet, pending.since_s = packet, self._task.now()
             if pending.peer and now_s >= pending.until_s:
-                self._give_up(claim.peer, f"{pending.peer} does not say to whom it gave {fence.task_id}; {SET_RIGHT}")
+                self._give_up(claim.peer, f"{pending.peer} does not say where it gave {fence.task_id}; {SET_RIGHT}")
         elif now_s >= self._again_s.get(claim.peer, 0.0):
             # Those that were not answered, and whose agents have sent nothing since.
             old = [it for it, other in self._pending.items() if other.peer and now_s >= other.until_s + AGAIN_S]
@@ -155,7 +155,7 @@ class ActuatorFence:
             pending.since_s = -math.inf
 
     def told(self, packet: Packet) -> None:
-        """An agent says who has a task."""
+        """An agent says which one has a task."""
         by, at = agent_of(packet.source), packet.body
         for peer, pending in list(self._pending.items()):
             if (pending.peer, pending.claim.fence.task_id) == (by, at.task_id):
@@ -221,7 +221,7 @@ class ActuatorFence:
 
         Args:
             body: what was asked for.
-            by: who asked.
+            by: the address of the asker.
             done: called once it is done, or refused.
         """
         if self._setting is not None:

@@ -238,7 +238,7 @@ class DeviceTask(Task):
             self.driver.receive(packet)
 
     def command(self, packet: Packet) -> None:
-        """Carries out a command of the actuator's holder; refuses anybody else's."""
+        """Carries out a command of the actuator's holder; refuses those of all others."""
         refusal = self._refusal(packet)
         if refusal:
             self._refuse(packet, refusal)
@@ -271,7 +271,7 @@ class DeviceTask(Task):
             self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
 
     def _refusal(self, packet: Packet) -> str:
-        # First of all: who speaks without a right must not get hold of an actuator that is free just now.
+        # First of all: a task without a right must not get an actuator that is free just now.
         if passed := self._fence.passed(packet):
             return passed
         holder = self.kernel.registry.holder(self.name)

@@ -1,4 +1,4 @@
-"""Who may raise the fence of an actuator, and to what a person may set it. Pure.
+"""Which agents may raise the fence of an actuator, and to what a person may set it. Pure.
 
 A fence is the highest epoch of a task that an actuator has seen: an agent that could raise it at will would keep the
 task's own commands out for good. So only an agent raises it that has the task, or is known to have been given it.
@@ -60,7 +60,7 @@ class ClaimRefused(msgspec.Struct, frozen=True):
 
 
 class AskAgent(msgspec.Struct, frozen=True):
-    """This agent had the task, and is asked to whom it gave it."""
+    """This agent had the task, and is asked which one it gave it to."""
 
     peer: str
 
@@ -94,7 +94,7 @@ def judged(
         return May()
     if record is not None and record.phase in (Phase.OWNER, Phase.FROZEN):
         return ClaimRefused(f"{task_id} is here, under epoch {record.epoch.n}")
-    # An agent may offer any task: only what this one has given away itself says who has it.
+    # An agent may offer any task: only what this one has given away itself says where it is.
     given = record.peer if record is not None and record.phase in (Phase.COMMITTED, Phase.RELEASED) else ""
     birthplace = _birthplace(task_id)
     if claim.peer in (given, birthplace):
@@ -108,7 +108,7 @@ def judged(
 
 
 def answered(claim: EpochClaim, asked: int, by: str, at: TaskAt, linked: Collection[str]) -> Verdict:
-    """Returns what becomes of a claim once an agent that had the task has said who has it.
+    """Returns what becomes of a claim once an agent that had the task has said which one has it.
 
     Args:
         claim: the claim.
@@ -139,7 +139,7 @@ class PresentOwner(msgspec.Struct, frozen=True):
 def present_owner(
     me: str, task_id: str, own: TaskAt, answers: Mapping[str, TaskAt | None]
 ) -> PresentOwner | ClaimRefused:
-    """Returns who has a task now: of several that say so, the one with the highest epoch.
+    """Returns which agent has a task now: of several that say that they do, the one with the highest epoch.
 
     Args:
         me: the agent that has the actuator.

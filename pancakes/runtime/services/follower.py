@@ -1,4 +1,4 @@
-"""Who follows a channel from elsewhere, and gets what is published there."""
+"""An agent elsewhere that follows a channel, and gets the packets that are published there."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pancakes.packet import Packet, agent_of
 from pancakes.runtime.kernel.component import Component
 
 SOON_S: Final = 0.0075
-"""After a rest, what is published first goes to a follower who wants only so many a second so much later, together with
-what comes meanwhile. Nearly all ticks come at multiples of 5 ms: what is sent between two of them puts off none."""
+"""After a rest, the first packet goes so much later to a follower that wants only so many a second, together with the
+packets that come meanwhile. Nearly all ticks come at multiples of 5 ms: a packet between two of them puts off none."""
 SOON_SHARE: Final = 0.25
 """The same as a share of the time between two sendings, where that is less."""
 LEAST_HZ: Final = 0.001
@@ -25,9 +25,9 @@ MOST_KEPT: Final = 4096
 
 
 class Follower:
-    """Sends packets to who follows a channel: each at once, or the newest of each source and type now and then.
+    """Sends packets to an agent that follows a channel: each at once, or at times the newest of each source and type.
 
-    The second is for who only wants to see how things stand. One sending takes all that came since the last, in a turn
+    The second is for a page that only shows how things stand. One sending takes all that came since the last, in a turn
     of its own: in the publishers' turns, which most often come together, it would put off the ticks behind them.
     Measured with a page open at the demo: by that alone the lateness p99 of 200 ticks a second on each agent rose from
     0.75 to 0.89 ms, and now all that a page asks for raises it by 3 %.

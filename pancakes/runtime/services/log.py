@@ -178,7 +178,7 @@ class LogService(Service):
 
     @on(LOG, None, keep=KEEP)
     def remember(self, packet: Packet) -> None:
-        """Keeps one line for who asks later."""
+        """Keeps one line, for questions that come later."""
         self._entries += 1
         size_bytes = weigh(packet.body)
         self._newest.append((self._entries, size_bytes, packet))
@@ -222,7 +222,7 @@ class LogService(Service):
             size += len(line)
             if page and size > PAGE:
                 break
-            # By way of its line: so it holds nothing that cannot travel.
+            # By way of its line: so it has nothing that cannot travel.
             page.append({"entry": entry, **json.loads(line)})
         return page
 

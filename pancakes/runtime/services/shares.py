@@ -26,7 +26,7 @@ class LeftOut(NamedTuple):
     """What went beyond a share.
 
     Attributes:
-        kind: of whom.
+        kind: the source of the lines, and whether they are urgent.
         lines: how many lines.
         in_s: in so many seconds.
     """

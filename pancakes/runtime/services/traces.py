@@ -35,7 +35,7 @@ CHAINS_STEP: Final = 25
 ROWS_STEP: Final = 25
 """... and so many packets made rows of."""
 MOST_QUESTIONS: Final = 64
-"""So many wait for their answers; who asks faster than they are found is refused."""
+"""So many questions wait for their answers; further ones are refused."""
 LARGE_BYTES: Final = 4096
 """What packets say is not kept of types whose packets are larger: images would fill the memory."""
 
@@ -181,7 +181,7 @@ class Tracing:
 
         Args:
             asked: the question; with `most` 0 it is the last one, and has no answer.
-            by: the address of who asks.
+            by: the address of the asker.
             told: called with the answer, in this turn or a later one.
 
         Raises:

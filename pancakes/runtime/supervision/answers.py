@@ -56,7 +56,7 @@ class Answers:
         """Answers a request; where the answer cannot be sent, the asker is told that, and why.
 
         Args:
-            request: whom to answer.
+            request: the request.
             reason: why it is not done; empty: it is.
             result: what was asked for, where that is something to know.
         """

@@ -107,7 +107,7 @@ def check_free(members: Sequence[Member]) -> Claim:
         What keeps other launchers from these ports.
 
     Raises:
-        PancakesError: one of them is in use; the sentence says which, and by whom where that is known.
+        PancakesError: one of them is in use; the sentence says which, and by which agent, where that is known.
     """
     running = {(entry.fleet, entry.name): entry.pid for entry in entries()}
     problems = []

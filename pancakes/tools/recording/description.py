@@ -93,5 +93,5 @@ def _began(told: Mapping[str, Any], time_ns: Callable[[float], int]) -> dict[str
 
 
 def is_described(target: str) -> bool:
-    """Returns whether a recording holds what a task is, given as `service/task`: not of an agent's own ones."""
+    """Returns whether a recording has what a task is, given as `service/task`: not of an agent's own ones."""
     return not target.startswith(("log/", "network/", "device/"))

@@ -32,7 +32,7 @@ class _Row(msgspec.Struct, omit_defaults=True, gc=False):
 def data_of(packet: Packet) -> bytes:
     """Returns a packet as JSON, the data of a message.
 
-    What JSON cannot hold (arrays, infinity and NaN, bytes where the class does not say so) is written as well as it
+    What JSON cannot express (arrays, infinity and NaN, bytes where the class does not say so) is written as well as it
     goes, and the packet is added as it travels between agents, in the field `exact`. What does not travel either, such
     as a date in a field of any type, is written as well as it goes, if that can be read again.
 

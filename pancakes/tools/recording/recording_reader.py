@@ -31,7 +31,7 @@ class FileReading:
         cut: why it could not be read to its end; empty where it could.
         damage: what could not be read before that.
         strange: sentences on messages that are no packets any more, such as of a type that has changed, and how often
-            each holds.
+            each has.
     """
 
     path: Path
@@ -114,7 +114,7 @@ def files_of(path: Path) -> list[Path]:
     except OSError as error:
         raise RecordingError(f"the recording {path} cannot be read: {error.strerror or error}") from None
     if not files:
-        raise RecordingError(f"{path} holds no recording (*{SUFFIX})" if is_folder else f"there is no recording {path}")
+        raise RecordingError(f"{path} has no recording (*{SUFFIX})" if is_folder else f"there is no recording {path}")
     return sorted(files, key=lambda file: (first_name(file), part_number(file)))
 
 
@@ -168,7 +168,7 @@ def messages(reading: FileReading, file: BinaryIO) -> Iterator[tuple[str, Channe
         if is_being_written(file):
             reading.cut = "it is being recorded"
         else:
-            reading.cut = (str(error) or "its end is missing") if begun else "it holds nothing yet"
+            reading.cut = (str(error) or "its end is missing") if begun else "it has nothing yet"
 
 
 def _was_begun(file: BinaryIO) -> bool:

@@ -1,4 +1,4 @@
-"""The schemas that a recording holds, in the few words of JSON Schema that viewers understand.
+"""The schemas that a recording has, in the few words of JSON Schema that viewers understand.
 
 Foxglove, and what is made of it, makes a table of a message's fields of its schema. It wants a `type` for each field,
 `properties` for each object and `items` for each array, and gives up a whole topic where it finds a reference, a choice
@@ -24,7 +24,7 @@ def schema_for(type_name: str) -> dict[str, Any]:
     cls = body_class(type_name)
     try:
         told: dict[str, Any] = schema_of(cls) if cls is not None else {}
-    except (TypeError, NameError):  # it holds what JSON Schema has no word for, or what is imported for checks only
+    except (TypeError, NameError):  # JSON Schema has no word for a part of it, or it is imported for checks only
         told = {}
     body = viewable(told, told.get("$defs", {}))
     return {
@@ -40,7 +40,10 @@ def schema_for(type_name: str) -> dict[str, Any]:
             "stamp": {"type": "number", "description": "mission time at the publisher, in seconds."},
             "seq": {"type": "integer", "description": "its number among its source's packets."},
             "body": body if body is not None and body["type"] == "object" else {"type": "object", "properties": {}},
-            "exact": {"type": "string", "description": "the packet as it travels, where JSON cannot hold all of it."},
+            "exact": {
+                "type": "string",
+                "description": "the packet as it travels, where JSON cannot express all of it.",
+            },
         },
     }
 
@@ -55,7 +58,7 @@ def viewable(
     Args:
         schema: a schema, as msgspec makes it.
         definitions: what it refers to, by name.
-        inside: the names of the definitions that it stands in: what holds itself cannot be written out.
+        inside: the names of the definitions that it stands in: what contains itself cannot be written out.
     """
     reference = schema.get("$ref")
     if reference is not None:

@@ -118,7 +118,7 @@ def _schemas() -> dict[str, dict[str, Any]]:
     """Returns the schemas by the names under which Foxglove finds them: https://docs.foxglove.dev/docs/sdk/schemas.
 
     They are published in https://github.com/foxglove/foxglove-sdk, schemas/jsonschema. Of what is always empty here
-    the file holds the name alone.
+    the file has the name alone.
     """
     return codecs.json_decoder()(
         resources.files("pancakes.tools.recording").joinpath("static/foxglove.json").read_text()

@@ -173,7 +173,7 @@ def _moved(packet: Packet, seen_on: str, name: str) -> Packet:
 
 
 class _Once:
-    """Remembers which packets were there already: two recordings may hold the same."""
+    """Remembers which packets were there already: two recordings may have the same."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, str, int, float]] = set()
@@ -241,6 +241,6 @@ def tally_of(selection: Selection, entries: Iterable[RecordedPacket]) -> Tally:
 def _why_nothing(selection: Selection, tally: Tally) -> str:
     if not tally.packets:
         what = "that fits --only" if selection.only else "on system or a channel of one's own"
-        return f"the recording holds nothing {what}" + (" in that time" if selection.from_s or selection.to_s else "")
+        return f"the recording has nothing {what}" + (" in that time" if selection.from_s or selection.to_s else "")
     reasons = ", ".join(dict.fromkeys(topic.left_out for topic in tally.packets))
     return f"nothing is left to be fed: {reasons}"

@@ -91,7 +91,7 @@ class Feed:
             self._history.add(t, frame)
 
     def chunk(self, t: float) -> bytes:
-        """Returns the piece of the history that holds `t`, see `FrameHistory.at`."""
+        """Returns the piece of the history in which `t` lies, see `FrameHistory.at`."""
         with self.lock:
             return self._history.at(t)
 

@@ -44,11 +44,11 @@ class FrameHistory:
         self._end_s = 0.0
 
     def due(self, t: float) -> bool:
-        """Returns whether the frame at `t` has to hold everything, as a new piece begins with it."""
+        """Returns whether the frame at `t` needs everything, as a new piece begins with it."""
         return not self._chunks or t - self._chunks[-1].begin_s >= CHUNK_S
 
     def add(self, t: float, frame: Any) -> None:
-        """Keeps a frame: one that holds everything where that is `due`, else what changed."""
+        """Keeps a frame: one that has everything where that is `due`, else what changed."""
         data = codecs.encode_json(frame)
         if self.due(t):
             self._chunks.append(_Chunk(self._count, t, data))
@@ -66,7 +66,7 @@ class FrameHistory:
         return self._chunks[0].begin_s if self._chunks else 0.0
 
     def at(self, t: float) -> bytes:
-        """Returns the piece that holds `t` as JSON: `begin`, `end`, `open` (whether it still grows), `key`, `frames`.
+        """Returns the piece around `t` as JSON: `begin`, `end`, `open` (whether it still grows), `key`, `frames`.
 
         Before the beginning that is the first one, after the end the last; `null` where there is none.
         """

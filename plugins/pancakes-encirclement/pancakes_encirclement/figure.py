@@ -116,7 +116,7 @@ def _map(
     to_s: float,
     follows: bool,
 ) -> None:
-    """Draws where everybody went in a part of the mission."""
+    """Draws the paths of all bodies in a part of the mission."""
     from matplotlib.patches import Circle
 
     axes.set_aspect("equal")

@@ -66,7 +66,7 @@ def radius_error(
         centre_m: the centre of the circle.
         radius_m: its radius.
         arrived_share: it arrives where its distance from the centre is first within this share of the radius.
-        settling_s: only what comes this long after that counts.
+        settling_s: only the time from this long after that on counts.
 
     Returns:
         The errors; None where it never arrived, or had no time left to settle.

@@ -47,7 +47,7 @@ class Periods:
 
 
 class DutyCycle(Task):
-    """Saves an agent's power, by control packets that anybody could send.
+    """Saves an agent's power, by control packets that any client could send.
 
     While nothing happens, tasks and devices run at their low rates, tiny nodes report seldom, and the Network Service
     sleeps most of the time. When something does (`sensor_field.activity` of a task here, or an alarm), all that ends at

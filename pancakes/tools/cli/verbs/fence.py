@@ -15,7 +15,7 @@ from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN
 
 COLUMNS = ("actuator", "task_id", "seen", "brought_by", "owner", "owner_has", "obeyed", "reason")
-"""What the actuator has seen of a task; who has the task now, and under which epoch, or why that cannot be said."""
+"""What the actuator has seen of a task; which agent has the task now, under which epoch, or why that is not known."""
 
 
 @click.command()

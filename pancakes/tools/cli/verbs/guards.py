@@ -1,4 +1,4 @@
-"""`pancakes task guards|take`: guarded tasks, who guards them, and who takes them over."""
+"""`pancakes task guards|take`: guarded tasks, their guardians, and the agents that take them over."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ class Sender:
         self._look()  # the link keeps the order, so the answer comes after all else has arrived
 
     def _send_one(self) -> None:
-        if self._name.channel == SYSCTRL and isinstance(self._body, CONTROLS):
+        if self._name.channel == SYSCTRL and type(self._body) in CONTROLS:
             order(self._client, self._name.agent, self._body)  # it is answered, and the answer is what counts
             return
         stamp = self._mission_s + (self._client.now() - self._known_s) * self._speed

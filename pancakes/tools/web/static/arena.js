@@ -1,4 +1,4 @@
-// The arena: robots, headings, trails, sensor rays, circles, the sensor node; and who talks about a move.
+// The arena: robots, headings, trails, sensor rays, circles, the sensor node; and the agents that talk about a move.
 
 import { Labels, around } from "./labels.js";
 import { colour, dark, still } from "./words.js";
@@ -59,7 +59,7 @@ export class Arena {
     const names = [...picture.table("body").keys()].filter((name) => this.glides.has(name));
     for (const name of names) this.#body(picture, name, now);
     if (this.layers.names) {
-      // Who is picked comes first: its label is there, whatever the crowd.
+      // The body that is picked comes first: its label is there, whatever the crowd.
       names.sort((one, other) => (other === this.selected) - (one === this.selected));
       for (const name of names) this.#name(picture, name, names.length > CROWD, now);
       if (this.layers.circles) this.#circleNames(picture);
@@ -307,7 +307,7 @@ export class Arena {
     this.labels.avoid(x - radius, y - radius, x + radius, y + radius);
   }
 
-  /** Writes who a body is, and what drives it. */
+  /** Writes the name of a body, and what drives it. */
   #name(picture, name, crowd, now) {
     const body = this.#place(name, now);
     const shape = picture.get("shape", name) || { kind: "robot" };
@@ -319,7 +319,7 @@ export class Arena {
     const width = this.#widthOf(rows);
     const middles = around(x, y, radius + 3, width, rows.length * LINE);
     const middle = this.#label(name, rows, width, middles);
-    // From further away a line leads to whom it names.
+    // From further away a line leads to the body.
     const nearest = Math.hypot(width / 2, (rows.length * LINE) / 2) + radius + LINE;
     if (middle && Math.hypot(middle[0] - x, middle[1] - y) > nearest) this.#line([x, y], middle, this.ink(0.12), 1);
   }
@@ -396,7 +396,7 @@ export function drawMessage(pen, from, to, effect, age, labels) {
     pen.font = "600 12px system-ui";
     pen.textAlign = "center";
     const width = pen.measureText(effect.text).width + 14;
-    // What is said stands near who says it.
+    // What is said stands near the body that says it.
     const first = effect.strong ? 0.36 : 0.3;
     const shares = [first, 0.45, 0.15, 0.6, 0.75, 0];
     const middles = shares.flatMap((share) => {

@@ -194,7 +194,7 @@ function draw(now) {
   (isMesh ? mesh : arena).draw(shown, effects, now);
   if (!chosen) document.querySelector(`input[name=stage][value=${isMesh ? "mesh" : "arena"}]`).checked = true;
   head();
-  // Who listens does not want to hear each step; what there is at all is to be told at once.
+  // A listener does not want to hear each step; what there is at all is to be told at once.
   const crowd = shown.table("body").size + shown.table("agent").size;
   if (now - describedAt > DESCRIBED_MS || crowd !== described) {
     [describedAt, described] = [now, crowd];

@@ -71,7 +71,7 @@ export class Why {
 
   #show(it) {
     this.nav.hidden = false;
-    // What comes first is to have the focus first; it was not there when the dialog opened.
+    // The first element is to have the focus first; it was not there when the dialog opened.
     if (!this.shown) this.before.focus();
     this.shown = it;
     this.which.hidden = it.actuators.length < 2;
