@@ -23,6 +23,7 @@ from pancakes.tools.cli.verbs.machine_checks import (
     check_plugins,
     check_python,
     check_runtime_dir,
+    check_sockets,
     check_state_dirs,
 )
 
@@ -48,6 +49,7 @@ def test_on_a_machine_where_all_is_well(rig: Rig):
 
     assert code == 0
     assert {about for _, about, _ in found} >= {"libraries", "plug-ins", "runtime directory", "open files", "loopback"}
+    assert ("ok", "local sockets") in [(level, about) for level, about, _ in found]
     assert [level for level, _, _ in found if level == "error"] == []
     assert ("ok", "a") in [(level, about) for level, about, _ in found]
 
@@ -181,6 +183,27 @@ def test_a_runtime_directory_that_is_open_to_others(tmp_path: Path, monkeypatch:
     assert f"chmod 700 {directory}" in finding.advice
     directory.chmod(0o700)
     assert levels(check_runtime_dir()) == [("ok", "runtime directory")]
+
+
+def test_directories_of_sockets_that_others_can_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "runtime"))
+    assert levels(check_sockets()) == [], "no agent has listened yet"
+    fleet = tmp_path / "runtime" / "local" / "garage"
+    fleet.mkdir(parents=True, mode=0o700)
+    fleet.parent.chmod(0o750)
+    assert levels(check_sockets()) == [("ok", "local sockets")]
+    (fleet / "a.sock").write_text("")
+    (finding,) = check_sockets()
+    assert (finding.level, finding.text) == (
+        "warning",
+        f"{fleet / 'a.sock'} is no socket, so no agent can listen there",
+    )
+    fleet.chmod(0o755)
+    (finding,) = check_sockets()
+    assert finding.level == "error" and f"{fleet} is open to other users" in finding.text
+    assert finding.advice.endswith(f"chmod 700 {fleet}")
+    fleet.parent.chmod(0o755)
+    assert levels(check_sockets()) == [("error", "local sockets")] * 2
 
 
 @pytest.fixture

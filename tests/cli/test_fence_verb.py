@@ -49,6 +49,11 @@ def test_a_fence_that_is_too_high_is_shown_and_set_right(rig: Rig):
     (row,) = rig.listed("task", "fence", "a/device/wheels")
     assert row == {**fine, "seen": "7@z", "brought_by": "z", "obeyed": False, "reason": ""}
 
+    doctor = rig.pancakes("doctor", "--no-machine")
+    assert doctor.returncode == 1
+    why = "refuses a/Circle, which a has under epoch 0@a: it has seen epoch 7@z, brought by z"
+    assert f"error    a/device/wheels: {why}" in doctor.stdout
+
     told = {"actuator": "a/device/wheels", "task_id": "a/Circle", "owner": "a", "before": "7@z", "now": "0@a"}
     (tried,) = rig.listed("task", "fence", "a/wheels", "--set", "a/Circle", "--dry-run")
     assert {**tried, "number": 0} == {**told, "done": "dry run", "number": 0}
@@ -56,6 +61,7 @@ def test_a_fence_that_is_too_high_is_shown_and_set_right(rig: Rig):
     (done,) = rig.listed("task", "fence", "a/wheels", "--set", "a/Circle")
     assert {**done, "number": 0} == {**told, "done": "set", "number": 0}
     assert rig.listed("task", "fence", "a/wheels") == [{**fine, "seen": "0@a", "obeyed": True, "reason": ""}]
+    assert "refuses a/Circle" not in rig.pancakes("doctor", "--no-machine").stdout
     (account,) = rig.listed("task", "migrations", "a")
     assert (account["outcome"], account["winner"], account["task_id"]) == ("fenced", "a", "a/Circle")
     assert account["asked_by"].startswith("alice.")

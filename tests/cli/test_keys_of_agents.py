@@ -68,3 +68,12 @@ def test_an_agent_whose_certificate_was_revoked_runs_and_says_so(rig: Rig):
     agent = rig.agent(config)
     agent.hear(READY)
     agent.hear("no agent of test believes this one any more: its certificate was revoked")
+
+
+def test_a_launcher_starts_no_agent_again_whose_key_is_of_no_use(rig: Rig):
+    config = rig.config("a")
+    (rig.keys.of_agent("test", "a") / "key.pem").chmod(0o644)
+    result = rig.pancakes("launch", str(config))
+    assert result.returncode == 1
+    said = result.stdout + result.stderr
+    assert said.count("can be read by others (mode 644): chmod 600 it") == 1 and "given up" in said

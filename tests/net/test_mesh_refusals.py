@@ -47,7 +47,7 @@ def test_an_agent_that_listens_says_nothing_of_itself_to_one_that_has_not_said_h
 
 
 @pytest.mark.parametrize("source", ["b/client/T", "a/client/T", "0b/client/T", "x"])
-@pytest.mark.parametrize("channel", ["chat", "sysctrl", "ctrl"])
+@pytest.mark.parametrize("channel", ["chat", "sysctrl", "ctrl", "log"])
 def test_what_an_agent_sends_under_another_name_is_dropped_and_said(rig, agent, source, channel):
     """Also under ours. The packets that the peer sends for itself go on."""
     a, ear = agent("a"), rig.ear()
@@ -168,6 +168,18 @@ def test_two_agents_of_one_name_refuse_each_other(rig, agent):
     assert first.mesh.connected() == second.mesh.connected() == []
 
 
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_what_bears_the_name_of_another_is_told_nothing(rig, agent, name):
+    a, _ = pair(rig, agent)
+    ear = rig.ear()
+    rig.transport(name).dial(a.address, ear)
+    rig.until(lambda: ear.connection)
+    ear.connection.send(raw_hello(name, journal="another journal"))
+    rig.until(lambda: ear.closed_for)
+    assert b"is already borne by another agent" in ear.data
+    assert a.mesh.identity.journal.encode() not in ear.data
+
+
 def test_an_agent_that_dials_itself_notices(rig, agent):
     address = "tcp://alias:9"
     if rig.virtual:
@@ -227,12 +239,13 @@ def test_a_packet_with_a_bad_body_is_told_and_costs_no_link(rig, agent):
     rig.until(lambda: a.knows("b", "intruder"))
     bad = Packet("system", "pose", "intruder/x/y", "a", 0.0, 1, {"x_m": "far", "y_m": 0.0, "theta_rad": 0.0})
     good = replace(bad, body=Pose(1.0, 2.0, 0.0), seq=2)
-    ear.connection.send(frame([message_of(bad)]) + frame([message_of(good)]))
+    not_its_own = replace(bad, source="b/x/y")
+    ear.connection.send(frame([message_of(not_its_own)]) + frame([message_of(bad)]) + frame([message_of(good)]))
     rig.until(lambda: a.packets)
     ((peer, packet, reason),) = a.unfit
     assert (peer, packet) == ("intruder", replace(bad, body=None)) and "x_m" in reason
     assert a.packets == [good] and a.knows("b", "intruder") and not a.downs
-    assert {it["name"]: it["packets_in"] for it in a.mesh.describe()["peers"]}["intruder"] == 2
+    assert {it["name"]: it["packets_in"] for it in a.mesh.describe()["peers"]}["intruder"] == 3
 
 
 def test_one_who_never_says_hello_is_closed(memory_rig):
@@ -252,7 +265,9 @@ def test_of_too_many_connections_the_oldest_that_said_no_hello_is_told_that_the_
         memory_rig.transport("crowd").dial(a.address, ear)
     memory_rig.timeline.run_until(1.0)
     assert [bool(ear.closed_for) for ear in ears] == [True] * 6 + [False] * MAX_HANDSHAKES
-    assert all(b"a is full: 256 connections" in ear.data for ear in ears[:6])
+    assert all(b"it is full: 256 connections" in ear.data for ear in ears[:6])
+    assert "a is full: 256 connections" in a.log("warning")
+    assert not any(b"a is full" in ear.data for ear in ears), "a stranger is not told the name"
     late = memory_rig.agent("late", [a.address])
     memory_rig.timeline.run_until(1.1)
     assert late.knows("a"), "at once, and not when the others have waited in vain"

@@ -228,6 +228,13 @@ def test_an_address_at_which_a_program_repeats_our_hello_is_not_ours():
     assert dials(it.tick(10.0)) == ["tcp://squatter:1"]
 
 
+def test_a_newcomer_that_finds_its_name_taken_waits_to_be_told():
+    it = peers("tcp://rival:1")
+    (dial,) = it.tick(0.0)
+    assert it.met(dial.link, hello("m", journal="another journal"), "tcp://rival:1", 0.0) == []
+    assert "the name m is already borne by another agent" in it.describe()[0]["refused"]
+
+
 def test_who_says_that_it_listens_at_a_static_address_keeps_nobody_from_dialling_it():
     it = peers("tcp://true:1")
     (dial,) = it.tick(0.0)

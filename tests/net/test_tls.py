@@ -12,15 +12,18 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from net.conftest import Ear, TlsRig
 
 from pancakes.bodies.sim.bus import Drive, Request, encode
 from pancakes.bodies.sim.bus_server import BusServer
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.handshakes import AT_ONCE, MOST_UNFINISHED, Handshakes
+from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.security.authority import new_key, pem_of_key
 from pancakes.mesh.security.fleet_office import FleetOffice
 from pancakes.mesh.security.key_files import KEY, write_private
+from pancakes.runtime.plugins import Plugins
 
 
 @pytest.fixture
@@ -197,6 +200,95 @@ def test_no_certificate_is_no_entrance(rig, listening):
             tls.recv(1)
     rig.until(lambda: there.closed_for)
     assert there.closed_for[0].endswith("it showed no certificate") and there.connection is None
+
+
+def test_no_ticket_is_given_out_with_which_one_could_come_again(rig, listening):
+    there, address = listening
+    with raw(address) as link, bare_context(rig, rig.enrol("a")).wrap_socket(link) as tls:
+        rig.until(lambda: there.connection)
+        there.connection.send(b"hello")
+        assert tls.recv(5) == b"hello"
+        assert tls.session is not None and not tls.session.has_ticket
+
+
+def test_what_a_member_has_signed_is_believed_by_none(rig, listening):
+    """A robot's key makes no operators: its certificate says that it signs none."""
+    there, address = listening
+    robot, key = rig.enrol("a"), new_key()
+    own = (robot / KEY).read_bytes()
+    signer = serialization.load_pem_private_key(own, None)
+    assert isinstance(signer, ec.EllipticCurvePrivateKey)
+    now = datetime.datetime.now(datetime.UTC)
+    uri = x509.UniformResourceIdentifier("pancakes://default/operator/eve")
+    forged = (
+        x509.CertificateBuilder()
+        .subject_name(x509.Name([]))
+        .issuer_name(x509.load_pem_x509_certificate(own).subject)
+        .public_key(key.public_key())
+        .serial_number(7)
+        .not_valid_before(now)
+        .not_valid_after(now + datetime.timedelta(days=9))
+        .add_extension(x509.SubjectAlternativeName([uri]), True)
+        .sign(signer, hashes.SHA256())
+        .public_bytes(serialization.Encoding.PEM)
+    )
+    folder = rig.directory / "eve"
+    write_private(folder / KEY, forged + own[: own.index(b"-----BEGIN PRIVATE")] + pem_of_key(key))
+    with raw(address) as link, bare_context(rig, folder).wrap_socket(link) as tls, pytest.raises(ssl.SSLError):
+        tls.recv(1)
+    rig.until(lambda: there.closed_for)
+    assert there.connection is None and there.closed_for[0].startswith("its certificate ")
+
+
+def test_a_certificate_without_a_name_is_none_whoever_has_signed_it(rig, listening):
+    there, address = listening
+    folder, key = rig.enrol("a"), new_key()
+    office = rig.directory / "authority"
+    signer = serialization.load_pem_private_key((office / "authority.key").read_bytes(), None)
+    assert isinstance(signer, ec.EllipticCurvePrivateKey)
+    issuer = x509.load_pem_x509_certificate((office / "fleet.pem").read_bytes()).subject
+    now = datetime.datetime.now(datetime.UTC)
+    nameless = x509.CertificateBuilder(
+        issuer, x509.Name([]), key.public_key(), 7, now, now + datetime.timedelta(days=9)
+    )
+    pem = nameless.sign(signer, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+    write_private(folder / KEY, pem + pem_of_key(key))
+    with raw(address) as link, bare_context(rig, folder).wrap_socket(link) as tls:
+        while tls.recv(4096):
+            continue
+    rig.until(lambda: there.closed_for)
+    assert there.closed_for == ["its certificate names 0 agents or people, and not one"] and there.connection is None
+
+
+def test_without_keys_there_is_no_connection_over_tcp_unless_a_person_says_so(rig):
+    bare = SocketTransport(rig.clock, "a", Plugins())
+    rig.transports.append(bare)
+    with pytest.raises(PancakesError, match=r"'tcp://127\.0\.0\.1:0' needs keys: run pancakes fleet join"):
+        bare.listen(rig.listen_at, rig.ear)
+    here = rig.ear()
+    bare.dial("tcp://127.0.0.1:9", here)
+    rig.until(lambda: here.closed_for)
+    assert here.closed_for[0].startswith("'tcp://127.0.0.1:9' needs keys")
+    assert not bare.may_be_named("tcp://127.0.0.1:9"), "what a peer names is not dialled either"
+
+
+def test_a_handshake_that_takes_too_long_is_given_up(rig, listening, monkeypatch):
+    there, address = listening
+    monkeypatch.setattr("pancakes.mesh.net.tls_connection.HANDSHAKE_S", 0.1)
+    with raw(address):
+        rig.until(lambda: there.closed_for)
+    assert there.closed_for == ["no handshake within 0.1 s"] and there.connection is None
+
+
+def test_a_key_is_used_for_so_many_bytes_and_then_there_is_a_new_link(rig, monkeypatch):
+    a = rig.agent("a")
+    b = rig.agent("b", [a.address])
+    rig.until(lambda: a.knows("b") and b.knows("a"))
+    monkeypatch.setattr("pancakes.mesh.net.tls_connection.MOST_BYTES", 20_000)
+    b.say("a", "x" * 30_000)
+    rig.until(lambda: a.downs and b.downs)
+    assert "it has carried 20000 bytes, and begins anew with new keys" in a.downs[0][1] + b.downs[0][1]
+    rig.until(lambda: a.knows("b") and b.knows("a"))
 
 
 def test_an_older_tls_is_refused(rig, listening):

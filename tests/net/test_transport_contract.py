@@ -81,6 +81,14 @@ def test_closing_is_told_once_to_each_side(rig, ear):
     assert there.closed_for == ["the other side closed the connection"]
 
 
+def test_one_that_has_closed_hears_nothing_more(rig, ear):
+    here, there = joined(rig, ear)
+    here.connection.close("enough")
+    there.connection.send(b"too late")
+    rig.until(lambda: here.closed_for and there.closed_for)
+    assert here.data == b""
+
+
 def test_last_words_arrive_even_where_the_other_side_talks_on(rig, ear):
     here, there = joined(rig, ear)
     there.connection.send(b"x" * 100_000)

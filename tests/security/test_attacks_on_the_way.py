@@ -12,6 +12,7 @@ import pytest
 from net.conftest import Agent, TlsRig
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.security.key_files import write_private
 from pancakes.mesh.security.keys import Keys
 
 PATIENCE_S = 20.0
@@ -124,3 +125,49 @@ def test_a_key_of_another_user_is_refused(rig):
     os.chown(folder / "key.pem", 1234, -1)
     with pytest.raises(PancakesError, match=r"the key .*key\.pem belongs to another user \(uid 1234\)"):
         Keys(folder)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root gives files away")
+def test_a_key_in_a_folder_of_another_user_is_refused(rig):
+    folder = rig.enrol("a")
+    os.chown(folder, 1234, -1)
+    with pytest.raises(PancakesError, match="others can put other files into the folder with keys"):
+        Keys(folder)
+
+
+def test_a_key_that_is_a_link_to_another_file_is_refused(rig):
+    folder, other = rig.enrol("a"), rig.enrol("b")
+    (folder / "key.pem").unlink()
+    (folder / "key.pem").symlink_to(other / "key.pem")
+    with pytest.raises(PancakesError, match=r"the key .*key\.pem is no file"):
+        Keys(folder)
+
+
+def test_a_new_key_of_another_agent_is_not_taken_and_the_old_one_stays(rig):
+    folder = rig.enrol("a")
+    keys = Keys(folder)
+    own = keys.own
+    rig.office.enrol_with_key("agent", "b").write(folder)
+    with pytest.raises(PancakesError, match=r"the new key in .* is of b \(agent\) .*: the old one, of a, stays in use"):
+        keys.reload()
+    assert keys.own == own and not keys.reload()
+    rig.office.enrol_with_key("agent", "a").write(folder)
+    assert keys.reload() and keys.own.name == "a" and keys.own != own
+
+
+def test_no_file_is_written_through_a_link(tmp_path):
+    target = tmp_path / "target"
+    target.write_text("theirs")
+    (tmp_path / f".key.pem.{os.getpid()}").symlink_to(target)
+    with pytest.raises(OSError, match="symbolic links"):
+        write_private(tmp_path / "key.pem", b"ours")
+    assert target.read_text() == "theirs"
+
+
+def test_what_is_private_is_so_whatever_was_there_before(tmp_path):
+    before = tmp_path / f".key.pem.{os.getpid()}"
+    before.write_text("left by one that was killed")
+    before.chmod(0o644)
+    write_private(tmp_path / "key.pem", b"ours")
+    write_private(tmp_path / "other.pem", b"ours")
+    assert [(tmp_path / it).stat().st_mode & 0o777 for it in ("key.pem", "other.pem")] == [0o600, 0o600]

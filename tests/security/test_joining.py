@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ed25519
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.security.authority import new_key
@@ -106,8 +107,36 @@ def test_of_two_that_come_at_once_with_one_code_one_joins(office):
     assert joined == ["r1"] and len(office.entries) == 1
 
 
-def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(office, waiting):
+def test_a_request_that_its_key_has_not_signed_is_given_nothing(office, waiting):
+    """Nor one of another kind of key."""
     there = waiting()
+    good = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([]))
+    der = bytearray(good.sign(new_key(), hashes.SHA256()).public_bytes(serialization.Encoding.DER))
+    der[-1] ^= 1
+    changed = x509.load_der_x509_csr(bytes(der))
+    other = good.sign(ed25519.Ed25519PrivateKey.generate(), None)
+    for request in (changed, other):
+        pem = request.public_bytes(serialization.Encoding.PEM).decode()
+        said = asked(there.desk.code, {"secret": there.desk.code.secret.hex(), "request": pem})
+        assert said == {"error": "the request is not signed by its key"}
+    assert office.entries == ()
+    assert join(there.code).name == "r1", "the code is good still"
+
+
+def asked(code: JoinCode, request: dict[str, str]) -> Any:
+    """Returns what a desk answers to a request."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with (
+        socket.create_connection((code.host, code.port), PATIENCE_S) as link,
+        context.wrap_socket(link) as tls,
+    ):
+        tls.sendall(json.dumps(request).encode() + b"\n")
+        return json.loads(tls.makefile("rb").readline())
+
+
+def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(office, waiting):
+    there = waiting(30 * PATIENCE_S)
     guess = str(there.desk.code._replace(secret=b"0123456789"))
     for _ in range(TRIES):
         with pytest.raises(PancakesError, match="that code is not good, or not any more"):
@@ -139,6 +168,16 @@ def _first_words(desk: Desk) -> bytes:
             return tls.recv(65536)
         except (OSError, ssl.SSLError):
             return b""
+
+
+def test_an_older_tls_hears_nothing_of_a_code(waiting):
+    there = waiting()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    context.maximum_version = ssl.TLSVersion.TLSv1_2
+    with socket.create_connection((there.desk.code.host, there.desk.code.port), PATIENCE_S) as link:
+        with pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"):
+            context.wrap_socket(link)
 
 
 def test_strangers_that_say_nothing_keep_no_newcomer_out(waiting):

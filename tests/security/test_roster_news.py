@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pancakes.mesh.security.certified import Certified, fault_of_bearer
+from pancakes.mesh.security.certified import NEVER_S, Certified, certified, fault_of_bearer
 from pancakes.mesh.security.roster import (
     LATEST_S,
     MOST_BYTES,
@@ -97,3 +97,29 @@ def test_what_is_no_roster(text):
 )
 def test_a_bearer_is_what_the_certificate_says(shown, name, role, fleet, fault):
     assert fault_of_bearer(shown, name, role, fleet) == fault
+
+
+def shown(*uris):
+    return {"serialNumber": "A1", "subjectAltName": tuple(("URI", uri) for uri in uris)}
+
+
+def test_a_certificate_says_who_and_in_which_groups_of_its_fleet():
+    uris = ("pancakes://garage/agent/r1", "pancakes://garage/group/field", "pancakes://barn/group/staff")
+    assert certified(shown(*uris), 5.0) == Certified("garage", "agent", "r1", ("field",), "A1", 5.0)
+    assert certified(shown(*uris), NEVER_S).ends_s == math.inf
+
+
+@pytest.mark.parametrize(
+    "uris",
+    [
+        (),
+        ("pancakes://garage/group/field",),
+        ("pancakes://garage/agent/r1", "pancakes://garage/operator/alice"),
+        ("pancakes://garage/agent/r1", "pancakes://barn/agent/r1"),
+        ("pancakes://garage/king/r1",),
+        ("pancakes://garage/agent/r1/x",),
+    ],
+)
+def test_a_certificate_that_names_not_one_agent_or_person_is_none_of_ours(uris):
+    with pytest.raises(ValueError, match=r"its certificate names [02] agents or people, and not one"):
+        certified(shown(*uris), 5.0)

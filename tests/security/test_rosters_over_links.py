@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import datetime
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from msgspec.structs import replace
 from net.conftest import Agent, BarePeer, TlsRig
 
 from pancakes.mesh.net.links import Links
+from pancakes.mesh.net.rosters import MOST_CHECKS, keep
 from pancakes.mesh.security.authority import Authority, new_key, pem_of_key
 from pancakes.mesh.security.fleet_office import FleetOffice
 from pancakes.mesh.security.key_files import KEY, write_private
+from pancakes.mesh.security.keys import Keys
 from pancakes.mesh.security.roster import LATEST_S, Roster, read_signed
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.link_messages import RosterNumber, RosterText
@@ -95,6 +102,37 @@ def test_what_came_over_a_link_that_has_ended_since_has_no_more_rights(rig, monk
     assert a.access.fault("y", "end", "a") == "a has no link to y any more, so it is not known what y may do"
 
 
+class Held:
+    """Takes the place of the check of a signature, and says nothing until it may."""
+
+    def __init__(self, rig: TlsRig) -> None:
+        self._rig = rig
+        self.may = threading.Event()
+        self.begun: list[bytes] = []
+
+    def __call__(self, keys: Keys, text: bytes) -> tuple[str, bool]:
+        self.begun.append(text)
+        self._rig.note()
+        assert self.may.wait(20.0)
+        return "it was held", False
+
+
+def test_of_each_peer_one_roster_is_checked_at_a_time_and_of_all_so_many(rig, monkeypatch):
+    held = Held(rig)
+    monkeypatch.setattr("pancakes.mesh.net.rosters.keep", held)
+    a = rig.agent("a")
+    peers = [speaks(rig, a, f"y{number}") for number in range(MOST_CHECKS + 1)]
+    texts = [signed(rig.directory / "authority", number=number) for number in range(90, 99)]
+    for peer, text in zip(peers, texts, strict=False):
+        given = [Encoder().link_message(RosterText(it)) for it in (text, texts[-1])]
+        peer.send(*given, Encoder().link_message(RosterNumber(1)))
+    rig.until(lambda: all(peer.rosters for peer in peers))  # so all that was given before was looked at
+    rig.until(lambda: len(held.begun) >= MOST_CHECKS)
+    assert sorted(held.begun) == sorted(texts[:MOST_CHECKS])
+    held.may.set()
+    rig.until(lambda: a.log("warning").count("gave a roster that is not taken: it was held") == MOST_CHECKS)
+
+
 def test_an_older_roster_and_the_same_change_nothing(rig):
     a, b = two(rig)
     old = (keys_of(rig, a).folder / "roster.json").read_bytes()
@@ -109,24 +147,50 @@ def test_an_older_roster_and_the_same_change_nothing(rig):
     assert number_of(rig, a) == new.number and peer.over is None
 
 
+def test_an_older_roster_that_comes_is_not_even_checked(rig):
+    a = rig.agent("a")
+    old = keys_of(rig, a).roster_text
+    newer(rig)
+    new = rig.agent("n", [a.address])
+    rig.until(lambda: number_of(rig, a) == number_of(rig, new) > read_signed(old)[1].number)
+    peer = speaks(rig, a)
+    peer.send(Encoder().link_message(RosterText(old)), Encoder().link_message(RosterNumber(1)))
+    rig.until(lambda: peer.rosters)
+    assert a.log("warning") == "", "it is usual that another peer was faster"
+
+
+def test_of_two_rosters_that_are_checked_at_once_the_later_one_stays(rig):
+    folder = rig.enrol("a")
+    keys, old = Keys(folder), signed(rig.directory / "authority", number=90)
+    new = signed(rig.directory / "authority", number=91)
+    assert keep(keys, new) == keep(keys, old) == ("", False)
+    assert read_signed((folder / "roster.json").read_bytes())[1].number == 91
+    assert keys.learn(read_signed(new)[1], new)
+    assert not keys.learn(read_signed(old)[1], old)
+    assert keys.roster_text == new
+
+
 class Given(BarePeer):
     """A member of the fleet that keeps what rosters it is given."""
 
     def __init__(self, *arguments, **more) -> None:
         super().__init__(*arguments, **more)
         self.rosters: list[bytes] = []
+        self.numbers: list[int] = []
 
     def act(self, actions) -> None:
         for action in actions:
             message = getattr(action, "message", None)
             if isinstance(message, RosterText):
                 self.rosters.append(message.text)
+            elif isinstance(message, RosterNumber):
+                self.numbers.append(message.number)
         super().act(actions)
 
 
-def speaks(rig: TlsRig, a: Agent) -> Given:
-    peer = Given(rig.clock.now, "y")
-    rig.transport("y").dial(a.address, peer)
+def speaks(rig: TlsRig, a: Agent, name: str = "y") -> Given:
+    peer = Given(rig.clock.now, name)
+    rig.transport(name).dial(a.address, peer)
     rig.until(lambda: peer.is_up)
     return peer
 
@@ -168,6 +232,15 @@ def test_a_roster_that_was_changed_ends_the_link(rig, old, new):
     assert "was not signed by the authority" in why_ended and number_of(rig, a) < 90
 
 
+def test_peers_are_told_the_number_again_and_again(rig, monkeypatch):
+    """One whose roster could not be looked at just then gives it once more."""
+    monkeypatch.setattr("pancakes.mesh.net.rosters.LOOK_S", 0.05)
+    a = rig.agent("a")
+    peer = speaks(rig, a)
+    rig.until(lambda: len(peer.numbers) > 2)
+    assert set(peer.numbers) == {number_of(rig, a)}
+
+
 def test_what_is_no_roster_ends_the_link(rig):
     a = rig.agent("a")
     peer = speaks(rig, a)
@@ -188,6 +261,14 @@ def test_a_roster_of_a_far_day_is_taken_only_where_the_operator_says_so(rig):
     rig.until(lambda: number_of(rig, a) == 90)
 
 
+def test_a_roster_of_another_fleet_is_not_taken_whoever_has_signed_it(rig):
+    a = rig.agent("a")
+    peer = speaks(rig, a)
+    peer.send(Encoder().link_message(RosterText(signed(rig.directory / "authority", fleet="barn"))))
+    rig.until(lambda: "the roster 90 is of the fleet barn, and this is default" in a.log("warning"))
+    assert number_of(rig, a) < 90 and peer.over is None
+
+
 def test_where_a_roster_cannot_be_checked_the_link_stays(rig, monkeypatch):
     a = rig.agent("a")
     peer = speaks(rig, a)
@@ -204,6 +285,50 @@ def test_a_person_whose_time_is_over_is_refused_and_told(rig):
     rig.with_keys(folder).dial(a.address, here)
     rig.until(lambda: here.closed_for)
     assert here.data and b"its certificate ended 24.0 hours ago" in here.data
+
+
+def test_a_person_whose_time_ends_while_the_link_stands_loses_it(rig, monkeypatch):
+    monkeypatch.setattr("pancakes.mesh.net.rosters.LOOK_S", 0.05)
+    a = rig.agent("a")
+    peer = BarePeer(rig.clock.now, "alice.1", role="client")
+    rig.with_keys(rig.enrol("alice", "operator", days=1)).dial(a.address, peer)
+    b = rig.agent("b", [a.address])
+    rig.until(lambda: peer.is_up and a.knows("alice.1", "b"))
+    monkeypatch.setattr("pancakes.mesh.security.keys.wall_ns", lambda: wall_ns() + 2 * 86_400 * 10**9)
+    why_ended = reason_of(rig, peer)
+    assert "alice.1 is not believed any more: its certificate ended 24.0 hours ago" in why_ended
+    assert a.knows("b") and b.knows("a"), "machines have no end"
+
+
+def test_a_person_whose_time_was_over_a_minute_ago_comes_in(rig):
+    """The clocks of two machines may differ by five minutes, so OpenSSL is not asked."""
+    a = rig.agent("a")
+    here = rig.ear()
+    rig.with_keys(rig.enrol("alice", "operator", days=-60 / 86_400)).dial(a.address, here)
+    rig.until(lambda: here.connection)
+    assert here.closed_for == []
+
+
+def test_a_certificate_that_has_not_begun_shows_that_the_clock_is_late_and_is_believed(rig):
+    a = rig.agent("a")
+    folder, key = rig.enrol("b"), new_key()
+    later = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=400)
+    issued = x509.load_pem_x509_certificate((folder / KEY).read_bytes())
+    locked = (rig.directory / "authority" / "authority.key").read_bytes()
+    authority = serialization.load_pem_private_key(locked, None)
+    assert isinstance(authority, ec.EllipticCurvePrivateKey)
+    extensions = [(it.value, it.critical) for it in issued.extensions]
+    built = x509.CertificateBuilder(
+        issued.issuer, issued.subject, key.public_key(), 77, later, issued.not_valid_after_utc
+    )
+    for value, critical in extensions:
+        built = built.add_extension(value, critical)
+    pem = built.sign(authority, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+    write_private(folder / KEY, pem + pem_of_key(key))
+    here = rig.ear()
+    rig.with_keys(folder).dial(a.address, here)
+    rig.until(lambda: here.connection)
+    assert here.closed_for == []
 
 
 @pytest.mark.parametrize("now_ns", [0, 4_070_908_800 * 10**9], ids=["1970", "2099"])
@@ -258,4 +383,4 @@ def test_a_hello_must_be_as_the_certificate_says(rig, enrolled, name, role, why)
     rig.with_keys(rig.enrol(*enrolled)).dial(a.address, peer)
     why_ended = reason_of(rig, peer)
     assert why in why_ended or why in a.log("warning")
-    assert not a.ups
+    assert not a.ups and peer.link.peer is None, "it is told nothing of the agent"

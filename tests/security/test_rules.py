@@ -72,6 +72,8 @@ def test_each_control_packet_needs_a_right():
         (SYSTEM, "pose", ("publish", (SYSTEM,))),
         (LOG, "event", ("publish", (LOG,))),
         ("map", "words", ("publish", ("map",))),
+        ("map", "stop", ("publish", ("map",))),
+        ("map", "migration.commit", ("publish", ("map",))),
     ],
 )
 def test_what_a_packet_needs(channel, kind, needed):

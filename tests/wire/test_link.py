@@ -92,6 +92,13 @@ def test_hello_and_welcome_may_come_in_one_chunk():
     assert link.receive(wire(hello("a"), Welcome(), PACKET), 0.0) == [Greeted(hello("a")), Up(), received(PACKET)]
 
 
+@pytest.mark.parametrize("last", [Goodbye("stop"), hello("b")])
+def test_one_that_ends_with_its_hello_is_told_nothing(last):
+    link = Link(hello("a"), LinkTimes(), 0.0, answers=True)
+    assert link.receive(wire(hello("b"), last), 0.0)[0] == Greeted(hello("b"))
+    assert link.answer(0.0) == []
+
+
 def test_packets_and_messages_keep_their_order():
     link = up()
     actions = link.receive(wire(PACKET, PACKET, Gossip(("tcp://c:1",)), PACKET) + wire(PACKET), 1.0)

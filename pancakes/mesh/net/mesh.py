@@ -291,8 +291,8 @@ class Mesh:
         if self._peers is None or self._state == "stopped":
             return Unwanted()
         if (oldest := makes_room(self._sessions.values())) is not None:
-            full = f"{self.identity.name} is full: {MAX_HANDSHAKES} connections have not become links"
-            self._refuse(oldest, "full", f"{full}, and this is the oldest")
+            full = f"is full: {MAX_HANDSHAKES} connections have not become links, and this is the oldest"
+            self._refuse(oldest, "full", f"{self.identity.name} {full}", f"it {full}")
         session = Session(self, self._peers.new_link(), "", self._now)
         self._sessions[session.number] = session
         return session
@@ -313,7 +313,7 @@ class Mesh:
 
     def session_received(self, session: Session, data: bytes) -> None:
         """See `Owner`."""
-        if session.link is None or session.number not in self._sessions:
+        if session.link is None:
             return
         now_s = self._now()
         was_up = session.is_up
@@ -409,7 +409,6 @@ class Mesh:
         assert session.link is not None and self._peers is not None
         now_s = self._now()
         if fault := self._trust.fault_of_hello(session, hello):
-            self._act(session, session.link.answer(now_s))
             self._refuse(session, "name", fault)
             return
         decisions = self._peers.met(session.number, hello, session.remote, now_s)
@@ -421,12 +420,12 @@ class Mesh:
             self._act(session, session.link.leave(self._goodbye(), now_s))
         self._watch(session)  # from now on it sends heartbeats
 
-    def _refuse(self, session: Session, code: Refusal, reason: str) -> None:
-        """Ends a link, where it has not ended, and tells the peer why."""
+    def _refuse(self, session: Session, code: Refusal, reason: str, told: str = "") -> None:
+        """Ends a link, where it has not ended, and tells the peer why; `told`: see `Link.refuse`."""
         if session.link is None:
             self._over(session, Over(reason))
         elif session.number in self._sessions:
-            self._act(session, session.link.refuse(code, reason, self._now()))
+            self._act(session, session.link.refuse(code, reason, self._now(), told))
 
     def _stood_up(self, session: Session) -> None:
         assert session.link is not None and session.link.peer is not None and self._peers is not None

@@ -65,7 +65,7 @@ class TlsConnection(StreamConnection):
 
     def send(self, data: bytes) -> int:
         with self._lock:
-            if self._closing or not data or self.certified is None:
+            if self._closing or not data:
                 return self._unsent
             try:
                 return self._put(self._seal(data))

@@ -16,9 +16,11 @@ from pancakes.tools.cli.options import Ask, asks_agents
 from pancakes.tools.cli.output import show_json, show_text
 
 if TYPE_CHECKING:
+    from pancakes.client import Client
     from pancakes.tools.cli.verbs.finding import Finding
-    from pancakes.tools.cli.verbs.guard_checks import check_guards
 
+DEVICES: Final = "device"
+"""The service that has the devices of an agent as its tasks."""
 MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error": ("error", "red")}
 
 
@@ -30,8 +32,8 @@ def doctor(no_machine: bool, ask: Ask) -> None:
 
     On the machine: Python and its libraries, plug-ins, the directories that agents use, open files, clock, loopback.
     In agents: those that do not answer, are suspended, or have another's name or version; peers that are away;
-    services and tasks that were given up or are stuck; missed ticks and lost packets. The exit code is 1 where there is
-    an error.
+    services and tasks that were given up or are stuck; missed ticks and lost packets; actuators that refuse a task. The
+    exit code is 1 where there is an error.
 
     \b
     Example:
@@ -73,6 +75,7 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
     from pancakes.runtime.runtime_dir import entries
     from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
     from pancakes.tools.cli.verbs.finding import Finding
+    from pancakes.tools.cli.verbs.guard_checks import check_guards
 
     if not ask.where.addresses:
         try:
@@ -102,3 +105,18 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
         yield from check_fleet(found.agents, found.silent, told, found.asleep)
         guarded = client.ask_each(Guarding(), *(agent["agent"] for agent in found.agents))
         yield from check_guards([row for _, reply in guarded.replies if reply.ok for row in reply.result])
+        for agent in found.agents:
+            yield from _look_at_fences(client, agent)
+
+
+def _look_at_fences(client: Client, agent: dict[str, Any]) -> Iterator[Finding]:
+    from pancakes.errors import PancakesError
+    from pancakes.tools.cli.verbs.fence import fences_of
+    from pancakes.tools.cli.verbs.fence_checks import check_fences
+
+    for task in agent["tasks"]:
+        if task["service"] == DEVICES:
+            try:
+                yield from check_fences(fences_of(client, agent["agent"], f"{DEVICES}/{task['task']}"))
+            except PancakesError:
+                continue  # it has gone since

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pancakes.control import Describe, SetFence
 from pancakes.errors import MigrationError
 from pancakes.mesh.migration.record import TaskId
+from pancakes.packet import join
 from pancakes.tools.cli.asking import accepted, order, placed
 from pancakes.tools.cli.name_types import TASK_NAME, TaskName
 from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN
+
+if TYPE_CHECKING:
+    from pancakes.client import Client
 
 COLUMNS = ("actuator", "task_id", "seen", "brought_by", "owner", "owner_has", "obeyed", "reason")
 """What the actuator has seen of a task; which agent has the task now, under which epoch, or why that is not known."""
@@ -55,21 +59,37 @@ def fence(name: TaskName, task_id: str, dry_run: bool, ask: Ask) -> None:
             row = {**reply.result, "done": DRY_RUN if dry_run else "set", "number": reply.number}
             ask.show([row], tuple(row))
             return
-        rows: list[dict[str, Any]] = []
-        for mark in order(client, name.agent, Describe(name.target)).get("fences", []):
-            tried = client.request(name.agent, SetFence(name.target, mark["task_id"], dry_run=True))
-            seen = f"{mark['epoch']}@{mark['minter']}"
-            found = tried.result if tried.ok else {"owner": "", "now": ""}
-            rows.append(
-                {
-                    "actuator": str(name),
-                    "task_id": mark["task_id"],
-                    "seen": seen,
-                    "brought_by": mark["brought_by"],
-                    "owner": found["owner"],
-                    "owner_has": found["now"],
-                    "obeyed": found["now"] == seen if tried.ok else None,
-                    "reason": tried.reason,
-                }
-            )
+        rows = fences_of(client, name.agent, name.target)
     ask.show(rows, COLUMNS)
+
+
+def fences_of(client: Client, agent: str, target: str) -> list[dict[str, Any]]:
+    """Returns what an actuator has seen of each task that has commanded it, and which agent has that task now.
+
+    Args:
+        client: asks.
+        agent: the agent of the actuator.
+        target: the actuator, as `service/device`.
+
+    Raises:
+        ControlRefused: there is no such device.
+        Unreachable: the agent does not answer.
+    """
+    rows: list[dict[str, Any]] = []
+    for mark in order(client, agent, Describe(target)).get("fences", []):
+        tried = client.request(agent, SetFence(target, mark["task_id"], dry_run=True))
+        seen = f"{mark['epoch']}@{mark['minter']}"
+        found = tried.result if tried.ok else {"owner": "", "now": ""}
+        rows.append(
+            {
+                "actuator": join(agent, target),
+                "task_id": mark["task_id"],
+                "seen": seen,
+                "brought_by": mark["brought_by"],
+                "owner": found["owner"],
+                "owner_has": found["now"],
+                "obeyed": found["now"] == seen if tried.ok else None,
+                "reason": tried.reason,
+            }
+        )
+    return rows

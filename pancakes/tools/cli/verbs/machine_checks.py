@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.net.local import DIRECTORY
 from pancakes.mesh.security.key_folders import fleets_of_person, folder_of_person
 from pancakes.runtime.clock import wall_ns
+from pancakes.runtime.foundation.printable import printable
 from pancakes.runtime.plugins import GROUPS, Plugins
-from pancakes.runtime.runtime_dir import is_locked, look, runtime_dir
+from pancakes.runtime.runtime_dir import is_locked, look, runtime_dir, usable
 from pancakes.tools.cli.verbs.finding import Finding, Level
 
 DISTRIBUTION: Final = "pancakes-agents"
@@ -44,6 +46,7 @@ def check_machine(plugins: Plugins) -> Iterator[Finding]:
     yield from check_python()
     yield from check_plugins(plugins)
     yield from check_runtime_dir()
+    yield from check_sockets()
     yield from check_state_dirs(state_base())
     yield from check_own_keys()
     yield check_files(*resource.getrlimit(resource.RLIMIT_NOFILE))
@@ -134,6 +137,28 @@ def check_runtime_dir() -> Iterator[Finding]:
         yield Finding("warning", about, text, "none: they have just been cleared away; see why those agents died")
     elif not found.odd:
         yield Finding("ok", about, f"{directory} is yours alone")
+
+
+def check_sockets() -> Iterator[Finding]:
+    """Looks at the directories in which the agents of this machine listen at `local://NAME`."""
+    base, about = runtime_dir() / DIRECTORY, "local sockets"
+    found: list[Finding] = []
+    try:
+        directories = [base, *sorted(it for it in base.iterdir() if it.is_dir())]
+    except OSError:
+        return  # there is none, or `check_runtime_dir` has said why it cannot be used
+    for directory in directories:
+        try:
+            usable(directory)
+            odd = [it for it in sorted(directory.iterdir()) if not (it.is_socket() or it.is_dir())]
+        except (PancakesError, OSError) as error:
+            advice = f"make it yours alone: chown {os.getuid()} {directory} && chmod 700 {directory}"
+            found.append(Finding("error", about, str(error), advice))
+            continue
+        for path in odd:
+            text = f"{printable(str(path))} is no socket, so no agent can listen there"
+            found.append(Finding("warning", about, text, "see which program put it there, and remove it"))
+    yield from found or [Finding("ok", about, f"{base} is for its user, or one group, alone")]
 
 
 def state_base() -> Path:
