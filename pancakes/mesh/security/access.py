@@ -9,6 +9,7 @@ from pancakes.control import (
     Adopt,
     Begin,
     Channels,
+    Checkpoints,
     Configure,
     Describe,
     Follow,
@@ -35,7 +36,7 @@ from pancakes.mesh.security.rules import AccessRule, Bearer, Right, allows
 from pancakes.packet import CTRL, NETWORK, SYSCTRL, Packet, agent_of, type_name
 
 RIGHT_OF: Final[dict[type, Right]] = {
-    **dict.fromkeys((Describe, Channels, History, Traces, Migrations, Guarding, Follow, Unfollow), "look"),
+    **dict.fromkeys((Describe, Channels, History, Traces, Migrations, Guarding, Checkpoints, Follow, Unfollow), "look"),
     **dict.fromkeys((Start, Stop, Restart, Reschedule, Configure, Begin, SetFence, ReloadKeys), "change"),
     **dict.fromkeys((Adopt, Forget, Revive), "adopt"),
     Migrate: "move",

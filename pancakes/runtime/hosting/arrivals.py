@@ -190,7 +190,7 @@ class Arrivals:
     def prepare(self, slot: Slot, place: Place, start: StartTask) -> None:
         """Gives the place of a task what it begins with, and its actuators."""
         snapshot = Snapshot.decode(start.snapshot)
-        place.written = None
+        place.written, place.looked_s = None, self._host.kernel.host.now()
         slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(place.task_id), (start.epoch.n, start.epoch.minter))
         for seq in snapshot.sent.values():

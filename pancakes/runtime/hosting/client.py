@@ -121,11 +121,12 @@ class ClientService(Service):
         self._checkpointing = Checkpointing(self)
         self._deliveries = Deliveries(self)
         self._waiters = Waiters(self, records)
-        self._guarded = GuardedTasks(self, records, mesh, self._checkpointing.look_at, self._deliveries.on_disk)
         self._mover = Mover(self)
         self._arrivals = Arrivals(self, catalogue, records, state)
         self._departures = Departures(self)
-        self._disputes = Disputes(self)
+        self._disputes = disputes = Disputes(self)
+        look_at, on_disk = self._checkpointing.look_at, self._deliveries.on_disk
+        self._guarded = GuardedTasks(self, records, mesh, look_at, on_disk, disputes.outvoted)
         self._decisions = Decisions(self, records, self._mover, self._arrivals, self._disputes)
 
     # Its own life ----------------------------------------------------------------------------------------------
@@ -275,8 +276,7 @@ class ClientService(Service):
                 if place.follows is not None:
                     self._mover.followed(place, place.follows)
             case hosting_effect.Lasts():
-                if place.forgetting:
-                    self._decisions.written(place, effect.why_not)
+                self._decisions.written(place, effect.why_not)
             case hosting_effect.Drop():
                 self._departures.drop(place, slot, effect.ends)
             case handoff_effect.Resume():

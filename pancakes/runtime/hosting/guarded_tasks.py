@@ -16,7 +16,7 @@ from pancakes.packet import Packet, agent_of
 from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.leases import Leases
-from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.place import OtherOwner, Place
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.hosting.takings import Takings
@@ -31,6 +31,7 @@ class GuardedTasks:
         mesh: says what neighbours there are.
         save: has tasks written down, by name.
         on_disk: acknowledges a packet whose effect is on disk.
+        outvoted: learns that the guardians of a task follow another owner.
     """
 
     def __init__(
@@ -40,11 +41,12 @@ class GuardedTasks:
         mesh: Mesh,
         save: Callable[[Sequence[str]], None],
         on_disk: Callable[[Place, PacketId], None],
+        outvoted: Callable[[Place, OtherOwner], None],
     ) -> None:
         self._host = host
         self._records = records
         self._talk = GuardTalk(host, mesh)
-        self._leases = Leases(host, self._talk, save, on_disk)
+        self._leases = Leases(host, self._talk, save, on_disk, outvoted)
         self._takings = Takings(host, self._talk)
         self.begin = self._leases.begin
         self.close = self._leases.close

@@ -48,12 +48,14 @@ class Adoption(msgspec.Struct, frozen=True):
         peer: the agent that is gone; empty: the record was lost.
         reason: what was decided, as a sentence.
         ledger: the account of the hand-off that was in doubt.
+        as_it_stands: whether it is here already, and goes on as it stands.
     """
 
     request: Request
     peer: str
     reason: str
     ledger: Ledger | None
+    as_it_stands: bool = False
 
 
 class OtherOwner(msgspec.Struct, frozen=True):
@@ -79,6 +81,7 @@ class Place(msgspec.Struct):
         standing: its record, and what its hand-off is about to do.
         letters: what is known of the letters that have come for it; None: none has.
         written: what was written down of it last; None: nothing since it began.
+        looked_s: when the task was known last to be as `written` says, in host time.
         promised: the agent to which this one said RESERVED last, and its offer; None: to none since it began.
         came_from: the agent that it is on its way from; empty: none.
         move: the move that was asked for; None: none.
@@ -98,6 +101,7 @@ class Place(msgspec.Struct):
     slot: Slot | None = None
     letters: TaskLetters | None = None
     written: LastCheckpoint | None = None
+    looked_s: float = 0.0
     promised: tuple[str, Epoch] | None = None
     came_from: str = ""
     move: Move | None = None

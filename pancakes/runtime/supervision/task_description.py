@@ -42,6 +42,9 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
         "lateness_max_s": max((timer.lateness_max_s for timer in timers), default=0.0),
         "dropped": entry.mailbox.dropped(),
     }
+    note = kernel.guard_notes.of(entry.address)
+    if note is not None:
+        told["guarding"] = note.plain(kernel.host.now(), kernel.permits.left_s(entry.address))
     if not entry.device:
         return told
     holder = kernel.registry.holder(entry.name)
