@@ -31,7 +31,7 @@ from pancakes.mesh.guarding.guardian_core import (
     handle,
     recover,
 )
-from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen
+from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen
 from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.messages import is_for
@@ -249,7 +249,8 @@ class Guardian(Component):
             return
         self._takeovers.put_off(register.task_id)
         runs = one.lease.epoch is not None
-        self._say(packet.source, LeaseSeen(register.task_id, self._me, runs, register.promised, register.guards))
+        seen = LeaseSeen(register.task_id, self._me, runs, register.promised, register.guards, self._held_until(one))
+        self._say(packet.source, seen)
 
     @on(NETWORK, LeaseSeen, keep=KEEP, addressed=True)
     def on_lease_seen(self, packet: Packet) -> None:
@@ -350,7 +351,7 @@ class Guardian(Component):
                 if lease.epoch is None:
                     # An agent that was given a pledge is about to be the owner.
                     wait_s = PLEDGED_S if isinstance(one.event, SeizeTask) else 0.0
-                    self._takeovers.lease_ended(one.register, one.heard_s, wait_s)
+                    self._takeovers.lease_ended(one.register, one.heard_s, self._held_until(one), wait_s)
                 else:
                     if one.event is not None:
                         one.heard_s = self.kernel.host.now()
@@ -359,6 +360,10 @@ class Guardian(Component):
             case AnswerAsker(message):
                 self._note_age(one, message)
                 self._say(one.asker, message)
+
+    def _held_until(self, one: _Guarded) -> HeldUntil:
+        age_s = None if one.from_disk else max(0.0, one.heard_s - one.as_of_s)
+        return HeldUntil(one.register.checkpoint, age_s)
 
     def _note_age(self, one: _Guarded, answer: GuardAnswer) -> None:
         """The owner has said how old its newest checkpoint is; that counts where this guardian has that one."""

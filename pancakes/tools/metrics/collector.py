@@ -107,7 +107,7 @@ class AgentMetrics(Collector):
     def happened(self, source: str, event: Event) -> None:
         """Counts what an event of this agent tells of; `source` is the address that told it."""
         agent, fields = self._kernel.agent, event.fields
-        if event.kind == "migration" and not fields.get("dry_run"):
+        if event.kind == "migration" and fields["source"] == agent and not fields.get("dry_run"):
             self._migrations.labels(agent, fields["outcome"]).inc()
         elif event.kind == "task_arrived":
             self._arrivals.labels(agent).inc()
