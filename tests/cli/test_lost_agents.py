@@ -119,3 +119,23 @@ def test_a_task_whose_guardians_are_gone_goes_on_as_it_stands(guarded: Guarded):
     (done,) = rig.listed("task", "revive", "a/Count", "--force")
     assert done["done"] == "revived"
     assert soon(lambda: [row for row in guarded.guards() if row["guardian"] == "a" and row["permit_s"]])
+
+
+def test_what_is_known_of_a_guarded_task_is_shown(guarded: Guarded):
+    rig = guarded.rig
+    (found,) = rig.listed("task", "info", "a/Count")
+    guarding = found["guarding"]
+    assert [row["agent"] for row in guarding["guardians"]] == ["a", "b", "c"] and guarding["guard"] == 3
+    assert 0.0 < guarding["permit_s"] <= 1.8 and guarding["answering"] == 3 and guarding["age_s"] < 2.0
+    shown = rig.pancakes("task", "info", "a/Count").stdout
+    assert "3 of 3, 3 are wanted" in shown and "guardians" in shown and "0@a/" in shown
+    guarded.kill("b", "c")
+    heard(guarded.agents["a"], "stands still: its guardians do not answer")
+    assert "none: it stands still" in rig.pancakes("task", "info", "a/Count").stdout
+    assert [row["rest"] for row in rig.listed("task", "list", "a") if row["task"] == "Count"] == ["stands still"]
+
+
+def test_a_take_over_is_accounted_for_as_a_sentence(guarded: Guarded):
+    guarded.kill("a")
+    accounts = soon(lambda: guarded.rig.listed("task", "migrations"))
+    assert accounts[0]["source"] == "a" and accounts[0]["cause"].startswith("taken over from a, silent for ")

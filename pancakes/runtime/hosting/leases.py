@@ -279,7 +279,7 @@ class Leases:
         slot = place.slot
         if slot is not None and slot.task is not None:
             self._host.hold_actuators(slot, "its guardians do not answer")
-        silent = ", ".join(sorted(one.agent for one in self._silent(place, tenancy, tenancy.lease_s))) or "too few"
+        silent = ", ".join(sorted(one.agent for one in self._silent(place, tenancy, tenancy.lease_s / 2))) or "too few"
         self._host.log("warning", f"{place.task_id} stands still: its guardians do not answer ({silent})")
         self._host.event("permit_lost", task=place.task_id.name)
 

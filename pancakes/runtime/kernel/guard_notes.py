@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import msgspec
 
@@ -50,7 +51,7 @@ class GuardNote(msgspec.Struct, frozen=True):
         """Returns how long ago the task was known to be as the checkpoint says that more than half have."""
         return _since(self.as_of_s, now_s)
 
-    def plain(self, now_s: float, permit_s: float | None) -> dict[str, object]:
+    def plain(self, now_s: float, permit_s: float | None) -> dict[str, Any]:
         """Returns it as plain values.
 
         Args:
@@ -60,6 +61,7 @@ class GuardNote(msgspec.Struct, frozen=True):
         return {
             "epoch": self.epoch,
             "guard": self.number,
+            "lease_s": self.lease_s,
             "permit_s": permit_s or 0.0,
             "checkpoint": self.checkpoint,
             "age_s": self.age_s(now_s),
