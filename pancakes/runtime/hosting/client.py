@@ -29,7 +29,7 @@ from pancakes.runtime.hosting.bidding_messages import MIGRATOR, Accounted, BidAw
 from pancakes.runtime.hosting.carrier import Carrier
 from pancakes.runtime.hosting.census_messages import CENSUS, ClaimsCame, HostBegan
 from pancakes.runtime.hosting.checkpointing import Checkpointing
-from pancakes.runtime.hosting.courier_messages import COURIER, CameFor
+from pancakes.runtime.hosting.courier_messages import COURIER, AskedBegan, CameFor
 from pancakes.runtime.hosting.decisions import Decisions
 from pancakes.runtime.hosting.deliveries import Deliveries
 from pancakes.runtime.hosting.departures import Departures
@@ -124,9 +124,8 @@ class ClientService(Service):
         self._mover = Mover(self)
         self._arrivals = Arrivals(self, catalogue, records, state)
         self._departures = Departures(self)
-        self._disputes = disputes = Disputes(self)
-        look_at, on_disk = self._checkpointing.look_at, self._deliveries.on_disk
-        self._guarded = GuardedTasks(self, records, mesh, look_at, on_disk, disputes.outvoted)
+        self._disputes = Disputes(self)
+        self._guarded = GuardedTasks(self, records, mesh, self._checkpointing, self._deliveries, self._disputes)
         self._decisions = Decisions(self, records, self._mover, self._arrivals, self._disputes)
 
     # Its own life ----------------------------------------------------------------------------------------------
@@ -233,6 +232,7 @@ class ClientService(Service):
             self._note(place)
         record = place.standing.record
         if record.phase is Phase.OWNER and (before.record.phase, before.record.epoch) != (record.phase, record.epoch):
+            self._deliveries.became_owner(place)
             self._disputes.became_owner(place)
 
     def _note(self, place: Place) -> None:
@@ -390,6 +390,8 @@ class ClientService(Service):
                 self._deliveries.given(message)
             case CameFor():
                 self._deliveries.arrived(message)
+            case AskedBegan():
+                self._deliveries.asked_began(message)
             case ClaimsCame():
                 self._disputes.heard(message)
             case PeerDown():

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import msgspec
 
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.post import STREAMS
 from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.runtime.hosting.bidding_messages import HasMoved
 from pancakes.runtime.hosting.checkpoints import LastCheckpoint
 from pancakes.runtime.hosting.standing import Standing
@@ -70,6 +74,28 @@ class OtherOwner(msgspec.Struct, frozen=True):
     epoch: Epoch
 
 
+class BeganFrom(msgspec.Struct, frozen=True):
+    """What a task began from where it is owned.
+
+    Attributes:
+        epoch_n: the number of the epoch under which it began.
+        heard: the duplicate filter in the snapshot that it began from.
+    """
+
+    epoch_n: int
+    heard: Mapping[str, int]
+
+    def upto(self, stream: str) -> int:
+        """Returns up to which letter of a stream it had the effects; -1: that is not known."""
+        # Of more streams than it remembers it has forgotten some.
+        return self.heard.get(stream, 0 if len(self.heard) < STREAMS else -1)
+
+
+def began_from(epoch: Epoch, snapshot: Snapshot) -> BeganFrom:
+    """Returns what a task begins from that is owned under an epoch."""
+    return BeganFrom(epoch.n, {stream: it.upto for stream, it in snapshot.heard.items()})
+
+
 class Place(msgspec.Struct):
     """The place of one task, whether it runs here or has left only its record.
 
@@ -81,6 +107,7 @@ class Place(msgspec.Struct):
         standing: its record, and what its hand-off is about to do.
         letters: what is known of the letters that have come for it; None: none has.
         written: what was written down of it last; None: nothing since it began.
+        began: what it began from here, as far as letters are concerned; None: it is not owned here.
         looked_s: when the task was known last to be as `written` says, in host time.
         promised: the agent to which this one said RESERVED last, and its offer; None: to none since it began.
         came_from: the agent that it is on its way from; empty: none.
@@ -101,6 +128,7 @@ class Place(msgspec.Struct):
     slot: Slot | None = None
     letters: TaskLetters | None = None
     written: LastCheckpoint | None = None
+    began: BeganFrom | None = None
     looked_s: float = 0.0
     promised: tuple[str, Epoch] | None = None
     came_from: str = ""
