@@ -177,14 +177,12 @@ class Revive(msgspec.Struct, frozen=True):
     """Runs a task here whose agent is gone for good: from a checkpoint, or as its configuration says, without state.
 
     A guarded task that is here, and stands still because its guardians are gone for good, goes on as it stands.
-
     Its epoch is so much higher than all that is known of it that no actuator takes its commands for old, and that the
     lost agent's own copy stands still where that agent ever comes back, once it is linked.
 
     Attributes:
         task_id: the task, as `birthplace/name`.
-        type: name of its class, such as `encirclement.ScanTarget`; what is said from here to `guard` counts where there
-            is no checkpoint.
+        type: name of its class, such as `encirclement.ScanTarget`; this and all to `guard` is for one that begins anew.
         service: the service here that is to look after it.
         settings: plain values for its settings.
         restart: what its service does when it fails, as in `[task.NAME] restart`; empty: what is usual.
@@ -244,9 +242,9 @@ class Guarding(msgspec.Struct, frozen=True):
 
     The reply's `result` is a list of plain mappings. Each has `task_id`, `agent` (the one that answers), `owner` (the
     agent that its guardian follows), `epoch`, `checkpoint` (the number of the newest that it holds under that epoch),
-    `age_s` (how long ago that came, in host seconds), `silent_s` (how long ago it heard the owner), `lease` (whether
-    the owner's lease runs there) and `wanted` (whether the task is to run). That of the owner has `guardians`, `guard`
-    (how many there are to be) and `permit_s` too: for how long the task may act.
+    `age_s` (how long ago the task was known to be as that says, in host seconds), `silent_s` (how long ago it heard the
+    owner), `lease` (whether the owner's lease runs there) and `wanted` (whether the task is to run). That of the owner
+    has `guardians`, `guard` (how many there are to be) and `permit_s` too: for how long the task may act.
     """
 
 
@@ -254,12 +252,10 @@ class Guarding(msgspec.Struct, frozen=True):
 class Checkpoints(msgspec.Struct, frozen=True):
     """Asks an agent for the checkpoints of a task that it holds: as its guardian, or of a hand-off that is in doubt.
 
-    The reply's `result` is a list of plain mappings: `task_id`, `agent` (the one that answers), `held` (`guardian`, or
-    `in doubt`), `type`, `service`, `wanted`, `epoch` (a number, and the agent that has minted it) and `no` of the
-    checkpoint, `age_s` (how long ago the task was known to be as it says, in host seconds; None: that is not known),
-    `at_least` (whether it may be older), `seen` (the highest number of an epoch that the agent knows of the task) and
-    `guardians` (one list of agents, or two while they are replaced). `snapshot` (the task, encoded) is there where it
-    was asked for.
+    The reply's `result` is a list of plain mappings: `task_id`, `agent`, `held` (`guardian` or `in doubt`), `type`,
+    `service`, `wanted`, `epoch` (number and minter) and `no` of the checkpoint, `age_s` (how long ago the task was as
+    it says, in host seconds; None: unknown), `at_least` (it may be older), `seen` (the highest number of an epoch that
+    is known), `guardians` (one or two lists of agents), and `snapshot` where it was asked for.
 
     Attributes:
         task: its name.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
-from time import monotonic, sleep
+from time import monotonic
 from typing import Any
 
 import pytest
@@ -54,7 +54,6 @@ def soon(found: Callable[[], Any]) -> Any:
     until_s = monotonic() + PATIENCE_S
     while not (it := found()):
         assert monotonic() < until_s
-        sleep(0.1)
     return it
 
 

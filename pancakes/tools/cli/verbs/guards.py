@@ -22,8 +22,8 @@ def guards(agents: tuple[str, ...], ask: Ask) -> None:
     """List the guarded tasks of all agents, or of those that are named, with a line for each of their guardians.
 
     A guardian that does not answer is listed as silent. `permit_s` says for how long the owner may act yet: empty where
-    it may not. `age_s` is the age of the guardian's newest checkpoint, and `silent_s` how long it has not heard the
-    owner.
+    it may not. `age_s` says how long ago the task was known to be as the guardian's newest checkpoint says, and
+    `silent_s` how long the guardian has not heard the owner.
 
     \b
     Example:

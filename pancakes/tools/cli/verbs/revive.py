@@ -68,7 +68,8 @@ def revive(
         body, rate_hz = _configured(path, sets, name, birthplace) if path else (None, None)
         birthplace = body.task_id.partition("/")[0] if body is not None else birthplace
         held = _held(client, Checkpoints(name.task, birthplace))
-        _must_be_lost(client, name, held)
+        services = {name.service} if name.service else {body.service} if body else {row["service"] for row in held}
+        _must_be_lost(client, name, services, held)
         body = body or _from_newest(client, name, held)
         seen = max((row["seen"] for row in held), default=0)
         body = msgspec.structs.replace(body, seen=seen, force=force or dry_run, dry_run=dry_run)
@@ -107,15 +108,22 @@ def _held(client: Client, asked: Checkpoints) -> list[dict[str, Any]]:
     return [row for _, reply in replies if reply.ok for row in reply.result]
 
 
-def _must_be_lost(client: Client, name: TaskName, held: Sequence[dict[str, Any]]) -> None:
+def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequence[dict[str, Any]]) -> None:
     """Looks whether the task runs, or is about to be taken over.
+
+    Args:
+        client: asks the agents.
+        name: the task.
+        services: those that may look after it; empty: any.
+        held: the checkpoints of it that agents hold.
 
     Raises:
         ControlRefused: it does.
     """
     for agent in client.survey().agents:
         for row in agent["tasks"]:
-            if row["task"] != name.task or row["state"] not in RUNS:
+            meant_here = row["task"] == name.task and row["service"] in (services or {row["service"]})
+            if not meant_here or row["state"] not in RUNS:
                 continue
             if row.get("guarding") is None or row["guarding"]["permit_s"]:
                 raise ControlRefused(f"{name.task} is {row['state']} on {agent['agent']}: it is not lost")
