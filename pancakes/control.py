@@ -156,34 +156,55 @@ class Forget(msgspec.Struct, frozen=True):
     dry_run: bool = False
 
 
+class HeldCheckpoint(msgspec.Struct, frozen=True):
+    """A checkpoint of a task, as an agent holds it.
+
+    Attributes:
+        snapshot: the task, encoded.
+        epoch: the epoch under which it was written, and the agent that has minted that.
+        no: the how-manieth it is under that epoch.
+        story: which one it is, where it is and how old, as a clause.
+    """
+
+    snapshot: bytes
+    epoch: tuple[int, str]
+    no: int
+    story: str
+
+
 @packet_type("revive")
 class Revive(msgspec.Struct, frozen=True):
-    """Runs a task here whose agent is gone for good, as its configuration says: its state is lost.
+    """Runs a task here whose agent is gone for good: from a checkpoint, or as its configuration says, without state.
 
+    A guarded task that is here, and stands still because its guardians are gone for good, goes on as it stands.
     Its epoch is so much higher than all that is known of it that no actuator takes its commands for old, and that the
     lost agent's own copy stands still where that agent ever comes back, once it is linked.
 
     Attributes:
         task_id: the task, as `birthplace/name`.
-        type: name of its class, such as `encirclement.ScanTarget`.
+        type: name of its class, such as `encirclement.ScanTarget`; this and all to `guard` is for one that begins anew.
         service: the service here that is to look after it.
         settings: plain values for its settings.
         restart: what its service does when it fails, as in `[task.NAME] restart`; empty: what is usual.
         durability: `lazy` or `each`.
         migrate: its rule for moving, as in `[task.NAME] migrate`; None: it has none.
         guard: how it is guarded, a `GuardRule` as plain values; None: it is not.
+        checkpoint: what it is to go on from; None: it begins anew.
+        seen: the highest number of an epoch that any agent knows of it.
         force: whether to do it; without, the refusal says what it would mean.
         dry_run: only says whether it would be done, and changes nothing.
     """
 
     task_id: str
-    type: str
+    type: str = ""
     service: str = "client"
     settings: dict[str, Any] = {}
     restart: dict[str, Any] = {}
     durability: Literal["lazy", "each"] = "lazy"
     migrate: dict[str, Any] | None = None
     guard: dict[str, Any] | None = None
+    checkpoint: HeldCheckpoint | None = None
+    seen: int = 0
     force: bool = False
     dry_run: bool = False
 
@@ -221,10 +242,30 @@ class Guarding(msgspec.Struct, frozen=True):
 
     The reply's `result` is a list of plain mappings. Each has `task_id`, `agent` (the one that answers), `owner` (the
     agent that its guardian follows), `epoch`, `checkpoint` (the number of the newest that it holds under that epoch),
-    `age_s` (how long ago that came, in host seconds), `silent_s` (how long ago it heard the owner), `lease` (whether
-    the owner's lease runs there) and `wanted` (whether the task is to run). That of the owner has `guardians`, `guard`
-    (how many there are to be) and `permit_s` too: for how long the task may act.
+    `age_s` (how long ago the task was known to be as that says, in host seconds), `silent_s` (how long ago it heard the
+    owner), `lease` (whether the owner's lease runs there) and `wanted` (whether the task is to run). That of the owner
+    has `guardians`, `guard` (how many there are to be) and `permit_s` too: for how long the task may act.
     """
+
+
+@packet_type("checkpoints")
+class Checkpoints(msgspec.Struct, frozen=True):
+    """Asks an agent for the checkpoints of a task that it holds: as its guardian, or of a hand-off that is in doubt.
+
+    The reply's `result` is a list of plain mappings: `task_id`, `agent`, `held` (`guardian` or `in doubt`), `type`,
+    `service`, `wanted`, `epoch` (number and minter) and `no` of the checkpoint, `age_s` (how long ago the task was as
+    it says, in host seconds; None: unknown), `at_least` (it may be older), `seen` (the highest number of an epoch that
+    is known), `guardians` (one or two lists of agents), and `snapshot` where it was asked for.
+
+    Attributes:
+        task: its name.
+        birthplace: the agent that it was born on; empty: any.
+        body: whether the snapshots are wanted too.
+    """
+
+    task: str
+    birthplace: str = ""
+    body: bool = False
 
 
 @packet_type("take")
@@ -422,6 +463,7 @@ CONTROLS: Final[Mapping[type, ControlRight]] = {
     Adopt: "adopt",
     Forget: "adopt",
     Guarding: "look",
+    Checkpoints: "look",
     Revive: "adopt",
     SetFence: "change",
     Migrations: "look",

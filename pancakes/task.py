@@ -278,6 +278,7 @@ class Task(Component):
             case StandStill():
                 self.__stand_still(message)
             case GoOn():
+                self.fence = message.fence or self.fence
                 if self.actor_inbox.paused:
                     self.resume()
             case Give():

@@ -62,6 +62,8 @@ _SENTENCES: Final = {
     "migration": _migration,
     "task_arrived": lambda agent, it: f"{agent} took {it['task']} from {it['source_agent']} with its state",
     "task_handed_over": lambda agent, it: f"{agent} handed {it['task']} over to {it['to']}",
+    "taken_over": lambda agent, it: f"{it['by']} took {it['task']} over from {it['source']}, which is silent",
+    "permit_lost": lambda agent, it: f"{it['task']} stands still on {agent}: its guardians do not answer",
     "rate_changed": lambda agent, it: f"{agent} runs {it['task']} at {it['rate_hz']:g} Hz, asked by {it['by']}",
     "collision": lambda agent, it: f"collision: {' and '.join(it['names'])}",
 }

@@ -248,7 +248,14 @@ class Agent:
             raise
         self._tend(Courier, COURIER, outbox=self.outbox, records=self.records, mesh=self.mesh)
         self._tend(Census, CENSUS, records=self.records, state=self.host_state, mesh=self.mesh)
-        self._tend(Guardian, GUARDIAN, registers=self._registers, mesh=self.mesh, state=self.host_state)
+        self._tend(
+            Guardian,
+            GUARDIAN,
+            registers=self._registers,
+            records=self.records,
+            mesh=self.mesh,
+            state=self.host_state,
+        )
         root = self.kernel.spawn(
             Root,
             join(self.name, "kernel"),

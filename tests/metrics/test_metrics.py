@@ -104,6 +104,34 @@ def test_a_task_that_has_ended_is_forgotten(agent):
     assert told["pancakes_task_running", "client", "Tick"] == 0.0
 
 
+def test_a_guarded_task_tells_of_its_permit_its_guardians_and_its_checkpoint():
+    guarded = {"Tick": {"type": Tick, "guard": 3, "lease_s": 2.0}}
+    with threaded_agent("a", tasks=guarded, services=SERVICES) as agent:
+        agent.wait_for_event("permit_given", task="Tick")
+        agent.wait_until(lambda: ("pancakes_guard_checkpoint_age_seconds", "client", "Tick") in scraped(agent))
+        told, place = scraped(agent), ("client", "Tick")
+        assert 0.0 < told["pancakes_guard_permit_seconds", *place] <= 1.8
+        assert told["pancakes_guard_answering_guardians", *place] == 1.0  # itself: there is no other agent
+        assert told["pancakes_guard_wanted_guardians", *place] == 3.0
+        assert 0.0 <= told["pancakes_guard_checkpoint_age_seconds", *place] < 60.0
+        assert told["pancakes_guard_takeovers_total", *place] == 0.0
+        service = agent.component("client")
+        assert service is not None
+        service.event("task_taken", task="Tick", source_agent="b", epoch=1)
+        agent.wait_until(lambda: scraped(agent)["pancakes_guard_takeovers_total", *place] == 1.0)
+
+
+def test_a_move_is_counted_where_the_task_was():
+    with threaded_agent("a", services=SERVICES) as agent:
+        account = {"task": "T", "outcome": "moved", "winner": "b"}
+        service = agent.component("client")
+        assert service is not None
+        service.event("migration", **account, source="lost")
+        service.event("migration", **account, source="a")
+        agent.wait_until(lambda: ("pancakes_migrations_total", "moved") in scraped(agent))
+        assert scraped(agent)["pancakes_migrations_total", "moved"] == 1.0
+
+
 def test_names_follow_the_conventions_of_prometheus(agent):
     wait_for_a_tick(agent)
     with urllib.request.urlopen(f"http://127.0.0.1:{port(agent)}/metrics", timeout=5) as answer:

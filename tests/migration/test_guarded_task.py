@@ -14,7 +14,7 @@ from pancakes.mesh.migration.effect import (
     Send,
     StartTask,
 )
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
     Born,
@@ -99,6 +99,16 @@ def test_guards_are_counted():
     assert handle("a", COMMITTED, IDLE, GuardsChosen(((A,),))) == []
 
 
+def test_where_its_guardians_are_gone_for_good_it_is_owned_anew_as_it_stands():
+    alone = GuardsChosen(((A,),), MORE_THAN_MOVES, seen=7)
+    (record,) = persisted(handle("a", OWNER, RUNS, alone, permit=False))
+    assert record.epoch == record.seen == Epoch(MORE_THAN_MOVES + 7, "a")
+    assert record.guards == Guards(record.epoch, 0, ((A,),)) and record.snapshot == OWNER.snapshot
+    again = persisted(handle("a", record, RUNS, alone, permit=False))
+    assert again[0].epoch.n == record.epoch.n + MORE_THAN_MOVES
+    assert handle("a", COMMITTED, IDLE, alone) == []
+
+
 def test_a_task_that_came_by_an_epoch_of_another_is_guarded_under_one_of_its_own():
     came = replace(OWNER, epoch=E2, seen=E2, guards=NO_GUARDS, no=0)
     (record,) = persisted(handle("a", came, RUNS, GuardsChosen(((A,),))))
@@ -167,6 +177,13 @@ class TestAClaim:
     def test_at_equal_epochs_both_stand_still(self):
         (record,) = persisted(handle("a", OWNER, RUNS, self.same, permit=True))
         assert record.wanted is Wanted.DISPUTED
+
+    @pytest.mark.parametrize("permit", [True, False])
+    def test_where_a_person_has_decided_that_this_owner_is_lost_it_stands_still(self, permit):
+        by_person = ClaimHeard("b", Epoch(MORE_THAN_MOVES, "b"))
+        (record,) = persisted(handle("a", OWNER, RUNS, by_person, permit=permit))
+        assert (record.wanted, record.phase, record.peer) == (Wanted.DISPUTED, Phase.OWNER, "b")
+        assert record.snapshot == OWNER.snapshot
 
     def test_an_epoch_of_ones_own_is_no_dispute(self):
         assert handle("a", OWNER, IDLE, ClaimHeard("", E1), permit=False) == []

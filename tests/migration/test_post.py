@@ -6,6 +6,7 @@ from itertools import pairwise
 import pytest
 
 from pancakes.errors import MailboxFull
+from pancakes.mesh.migration.outbox import Outbox
 from pancakes.mesh.migration.post import (
     IN_FLIGHT,
     LONGEST_S,
@@ -16,8 +17,10 @@ from pancakes.mesh.migration.post import (
     ForwardTo,
     Incoming,
     Letter,
+    LostLetters,
     Outgoing,
     Receipt,
+    TaskBegan,
     false_name,
 )
 from pancakes.mesh.migration.record import TaskId
@@ -42,6 +45,58 @@ def receipt(seq, epoch_n=0):
 
 def seqs(dispatches):
     return [(dispatch.peer, dispatch.letter.seq) for dispatch in dispatches]
+
+
+def began(seq, epoch_n, began_n, began_seq):
+    return Receipt("a/Scan", STREAM, seq, epoch_n, began_n, began_seq)
+
+
+class TestWhatIsLost:
+    """A task began anew where it is now, and a sender learns which letters it lacks."""
+
+    @pytest.fixture
+    def out(self):
+        out = Outgoing(STREAM, "me")
+        post(out, 10)
+        out.acknowledged(began(8, 0, 0, 0), "a", 0.0)
+        assert out.take_lost() == []
+        return out
+
+    def test_what_was_acknowledged_and_lies_beyond_its_state(self, out):
+        out.acknowledged(began(9, 1, 1, 5), "b", 0.0)
+        assert out.take_lost() == [LostLetters("a/Scan", 6, 8, "b")]
+        out.acknowledged(began(10, 1, 1, 5), "b", 0.0)
+        assert out.take_lost() == []
+
+    @pytest.mark.parametrize("upto", [8, 9, -1])
+    def test_nothing_where_its_state_has_it_or_that_is_not_known(self, out, upto):
+        out.acknowledged(began(9, 1, 1, upto), "b", 0.0)
+        assert out.take_lost() == []
+
+    def test_an_answer_says_so_without_an_acknowledgement(self, out):
+        assert out.is_unsure_of("a/Scan", 1) and not out.is_unsure_of("a/Scan", 0) and not out.is_unsure_of("b/X", 1)
+        out.began(TaskBegan("a/Scan", 1, {"another": 0}), "b")
+        assert out.take_lost() == []
+        out.began(TaskBegan("a/Scan", 1, {STREAM: 0}), "b")
+        assert out.take_lost() == [LostLetters("a/Scan", 1, 8, "b")]
+        assert not out.is_unsure_of("a/Scan", 1)
+
+    def test_a_sender_that_moves_takes_along_what_it_knows(self, out):
+        moved = Outgoing.of(out.posted(), "you")
+        moved.acknowledged(began(9, 0, 0, 0), "a", 0.0)
+        assert moved.take_lost() == []
+        moved.acknowledged(began(10, 2, 2, 3), "c", 0.0)
+        assert moved.take_lost() == [LostLetters("a/Scan", 4, 9, "c")]
+
+    def test_a_box_says_which_task_has_sent_them(self):
+        box = Outbox("me/uuid.1", "me")
+        for sender in ("", "me/Source"):
+            box.post(sender, SCAN, b"packet", "a", 0.0)
+        for stream in ("me/uuid.1", "me/uuid.1/1"):
+            box.acknowledged(Receipt("a/Scan", stream, 1, 0, 0, 0), "a", 0.0)
+        assert box.unsure_of("a/Scan", 3) == ("me/uuid.1", "me/uuid.1/1")
+        box.began(TaskBegan("a/Scan", 3, {"me/uuid.1": 0, "me/uuid.1/1": 0}), "b")
+        assert [(lost.sender, lost.first, lost.last) for lost in box.take_lost()] == [("", 1, 1), ("me/Source", 1, 1)]
 
 
 class TestTheSender:

@@ -89,6 +89,7 @@ def test_an_owner_that_is_cut_off_stands_still_before_another_goes_on(guarded):
     assert n > 20
     guarded.faults.cut("a")
     assert guarded.run_until(lambda: a.events("permit_lost"), 5.0)
+    assert any("its guardians do not answer (b, c)" in line for line in a.lines("warning"))
     assert where(guarded) == ["a"]  # it stands still
     stood = a.task("Count").state.n
     assert guarded.run_until(lambda: len(where(guarded)) == 2, 5.0)

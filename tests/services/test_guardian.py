@@ -50,7 +50,7 @@ def guards(fleet):
 def keep(fleet, beat=1, no=0, body=b"state", **changes):
     checkpoint = CheckpointId(OLD, no)
     message = KeepLease(
-        TASK, "scan", OLD, beat, LEASE_S, checkpoint, guards(fleet), CheckpointBody(body), journal(fleet, "b")
+        TASK, "scan", OLD, beat, LEASE_S, checkpoint, guards(fleet), CheckpointBody(body), journal=journal(fleet, "b")
     )
     return replace(message, **changes)
 

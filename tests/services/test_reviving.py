@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from services.numbered import Numbered, Sink
 
-from pancakes.control import Describe, Migrate, Revive, Start
-from pancakes.packet import task_address
+from pancakes.control import Checkpoints, Describe, HeldCheckpoint, Migrate, Revive, Start
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.packet import SYSCTRL, task_address
 from pancakes.testing import FleetInTest
 
 SINK = Revive("a/Sink", "test.Sink")
@@ -112,3 +113,26 @@ def test_what_cannot_be_is_said_and_nothing_is_left_of_it(fleet, body, why):
     assert not refused.ok and why in refused.reason
     assert b.running("client") == []
     assert b.ask(FORCED).ok
+
+
+def test_it_goes_on_from_the_snapshot_of_a_hand_off_that_is_in_doubt(fleet):
+    a = fleet.start("a", tasks={"Sink": {"type": "test.Sink"}})
+    d = fleet.start("d")
+    fleet.start("b")
+    fleet.connect()
+    a.publish("system", Numbered(7), to=task_address("a/Sink"))
+    fleet.run_for(2.0)
+    fleet.agents["a"].publish(SYSCTRL, Migrate("Sink", to="b"))
+    record = fleet.agents["b"].agent.records.get
+    while record(TaskId("a", "Sink")) is None or record(TaskId("a", "Sink")).phase is not Phase.PREPARED:
+        assert fleet.fleet.dispatcher.step()
+    fleet.crash("a")
+    fleet.run_for(3.0)
+    (row,) = fleet.agents["b"].ask(Checkpoints("Sink", body=True)).result
+    assert (row["held"], row["epoch"], row["age_s"], row["type"]) == ("in doubt", [1, "a"], None, "test.Sink")
+    held = HeldCheckpoint(row["snapshot"], (1, "a"), 0, "the snapshot that b holds")
+    revived = d.ask(Revive("a/Sink", checkpoint=held, seen=row["seen"], force=True))
+    assert revived.ok, revived.reason
+    assert d.task("Sink").state.numbers == [7]
+    assert d.ask(Describe(target="Sink")).result["fence"]["epoch"] == 1_000_001
+    assert "see `pancakes task adopt`" in fleet.agents["b"].ask(Revive("a/Sink", checkpoint=held, force=True)).reason

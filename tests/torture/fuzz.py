@@ -50,7 +50,7 @@ from pancakes.mesh.migration.messages import (
     Reserved,
     Solicit,
 )
-from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt
+from pancakes.mesh.migration.post import AskBegan, ForwardTo, Letter, Receipt, TaskBegan
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs
 from pancakes.mesh.wire.codec import Encoder
@@ -109,6 +109,8 @@ _BODIES: Final[Sequence[tuple[str, Any]]] = (
             Letter("a/Count", "z/1.1", 1, 1, b"\x91\x00", "z"),
             Receipt("a/Count", "z/1.1", 1, 1),
             ForwardTo("a/Count", "b", 1),
+            AskBegan("a/Count", ("z/1.1",)),
+            TaskBegan("a/Count", 1, {"z/1.1": 0}),
             WhereIs("a/Count"),
             TaskAt("a/Count", "z", _OFFER),
         )

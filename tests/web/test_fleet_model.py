@@ -191,3 +191,34 @@ def test_a_new_rate_is_shown_at_once_and_not_beside_what_was_reached_before(mode
 
     row = model.board.get("task/a/client/T")
     assert (row["rate_hz"], row["achieved_hz"]) == (2.0, None)
+
+
+def guarding(permit_s: float, *silent_s: float) -> dict[str, Any]:
+    """What an owner says of its guardians b, c, ..., which have been silent for so long."""
+    members = [
+        {"agent": name, "checkpoint": 7, "age_s": 0.4321, "silent_s": it}
+        for name, it in zip("bcd", silent_s, strict=False)
+    ]
+    about = {"epoch": "0@a", "guard": 3, "lease_s": 2.0, "checkpoint": 7, "age_s": 0.4321, "answering": 2}
+    return {**about, "permit_s": permit_s, "guardians": members}
+
+
+def test_a_guarded_task_shows_its_guardians_the_age_of_what_they_hold_and_its_permit(model: FleetModel):
+    describe(model, agent("a", task("a", "T", guarding=guarding(1.234, 0.1, 0.2, 9.0)), task("a", "R")))
+    shown = model.board.get("task/a/client/T")["guards"]
+    assert shown == {
+        "wanted": 3,
+        "permit_s": 1.2,
+        "age_s": 0.43,
+        "by": [["b", 0.43, True], ["c", 0.43, True], ["d", 0.43, False]],
+    }
+    assert "guards" not in model.board.get("task/a/client/R")
+
+
+def test_a_guarded_task_without_a_permit_is_shown_to_stand_still(model: FleetModel):
+    stands = task("a", "T", rest="stands still", guarding=guarding(0.0, 9.0, 9.0))
+    describe(model, agent("a", stands))
+    row = model.board.get("task/a/client/T")
+    assert (row["state"], row["rest"], row["guards"]["permit_s"]) == ("running", "stands still", 0.0)
+    describe(model, agent("a", task("a", "T", guarding=guarding(1.0, 0.1, 0.1))))
+    assert "rest" not in model.board.get("task/a/client/T")

@@ -19,6 +19,7 @@ from pancakes.packet import packet_type
 
 SHORTEST_LEASE_S: Final = 0.5
 LONGEST_LEASE_S: Final = 3600.0
+MOST_AGE_S: Final = 1e9
 LeaseSeconds = Annotated[float, msgspec.Meta(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)]
 
 
@@ -62,6 +63,7 @@ class KeepLease(msgspec.Struct, frozen=True):
         checkpoint: the newest checkpoint.
         guards: the guardians.
         body: that checkpoint; None: the guardian has it, as far as the owner knows.
+        age_s: how long ago the owner knew that the task is as that checkpoint says, in host seconds.
         journal: see the module's text.
     """
 
@@ -73,6 +75,7 @@ class KeepLease(msgspec.Struct, frozen=True):
     checkpoint: CheckpointId
     guards: Guards
     body: CheckpointBody | None = None
+    age_s: Annotated[float, msgspec.Meta(ge=0.0, le=MOST_AGE_S)] = 0.0
     journal: str = ""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from pancakes.mesh.guarding.guard_messages import CheckpointId
+from pancakes.mesh.guarding.guard_messages import NO_CHECKPOINT, CheckpointId
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.guards import GuardianId, Guards
 from pancakes.mesh.migration.record import TaskId
@@ -19,6 +19,24 @@ class AskLease(msgspec.Struct, frozen=True):
     journal: str = ""
 
 
+class HeldUntil(msgspec.Struct, frozen=True):
+    """The newest checkpoint that a guardian has.
+
+    Attributes:
+        checkpoint: which one.
+        age_s: how old it was when the owner was heard last, in host seconds; None: that is not known any more. What the
+            task has done since is lost.
+    """
+
+    checkpoint: CheckpointId = NO_CHECKPOINT
+    age_s: float | None = None
+
+    def story(self) -> str:
+        """Returns it as a clause."""
+        age = f"{self.age_s:.1f} s old" if self.age_s is not None else "of an age that is not known"
+        return f"checkpoint {self.checkpoint.epoch}/{self.checkpoint.no}, {age} at its last word"
+
+
 @packet_type("guard.seen")
 class LeaseSeen(msgspec.Struct, frozen=True):
     """Says whether a lease runs at a guardian.
@@ -28,6 +46,7 @@ class LeaseSeen(msgspec.Struct, frozen=True):
         runs: whether one runs.
         promised: the latest epoch that it follows.
         guards: the newest guards that it knows of.
+        held: the newest checkpoint that it has.
     """
 
     task_id: TaskId
@@ -35,6 +54,7 @@ class LeaseSeen(msgspec.Struct, frozen=True):
     runs: bool
     promised: Epoch
     guards: Guards
+    held: HeldUntil = HeldUntil()
     journal: str = ""
 
 

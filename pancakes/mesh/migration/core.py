@@ -115,7 +115,8 @@ def _decide(me: str, record: Record, volatile: Volatile, event: Event, times: Ti
         case ForgettingAsked():
             return owner.forget(me, record, volatile, event)
         case ClaimHeard():
-            if record.guarded and (event.epoch != record.epoch or not event.peer):
+            by_person = event.peer and guarded_task.is_by_person(record, event.epoch)
+            if record.guarded and not by_person and (event.epoch != record.epoch or not event.peer):
                 return guarded_task.claimed(record, volatile, event, permit)
             return owner.claimed(me, record, volatile, event)
         case PermitGiven():

@@ -28,3 +28,7 @@ MOST_STEP: Final = 10_000_000
 """An epoch may be so much higher than the one before. An adoption of a task whose record was lost takes a step of a
 million for each time that it was lost.
 """
+MORE_THAN_MOVES: Final = 1_000_000
+"""By so much a person's decision raises the epoch of a task that was lost: by more than it can have moved. So no agent
+takes the news of it for older than what it knew, and an owner can tell it from a move.
+"""

@@ -136,9 +136,14 @@ class GuardsChosen(msgspec.Struct, frozen=True):
 
     Attributes:
         sets: as in `Guards`.
+        jump: where a person says that more than half of the guardians are gone for good: by how much the new epoch is
+            to be higher than all that is known; 0: the epoch stays, and the guardians are asked.
+        seen: as in `AdoptionAsked`.
     """
 
     sets: tuple[tuple[GuardianId, ...], ...]
+    jump: int = 0
+    seen: int = 0
 
 
 class Seized(msgspec.Struct, frozen=True):

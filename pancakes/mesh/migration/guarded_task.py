@@ -20,7 +20,7 @@ from pancakes.mesh.migration.effect import (
     Send,
     StartTask,
 )
-from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, Epoch
 from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, Seized
 from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards
 from pancakes.mesh.migration.messages import Activated
@@ -77,11 +77,11 @@ def permit_given(record: Record, volatile: Volatile) -> list[Effect]:
 
 def guards_chosen(me: str, record: Record, event: GuardsChosen) -> list[Effect]:
     """Writes down the guardians; they are told with the next lease that the owner asks for."""
-    if record.phase is not Phase.OWNER or record.guards.sets == event.sets:
+    if record.phase is not Phase.OWNER or (record.guards.sets == event.sets and not event.jump):
         return []
-    if not record.guarded and record.epoch.minter != me:
+    if event.jump or (not record.guarded and record.epoch.minter != me):
         # A guardian believes only the agent that has minted an epoch.
-        epoch = Epoch(record.seen.n + 1, me)
+        epoch = Epoch(max(record.seen.n, event.seen) + (event.jump or 1), me)
         return [Persist(replace(record, epoch=epoch, seen=epoch, guards=Guards(epoch, 0, event.sets)))]
     return [Persist(replace(record, guards=Guards(record.epoch, record.guards.version + 1, event.sets)))]
 
@@ -111,6 +111,15 @@ def seized(me: str, record: Record, volatile: Volatile, event: Seized) -> list[E
     if event.source:
         effects.append(Send(event.source, Activated(record.task_id, event.offer)))
     return effects
+
+
+def is_by_person(record: Record, epoch: Epoch) -> bool:
+    """Returns whether another owner's epoch comes of a person's decision that the owner of this record is lost.
+
+    Nothing else raises an epoch so far at once, and this owner's own may have been raised by moves since. The guardians
+    were not asked, so it is as with a task without any.
+    """
+    return record.phase is Phase.OWNER and epoch.n - record.epoch.n >= MORE_THAN_MOVES // 2
 
 
 def claimed(record: Record, volatile: Volatile, event: ClaimHeard, permit: bool) -> list[Effect]:

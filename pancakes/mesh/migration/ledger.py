@@ -43,8 +43,8 @@ class Ledger(msgspec.Struct, frozen=True):
 
     Attributes:
         task_id: the task, as `birthplace/name`.
-        source: the agent that it was to move from.
-        asked_by: who wanted the move: an address, or `rule`.
+        source: the agent that it was to move from, or was taken over from.
+        asked_by: what asked for the move: an address, `rule`, or `guardians`.
         cost: the cost function that was used, or several with their weights (`1 tasks + 2 battery`).
         outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`; `fenced` where it did not move, and a
             person set the fence of an actuator of the source to the epoch that it has.
@@ -53,6 +53,7 @@ class Ledger(msgspec.Struct, frozen=True):
         duration_s: host time from the first asking to the outcome.
         offer: the hand-off that ended it, such as `3@agent1`; empty where none did.
         to: the only neighbour that was to be asked; empty: all.
+        cause: of a task that was taken over: from which agent and from which checkpoint, as a sentence; else empty.
     """
 
     task_id: str
@@ -65,6 +66,7 @@ class Ledger(msgspec.Struct, frozen=True):
     duration_s: float
     offer: str = ""
     to: str = ""
+    cause: str = ""
 
     def moved(self, offer: str) -> Ledger:
         """Returns the account of a move that was undecided: the hand-over has happened."""

@@ -45,13 +45,14 @@ class Negotiation:
 
     Args:
         request: what is asked; sent to each of `asked` by the caller.
-        source: this agent.
+        source: as in `Ledger`.
         asked_by: who wants the move, for the ledger.
         neighbours: the neighbours in a role that hosts tasks.
         now_s: host time.
         to: the only neighbour to ask; empty: all.
         dry_run: compare, and move nothing.
         window_s: how long to wait for answers, in host time.
+        cause: as in `Ledger`.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Negotiation:
         to: str = "",
         dry_run: bool = False,
         window_s: float = 0.5,
+        cause: str = "",
     ) -> None:
         known = sorted(dict.fromkeys(neighbours))
         self.request = request
@@ -74,6 +76,7 @@ class Negotiation:
         self._to = to
         self.dry_run = dry_run
         self._window_s = window_s
+        self._cause = cause
         self._began_s = now_s
         self._ended_s: float | None = None
         self._open = True
@@ -140,6 +143,7 @@ class Negotiation:
             lines=tuple(self._explained(self._lines[peer]) for peer in self.asked if peer in self._lines),
             duration_s=ended_s - self._began_s,
             to=self._to,
+            cause=self._cause,
         )
 
     def _answer(self, line: Line, now_s: float) -> Outcome | None:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pancakes.mesh.migration.post import ForwardTo, Outgoing, OutgoingLetter, Receipt
+from msgspec.structs import replace
+
+from pancakes.mesh.migration.post import ForwardTo, LostLetters, Outgoing, OutgoingLetter, Receipt, TaskBegan
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Posted
 
@@ -70,6 +72,24 @@ class Outbox:
         follows = stream.acknowledged(receipt, peer, now_s)
         self._drop_done(stream)
         return follows
+
+    def unsure_of(self, task_id: str, epoch_n: int) -> tuple[str, ...]:
+        """Returns the streams of which letters may be lost, now that a task is owned under an epoch."""
+        return tuple(name for name, stream in self._streams.items() if stream.is_unsure_of(task_id, epoch_n))
+
+    def began(self, news: TaskBegan, peer: str) -> None:
+        """Learns from what state a task began where it is now."""
+        for stream in self._streams.values():
+            stream.began(news, peer)
+
+    def take_lost(self) -> list[LostLetters]:
+        """Returns what is known to be lost, and forgets it."""
+        senders = {stream.stream: sender for sender, stream in self._of.items()}
+        return [
+            replace(lost, sender=senders.get(name, ""))
+            for name, stream in self._streams.items()
+            for lost in stream.take_lost()
+        ]
 
     def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[OutgoingLetter]:
         """Learns of a peer where a task has gone, and returns what waits for it."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from typing import Final
+from typing import Annotated, Final
 
 import msgspec
 
@@ -31,6 +31,8 @@ LONGEST_S: Final = 2.4
 """... up to this; from then on all agents are asked, because the one that knew where the task is may be gone."""
 STREAMS: Final = 1024
 """Most streams that a task's duplicate filter remembers; of more, the one not heard from for longest is forgotten."""
+MOST_STREAMS: Final = 1024
+"""An owner is asked about so many streams at once; of the others nothing is known to be lost."""
 
 
 @packet_type("post.letter")
@@ -63,12 +65,44 @@ class Receipt(msgspec.Struct, frozen=True):
         stream: the stream.
         seq: up to which number.
         epoch_n: how many hand-offs the task has behind it; the task is with the sender of this.
+        began_n: the number of the epoch under which the task began there from a snapshot; -1: that is not known.
+        began_seq: up to which letter of the stream that snapshot has the effects; -1: that is not known.
     """
 
     task_id: str
     stream: str
     seq: int
     epoch_n: int
+    began_n: int = -1
+    began_seq: int = -1
+
+
+@packet_type("post.when")
+class AskBegan(msgspec.Struct, frozen=True):
+    """Asks the agent that says that it owns a task from what state it began there; answered by `TaskBegan`.
+
+    Attributes:
+        task_id: the task.
+        streams: the streams in which the agent that asks has sent it letters.
+    """
+
+    task_id: str
+    streams: Annotated[tuple[str, ...], msgspec.Meta(max_length=MOST_STREAMS)]
+
+
+@packet_type("post.began")
+class TaskBegan(msgspec.Struct, frozen=True):
+    """Says from what state a task began where it is now: so that its senders know what was lost with its last agent.
+
+    Attributes:
+        task_id: the task.
+        began_n: as in `Receipt`.
+        upto: the `began_seq` of each stream that was asked for, as in `Receipt`.
+    """
+
+    task_id: str
+    began_n: int
+    upto: dict[str, int]
 
 
 @packet_type("post.forward_to")
@@ -98,6 +132,7 @@ class _Correspondence(msgspec.Struct):
         in_flight: how many of `packets`, from the first on, have been sent.
         due_s: when these are sent again.
         pause_s: how long that is put off the next time.
+        began_n: as in `Receipt`, of the agent that has acknowledged last; -1: none has.
     """
 
     host: str
@@ -108,6 +143,30 @@ class _Correspondence(msgspec.Struct):
     in_flight: int = 0
     due_s: float = 0.0
     pause_s: float = RESEND_S
+    began_n: int = -1
+
+    @property
+    def acknowledged(self) -> int:
+        """Up to which number all was acknowledged."""
+        return self.next_seq - len(self.packets) - 1
+
+
+class LostLetters(msgspec.Struct, frozen=True):
+    """Letters that were acknowledged, and whose effect the state does not have that the task began from since.
+
+    Attributes:
+        task_id: the task that they were for.
+        first: the number of the first one.
+        last: that of the last one.
+        peer: the agent that has the task now.
+        sender: the task that has sent them, as `birthplace/name`; empty: the sender does not move.
+    """
+
+    task_id: str
+    first: int
+    last: int
+    peer: str
+    sender: str = ""
 
 
 class OutgoingLetter(msgspec.Struct, frozen=True):
@@ -134,6 +193,7 @@ class Outgoing:
         self.stream = stream
         self._agent = agent
         self._to: dict[str, _Correspondence] = {}
+        self._lost: list[LostLetters] = []
 
     @classmethod
     def of(cls, posted: Posted, agent: str) -> Outgoing:
@@ -143,7 +203,9 @@ class Outgoing:
             first = to.next_seq - len(to.packets)
             packets = OrderedDict(enumerate(to.packets, first))
             size = sum(map(len, to.packets))
-            stream._to[to.task_id] = _Correspondence(to.host, to.epoch_n, packets, size, to.next_seq)
+            stream._to[to.task_id] = _Correspondence(
+                to.host, to.epoch_n, packets, size, to.next_seq, began_n=to.began_n
+            )
         return stream
 
     def posted(self) -> Posted:
@@ -151,7 +213,7 @@ class Outgoing:
         return Posted(
             self.stream,
             tuple(
-                PostedTo(task_id, to.host, to.epoch_n, to.next_seq, tuple(to.packets.values()))
+                PostedTo(task_id, to.host, to.epoch_n, to.next_seq, tuple(to.packets.values()), to.began_n)
                 for task_id, to in self._to.items()
             ),
         )
@@ -192,6 +254,7 @@ class Outgoing:
         to = self._to.get(receipt.task_id)
         if to is None or receipt.stream != self.stream:
             return []
+        self._began(receipt.task_id, to, receipt.began_n, receipt.began_seq, peer)
         if receipt.epoch_n >= to.epoch_n:
             to.host, to.epoch_n = peer, receipt.epoch_n
         while to.packets and next(iter(to.packets)) <= receipt.seq:
@@ -200,6 +263,29 @@ class Outgoing:
             to.pause_s = RESEND_S
             to.due_s = now_s + RESEND_S
         return self._fill(receipt.task_id, to)
+
+    def is_unsure_of(self, task_id: str, epoch_n: int) -> bool:
+        """Returns whether what was acknowledged for a task may be lost, now that it is owned under an epoch."""
+        to = self._to.get(task_id)
+        return to is not None and to.acknowledged > 0 and 0 <= to.began_n < epoch_n
+
+    def began(self, news: TaskBegan, peer: str) -> None:
+        """Learns from what state a task began where it is now."""
+        to = self._to.get(news.task_id)
+        if to is not None and self.stream in news.upto:
+            self._began(news.task_id, to, news.began_n, news.upto[self.stream], peer)
+
+    def _began(self, task_id: str, to: _Correspondence, began_n: int, upto: int, peer: str) -> None:
+        if began_n <= to.began_n:
+            return
+        first_time, to.began_n = to.began_n < 0, began_n
+        if not first_time and 0 <= upto < to.acknowledged:
+            self._lost.append(LostLetters(task_id, upto + 1, to.acknowledged, peer))
+
+    def take_lost(self) -> list[LostLetters]:
+        """Returns what is known to be lost, and forgets it."""
+        lost, self._lost = self._lost, []
+        return lost
 
     def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[OutgoingLetter]:
         """Learns of a peer where a task has gone, and returns what waits for it.

@@ -47,6 +47,7 @@ class PostedTo(msgspec.Struct, frozen=True):
         epoch_n: how many hand-offs that news knows of.
         next_seq: number of the next packet.
         packets: those that were not acknowledged, as the wire writes them: the last ones before `next_seq`.
+        began_n: as in `post.Receipt`; -1: nothing was acknowledged.
     """
 
     task_id: str
@@ -54,6 +55,7 @@ class PostedTo(msgspec.Struct, frozen=True):
     epoch_n: int
     next_seq: int
     packets: tuple[bytes, ...] = ()
+    began_n: int = -1
 
 
 class Posted(msgspec.Struct, frozen=True):

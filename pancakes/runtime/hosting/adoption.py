@@ -85,13 +85,40 @@ def meaning(record: Record, me: str) -> str:
     )
 
 
-def cost_of_revival(task_id: TaskId, me: str) -> str:
-    """Returns what reviving a task would mean, for a person who has not yet said `force`."""
+def cost_of_revival(task_id: TaskId, me: str, checkpoint: str = "") -> str:
+    """Returns what reviving a task would mean, for a person who has not yet said `force`.
+
+    Args:
+        task_id: the task.
+        me: the agent that it is to run on.
+        checkpoint: what it would go on from, as a clause; empty: it begins as its configuration says.
+    """
+    if checkpoint:
+        loss = (
+            f"{task_id} would go on on {me} from {checkpoint}: what it has done since is lost, and with it the effect"
+            f" of what it has acknowledged since"
+        )
+    else:
+        loss = (
+            f"{task_id} would begin anew on {me}, as its configuration says: its state is lost, and with it the effect"
+            f" of all that it has acknowledged"
+        )
     return (
-        f"{task_id} would begin anew on {me}, as its configuration says: its state is lost, and with it the effect of"
-        f" all that it has acknowledged. Packets that wait for it come here. Where the agent that had it still runs,"
-        f" cut off from {me}, there are two of it until they are linked; then the other one stands still. So only where"
-        f" that agent is gone for good, or off. Nothing was done"
+        f"{loss}. Packets that wait for it come here. Where the agent that had it still runs, cut off from {me}, there"
+        f" are two of it until they are linked; then the other one stands still. So only where that agent is gone for"
+        f" good, or off. Nothing was done"
+    )
+
+
+def cost_of_standing_alone(record: Record, me: str) -> str:
+    """Returns what it would mean that a task goes on whose guardians are gone, for who has not yet said `force`."""
+    others = " and ".join(one.agent for one in record.guards.members() if one.agent != me) or "no other agent"
+    return (
+        f"{record.task_id} stands still on {me}: its guardians are {me} and {others}, and more than half do not answer."
+        f" By force, it goes on as it stands, nothing is lost, and {me} alone guards it until others are chosen."
+        f" Where those that are silent still run, cut off from {me}, they may have another agent run it, and there are"
+        f" two of it until they are linked; then the other one stands still. So only where they are gone for good, or"
+        f" off. Nothing was done"
     )
 
 

@@ -23,7 +23,7 @@ from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.hosting_effect import AskRoom
 from pancakes.runtime.hosting.hosting_event import NoPlace, PlaceFree, Room
 from pancakes.runtime.hosting.hosting_service import HostingService
-from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.place import Place, began_from
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.snapshots import carried_of, settings_now, spec_of
 from pancakes.runtime.installed import Installed
@@ -61,6 +61,7 @@ class Arrivals:
             return []
         try:
             snapshot = Snapshot.decode(record.snapshot)
+            place.began = began_from(record.epoch, snapshot)
             specs = [] if task_id.name in host.residents else [spec_of(snapshot, self._catalogue)]
         except (PancakesError, msgspec.ValidationError) as error:
             host.log("error", f"{task_id} rests in the journal and cannot be started: {error}")
@@ -190,7 +191,7 @@ class Arrivals:
     def prepare(self, slot: Slot, place: Place, start: StartTask) -> None:
         """Gives the place of a task what it begins with, and its actuators."""
         snapshot = Snapshot.decode(start.snapshot)
-        place.written = None
+        place.written, place.looked_s = None, self._host.kernel.host.now()
         slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(place.task_id), (start.epoch.n, start.epoch.minter))
         for seq in snapshot.sent.values():

@@ -111,13 +111,14 @@ class TaskMigrator(Task):
         request = asked.request
         negotiation = Negotiation(
             request,
-            self.agent,
+            asked.lost or self.agent,
             asked.asked_by,
-            [*self._mesh.neighbours(), *([self.agent] if asked.itself else [])],
+            [*self._mesh.neighbours(), *([self.agent] if asked.lost else [])],
             now_s,
             asked.to,
             asked.dry_run,
             self._times.bid_window_s,
+            asked.cause,
         )
         self._negotiations[request.task_id] = (negotiation, asked.service)
         self._note()

@@ -23,10 +23,11 @@ class Negotiate(msgspec.Struct, frozen=True):
     Attributes:
         service: the service that owns it.
         request: what they are asked.
-        asked_by: the address that asked for the move, or `rule`.
+        asked_by: as in `Ledger`.
         to: the only neighbour to ask; empty: all.
         dry_run: whether nothing is to be moved.
-        itself: whether this agent may take it too: its owner is silent.
+        lost: the agent that had it, where that is silent: this agent may take it too; empty: this agent has it.
+        cause: as in `Ledger`.
     """
 
     service: Reference
@@ -34,7 +35,8 @@ class Negotiate(msgspec.Struct, frozen=True):
     asked_by: str
     to: str
     dry_run: bool
-    itself: bool = False
+    lost: str = ""
+    cause: str = ""
 
 
 class AttemptOver(msgspec.Struct, frozen=True):

@@ -10,6 +10,7 @@ from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, agent_of, join
 from pancakes.runtime.hosting.census_messages import CENSUS, ClaimsCame, HostBegan, NeighbourUp, NetworkBegan, Owns
+from pancakes.runtime.hosting.courier_messages import COURIER, OwnerHeard
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.kernel.component import Component
@@ -73,3 +74,6 @@ class Census(Component):
             claims[claim.task_id] = claim
         for service in self._state.services():
             tell(service, ClaimsCame(peer, claims))
+        courier = self.kernel.registry.get(join(self.agent, COURIER))
+        if courier is not None:
+            tell(courier, OwnerHeard(peer, packet.body.claims))

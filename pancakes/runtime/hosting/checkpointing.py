@@ -66,6 +66,8 @@ class Checkpointing:
             note, timers = kernel.tasks.settings_of(slot.address), kernel.task_timers.of(slot.address)
             if place.owes or written is None or not written.surely_holds(note, timers):
                 tell(slot.task, Look())
+            else:
+                place.looked_s = kernel.host.now()
 
     def look_at_late(self) -> None:
         """The disk has written something: looks at the tasks whose checkpoint had to wait."""
@@ -95,12 +97,13 @@ class Checkpointing:
         try:
             plain = plain_of(carried)
             if place.written is not None and place.written.plain == plain and not place.owes:
+                place.looked_s = self._host.kernel.host.now()
                 return
             snapshot = self._host.snapshot(slot, carried)
         except (PancakesError, TypeError, OverflowError, MemoryError) as error:
             self._host.log("error", f"the state of {slot.address} cannot be written down: {error}")
             return
-        place.written = last_checkpoint(slot.spec.cls, carried, plain)
+        place.written, place.looked_s = last_checkpoint(slot.spec.cls, carried, plain), self._host.kernel.host.now()
         consumed = place.letters.consumed(carried.heard) if place.letters is not None else ()
         record = standing.record
         self._host.feed_place(place, Checkpoint(record.epoch, record.incarnation, snapshot, consumed))

@@ -29,7 +29,7 @@ from pancakes.runtime.hosting.bidding_messages import MIGRATOR, Accounted, BidAw
 from pancakes.runtime.hosting.carrier import Carrier
 from pancakes.runtime.hosting.census_messages import CENSUS, ClaimsCame, HostBegan
 from pancakes.runtime.hosting.checkpointing import Checkpointing
-from pancakes.runtime.hosting.courier_messages import COURIER, CameFor
+from pancakes.runtime.hosting.courier_messages import COURIER, AskedBegan, CameFor
 from pancakes.runtime.hosting.decisions import Decisions
 from pancakes.runtime.hosting.deliveries import Deliveries
 from pancakes.runtime.hosting.departures import Departures
@@ -121,11 +121,11 @@ class ClientService(Service):
         self._checkpointing = Checkpointing(self)
         self._deliveries = Deliveries(self)
         self._waiters = Waiters(self, records)
-        self._guarded = GuardedTasks(self, records, mesh, self._checkpointing.look_at, self._deliveries.on_disk)
         self._mover = Mover(self)
         self._arrivals = Arrivals(self, catalogue, records, state)
         self._departures = Departures(self)
         self._disputes = Disputes(self)
+        self._guarded = GuardedTasks(self, records, mesh, self._checkpointing, self._deliveries, self._disputes)
         self._decisions = Decisions(self, records, self._mover, self._arrivals, self._disputes)
 
     # Its own life ----------------------------------------------------------------------------------------------
@@ -232,6 +232,7 @@ class ClientService(Service):
             self._note(place)
         record = place.standing.record
         if record.phase is Phase.OWNER and (before.record.phase, before.record.epoch) != (record.phase, record.epoch):
+            self._deliveries.became_owner(place)
             self._disputes.became_owner(place)
 
     def _note(self, place: Place) -> None:
@@ -275,8 +276,7 @@ class ClientService(Service):
                 if place.follows is not None:
                     self._mover.followed(place, place.follows)
             case hosting_effect.Lasts():
-                if place.forgetting:
-                    self._decisions.written(place, effect.why_not)
+                self._decisions.written(place, effect.why_not)
             case hosting_effect.Drop():
                 self._departures.drop(place, slot, effect.ends)
             case handoff_effect.Resume():
@@ -390,6 +390,8 @@ class ClientService(Service):
                 self._deliveries.given(message)
             case CameFor():
                 self._deliveries.arrived(message)
+            case AskedBegan():
+                self._deliveries.asked_began(message)
             case ClaimsCame():
                 self._disputes.heard(message)
             case PeerDown():

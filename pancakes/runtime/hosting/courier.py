@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any, Final
 
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
-from pancakes.mesh.migration.post import RESEND_S, ForwardTo, Letter, Receipt, false_name
+from pancakes.mesh.migration.post import RESEND_S, AskBegan, ForwardTo, Letter, Receipt, TaskBegan, false_name
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.whereabouts import WhereIs, whereabouts
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.codec import packet_from_row, rows_from_payload
 from pancakes.packet import NETWORK, Packet, agent_of, join
-from pancakes.runtime.hosting.courier_messages import COURIER, CameFor, Say, SendUnsent
+from pancakes.runtime.hosting.courier_messages import COURIER, AskedBegan, CameFor, OwnerHeard, Say, SendUnsent
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.shared_outbox import SharedOutbox, receiver_of
 from pancakes.runtime.kernel.component import Component
@@ -42,6 +42,7 @@ class Courier(Component):
         self._records = records
         self._mesh = mesh
         self._looking = False
+        self._asked: set[tuple[str, str]] = set()
 
     def on_start(self) -> None:
         self.kernel.stream.courier = self.take
@@ -59,6 +60,8 @@ class Courier(Component):
                 self._say(message.peer, message.body)
             case SendUnsent():
                 self._send()
+            case OwnerHeard():
+                self._ask_began(message)
             case _:
                 return super().on_receive(message)
         return None
@@ -75,7 +78,7 @@ class Courier(Component):
         self._outbox.post(packet, host, self.kernel.host.now())
         tell(self, SendUnsent())
 
-    def _say(self, peer: str, body: Letter | Receipt | ForwardTo) -> None:
+    def _say(self, peer: str, body: Letter | Receipt | ForwardTo | TaskBegan) -> None:
         if peer != self.agent:
             try:
                 self.publish(NETWORK, body, to=join(peer, COURIER))
@@ -85,8 +88,17 @@ class Courier(Component):
             self._arrived(body, peer)
         elif isinstance(body, Receipt):
             self._acknowledged(body, self.agent)
-        else:
+        elif isinstance(body, ForwardTo):
             self._forwarded(body, peer)
+
+    def _ask_began(self, heard: OwnerHeard) -> None:
+        """Another agent owns tasks: asks what is lost of what was acknowledged for them."""
+        for asked in self._outbox.unsure_of(heard.claims):
+            self._asked.add((heard.peer, asked.task_id))
+            try:
+                self.publish(NETWORK, asked, to=join(heard.peer, COURIER))
+            except PancakesError as error:
+                self.log("debug", f"{heard.peer} was not asked about {asked.task_id}: {error}")
 
     # What other couriers say -----------------------------------------------------------------------------------
 
@@ -104,6 +116,25 @@ class Courier(Component):
     def on_forward_to(self, packet: Packet) -> None:
         """A task is not where it was thought to be."""
         self._forwarded(packet.body, agent_of(packet.source))
+
+    @on(NETWORK, AskBegan, keep=KEEP, addressed=True)
+    def on_ask_began(self, packet: Packet) -> None:
+        """An agent that has sent letters to a task that is here must know what is lost of them."""
+        try:
+            service = self._service_of(TaskId.parse(packet.body.task_id))
+        except MigrationError:
+            return
+        if service is not None:
+            tell(service, AskedBegan(agent_of(packet.source), packet.body))
+
+    @on(NETWORK, TaskBegan, keep=KEEP, addressed=True)
+    def on_task_began(self, packet: Packet) -> None:
+        """The agent that owns a task answers."""
+        peer = agent_of(packet.source)
+        if (peer, packet.body.task_id) in self._asked:
+            self._asked.remove((peer, packet.body.task_id))
+            self._outbox.began(packet.body, peer)
+            self._tell_lost()
 
     @on(NETWORK, WhereIs, addressed=True)
     def on_where_is(self, packet: Packet) -> None:
@@ -138,7 +169,20 @@ class Courier(Component):
 
     def _acknowledged(self, receipt: Receipt, peer: str) -> None:
         self._outbox.acknowledged(receipt, peer, self.kernel.host.now())
+        self._tell_lost()
         self._send()
+
+    def _tell_lost(self) -> None:
+        for lost in self._outbox.take_lost():
+            sender = lost.sender or self.agent
+            self.log(
+                "warning",
+                f"packets {lost.first} to {lost.last} that {sender} has sent to {lost.task_id} may be lost: they were"
+                f" acknowledged, and {lost.peer} has the task from a checkpoint without their effect",
+            )
+            self.event(
+                "packets_lost", task=lost.task_id, sender=sender, first=lost.first, last=lost.last, owner=lost.peer
+            )
 
     def _forwarded(self, news: ForwardTo, peer: str) -> None:
         self._outbox.forwarded(news, peer, self.kernel.host.now())

@@ -6,7 +6,8 @@ from typing import Final
 
 import msgspec
 
-from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt
+from pancakes.mesh.migration.claim import OwnerClaim
+from pancakes.mesh.migration.post import AskBegan, ForwardTo, Letter, Receipt, TaskBegan
 from pancakes.packet import Packet
 
 COURIER: Final = "kernel/Courier"
@@ -34,7 +35,31 @@ class Say(msgspec.Struct, frozen=True):
     """
 
     peer: str
-    body: Letter | Receipt | ForwardTo
+    body: Letter | Receipt | ForwardTo | TaskBegan
+
+
+class OwnerHeard(msgspec.Struct, frozen=True):
+    """The census tells the courier what another agent owns.
+
+    Attributes:
+        peer: the other agent.
+        claims: the tasks.
+    """
+
+    peer: str
+    claims: tuple[OwnerClaim, ...]
+
+
+class AskedBegan(msgspec.Struct, frozen=True):
+    """The courier tells a service that another agent asks from what state one of its tasks began; answered by `Say`.
+
+    Attributes:
+        peer: the agent that asks.
+        asked: what it asks.
+    """
+
+    peer: str
+    asked: AskBegan
 
 
 class SendUnsent(msgspec.Struct, frozen=True):

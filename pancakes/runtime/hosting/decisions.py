@@ -6,8 +6,8 @@ from msgspec.structs import replace
 
 from pancakes.control import Adopt, Forget, Revive
 from pancakes.errors import ControlRefused
-from pancakes.mesh.migration.epoch import NO_EPOCH
-from pancakes.mesh.migration.event import AdoptionAsked, ForgettingAsked
+from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, NO_EPOCH, Epoch
+from pancakes.mesh.migration.event import AdoptionAsked, ForgettingAsked, GuardsChosen
 from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.packet import agent_of, join
@@ -16,7 +16,7 @@ from pancakes.runtime.hosting.arrivals import Arrivals
 from pancakes.runtime.hosting.bidding_messages import AttemptOver
 from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.hosting_service import HostingService
-from pancakes.runtime.hosting.lost import MORE_THAN_MOVES, Lost
+from pancakes.runtime.hosting.lost import Lost
 from pancakes.runtime.hosting.mover import Mover
 from pancakes.runtime.hosting.place import Adoption, Place
 from pancakes.runtime.hosting.records import Records
@@ -109,15 +109,18 @@ class Decisions:
         self._run_here(task_id, event, "", f"{request.by} says that it runs nowhere else", body.dry_run, request)
 
     def revive(self, body: Revive, request: Request) -> None:
-        """Runs a task here that a lost agent had, as its configuration says.
+        """Runs a task here that a lost agent had, from a checkpoint or as its configuration says.
 
         Raises:
             ControlRefused: it is here, or may be elsewhere, it cannot run here, or the request does not say `force`.
         """
         host, task_id = self._host, TaskId.parse(body.task_id)
-        snapshot = self._arrivals.as_configured(body)
         place = host.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
         record, lost = place.standing.record, self._records.lost(task_id)
+        stands_still = record.guarded and not host.kernel.permits.holds(join(host.address, task_id.name))
+        if record.phase is Phase.OWNER and stands_still and not is_disputed(record):
+            self._stand_alone(place, body, request)
+            return
         if lost is not None or record.phase not in (Phase.ABSENT, Phase.RELEASED):
             raise ControlRefused(f"{task_id} is known on {host.agent}: see `pancakes task adopt` and `task resolve`")
         other = self._disputes.claimant(task_id)
@@ -125,16 +128,42 @@ class Decisions:
             raise ControlRefused(
                 f"{task_id} is not revived: {other.peer} is connected, and owns it (epoch {other.epoch})"
             )
+        held = body.checkpoint
+        snapshot = held.snapshot if held is not None else self._arrivals.as_configured(body)
         refusal = self._arrivals.cannot_build(agent_of(request.by), place, snapshot)
         if refusal or body.dry_run or not body.force:
             host.kernel.registry.unreserve(join(host.address, task_id.name))
         if refusal:
             raise ControlRefused(f"{task_id} cannot run on {host.agent}: {refusal}")
         if not body.force:
-            raise ControlRefused(adoption.cost_of_revival(task_id, host.agent))
-        seen = max(record.seen.n, other.epoch.n if other is not None else 0)
+            raise ControlRefused(adoption.cost_of_revival(task_id, host.agent, held.story if held is not None else ""))
+        seen = max(record.seen.n, other.epoch.n if other is not None else 0, body.seen)
         event = AdoptionAsked(snapshot, seen, MORE_THAN_MOVES)
-        self._run_here(task_id, event, "", f"{request.by} says that its agent is gone for good", body.dry_run, request)
+        why = f"{request.by} says that its agent is gone for good"
+        self._run_here(task_id, event, "", why + (f"; from {held.story}" if held else ""), body.dry_run, request)
+
+    def _stand_alone(self, place: Place, body: Revive, request: Request) -> None:
+        """Has a task go on here whose guardians are gone for good."""
+        host, record, held = self._host, place.standing.record, body.checkpoint
+        if held is not None and (Epoch(*held.epoch), held.no) > (record.epoch, record.no):
+            raise ControlRefused(
+                f"{record.task_id} is on {host.agent} from an old copy of its disk, older than {held.story}: revive it"
+                f" on another agent"
+            )
+        if not body.force:
+            raise ControlRefused(adoption.cost_of_standing_alone(record, host.agent))
+        ours = [one for one in record.guards.members() if one.agent == host.agent]
+        guardian = host.first_guardian(place, record.snapshot) or next(iter(ours), None)
+        if guardian is None:
+            raise ControlRefused(
+                f"{record.task_id} is to be guarded no longer, and {host.agent} is none of its guardians"
+            )
+        if body.dry_run:
+            host.reply(request, result={"task_id": str(record.task_id), "peer": ""})
+            return
+        reason = f"{record.task_id} goes on on {host.agent}, as {request.by} says that its guardians are gone for good"
+        self._decide(place, Adoption(request, "", reason, None, as_it_stands=True))
+        host.feed_place(place, GuardsChosen(((guardian,),), MORE_THAN_MOVES, body.seen))
 
     def _run_here(
         self, task_id: TaskId, event: AdoptionAsked, peer: str, why: str, dry_run: bool, request: Request
@@ -145,11 +174,14 @@ class Decisions:
             return
         place = self._place(task_id)
         reason = f"{task_id} was adopted on {host.agent}, as {request.by} asked, because {why}"
-        self._tell_asked("adopt", task_id, request)
-        host.log("warning", reason)
-        place.adoption = Adoption(request, peer, reason, self._mover.sequel_of(place.standing.record).ledger)
-        host.look_after(place, request)
+        self._decide(place, Adoption(request, peer, reason, self._mover.sequel_of(place.standing.record).ledger))
         host.feed_place(place, replace(event, guardian=host.first_guardian(place, event.snapshot)))
+
+    def _decide(self, place: Place, adoption: Adoption) -> None:
+        self._tell_asked("adopt", place.task_id, adoption.request)
+        self._host.log("warning", adoption.reason)
+        place.adoption = adoption
+        self._host.look_after(place, adoption.request)
 
     def started(self, place: Place, adopted: Adoption, why_not: str) -> None:
         """The start of a task is decided: answers the request to adopt it."""
@@ -214,7 +246,9 @@ class Decisions:
         host.feed_place(place, ForgettingAsked(record.seen, body.owner))
 
     def written(self, place: Place, why_not: str) -> None:
-        """All that was decided about a task is on disk, or cannot be: answers the requests to forget it."""
+        """All that was decided about a task is on disk, or cannot be: answers the requests that waited for that."""
+        if place.adoption is not None and place.adoption.as_it_stands:
+            self.started(place, place.adoption, why_not)
         asked, place.forgetting = place.forgetting, ()
         host, task_id = self._host, place.task_id
         for request in asked:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
+from pancakes.errors import MigrationError
 from pancakes.mesh.migration.core import handle
 from pancakes.mesh.migration.effect import Deliver, Forward
 from pancakes.mesh.migration.event import Arrived, PacketId
-from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt
-from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt, TaskBegan
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Packet
-from pancakes.runtime.hosting.courier_messages import CameFor, Say
+from pancakes.runtime.hosting.courier_messages import AskedBegan, CameFor, Say
 from pancakes.runtime.hosting.hosting_service import HostingService
-from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.place import Place, began_from
 from pancakes.runtime.hosting.task_letters import TaskLetters
 from pancakes.runtime.kernel.letters import ATTEMPTS
 from pancakes.runtime.kernel.reference import Reference
@@ -100,6 +102,24 @@ class Deliveries:
             letters.asked = True
             tell(task, Look())
 
+    def became_owner(self, place: Place) -> None:
+        """A task is owned here from now on, or under another epoch: remembers what it begins from."""
+        record, slot = place.standing.record, place.slot
+        if slot is not None and slot.task is not None:
+            return  # it goes on as it is
+        try:
+            snapshot = Snapshot.decode(record.snapshot)
+        except MigrationError:  # it cannot be started either, which is said where that is tried
+            return
+        place.began = began_from(record.epoch, snapshot)
+
+    def asked_began(self, message: AskedBegan) -> None:
+        """An agent that has sent letters to a task asks from what state it began here."""
+        place = self._host.places.get(TaskId.parse(message.asked.task_id))
+        if place is not None and place.began is not None and place.standing.record.phase is Phase.OWNER:
+            upto = {stream: place.began.upto(stream) for stream in message.asked.streams}
+            self._say(message.peer, TaskBegan(message.asked.task_id, place.began.epoch_n, upto))
+
     def again(self, place: Place) -> None:
         """Gives a task that has begun anew what was acknowledged and is not in its checkpoint; all else comes after."""
         if place.letters is not None:
@@ -114,8 +134,11 @@ class Deliveries:
 
     def _acknowledge(self, place: Place, packet: PacketId, sender: str) -> None:
         """Tells the sender of a letter that it, and all before it, have had their effect."""
-        epoch_n = place.standing.record.epoch.n
-        self._say(sender, Receipt(str(place.task_id), packet.stream, packet.seq, epoch_n))
+        began, epoch_n = place.began, place.standing.record.epoch.n
+        receipt = Receipt(str(place.task_id), packet.stream, packet.seq, epoch_n)
+        if began is not None:
+            receipt = replace(receipt, began_n=began.epoch_n, began_seq=began.upto(packet.stream))
+        self._say(sender, receipt)
 
-    def _say(self, peer: str, body: Letter | Receipt | ForwardTo) -> None:
+    def _say(self, peer: str, body: Receipt | ForwardTo | TaskBegan) -> None:
         self._host.tell_courier(Say(peer, body))

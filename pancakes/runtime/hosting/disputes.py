@@ -5,6 +5,7 @@ from __future__ import annotations
 from pancakes.errors import MigrationError
 from pancakes.mesh.migration.claim import Claims, OwnerClaim
 from pancakes.mesh.migration.event import ClaimHeard
+from pancakes.mesh.migration.guarded_task import is_by_person
 from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
@@ -45,7 +46,7 @@ class Disputes:
             self._host.log("warning", f"{peer} says that it owns {place.task_id}, and is not believed: {fault}")
             return
         place.other = other
-        if record.guarded and claim.epoch != record.epoch:
+        if record.guarded and claim.epoch != record.epoch and not is_by_person(record, claim.epoch):
             # Which of them may run it the guardians decide; the lower one gives it up by itself.
             if claim.epoch < record.epoch:
                 self._host.tell_census(Owns(OwnerClaim(place.task_id, record.epoch), peer))
@@ -60,6 +61,14 @@ class Disputes:
         else:
             self._give_way(place, other)
 
+    def outvoted(self, place: Place, other: OtherOwner) -> None:
+        """The guardians of a task follow another owner than this agent; `other.peer`: empty: no other agent."""
+        if not other.peer or not is_by_person(place.standing.record, other.epoch):
+            self._host.feed_place(place, ClaimHeard(other.peer, other.epoch))
+        elif place.other != other:
+            place.other = other
+            self._give_way(place, other)
+
     def became_owner(self, place: Place) -> None:
         """This agent owns a task from now on, or under another epoch: all others are told."""
         self._host.tell_census(Owns(OwnerClaim(place.task_id, place.standing.record.epoch)))
@@ -71,7 +80,8 @@ class Disputes:
 
     def _give_way(self, place: Place, other: OtherOwner) -> None:
         record = place.standing.record
-        if not is_disputed(record) and not (record.guarded and other.epoch != record.epoch):
+        decided = record.guarded and other.epoch != record.epoch and not is_by_person(record, other.epoch)
+        if not is_disputed(record) and not decided:
             self._tell(place.standing.record, other, stands_still=True)
         self._host.feed_place(place, ClaimHeard(other.peer, other.epoch))
 

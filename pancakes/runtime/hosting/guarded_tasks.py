@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 from pancakes.mesh.guarding.choosing import CanGuard
 from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept
 from pancakes.mesh.guarding.taking_over import TakeTask
@@ -13,6 +11,9 @@ from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.record import Record
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import Packet, agent_of
+from pancakes.runtime.hosting.checkpointing import Checkpointing
+from pancakes.runtime.hosting.deliveries import Deliveries
+from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.leases import Leases
@@ -29,8 +30,9 @@ class GuardedTasks:
         host: the service.
         records: says which service has the record of a task.
         mesh: says what neighbours there are.
-        save: has tasks written down, by name.
-        on_disk: acknowledges a packet whose effect is on disk.
+        checkpointing: has its tasks written down.
+        deliveries: acknowledges packets.
+        disputes: learns that the guardians of a task follow another owner.
     """
 
     def __init__(
@@ -38,18 +40,19 @@ class GuardedTasks:
         host: HostingService,
         records: Records,
         mesh: Mesh,
-        save: Callable[[Sequence[str]], None],
-        on_disk: Callable[[Place, PacketId], None],
+        checkpointing: Checkpointing,
+        deliveries: Deliveries,
+        disputes: Disputes,
     ) -> None:
         self._host = host
         self._records = records
         self._talk = GuardTalk(host, mesh)
-        self._leases = Leases(host, self._talk, save, on_disk)
+        self._leases = Leases(host, self._talk, checkpointing.look_at, deliveries.on_disk, disputes.outvoted)
         self._takings = Takings(host, self._talk)
         self.begin = self._leases.begin
         self.close = self._leases.close
         self.look = self._leases.look
-        self._on_disk = on_disk
+        self._deliveries = deliveries
 
     def first_guardian(self, place: Place, snapshot: bytes = b"") -> GuardianId | None:
         """Returns the first guardian of a task that begins here: this agent; None: the task is not guarded."""
@@ -60,7 +63,7 @@ class GuardedTasks:
         if place.tenancy is not None:
             self._leases.owe(place, packet)
         else:
-            self._on_disk(place, packet)
+            self._deliveries.on_disk(place, packet)
 
     def given(self, place: Place, effect: Seize) -> None:
         """A task was given to this agent: its guardians are asked."""

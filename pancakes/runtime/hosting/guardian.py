@@ -8,10 +8,17 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.control import Guarding, Take
+from pancakes.control import Checkpoints, Guarding, Take
 from pancakes.errors import ControlRefused
 from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
-from pancakes.mesh.guarding.guard_messages import DenyLease, GuardAnswer, KeepLease, SeizeTask, YieldLease
+from pancakes.mesh.guarding.guard_messages import (
+    DenyLease,
+    GuardAnswer,
+    KeepLease,
+    LeaseKept,
+    SeizeTask,
+    YieldLease,
+)
 from pancakes.mesh.guarding.guardian_core import (
     AnswerAsker,
     GuardEffect,
@@ -24,7 +31,7 @@ from pancakes.mesh.guarding.guardian_core import (
     handle,
     recover,
 )
-from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen
+from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen
 from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.messages import is_for
@@ -32,8 +39,10 @@ from pancakes.mesh.migration.record import TaskId, Wanted
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.runtime.hosting import held
 from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MoveOver
 from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.registers import Registers, RegisterWritten
 from pancakes.runtime.hosting.takeover import Takeovers
 from pancakes.runtime.kernel.component import Component
@@ -68,7 +77,8 @@ class _Guarded(msgspec.Struct):
         waiting: the events that wait, each with the address that asked.
         event: the event that is being dealt with.
         heard_s: when the owner was heard last, in host time.
-        saved_s: when the checkpoint was written, in host time.
+        as_of_s: when the task was known last to be as the checkpoint says, in host time.
+        from_disk: whether the checkpoint is from before this guardian began, and so may be older than that.
     """
 
     register: GuardRegister
@@ -80,7 +90,8 @@ class _Guarded(msgspec.Struct):
     waiting: list[tuple[str, GuardEvent]] = msgspec.field(default_factory=list)
     event: GuardEvent | None = None
     heard_s: float = 0.0
-    saved_s: float = 0.0
+    as_of_s: float = 0.0
+    from_disk: bool = False
 
 
 class Guardian(Component):
@@ -90,13 +101,17 @@ class Guardian(Component):
 
     Args:
         registers: what it has on disk.
+        records: what this agent has on disk of the tasks that it hosts, or has hosted.
         mesh: says what neighbours there are.
         state: says what this agent could be to a task.
     """
 
-    def __init__(self, *args: Any, registers: Registers, mesh: Mesh, state: HostState, **others: Any) -> None:
+    def __init__(
+        self, *args: Any, registers: Registers, records: Records, mesh: Mesh, state: HostState, **others: Any
+    ) -> None:
         super().__init__(*args, **others)
         self._registers = registers
+        self._records = records
         self._mesh = mesh
         self._state = state
         self._takeovers = Takeovers(self, mesh)
@@ -108,7 +123,9 @@ class Guardian(Component):
         for task, why in self._registers.lost().items():
             self.log("error", f"{self.agent} guards {task!a} no more, as it may have forgotten a pledge: {why}")
         for register in self._registers.all():
-            one = self._guarded[register.task_id] = _Guarded(register, heard_s=self._began_s, saved_s=self._began_s)
+            one = self._guarded[register.task_id] = _Guarded(
+                register, heard_s=self._began_s, as_of_s=self._began_s, from_disk=True
+            )
             one.effects.extend(recover(register))
             self._go_on(one)
 
@@ -132,10 +149,19 @@ class Guardian(Component):
         try:
             if isinstance(asked.body, Guarding):
                 tell(asked.root, GuardianAnswers(asked.request, result=[self._row(one) for one in self._kept()]))
+            elif isinstance(asked.body, Checkpoints):
+                tell(asked.root, GuardianAnswers(asked.request, result=self._held(asked.body)))
             else:
                 self._takeovers.take(asked, self._to_take(asked.body).register.task_id)
         except ControlRefused as error:
             tell(asked.root, GuardianAnswers(asked.request, str(error)))
+
+    def _held(self, asked: Checkpoints) -> list[dict[str, Any]]:
+        now_s, rows = self.kernel.host.now(), list(held.of_records(self._records.all().values(), asked))
+        for one in self._guarded.values():
+            if held.is_meant(asked, one.register.task_id):
+                rows += held.of_register(one.register, now_s - one.as_of_s, one.from_disk, asked)
+        return [{"agent": self.agent, **row} for row in rows]
 
     def _kept(self) -> list[_Guarded]:
         return [one for one in self._guarded.values() if self._me in one.register.guards.members()]
@@ -171,7 +197,7 @@ class Guardian(Component):
             "owner": owner,
             "epoch": str(register.promised),
             "checkpoint": register.checkpoint.no,
-            "age_s": now_s - one.saved_s,
+            "age_s": now_s - one.as_of_s,
             "silent_s": now_s - one.heard_s,
             "lease": one.lease.epoch is not None,
             "wanted": register.body is not None and register.body.wanted is Wanted.RUNNING,
@@ -190,8 +216,6 @@ class Guardian(Component):
         if message.why_not:
             one.effects.clear()  # as after a crash: nothing of it has happened, and nothing was promised
         elif written is not None:
-            if written.checkpoint != one.register.checkpoint:
-                one.saved_s = self.kernel.host.now()
             lease_s, one.register = one.register.lease_s, written
             if written.lease_s != lease_s:
                 self._note_shortest()
@@ -227,7 +251,8 @@ class Guardian(Component):
             return
         self._takeovers.put_off(register.task_id)
         runs = one.lease.epoch is not None
-        self._say(packet.source, LeaseSeen(register.task_id, self._me, runs, register.promised, register.guards))
+        seen = LeaseSeen(register.task_id, self._me, runs, register.promised, register.guards, self._held_until(one))
+        self._say(packet.source, seen)
 
     @on(NETWORK, LeaseSeen, keep=KEEP, addressed=True)
     def on_lease_seen(self, packet: Packet) -> None:
@@ -331,19 +356,31 @@ class Guardian(Component):
                 if lease.epoch is None:
                     # An agent that was given a pledge is about to be the owner.
                     wait_s = PLEDGED_S if isinstance(one.event, SeizeTask) else 0.0
-                    self._takeovers.lease_ended(one.register, one.heard_s, wait_s)
+                    self._takeovers.lease_ended(one.register, one.heard_s, self._held_until(one), wait_s)
                 else:
                     if one.event is not None:
                         one.heard_s = self.kernel.host.now()
                         self._takeovers.lease_runs(one.register.task_id, lease.epoch)
                     one.alarm = self.after_host(lease_s, partial(self._lease_over, one, LeaseOver(lease.number)))
             case AnswerAsker(message):
+                self._note_age(one, message)
                 self._say(one.asker, message)
 
     def _note_shortest(self) -> None:
         """Keeps true for how long this agent may be silent."""
         leased = [one.register for one in self._guarded.values() if one.lease.epoch is not None]
         self._state.shortest_lease = min(leased, key=lambda it: (it.lease_s, it.task_id), default=None)
+
+    def _held_until(self, one: _Guarded) -> HeldUntil:
+        age_s = None if one.from_disk else max(0.0, one.heard_s - one.as_of_s)
+        return HeldUntil(one.register.checkpoint, age_s)
+
+    def _note_age(self, one: _Guarded, answer: GuardAnswer) -> None:
+        """The owner has said how old its newest checkpoint is; that counts where this guardian has that one."""
+        keep = one.event
+        if isinstance(answer, LeaseKept) and isinstance(keep, KeepLease):
+            if keep.checkpoint == one.register.checkpoint:
+                one.as_of_s, one.from_disk = self.kernel.host.now() - keep.age_s, False
 
     def _lease_over(self, one: _Guarded, over: LeaseOver) -> None:
         one.waiting.append(("", over))

@@ -6,23 +6,26 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Final
 
+from msgspec.structs import replace
+
 from pancakes.errors import MigrationError
 from pancakes.mesh.guarding.choosing import CanGuard, MayGuard, choose
-from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept, YieldLease
+from pancakes.mesh.guarding.guard_messages import MOST_AGE_S, DenyLease, LeaseKept, YieldLease
 from pancakes.mesh.guarding.tenure import Tenure, answered, asked_again, keep_lease
 from pancakes.mesh.migration.epoch import NO_EPOCH
-from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId, PermitGiven
+from pancakes.mesh.migration.event import GuardsChosen, PacketId, PermitGiven
 from pancakes.mesh.migration.guard_rule import PERMIT_SHARE, RENEWED, GuardRule
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.record import Phase
 from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.packet import join
+from pancakes.packet import Fence, join
 from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.machine import idle
-from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.place import OtherOwner, Place
 from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.hosting.tenancy import Tenancy
+from pancakes.runtime.kernel.guard_notes import GuardianNote, GuardNote
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.supervision.task_messages import GoOn
@@ -46,6 +49,7 @@ class Leases:
         talk: how it talks to guardians.
         save: has tasks written down, by name.
         on_disk: acknowledges a packet.
+        outvoted: learns that the guardians of a task follow another owner.
     """
 
     def __init__(
@@ -54,11 +58,13 @@ class Leases:
         talk: GuardTalk,
         save: Callable[[Sequence[str]], None],
         on_disk: Callable[[Place, PacketId], None],
+        outvoted: Callable[[Place, OtherOwner], None],
     ) -> None:
         self._host = host
         self._talk = talk
         self._save = save
         self._on_disk = on_disk
+        self._outvoted = outvoted
         self._held: list[Place] = []
 
     def begin(self, places: Iterable[Place]) -> None:
@@ -114,6 +120,7 @@ class Leases:
         place.tenancy.cancel()
         place.tenancy, place.permit = None, False
         self._held.remove(place)
+        self._host.kernel.guard_notes.drop(self._address(place))
         self._host.kernel.permits.revoke(self._address(place))
 
     def _look_at(self, place: Place) -> None:
@@ -154,7 +161,11 @@ class Leases:
     def _renew(self, place: Place) -> None:
         """Asks all guardians of a task for a lease."""
         tenancy, record = place.tenancy, place.standing.record
-        if tenancy is None or tenancy.behind:
+        if tenancy is None:
+            return
+        if tenancy.tenure.epoch != record.epoch:
+            tenancy.behind, tenancy.as_of_s = False, {}
+        elif tenancy.behind:
             return
         self._learn_rule(place)
         tenancy.tenure = tenure = asked_again(tenancy.tenure, record)
@@ -162,12 +173,38 @@ class Leases:
         tenancy.until[tenure.beat] = self._host.kernel.permits.moment().later(PERMIT_SHARE * tenancy.lease_s)
         tenancy.until.pop(tenure.beat - REMEMBERED, None)
         tenancy.told = (record.epoch, record.no, record.guards.version)
+        self._note(place, tenancy)
+        age_s = min(max(0.0, self._host.kernel.host.now() - tenancy.as_of_s[record.no]), MOST_AGE_S)
         for guardian in sorted(record.guards.members(), key=lambda one: one != self._talk.me):
             with_body = self._lacks_body(tenancy, guardian, record.no)
-            self._talk.say(guardian, keep_lease(tenure, record, tenancy.type, tenancy.lease_s, with_body))
+            keep = keep_lease(tenure, record, tenancy.type, tenancy.lease_s, with_body)
+            self._talk.say(guardian, replace(keep, age_s=age_s))
         if tenancy.renewal is not None:
             tenancy.renewal.cancel()
         tenancy.renewal = self._host.after_host(tenancy.lease_s / RENEWED, partial(self._renew, place))
+
+    def _note(self, place: Place, tenancy: Tenancy) -> None:
+        """Notes what is known of its guardians, for others on this agent."""
+        now_s, record, tenure = self._host.kernel.host.now(), place.standing.record, tenancy.tenure
+        known_s, slot = tenancy.as_of_s, place.slot
+        if idle(place.standing) or record.no not in known_s:
+            known_s[record.no] = place.looked_s if slot is not None and slot.task is not None else now_s
+        while len(known_s) > REMEMBERED:
+            del known_s[next(iter(known_s))]
+        guardians = []
+        for one in record.guards.members():
+            has = tenure.of(one).no
+            guardians.append(GuardianNote(one.agent, has, known_s.get(has), tenancy.heard_s.setdefault(one, now_s)))
+        no = tenure.replicated_no(record.guards)
+        note = GuardNote(
+            str(record.epoch),
+            tenancy.number,
+            tenancy.lease_s,
+            tuple(guardians),
+            no,
+            known_s.get(no),
+        )
+        self._host.kernel.guard_notes.enter(self._address(place), note)
 
     def _lacks_body(self, tenancy: Tenancy, guardian: GuardianId, no: int) -> bool:
         beat = tenancy.tenure.beat
@@ -188,11 +225,12 @@ class Leases:
             return
         tenancy.heard_s[answer.guardian] = self._host.kernel.host.now()
         tenancy.tenure = tenure = answered(tenancy.tenure, record, answer)
+        self._note(place, tenancy)
         if isinstance(answer, DenyLease):
             later = tenure.outvoted_by(record.guards)
             if later != NO_EPOCH and place.taking is None and not self.permits(place):
                 peer = later.minter if later.minter != self._host.agent else ""
-                self._host.feed_place(place, ClaimHeard(peer, later))
+                self._outvoted(place, OtherOwner(peer, later))
         elif tenure.is_behind(record.no):
             self._tell_behind(place, tenancy)
         else:
@@ -221,7 +259,10 @@ class Leases:
         standing, slot = place.standing, place.slot
         stands = standing.record.phase is Phase.OWNER and not standing.volatile.freezing
         if stands and slot is not None and slot.task is not None and slot.life.state is State.RUNNING:
-            tell(slot.task, GoOn())
+            record, fenced = standing.record, slot.fence
+            if fenced is not None:  # its epoch is another one where a person has said that its guardians are gone
+                slot.fence = Fence(fenced.task_id, (record.epoch.n, record.epoch.minter))
+            tell(slot.task, GoOn(slot.fence))
 
     def _wait_for_end(self, place: Place, tenancy: Tenancy) -> None:
         if tenancy.end is not None:
@@ -240,7 +281,7 @@ class Leases:
         slot = place.slot
         if slot is not None and slot.task is not None:
             self._host.hold_actuators(slot, "its guardians do not answer")
-        silent = ", ".join(sorted(one.agent for one in self._silent(place, tenancy, tenancy.lease_s))) or "too few"
+        silent = ", ".join(sorted(one.agent for one in self._silent(place, tenancy, tenancy.lease_s / 2))) or "too few"
         self._host.log("warning", f"{place.task_id} stands still: its guardians do not answer ({silent})")
         self._host.event("permit_lost", task=place.task_id.name)
 

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import msgspec
 
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, NO_EPOCH, Epoch
 from pancakes.mesh.migration.record import Phase, Record, TaskId
-
-MORE_THAN_MOVES: Final = 1_000_000
-"""The epoch of a task that is adopted without its record is so much higher than all that is known of it: more than it
-can have moved. So no agent takes the news of it for older than what it knew."""
 
 
 class Lost(msgspec.Struct, frozen=True):

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import msgspec
 
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.post import STREAMS
 from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.runtime.hosting.bidding_messages import HasMoved
 from pancakes.runtime.hosting.checkpoints import LastCheckpoint
 from pancakes.runtime.hosting.standing import Standing
@@ -48,12 +52,14 @@ class Adoption(msgspec.Struct, frozen=True):
         peer: the agent that is gone; empty: the record was lost.
         reason: what was decided, as a sentence.
         ledger: the account of the hand-off that was in doubt.
+        as_it_stands: whether it is here already, and goes on as it stands.
     """
 
     request: Request
     peer: str
     reason: str
     ledger: Ledger | None
+    as_it_stands: bool = False
 
 
 class OtherOwner(msgspec.Struct, frozen=True):
@@ -68,6 +74,28 @@ class OtherOwner(msgspec.Struct, frozen=True):
     epoch: Epoch
 
 
+class BeganFrom(msgspec.Struct, frozen=True):
+    """What a task began from where it is owned.
+
+    Attributes:
+        epoch_n: the number of the epoch under which it began.
+        heard: the duplicate filter in the snapshot that it began from.
+    """
+
+    epoch_n: int
+    heard: Mapping[str, int]
+
+    def upto(self, stream: str) -> int:
+        """Returns up to which letter of a stream it had the effects; -1: that is not known."""
+        # Of more streams than it remembers it has forgotten some.
+        return self.heard.get(stream, 0 if len(self.heard) < STREAMS else -1)
+
+
+def began_from(epoch: Epoch, snapshot: Snapshot) -> BeganFrom:
+    """Returns what a task begins from that is owned under an epoch."""
+    return BeganFrom(epoch.n, {stream: it.upto for stream, it in snapshot.heard.items()})
+
+
 class Place(msgspec.Struct):
     """The place of one task, whether it runs here or has left only its record.
 
@@ -79,6 +107,8 @@ class Place(msgspec.Struct):
         standing: its record, and what its hand-off is about to do.
         letters: what is known of the letters that have come for it; None: none has.
         written: what was written down of it last; None: nothing since it began.
+        began: what it began from here, as far as letters are concerned; None: it is not owned here.
+        looked_s: when the task was known last to be as `written` says, in host time.
         promised: the agent to which this one said RESERVED last, and its offer; None: to none since it began.
         came_from: the agent that it is on its way from; empty: none.
         move: the move that was asked for; None: none.
@@ -98,6 +128,8 @@ class Place(msgspec.Struct):
     slot: Slot | None = None
     letters: TaskLetters | None = None
     written: LastCheckpoint | None = None
+    began: BeganFrom | None = None
+    looked_s: float = 0.0
     promised: tuple[str, Epoch] | None = None
     came_from: str = ""
     move: Move | None = None

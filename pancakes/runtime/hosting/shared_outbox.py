@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from msgspec.structs import replace
 
 from pancakes.errors import LocalProtocolError, MigrationError
+from pancakes.mesh.migration.claim import OwnerClaim
 from pancakes.mesh.migration.outbox import Outbox
-from pancakes.mesh.migration.post import ForwardTo, OutgoingLetter, Receipt
+from pancakes.mesh.migration.post import (
+    MOST_STREAMS,
+    AskBegan,
+    ForwardTo,
+    LostLetters,
+    OutgoingLetter,
+    Receipt,
+    TaskBegan,
+)
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Posted
 from pancakes.mesh.wire.codec import Encoder, of_agent
@@ -69,6 +78,22 @@ class SharedOutbox:
         """Forgets what has had its effect."""
         with self._lock:
             self._unsent += self._outbox.acknowledged(receipt, peer, now_s)
+
+    def unsure_of(self, claims: Iterable[OwnerClaim]) -> list[AskBegan]:
+        """Returns what is to be asked of an agent that owns tasks: from what state each of them began there."""
+        with self._lock:
+            asked = [(str(it.task_id), self._outbox.unsure_of(str(it.task_id), it.epoch.n)) for it in claims]
+        return [AskBegan(task_id, streams[:MOST_STREAMS]) for task_id, streams in asked if streams]
+
+    def began(self, news: TaskBegan, peer: str) -> None:
+        """Learns from what state a task began where it is now."""
+        with self._lock:
+            self._outbox.began(news, peer)
+
+    def take_lost(self) -> list[LostLetters]:
+        """Returns what is known to be lost, and forgets it."""
+        with self._lock:
+            return self._outbox.take_lost()
 
     def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> None:
         """Learns of a peer where a task has gone."""

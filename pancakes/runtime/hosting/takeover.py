@@ -9,7 +9,7 @@ import msgspec
 
 from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.mesh.guarding.guardian_core import GuardRegister
-from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen, TakeTask
+from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen, TakeTask
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId, Guards, newest
@@ -45,6 +45,7 @@ class _Orphan(msgspec.Struct):
         rule: how it is guarded.
         move: when it moves by itself; None: it does not.
         heard_s: when its owner was heard last, in host time.
+        held: the newest checkpoint that any of them has.
         over: the guardians that say that no lease runs there either.
         promised: the latest epoch that any of them follows.
         guards: the newest guards that any of them knows.
@@ -61,6 +62,7 @@ class _Orphan(msgspec.Struct):
     rule: GuardRule
     move: MigrationRule | None
     heard_s: float
+    held: HeldUntil
     over: set[GuardianId] = set()
     promised: Epoch = NO_EPOCH
     guards: Guards = Guards()
@@ -86,12 +88,13 @@ class Takeovers:
         self._orphans: dict[TaskId, _Orphan] = {}
         self._asks = 0
 
-    def lease_ended(self, register: GuardRegister, heard_s: float, wait_s: float) -> None:
+    def lease_ended(self, register: GuardRegister, heard_s: float, held: HeldUntil, wait_s: float) -> None:
         """No lease runs on a task any more.
 
         Args:
             register: what this guardian has of it.
             heard_s: when its owner was heard last, in host time.
+            held: the checkpoint that this guardian has.
             wait_s: for so long no new owner is looked for.
         """
         members = register.guards.members()
@@ -113,7 +116,14 @@ class Takeovers:
         if rules.guard is None:
             return
         orphan = _Orphan(
-            register, snapshot, rules.guard, rules.move, heard_s, guards=register.guards, promised=register.promised
+            register,
+            snapshot,
+            rules.guard,
+            rules.move,
+            heard_s,
+            held,
+            guards=register.guards,
+            promised=register.promised,
         )
         self._orphans[register.task_id] = orphan
         self._later(orphan, wait_s + RANK_S * members.index(self._me))
@@ -124,21 +134,26 @@ class Takeovers:
         if orphan is None:
             return
         self._drop(task_id)
-        self._answer(orphan, "", {"task_id": str(task_id), "winner": epoch.minter})
+        self._answer(orphan, "", {"task_id": str(task_id), "winner": epoch.minter, **self._loss(orphan)})
         if orphan.negotiating_s is None:
             return
         if epoch.minter == orphan.called:
-            silent_s = self._guardian.kernel.host.now() - orphan.heard_s
-            owner, checkpoint = orphan.register.checkpoint.epoch.minter, orphan.register.checkpoint
-            self._guardian.log(
-                "warning",
-                f"{task_id} was taken over by {epoch.minter} from {owner}, silent for {silent_s:.1f} s; checkpoint"
-                f" {checkpoint.epoch}/{checkpoint.no}",
-            )
-            self._guardian.event("taken_over", task=task_id.name, by=epoch.minter, source=owner, silent_s=silent_s)
+            self._guardian.log("warning", f"{task_id} runs on {epoch.minter}, {self._cause(orphan)}")
+            owner = orphan.held.checkpoint.epoch.minter
+            self._guardian.event("taken_over", task=task_id.name, by=epoch.minter, source=owner, **self._loss(orphan))
             self._tell_migrator(HasMoved(self._guardian, task_id, epoch.minter, str(epoch), None, ""))
         else:
             self._tell_migrator(AttemptOver(self._guardian, task_id, "", f"{epoch.minter} owns it", None))
+
+    def _cause(self, orphan: _Orphan) -> str:
+        silent_s, owner = self._guardian.kernel.host.now() - orphan.heard_s, orphan.held.checkpoint.epoch.minter
+        return f"taken over from {owner}, silent for {silent_s:.1f} s; {orphan.held.story()}"
+
+    def _loss(self, orphan: _Orphan) -> dict[str, Any]:
+        """Returns what is lost of a task that is taken over, as plain values."""
+        checkpoint, silent_s = orphan.held.checkpoint, self._guardian.kernel.host.now() - orphan.heard_s
+        name = f"{checkpoint.epoch}/{checkpoint.no}"
+        return {"checkpoint": name, "age_s": orphan.held.age_s, "silent_s": silent_s}
 
     def _drop(self, task_id: TaskId) -> None:
         orphan = self._orphans.pop(task_id, None)
@@ -175,6 +190,8 @@ class Takeovers:
             return
         orphan.guards = newest(orphan.guards, answer.guards)
         orphan.promised = max(orphan.promised, answer.promised)
+        if answer.held.checkpoint > orphan.held.checkpoint:
+            orphan.held = answer.held
         if self._me not in orphan.guards.members():
             self._drop(answer.task_id)  # another one has taken its place
             return
@@ -227,11 +244,10 @@ class Takeovers:
         now_s = self._guardian.kernel.host.now()
         orphan.negotiating_s = now_s
         asked = orphan.asked
-        owner, no = orphan.register.checkpoint.epoch.minter, orphan.register.checkpoint.no
-        who = asked.request.by if asked is not None else "its guardians"
-        asked_by = f"{who}: {owner} silent for {now_s - orphan.heard_s:.1f} s, checkpoint {no}"
+        owner, cause = orphan.held.checkpoint.epoch.minter, self._cause(orphan)
+        asked_by = asked.request.by if asked is not None else "guardians"
         dry_run = asked is not None and asked.dry_run
-        self._tell_migrator(Negotiate(self._guardian, request, asked_by, "", dry_run, itself=True))
+        self._tell_migrator(Negotiate(self._guardian, request, asked_by, "", dry_run, owner, cause))
 
     def awarded(self, awarded: BidAwarded) -> None:
         """The bids are compared: calls the cheapest bidder."""
@@ -243,7 +259,9 @@ class Takeovers:
         orphan.called = awarded.peer
         register = orphan.register
         silent_s = self._guardian.kernel.host.now() - orphan.heard_s
-        call = TakeTask(register.task_id, register.type, orphan.promised, orphan.guards, register.checkpoint, silent_s)
+        call = TakeTask(
+            register.task_id, register.type, orphan.promised, orphan.guards, orphan.held.checkpoint, silent_s
+        )
         self.say(awarded.peer, "", orphan.snapshot.service, call)
         self._guardian.after_host(CALLED_S, partial(self._look_at_called, orphan, awarded.peer))
 
@@ -260,7 +278,7 @@ class Takeovers:
             return
         orphan.negotiating_s, orphan.called = None, ""
         if orphan.asked is not None:
-            self._answer(orphan, over.reason, over.result)
+            self._answer(orphan, over.reason, {**over.result, **self._loss(orphan)} if over.result else None)
             return
         if over.reason and not orphan.told:
             orphan.told = True

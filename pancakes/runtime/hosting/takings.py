@@ -150,6 +150,9 @@ class Takings:
         if result is not None:
             self._end(place, taking)
             self._host.places.keep(place)
+            if not result.source:
+                source, epoch = seizing.checkpoint.epoch.minter, result.epoch.n
+                self._host.event("task_taken", task=place.task_id.name, source_agent=source, epoch=epoch)
             self._host.feed_place(place, result)
         else:
             self._ask(place, [one for one in seizing.unasked() if one not in known])

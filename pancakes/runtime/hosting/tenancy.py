@@ -26,6 +26,7 @@ class Tenancy(msgspec.Struct):
         told: the epoch, the checkpoint and the guards that guardians were told of last.
         bodies: which checkpoint each guardian was sent last, and with which beat.
         heard_s: when each guardian has said something last, in host time.
+        as_of_s: when the task was known last to be as each of the newest checkpoints says, in host time, by number.
         owed: packets that are acknowledged once a checkpoint of this number is at a quorum.
         answers: what neighbours have said that were asked whether they would guard it.
         asked_s: when they were asked last, in host time.
@@ -44,6 +45,7 @@ class Tenancy(msgspec.Struct):
     told: tuple[Epoch, int, int] | None = None
     bodies: dict[GuardianId, tuple[int, int]] = {}
     heard_s: dict[GuardianId, float] = {}
+    as_of_s: dict[int, float] = {}
     owed: list[tuple[int, PacketId]] = []
     answers: dict[str, CanGuard] = {}
     asked_s: float = -1e9

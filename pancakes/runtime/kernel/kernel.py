@@ -19,6 +19,7 @@ from pancakes.runtime.folders import Folders
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.counter import Counter
 from pancakes.runtime.kernel.dispatch import Dispatcher
+from pancakes.runtime.kernel.guard_notes import GuardNotes
 from pancakes.runtime.kernel.guest import Guest
 from pancakes.runtime.kernel.letters import DeadLetters
 from pancakes.runtime.kernel.permits import Permits
@@ -52,6 +53,7 @@ class Kernel:
         stream: the information stream.
         registry: the actors that run here.
         permits: which guarded tasks may act.
+        guard_notes: what is known of the guardians of those that are owned here.
         tasks: the tasks of all services, at rest or not.
         task_timers: what ticks here.
         letters: packets whose handlers failed.
@@ -83,6 +85,7 @@ class Kernel:
         self.stream = InformationStream(agent)
         self.registry = Registry()
         self.permits = Permits(self.host, virtual is not None)
+        self.guard_notes = GuardNotes()
         self.tasks = TaskTable()
         self.task_timers = TimerTable()
         self.letters = DeadLetters(self.log)

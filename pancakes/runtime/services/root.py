@@ -19,6 +19,7 @@ from pancakes.control import (
     Adopt,
     Begin,
     Channels,
+    Checkpoints,
     Command,
     Configure,
     Describe,
@@ -200,7 +201,7 @@ class Root(Component):
         if isinstance(body, Shutdown):
             self._end_agent(body, request)
             return
-        if isinstance(body, (Guarding, Take)):
+        if isinstance(body, (Guarding, Checkpoints, Take)):
             self._hand_to_guardian(body, request)
             return
         if isinstance(body, Migrations):
@@ -219,7 +220,7 @@ class Root(Component):
         else:
             self._control_service(self.places[service], body, request)
 
-    def _hand_to_guardian(self, body: Guarding | Take, request: Request) -> None:
+    def _hand_to_guardian(self, body: Guarding | Checkpoints | Take, request: Request) -> None:
         guardian = self.kernel.registry.get(join(self.agent, GUARDIAN))
         if guardian is None or not tell(guardian, AskedOfGuardian(body, request, self)):
             raise ControlRefused(f"the guardian of {self.agent} is being started anew")

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.control import Guarding, Take
+from pancakes.control import Checkpoints, Guarding, Take
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.life.request import Request
 
@@ -23,7 +23,7 @@ class AskedOfGuardian(msgspec.Struct, frozen=True):
         root: the root.
     """
 
-    body: Guarding | Take
+    body: Guarding | Checkpoints | Take
     request: Request
     root: Reference
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
 from pancakes.runtime.foundation.schema import schema_of
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.task_table import TaskEntry
+from pancakes.runtime.life.life import State
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.settings import SettingsError, make_settings, plain_settings
+
+STANDS_STILL: Final = "stands still"
+"""How a guarded task rests that has no permit, and that goes on once it has one."""
 
 
 def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
@@ -25,7 +29,7 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
     life = entry.life
     timers = kernel.task_timers.of(entry.address)
     first = timers[0] if timers else None
-    told = {
+    told: dict[str, Any] = {
         "agent": kernel.agent,
         "service": entry.service,
         "task": entry.name,
@@ -42,6 +46,11 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
         "lateness_max_s": max((timer.lateness_max_s for timer in timers), default=0.0),
         "dropped": entry.mailbox.dropped(),
     }
+    note = kernel.guard_notes.of(entry.address)
+    if note is not None:
+        told["guarding"] = note.plain(kernel.host.now(), kernel.permits.left_s(entry.address))
+        if not told["guarding"]["permit_s"] and life.state is State.RUNNING:
+            told["rest"] = STANDS_STILL
     if not entry.device:
         return told
     holder = kernel.registry.holder(entry.name)

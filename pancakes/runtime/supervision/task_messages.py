@@ -11,7 +11,7 @@ import msgspec
 from pancakes.control import Configure, Describe, Reschedule, SetFence
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.post import Letter
-from pancakes.packet import Packet
+from pancakes.packet import Fence, Packet
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.life.request import Request
 
@@ -66,7 +66,13 @@ class StandStill(msgspec.Struct, frozen=True):
 
 
 class GoOn(msgspec.Struct, frozen=True):
-    """Go on after `StandStill`, or after a time without a permit."""
+    """Go on after `StandStill`, or after a time without a permit.
+
+    Attributes:
+        fence: what its commands bear from now on; None: what they bear already.
+    """
+
+    fence: Fence | None = None
 
 
 class Give(msgspec.Struct, frozen=True):

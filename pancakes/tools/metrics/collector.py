@@ -20,6 +20,7 @@ BUCKETS_S: Final = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.0
 
 
 TIMER: Final = "agent service task timer"
+GUARDED: Final = "agent service task"
 MAILBOX: Final = "agent service task channel"
 FAMILIES: Final[Sequence[tuple[str, Any, str, str]]] = (
     ("task_rate_hertz", GaugeMetricFamily, "The rate that was asked for.", TIMER),
@@ -30,6 +31,15 @@ FAMILIES: Final[Sequence[tuple[str, Any, str, str]]] = (
     ("mailbox_dropped_packets", CounterMetricFamily, "Packets that a reader wanted and lost.", MAILBOX),
     ("task_running", GaugeMetricFamily, "Whether a task runs.", "agent service task"),
     ("task_starts", CounterMetricFamily, "How often a task was started.", "agent service task"),
+    ("guard_permit_seconds", GaugeMetricFamily, "For how long a guarded task may act yet.", GUARDED),
+    ("guard_answering_guardians", GaugeMetricFamily, "Guardians that have answered within a lease.", GUARDED),
+    ("guard_wanted_guardians", GaugeMetricFamily, "Guardians that a task is to have.", GUARDED),
+    (
+        "guard_checkpoint_age_seconds",
+        GaugeMetricFamily,
+        "How long ago a task was known to be as the checkpoint says that more than half of its guardians have.",
+        GUARDED,
+    ),
     ("link_round_trip_seconds", GaugeMetricFamily, "Round trip of a link, smoothed.", "agent peer"),
     ("link_sent_packets", CounterMetricFamily, "Packets sent.", "agent peer"),
     ("link_received_packets", CounterMetricFamily, "Packets received.", "agent peer"),
@@ -79,6 +89,12 @@ class AgentMetrics(Collector):
         self._arrivals = Counter(
             "pancakes_task_arrivals", "Tasks that came from other agents.", ["agent"], registry=self.registry
         )
+        self._takeovers = Counter(
+            "pancakes_guard_takeovers",
+            "How often this agent took over a guarded task whose agent was lost.",
+            ["agent", "service", "task"],
+            registry=self.registry,
+        )
         self._failures = Counter(
             "pancakes_task_failures",
             "Tasks that ended by an error.",
@@ -107,12 +123,14 @@ class AgentMetrics(Collector):
     def happened(self, source: str, event: Event) -> None:
         """Counts what an event of this agent tells of; `source` is the address that told it."""
         agent, fields = self._kernel.agent, event.fields
-        if event.kind == "migration" and not fields.get("dry_run"):
+        service = (*source.split("/"), "")[1]  # a service tells what becomes of its own tasks
+        if event.kind == "migration" and fields["source"] == agent and not fields.get("dry_run"):
             self._migrations.labels(agent, fields["outcome"]).inc()
         elif event.kind == "task_arrived":
             self._arrivals.labels(agent).inc()
+        elif event.kind == "task_taken":
+            self._takeovers.labels(agent, service, fields["task"]).inc()
         elif event.kind == "task_failed":
-            service = (*source.split("/"), "")[1]  # a service tells it of its own tasks
             self._failures.labels(agent, service, fields["task"], fields["then"]).inc()
         elif event.kind in ("asked", "rate_changed", "settings_changed"):
             self._requests.labels(agent, str(fields.get("what", event.kind))).inc()
@@ -125,7 +143,7 @@ class AgentMetrics(Collector):
         families = {
             name: kind(f"pancakes_{name}", text, labels=labels.split()) for name, kind, text, labels in FAMILIES
         }
-        parts = (self._timers(), self._mailboxes(), self._tasks(), self._links(), self._agent())
+        parts = (self._timers(), self._mailboxes(), self._tasks(), self._guards(), self._links(), self._agent())
         for name, where, value in chain(*parts):
             families[name].add_metric(where, value)
         yield from families.values()
@@ -165,6 +183,18 @@ class AgentMetrics(Collector):
             where = [self._kernel.agent, task.service, task.name]
             yield "task_running", where, task.life.state is State.RUNNING
             yield "task_starts", where, task.life.incarnation
+
+    def _guards(self) -> Iterator[_Value]:
+        now_s = self._kernel.host.now()
+        for address, note in self._kernel.guard_notes.all().items():
+            where = address.split("/")
+            self._takeovers.labels(*where)  # one that was never taken over is told as such
+            yield "guard_permit_seconds", where, self._kernel.permits.left_s(address) or 0.0
+            yield "guard_answering_guardians", where, note.answering(now_s)
+            yield "guard_wanted_guardians", where, note.number
+            age_s = note.age_s(now_s)
+            if age_s is not None:
+                yield "guard_checkpoint_age_seconds", where, age_s
 
     def _links(self) -> Iterator[_Value]:
         for peer in self._kernel.links():

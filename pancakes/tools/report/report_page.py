@@ -109,7 +109,7 @@ def _moves(findings: Findings, pictures: Mapping[str, Picture]) -> str:
 
 def _move(move: TaskMove) -> str:
     to = f" to {move.winner}" if move.winner else ""
-    asker = "a rule of its own" if move.asked_by == "rule" else move.asked_by
+    asker = {"rule": "a rule of its own", "guardians": "its guardians"}.get(move.asked_by, move.asked_by)
     only = f"Only {move.to} was asked. " if move.to else ""
     parts = [f"Asked for by {asker}; cost: {move.cost}. {only}It took {_seconds(move.duration_s)} of host time."]
     if move.frozen_s is not None and move.started_s is not None:

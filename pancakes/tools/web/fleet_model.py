@@ -14,7 +14,7 @@ The values of the board, by name (AGENT, TASK ... stand for names; all are what 
 | `battery/AGENT` | `[voltage_v, level]` |
 | `agent/AGENT` | what its card is headed with |
 | `service/AGENT/SERVICE` | `[state, reason]` |
-| `task/AGENT/SERVICE/TASK` | a mapping, see `_task` |
+| `task/AGENT/SERVICE/TASK` | a mapping, see `_task`; `guards`, see `_guards`: of a guarded task that AGENT owns |
 | `circle/AGENT/TASK` | `[x_m, y_m, radius_m]`: a task with `centre_m` in its state or settings, and `radius_m` |
 | `commands/AGENT` | the types of its actuators of which a command can be explained |
 | `link/A/B` | the round trip in milliseconds, of two agents A < B; -1 while it is not known |
@@ -256,8 +256,10 @@ class FleetModel:
             "restarts": task["restarts"],
         }
         for name in ("reason", "rest"):
-            if described.get(name) and task["state"] != RUNNING:
+            if described.get(name) and (task["state"] != RUNNING or described.get("guarding")):
                 row[name] = described[name]
+        if guarding := described.get("guarding"):
+            row["guards"] = _guards(guarding)
         if "requires" in known:
             row["requires"] = known["requires"]
         self.board.set(key, row)
@@ -319,6 +321,15 @@ def _rounded(value: float | None) -> float | None:
 def _short(value: float | None, digits: int = 3) -> float | None:
     """Returns a figure as it is shown: it need not be sent again because of a digit that the page does not show."""
     return float(f"{value:.{digits}g}") if value is not None else None
+
+
+def _guards(guarding: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns how a task is guarded; `by`: `[agent, age_s of its checkpoint, whether it answers]` of each guardian."""
+    guardians = [
+        [it["agent"], _short(it["age_s"], 2), it["silent_s"] < guarding["lease_s"]] for it in guarding["guardians"]
+    ]
+    permit_s = round(guarding["permit_s"], 1)
+    return {"wanted": guarding["guard"], "permit_s": permit_s, "age_s": _short(guarding["age_s"], 2), "by": guardians}
 
 
 def _ms(seconds: float | None) -> float | None:

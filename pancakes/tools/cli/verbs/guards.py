@@ -7,7 +7,6 @@ from typing import Any, Final
 import click
 
 from pancakes.control import Guarding, Take
-from pancakes.errors import ControlRefused
 from pancakes.tools.cli.asking import accepted, ask_each
 from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task, agents
 from pancakes.tools.cli.options import Ask, asks_agents, asks_agents_for, dry_run_option
@@ -23,8 +22,8 @@ def guards(agents: tuple[str, ...], ask: Ask) -> None:
     """List the guarded tasks of all agents, or of those that are named, with a line for each of their guardians.
 
     A guardian that does not answer is listed as silent. `permit_s` says for how long the owner may act yet: empty where
-    it may not. `age_s` is the age of the guardian's newest checkpoint, and `silent_s` how long it has not heard the
-    owner.
+    it may not. `age_s` says how long ago the task was known to be as the guardian's newest checkpoint says, and
+    `silent_s` how long the guardian has not heard the owner.
 
     \b
     Example:
@@ -63,7 +62,8 @@ def take(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
     """Have a guarded task taken over whose owner is silent; AGENT is one of its guardians.
 
     Guardians do that by themselves, unless the task says `takeover = "ask"`. More than half of them must say that the
-    owner is silent. --dry-run names the agent that would take it, and the checkpoint that it would go on from.
+    owner is silent. --dry-run names the agent that would take it, and the newest checkpoint. What the task did after
+    that is lost: `age_s` says how old it was when the owner was heard last, and `silent_s` how long ago that is.
 
     \b
     Example:
@@ -71,12 +71,7 @@ def take(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
         pancakes task take agent2/ScanTarget
     """
     with ask.client() as client:
-        reply = accepted(client, name.agent, Take(name.task, birthplace, dry_run))
-        result = reply.result
-        rows = [row for row in accepted(client, name.agent, Guarding()).result if row["task_id"] == result["task_id"]]
-    if not rows:
-        raise ControlRefused(f"{name.agent} does not guard {name.task} any more")
+        result = accepted(client, name.agent, Take(name.task, birthplace, dry_run)).result
     row = {"task_id": result["task_id"], "taker": result["winner"], "done": DRY_RUN if dry_run else "taken over"}
-    ask.show(
-        [{**row, "checkpoint": rows[0]["checkpoint"], "age_s": rows[0]["age_s"]}], tuple(row) + ("checkpoint", "age_s")
-    )
+    row |= {key: result[key] for key in ("checkpoint", "age_s", "silent_s")}
+    ask.show([row], tuple(row))

@@ -102,7 +102,8 @@ def migrations(agents: tuple[str, ...], ask: Ask) -> None:
     if ask.format_ == "json":
         show_json(moves)
     else:
-        ask.show(moves, MOVES)
+        # A take-over has a story of its own.
+        ask.show([{**move, "reason": move["reason"] or move["cause"]} for move in moves], MOVES)
 
 
 @click.command()

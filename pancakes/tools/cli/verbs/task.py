@@ -79,7 +79,8 @@ def list_(agents: tuple[str, ...], service: str, type_: str, state: str | None, 
 @asks_agents
 def info(name: TaskName, ask: Ask) -> None:
     """Show all that is known of a task: its timers, what it reads, its settings, when it is started again, and how it
-    failed the last time, with the whole traceback.
+    failed the last time, with the whole traceback. Of a guarded task that AGENT owns: its permit, its guardians, and
+    how old the checkpoint is that each of them has.
 
     As JSON, it is the answer of its agent as it stands, with the JSON Schema of the settings.
 
@@ -192,10 +193,12 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
             "requires": found["requires"],
             "on disk": found["durability"],
             "guarded": _guarding(found["guard"]),
+            **_permit(found.get("guarding")),
             "started again": _policy(found["restart"]),
             "epoch": None if fence is None else f"{fence['epoch']} of {fence['task_id']}",
             "packets dropped": found["dropped"],
         },
+        "guardians": [dict(row) for row in found.get("guarding", {}).get("guardians", ())],
         "timers": [
             {
                 **{key: timer[key] for key in ("timer", "rate_hz", "ticks", "missed")},
@@ -218,6 +221,19 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
 
 def _guarding(guard: Mapping[str, Any] | None) -> str:
     return f"by {guard['guard']}, lease {guard['lease_s']:g} s" if guard is not None else "no"
+
+
+def _permit(guarding: Mapping[str, Any] | None) -> dict[str, str]:
+    """What the guardians of a task that this agent owns let it do, and from where another would go on."""
+    if guarding is None:
+        return {}
+    permit_s, age_s = guarding["permit_s"], guarding["age_s"]
+    age = f", {age_s:.1f} s old" if age_s is not None else ""
+    return {
+        "permit": f"{permit_s:.1f} s" if permit_s else "none: it stands still",
+        "guardians answer": f"{guarding['answering']} of {len(guarding['guardians'])}, {guarding['guard']} are wanted",
+        "checkpoint they have": f"{guarding['epoch']}/{guarding['checkpoint']}{age}",
+    }
 
 
 def _policy(restart: Mapping[str, Any]) -> str:

@@ -1,7 +1,7 @@
 // A card for each agent: what it is, how it fares, what it runs.
 
 import { OWN_SERVICES, RUNNING } from "./state.js";
-import { colour, h, hertz, percent, say, set, show, still } from "./words.js";
+import { colour, guardians, h, hertz, percent, permit, say, set, show, still } from "./words.js";
 
 const FLIGHT_MS = 1100;
 const SLOW = 0.8;
@@ -226,7 +226,8 @@ class Chip {
     this.notes = h("span.notes.warn");
     this.name = h("span.name", {}, this.task);
     this.button = h("button.task", { type: "button", onclick: () => cards.asks.act(agent, key, this.row) }, h("i.state"), this.name, this.notes, this.rate, h("span.grip", { "aria-hidden": "true" }, "⠿"));
-    this.root = h("li", { "data-task": this.task, "data-key": key }, this.button);
+    this.guards = h("p.guards.dim");
+    this.root = h("li", { "data-task": this.task, "data-key": key }, this.button, this.guards);
     this.allow(cards.control);
   }
 
@@ -244,8 +245,15 @@ class Chip {
     if (row.state !== RUNNING) rate = row.rest || row.state;
     else if (wanted) rate = reached === null || reached === undefined ? `${hertz(wanted)} Hz` : `${hertz(reached)} of ${hertz(wanted)} Hz`;
     say(this.rate, rate);
-    this.rate.classList.toggle("warn", Boolean(wanted) && reached !== null && reached < SLOW * wanted);
-    say(this.notes, row.restarts ? `${row.restarts}× restarted` : "");
+    this.rate.classList.toggle("warn", row.rest === "disputed" || Boolean(wanted) && reached !== null && reached < SLOW * wanted);
+    const stands = row.state === RUNNING && row.rest;
+    say(this.notes, stands ? row.rest : row.restarts ? `${row.restarts}× restarted` : "");
+    show(this.guards, Boolean(row.guards));
+    if (row.guards) {
+      const troubled = stands || row.guards.by.length < row.guards.wanted || row.guards.by.some(([, , answers]) => !answers);
+      say(this.guards, `${guardians(row.guards)}${permit(row.guards)}`);
+      this.guards.classList.toggle("warn", troubled);
+    }
     const late = row.late_ms === null || row.late_ms === undefined ? "" : `, ${row.late_ms} ms late in the mean`;
     set(this.button, "title", `${row.type || this.task}: ${row.rest || row.state}${row.reason ? `, ${row.reason}` : ""}${late}${row.missed ? `, ${row.missed} ticks missed` : ""}${row.dropped ? `, ${row.dropped} packets dropped` : ""}`);
     set(this.button, "aria-label", `${this.task} on ${this.agent}, ${row.rest || row.state}${rate && row.state === RUNNING ? `, ${rate}` : ""}`);

@@ -5,7 +5,7 @@ import { clock, colour, h } from "./words.js";
 const SHOWN = 250;
 const MOVES = new Set([
   "migration_asked", "migration_bid", "migration_refused", "migration", "task_frozen", "task_arrived",
-  "task_handed_over", "task_resumed", "task_adopted", "task_forgotten", "handoff_failed",
+  "task_handed_over", "task_resumed", "task_adopted", "task_forgotten", "handoff_failed", "taken_over",
 ]);
 
 /** Says what kind of event it is, for its colour and the filter. */
@@ -14,7 +14,7 @@ export function sort(event) {
   if (event.kind === "migration_refused" || event.kind === "handoff_failed") return "refused";
   if (MOVES.has(event.kind)) return "move";
   if (event.kind === "line") return event.level === "error" ? "error" : event.level === "warning" ? "warning" : "plain";
-  if (/failed|given_up|collision|refused|stuck/.test(event.kind)) return "warning";
+  if (/failed|given_up|collision|refused|stuck|lost|disputed|waits/.test(event.kind)) return "warning";
   return "plain";
 }
 

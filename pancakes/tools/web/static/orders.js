@@ -1,7 +1,7 @@
 // What a person may ask for on a page with control: to move a task, to change its rate, to stop and start it.
 
 import { OWN_SERVICES, RUNNING } from "./state.js";
-import { h, hertz } from "./words.js";
+import { guardians, h, hertz } from "./words.js";
 
 const FAR_PX = 6;
 const EDGE_PX = 56;
@@ -117,6 +117,11 @@ export class Orders {
     fact("type", row.type);
     fact("state", `${row.rest || row.state}${row.reason ? `: ${row.reason}` : ""}`);
     fact("needs", (row.requires || []).join(", "));
+    if (row.guards) {
+      fact("guardians", guardians(row.guards).replace("guarded by ", ""));
+      fact("permit", row.guards.permit_s > 0 ? `${row.guards.permit_s.toFixed(1)} s` : "none: it stands still");
+      fact("checkpoint", row.guards.age_s === null ? null : `${row.guards.age_s} s old at more than half of them`);
+    }
     fact("rate wanted", row.rate_hz === null || row.rate_hz === undefined ? null : `${hertz(row.rate_hz)} Hz`);
     fact("rate reached", row.achieved_hz === null || row.achieved_hz === undefined ? null : `${hertz(row.achieved_hz)} Hz`);
     fact("late in the mean", row.late_ms === null || row.late_ms === undefined ? null : `${row.late_ms} ms`);

@@ -32,6 +32,21 @@ export function percent(share) {
   return `${Math.round(share * 100)} %`;
 }
 
+function age(seconds) {
+  return seconds === null || seconds === undefined ? "" : ` ${seconds < 10 ? seconds.toFixed(1) : Math.round(seconds)} s`;
+}
+
+/** Says what agents guard a task, and how old the checkpoint is that each of them has. */
+export function guardians({ by, wanted }) {
+  if (by.length < wanted) return `not guarded: ${wanted} guardians are wanted`;
+  return `guarded by ${by.map(([agent, seconds, answers]) => `${agent}${answers ? age(seconds) : " (silent)"}`).join(" · ")}`;
+}
+
+/** Says for how long a guarded task may act yet. */
+export function permit({ permit_s }) {
+  return permit_s > 0 ? ` · permit ${permit_s.toFixed(1)} s` : " · no permit";
+}
+
 /** Makes an element: `h("p.dim", {title: "x"}, "text", child)`. */
 export function h(what, attributes = {}, ...children) {
   const [tag, ...classes] = what.split(".");

@@ -1,0 +1,98 @@
+"""What is said of a guarded task that was taken over: from which agent, from which checkpoint, and how old that was."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from services.counting import Count
+
+from pancakes.control import Guarding, Migrations, Take
+from pancakes.testing import FleetInTest
+
+GUARDED = {"type": "test.Count", "guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b", "c"]}
+CAUSE = r"taken over from a, silent for (\d+\.\d) s; checkpoint 0@a/\d+, (\d\.\d) s old at its last word"
+
+
+class Idle(Count):
+    """Changes nothing."""
+
+    def tick(self, tick: Any) -> None:
+        pass
+
+
+@pytest.fixture(params=["auto", "ask"])
+def fleet(request: Any) -> Iterator[FleetInTest]:
+    with FleetInTest(seed=5, classes={"test.Count": Count, "test.Idle": Idle}) as made:
+        made.start("a", tasks={"Count": {**GUARDED, "takeover": request.param}})
+        for name in "bc":
+            made.start(name)
+        made.connect()
+        assert made.run_until(lambda: has_guards(made), 10)
+        made.run_for(3.0)
+        yield made
+
+
+def has_guards(fleet: FleetInTest) -> bool:
+    rows = fleet.agents["a"].ask(Guarding()).result
+    return len(rows) == 1 and len(rows[0]["guardians"]) == 3
+
+
+def accounts(fleet: FleetInTest) -> list[dict[str, Any]]:
+    return [row for name in "bc" for row in fleet.agents[name].ask(Migrations()).result]
+
+
+@pytest.mark.parametrize("fleet", ["auto"], indirect=True)
+def test_its_account_says_from_which_agent_and_checkpoint_it_was_taken_over(fleet: FleetInTest):
+    fleet.crash("a")
+    assert fleet.run_until(lambda: bool(accounts(fleet)), 8)
+    (account,) = accounts(fleet)
+    told = re.fullmatch(CAUSE, account["cause"])
+    assert told, account["cause"]
+    assert 1.9 < float(told[1]) < 3.0 and float(told[2]) <= 0.7
+    assert (account["source"], account["asked_by"], account["outcome"]) == ("a", "guardians", "moved")
+    taker = fleet.agents[account["winner"]]
+    (taken,) = taker.events("task_taken")
+    assert taken["source_agent"] == "a" and taken["epoch"] == 1
+    lines = [line for name in "bc" for line in fleet.agents[name].lines("warning")]
+    assert any(re.search(f"a/Count runs on {account['winner']}, {CAUSE}", line) for line in lines)
+
+
+@pytest.mark.parametrize("fleet", ["ask"], indirect=True)
+def test_a_dry_run_names_the_taker_and_what_is_lost(fleet: FleetInTest):
+    fleet.crash("a")
+    fleet.run_for(10.0)
+    would = fleet.agents["b"].ask(Take("Count", dry_run=True)).result
+    assert would["winner"] in "bc" and re.fullmatch(r"0@a/\d+", would["checkpoint"])
+    assert would["age_s"] <= 0.7 and 9.0 < would["silent_s"] < 12.0
+    took = fleet.agents["b"].ask(Take("Count")).result
+    assert took["winner"] in "bc" and took["checkpoint"] == would["checkpoint"] and took["age_s"] == would["age_s"]
+
+
+@pytest.mark.parametrize("fleet", ["ask"], indirect=True)
+def test_a_guardian_that_began_anew_says_that_it_does_not_know_the_age(fleet: FleetInTest):
+    for name in "abc":
+        fleet.crash(name)
+    for name in "bc":
+        fleet.restart(name)
+    fleet.connect()
+    fleet.run_for(8.0)
+    assert fleet.agents["b"].ask(Take("Count", dry_run=True)).result["age_s"] is None
+
+
+def test_a_checkpoint_of_a_task_that_does_not_change_grows_no_older():
+    with FleetInTest(seed=5, classes={"test.Idle": Idle}) as fleet:
+        fleet.start("a", tasks={"Count": {**GUARDED, "type": "test.Idle"}})
+        for name in "bc":
+            fleet.start(name)
+        fleet.connect()
+        assert fleet.run_until(lambda: has_guards(fleet), 10)
+        fleet.run_for(60.0)
+        (row,) = fleet.agents["b"].ask(Guarding()).result
+        assert row["age_s"] < 1.5
+        fleet.crash("a")
+        fleet.run_for(1.0)
+        (later,) = fleet.agents["b"].ask(Guarding()).result
+        assert row["age_s"] < later["age_s"] < 3.0

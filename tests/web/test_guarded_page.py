@@ -1,0 +1,44 @@
+"""A guarded task on the page: its guardians, the age of what they hold, its permit, and that it stands still."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from cli.processes import Rig, Running
+from web.browsing import WALK, WALKING, chip, expect, opened, view
+
+GUARDED = WALKING + 'guard = 3\nlease_s = 2.0\ncheckpoint_s = 0.2\nguardians = ["b", "c"]\n'
+
+
+def guarding(rig: Rig) -> tuple[Running, Running]:
+    """Starts a, b and c, which guard the task on a; returns b and c."""
+    rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", WALK)
+    others = rig.ready("b"), rig.ready("c")
+    peers = ", ".join(f'"{rig.address(other)}"' for other in others)
+    rig.ready("a", GUARDED, agent=f"peers = [{peers}]").hear("a/Walk is to be guarded by a, b, c")
+    return others
+
+
+def test_it_says_what_guards_a_task_and_that_it_stands_still_without_its_guardians(
+    rig: Rig, browser: Any, faults: list[str]
+):
+    b, c = guarding(rig)
+    page = opened(browser, view(rig), faults)
+    walk = chip(page, "a", "Walk")
+    guards = walk.locator(".guards")
+    expect(guards).to_have_text(re.compile(r"^guarded by a \d\.\d s · b \d\.\d s · c \d\.\d s · permit \d\.\d s$"))
+    expect(guards).not_to_have_class(re.compile("warn"))
+    walk.get_by_role("button").click()
+    facts = page.get_by_role("dialog")
+    expect(facts).to_contain_text("guardians")
+    expect(facts).to_contain_text("permit")
+    expect(facts).to_contain_text("old at more than half of them")
+    page.keyboard.press("Escape")
+    for other in (b, c):
+        other.process.kill()
+    expect(guards).to_have_text(re.compile(r"b \(silent\) · c \(silent\) · no permit$"))
+    expect(guards).to_have_class(re.compile("warn"))
+    expect(walk.locator(".notes")).to_have_text("stands still")
+    expect(page.locator("#events").get_by_text("Walk stands still on a: its guardians do not answer")).to_be_visible()
+    assert faults == []
