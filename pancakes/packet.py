@@ -52,10 +52,13 @@ class Fence(msgspec.Struct, frozen=True, array_like=True):
     Attributes:
         task_id: the task's durable identity, `birthplace/name`.
         epoch: how often it was handed over, and the agent that minted that number; compared in this order.
+        good_for_s: of a guarded task whose command goes to another agent: for how long it is good, in host seconds,
+            counted from when it comes; None: as long as any.
     """
 
     task_id: str
     epoch: tuple[int, str]
+    good_for_s: float | None = None
 
 
 class Packet(msgspec.Struct, frozen=True, gc=False):

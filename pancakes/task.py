@@ -44,6 +44,7 @@ from pancakes.runtime.supervision.task_messages import (
     ChangeTask,
     Give,
     GoOn,
+    HasNoPermit,
     LetterGiven,
     LetterOutcome,
     Look,
@@ -152,6 +153,7 @@ class Task(Component):
         self.__carried_state = copy.deepcopy(carried.state) if carried.state else {}
         self.__carried = carried
         self.__began_s = (0.0, 0.0)
+        self.__revoked = False
 
     @property
     def settings(self) -> Any:
@@ -187,11 +189,25 @@ class Task(Component):
 
     def acts(self) -> bool:
         # A guarded task that does not know whether another agent runs it stands still until its service tells it.
-        if self.kernel.permits.holds(self.address):
+        if self.kernel.permits.holds(self.fence):
             return True
         if not self.actor_inbox.paused:
             self.pause()
+            self.__tell(HasNoPermit(self))
         return False
+
+    def may_act(self) -> bool:
+        """Returns whether the task may act now. Any thread.
+
+        It may, unless it is guarded and its guardians do not answer, or it was revoked because it was stuck. Pancakes
+        looks before each turn and where a packet or a command leaves; a task that acts past Pancakes (on a file, a
+        socket, a subprocess) asks right before it does.
+        """
+        return not self.__revoked and self.kernel.permits.holds(self.fence)
+
+    def revoke(self) -> None:
+        self.__revoked = True
+        super().revoke()
 
     def before_start(self) -> None:
         super().before_start()
@@ -291,7 +307,7 @@ class Task(Component):
         return self.__owner is not None and tell(self.__owner, message)
 
     def __look(self) -> None:
-        if self.actor_inbox.paused or self.actor_stopped.is_set():
+        if self.actor_inbox.paused or self.actor_stopped.is_set() or not self.acts():
             return
         try:
             looked = Looked(self, self.carry())

@@ -20,6 +20,7 @@ from pancakes.events import Event
 from pancakes.mesh.address import LOCAL, is_local
 from pancakes.mesh.migration.outbox import Outbox
 from pancakes.mesh.migration.rest import resting
+from pancakes.mesh.net.gate import Gate
 from pancakes.mesh.net.link_log import DROPS_REPORTED_EVERY_S
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.socket_transport import SocketTransport
@@ -168,7 +169,7 @@ class Agent:
         network = network_settings(self.config)
         transport = virtual.transport if virtual is not None else self._open_transport()
         self.kernel.transport = transport
-        own = config.access
+        own, permits = config.access, self.kernel.permits
         self.kernel.access = Access(self.name, self._roster if self._keys is not None else None, own.allow, own.refuse)
         if virtual is None:
             transport.lend_thread(self.kernel.guest, network.busy_poll_s)
@@ -205,6 +206,7 @@ class Agent:
             on_peer_down=self._on_peer_down,
             on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
             defer=defer,
+            gate=Gate(permits.holds, lambda fence, packets: permits.hold_back(fence, "packets", packets)),
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
             access=self.kernel.access,
             keys=self._keys,

@@ -48,3 +48,18 @@ def test_a_task_whose_owner_is_silent():
     assert advice.startswith("pancakes task take b/Scan")
     assert found(guards("b", lease=False, wanted=False)) == []
     assert found(guards("b"), guards("c", lease=False)) == []
+
+
+def test_a_task_that_commands_hardware_without_a_dead_man_switch():
+    ((level, about, text, advice),) = found(owns(no_dead_man=["lamp", "motors"]), guards("b"), guards("c"))
+    assert (level, about) == ("warning", "a/Scan") and text.startswith("commands lamp, motors, whose hardware does not")
+    assert advice.startswith("docs/writing-a-driver.md")
+
+
+def test_a_task_whose_clock_was_set_forward():
+    ((level, _, text, advice),) = found(owns(clock_steps=1), guards("b"), guards("c"))
+    assert level == "warning" and text == "stood still once because the time of day of a was set forward"
+    assert advice == "have its clock set before the agent starts"
+    ((_, _, text, _),) = found(owns(clock_steps=3), guards("b"), guards("c"))
+    assert "stood still 3 times" in text
+    assert found(owns(clock_steps=0, no_dead_man=[]), guards("b"), guards("c")) == []

@@ -264,3 +264,29 @@ def test_a_journal_that_is_not_the_one_any_more_ends_the_store_within_a_second_a
 
     assert told == ["the state directory was replaced"] * 2
     assert store.trouble("task", "a") == "the state directory was replaced"
+
+
+def test_an_entry_is_asked_for_right_before_it_is_written_and_fails_where_it_may_not_be_any_more() -> None:
+    journal = SlowJournal()
+    store = ThreadedStore(journal)
+    told: list[str] = []
+    may = [""]
+    store.persist(entry(b"a"), lambda: told.append("a"), never)
+    assert journal.writing.wait(10)
+    store.persist(entry(b"b"), lambda: told.append("b"), told.append, lambda: may[0])
+    store.persist(entry(b"c"), lambda: told.append("c"), never)
+    may[0] = "its guardians do not answer"
+    journal.go_on.set()
+    store.close()
+    assert sorted(told) == ["a", "c", "its guardians do not answer"]
+    assert journal.rounds == [[b"a"], [b"c"]]
+
+
+def test_an_entry_that_may_not_be_written_does_not_keep_the_next_one_from_it() -> None:
+    later = Later()
+    store = VirtualStore(MemoryJournal({}, "id"), later)
+    told: list[str] = []
+    store.persist(entry(b"a"), lambda: told.append("a"), told.append, lambda: "not now")
+    store.persist(entry(b"a"), lambda: told.append("a"), told.append, lambda: "")
+    store.close()
+    assert told == ["not now", "a"]

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 
-from pancakes.mesh.net.session import MOST_UNSENT_BYTES, Session
+from pancakes.mesh.net.gate import Gate
+from pancakes.mesh.net.send_buffer import Message
+from pancakes.mesh.net.session import MOST_UNSENT_BYTES, Session, Train
 from pancakes.mesh.net.transport import Connection
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.link_messages import Pong
+from pancakes.packet import Fence
 
 
 class Nobody:
@@ -82,3 +85,73 @@ def test_a_peer_is_stuck_since_it_last_took_a_byte() -> None:
     assert session.stuck_s(14.5) == 2.5
     connection.waiting = 0
     assert session.stuck_s(15.0) == 0.0
+
+
+class Taken(Slow):
+    """A connection that takes all, and keeps it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.data: list[bytes] = []
+
+    def send(self, data: bytes) -> int:
+        self.data.append(data)
+        return self.waiting
+
+
+SCAN, OTHER = Fence("a/Scan", (1, "a")), Fence("a/Other", (1, "a"))
+
+
+class Rights:
+    """Rights that a test ends, and what was held back."""
+
+    def __init__(self) -> None:
+        self.ended: set[Fence] = set()
+        self.held_back: list[tuple[str, int]] = []
+
+    def gate(self) -> Gate:
+        return Gate(
+            lambda fence: fence not in self.ended,
+            lambda fence, packets: self.held_back.append((fence.task_id, packets)),
+        )
+
+
+def speaking(rights: Rights, connection: Connection) -> Session:
+    session = Session(Nobody(), 1, "", lambda: 0.0, rights.gate())
+    session.opened(connection)
+    return session
+
+
+def train(session: Session, row: bytes, fence: Fence | None, rows: int = 1) -> Train:
+    return Train("system", b"\x97", (session,), [row] * rows, 0, fence)
+
+
+def test_what_rests_on_a_right_that_has_ended_does_not_leave_and_the_rest_does() -> None:
+    rights, connection = Rights(), Taken()
+    session = speaking(rights, connection)
+    rights.ended.add(SCAN)
+    session.send([train(session, b"scan", SCAN, 3), train(session, b"other", OTHER), train(session, b"free", None)])
+    (data,) = connection.data
+    assert b"other" in data and b"free" in data and b"scan" not in data
+    assert rights.held_back == [("a/Scan", 3)] and session.counters.dropped == {"system": 3}
+    assert session.counters.packets_out == 2
+    session.send([train(session, b"scan", SCAN)])
+    assert len(connection.data) == 1, "nothing is left to send"
+
+
+def test_what_has_waited_for_a_slow_peer_does_not_leave_after_its_right_has_ended() -> None:
+    rights, connection = Rights(), Taken()
+    session = speaking(rights, connection)
+    connection.waiting = 1
+    session.send([train(session, b"first", None)])
+    assert session.congested
+    for name, fence in ((b"scan", SCAN), (b"other", OTHER)):
+        session.offer("chat", ("a/client/X", "t", "b"), Message(name, True, b"\x97", fence))
+    rights.ended.add(SCAN)
+    connection.waiting = 0
+    session.drained()
+    sent = b"".join(connection.data)
+    assert b"other" in sent and b"scan" not in sent and not session.congested
+    assert rights.held_back == [("a/Scan", 1)] and session.counters.dropped == {"chat": 1}
+    session.offer("chat", ("a/client/X", "t", "b"), Message(b"again", True, b"\x97", SCAN))
+    assert b"again" not in b"".join(connection.data) and rights.held_back == [("a/Scan", 1)] * 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pancakes_sensor_field.frame import MOTION, PERIOD, TEMPERATURE, Decoder, Frame, encode
+from pancakes_sensor_field.frame import MOTION, PERIOD, SIREN, TEMPERATURE, Decoder, Frame, encode
 from pancakes_sensor_field.mote import Mote, spoilt
 
 
@@ -74,3 +74,18 @@ def test_a_spoilt_frame_has_a_wrong_crc() -> None:
     mote = Mote(7)
     decoder = Decoder()
     assert decoder.feed(spoilt(mote.start(0.0))) == [] and decoder.crc_errors == 1
+
+
+def test_its_siren_sounds_for_as_long_as_it_is_told_and_then_falls_silent_by_itself() -> None:
+    mote = Mote(7, period_s=60.0)
+    mote.start(0.0)
+    assert said(mote.received(encode(Frame(7, SIREN, 0, 5)), 1.0)) == [(SIREN, 5)] and mote.sounds
+    assert mote.next_s == 1.5 and mote.tick(1.4) == b"" and mote.sounds
+    assert said(mote.received(encode(Frame(7, SIREN, 0, 5)), 1.4)) == [(SIREN, 5)]
+    assert mote.tick(1.8) == b"" and mote.sounds
+    assert said(mote.tick(1.9)) == [(SIREN, 0)] and not mote.sounds and mote.next_s == 60.0
+    mote.received(encode(Frame(7, SIREN, 0, 50)), 2.0)
+    assert said(mote.received(encode(Frame(7, SIREN, 0, 0)), 2.1)) == [(SIREN, 0)] and not mote.sounds
+    mote.received(encode(Frame(7, SIREN, 0, 50)), 2.0)
+    mote.start(3.0)
+    assert not mote.sounds, "its power was gone"

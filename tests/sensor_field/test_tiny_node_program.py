@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from pancakes_sensor_field.frame import MOTION, PERIOD, TEMPERATURE, Decoder, Frame, encode
+from pancakes_sensor_field.frame import MOTION, PERIOD, SIREN, TEMPERATURE, Decoder, Frame, encode
 
 PATIENCE_S = 10.0
 FEELS = b"t 21.5\nm 1\n"
@@ -102,6 +102,16 @@ def test_it_speaks_on_a_pseudo_terminal_and_removes_its_link(tmp_path: Path) -> 
         assert not link.is_symlink()
     finally:
         node.close()
+
+
+def test_its_siren_falls_silent_by_itself(over_udp: TinyNode, receiver: socket.socket) -> None:
+    data, sender = receiver.recvfrom(64)
+    assert data == encode(SAYS[0])
+    receiver.sendto(encode(Frame(7, SIREN, 0, 3)), sender)
+    heard = over_udp.hear(receiver.fileno(), 2)
+    assert [(frame.kind, frame.value) for frame in heard] == [(SIREN, 3), (SIREN, 0)]
+    assert over_udp.process.stdout is not None
+    assert [over_udp.process.stdout.readline() for _ in range(2)] == [b"the siren sounds\n", b"the siren is silent\n"]
 
 
 def test_it_is_told_what_is_missing() -> None:

@@ -192,7 +192,7 @@ def test_a_guardian_that_is_alone_with_its_opinion_calls_no_agent(guarded, off):
 def test_a_task_without_a_permit_publishes_nothing_but_log_lines(guarded):
     a = guarded.agents["a"]
     task = a.task("Count")
-    a.kernel.permits.revoke(task.address)
+    a.kernel.permits.revoke(task.fence)
     with pytest.raises(NoPermit, match="a/client/Count may not act until its guardians answer"):
         task.publish("system", Numbered(1))
     task.log("info", "said all the same")

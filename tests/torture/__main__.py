@@ -15,6 +15,7 @@ from harness.ending import interruptible
 from harness.report import json_option, spread, write
 from torture.fuzz import fuzz as fuzz_agent
 from torture.fuzz import unsound
+from torture.gate_command import gate
 from torture.live_commands import cuts, gap, kills
 from torture.load_commands import load
 from torture.missions import FIGURES, figures_of, fly_all
@@ -167,7 +168,7 @@ COUNTED = (
 """What is counted in fault schedules: how it is called, and its key in `Outcome.counts`."""
 
 
-for live in (kills, cuts, gap, load, standstill):
+for live in (kills, cuts, gap, gate, load, standstill):
     torture.add_command(live)
 
 

@@ -15,8 +15,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from torture import __main__ as command
-from torture import live_commands, standstill_command
+from torture import gate_command, live_commands, standstill_command
 from torture.gap import Gaps
+from torture.late_acts import LateTally
 from torture.missions import Job, Outcome, fly
 from torture.points import Point
 from torture.schedules import Outcome as ScheduleOutcome
@@ -122,3 +123,19 @@ def test_a_standstill_gives_exit_code_1(monkeypatch: pytest.MonkeyPatch, gaps: d
     result = CliRunner().invoke(command.torture, ["standstill", "--seconds", "3"])
     assert result.exit_code == code
     assert "2 rounds, " + ("6" if code else "0") + " gaps above 0.15 s" in result.output
+
+
+@pytest.mark.parametrize(("commands", "code"), [([0, 1], 0), ([1, 2], 1)])
+def test_more_than_one_late_command_after_a_stop_gives_exit_code_1(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, commands: list[int], code: int
+) -> None:
+    def two(directory: Path, stops: int, fleets: int, seed: int) -> LateTally:
+        assert (stops, fleets) == (2, 2)
+        return LateTally(2, commands, [30, 0], [1, 0], [0, 0], 500, [0.1, 0.2])
+
+    monkeypatch.setattr(gate_command, "run_late_acts", two)
+    path = tmp_path / "figures.json"
+    result = CliRunner().invoke(command.torture, ["gate", "--stops", "3", "--json", str(path)])
+    assert result.exit_code == code
+    assert f"late: {sum(commands)} commands, 30 packets in 1 sends, 0 checkpoints" in result.output
+    assert json.loads(path.read_text())["most"] == max(commands)

@@ -135,10 +135,25 @@ class Actuator(Driver):
 
         Args:
             command: the body of a packet of the driver's type.
-            ttl_s: for how long it is good, in mission seconds; the hardware must go to its safe hold when
-                no other command comes in that time, even if this process is gone.
+            ttl_s: for how long it is good, in mission seconds: the device's `hold_after_s`, or less where the right of
+                a guarded task ends sooner. The hardware should go to its safe hold when no other command comes in that
+                time, even if this process is gone; see `holds_by_itself`.
             source: address of the task that gave it.
         """
+
+    def holds_by_itself(self, hold_after_s: float) -> float | None:
+        """Returns after how long the hardware holds by itself where no process tells it to: its dead-man switch.
+
+        Called once the driver is open. Without one, a guarded task that commands the device is warned of.
+
+        Args:
+            hold_after_s: the longest time to live of a command, in mission seconds.
+
+        Returns:
+            The time without a fresh command, in mission seconds: `hold_after_s` of hardware that counts each command's
+            time to live, the time-out of hardware that has one of its own. None: it keeps its last command.
+        """
+        return None
 
     @abstractmethod
     def hold(self) -> None:

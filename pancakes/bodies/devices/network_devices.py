@@ -134,7 +134,8 @@ class NetworkTemperature(NetworkSensor):
 class NetworkActuator(Actuator):
     """An actuator of another agent; a type of one's own needs a subclass that names it.
 
-    The other agent's device counts the command's time to live from when it comes, by its own `hold_after_s`.
+    The other agent's device counts the command's time to live from when it comes: its own `hold_after_s`, or less where
+    the right of a guarded task ends sooner.
     """
 
     networked = True
@@ -157,6 +158,10 @@ class NetworkActuator(Actuator):
 
     def apply(self, command: Any, ttl_s: float, source: str) -> None:
         self.context.send(CTRL, command, self.settings.target)
+
+    def holds_by_itself(self, hold_after_s: float) -> float:
+        """The other agent holds it where this one is gone; where both are, it is as safe as its own driver says."""
+        return hold_after_s
 
     def hold(self) -> None:
         self.context.send(CTRL, Hold(f"{self.context.agent}/device/{self.context.device} holds"), self.settings.target)

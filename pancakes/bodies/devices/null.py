@@ -24,6 +24,10 @@ class NullActuator(Actuator):
     def apply(self, command: Any, ttl_s: float, source: str) -> None:
         pass
 
+    def holds_by_itself(self, hold_after_s: float) -> float:
+        """Nothing ever moves."""
+        return 0.0
+
     def hold(self) -> None:
         pass
 

@@ -185,6 +185,10 @@ class DifferentialDrive(Actuator):
             Drive(self._body, self.context.device, wheels.left_mps, wheels.right_mps, ttl_s, source),
         )
 
+    def holds_by_itself(self, hold_after_s: float) -> float:
+        """The world, which stands for the robot's firmware, counts each command's time to live."""
+        return hold_after_s
+
     def hold(self) -> None:
         """Stops the wheels at once."""
         if self._bus is not None:

@@ -66,6 +66,13 @@ def _numbered(before: Record, record: Record) -> Record:
     return replace(record, no=before.no if alike else before.no + 1)
 
 
+def is_checkpoint(before: Record, record: Record) -> bool:
+    """Returns whether a record of a guarded task brings nothing but a newer checkpoint."""
+    return (
+        before.guarded and before.no != record.no and replace(before, snapshot=record.snapshot, no=record.no) == record
+    )
+
+
 def permit_given(record: Record, volatile: Volatile) -> list[Effect]:
     """Starts a task that has waited for its guardians."""
     waits = record.phase is Phase.OWNER and record.wanted is Wanted.RUNNING and volatile.again is None

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from pancakes.errors import PancakesError
 from pancakes.mesh.address import reachable_from
 from pancakes.mesh.net.alarm import Alarm
+from pancakes.mesh.net.gate import OPEN, Gate
 from pancakes.mesh.net.gossip import Gossiper
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
@@ -73,6 +74,7 @@ class Mesh:
         on_log: takes (level, text).
         defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
             fails, or at once outside of one; so several packets of a turn leave with one system call.
+        gate: is asked about what is sent under a right.
         times: the times of links and membership.
         access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
         keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
@@ -92,20 +94,19 @@ class Mesh:
         on_peer_down: Callable[[str, str, float | None], None] = lambda name, reason, asleep_s: None,
         on_log: Callable[[str, str], None] = lambda level, text: None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
+        gate: Gate = OPEN,
         times: LinkTimes | None = None,
         access: Access | None = None,
         keys: Keys | None = None,
     ) -> None:
         self.identity = identity
+        self._gate = gate
         self._transport = transport
-        self._listen_at = tuple(listen)
-        self._static = tuple(peers)
+        self._listen_at, self._static = tuple(listen), tuple(peers)
         self._random = source
         self._now = host_clock.now
-        self._on_packets = on_packets
-        self._on_unfit = on_unfit
-        self._on_peer_up = on_peer_up
-        self._on_peer_down = on_peer_down
+        self._on_packets, self._on_unfit = on_packets, on_unfit
+        self._on_peer_up, self._on_peer_down = on_peer_up, on_peer_down
         self._times = times or LinkTimes()
         self._own = identity.hello()
         self._peers: Peers | None = None
@@ -293,7 +294,7 @@ class Mesh:
         if (oldest := makes_room(self._sessions.values())) is not None:
             full = f"is full: {MAX_HANDSHAKES} connections have not become links, and this is the oldest"
             self._refuse(oldest, "full", f"{self.identity.name} {full}", f"it {full}")
-        session = Session(self, self._peers.new_link(), "", self._now)
+        session = Session(self, self._peers.new_link(), "", self._now, self._gate)
         self._sessions[session.number] = session
         return session
 
@@ -464,7 +465,7 @@ class Mesh:
         """Carries out what membership asks for."""
         for decision in decisions:
             if isinstance(decision, Dial):
-                session = Session(self, decision.link, decision.address, self._now)
+                session = Session(self, decision.link, decision.address, self._now, self._gate)
                 self._sessions[session.number] = session
                 self._transport.dial(decision.address, session)
                 continue

@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Final
 
 import msgspec
 
 from pancakes.errors import MailboxFull
-from pancakes.packet import LOG, NETWORK, SYSCTRL, SYSTEM
+from pancakes.packet import LOG, NETWORK, SYSCTRL, SYSTEM, Fence
 
 MAX_PACKETS: Final = 1024
 """Most packets of a channel that wait for a peer."""
@@ -93,11 +93,13 @@ class Message(msgspec.Struct):
         data: the packet as a row of a run.
         counts: whether it is a mission packet (a retry is not).
         head: what a run of such packets begins with.
+        fence: the right under which it is sent; None: it needs none.
     """
 
     data: bytes
     counts: bool
     head: bytes
+    fence: Fence | None = None
 
 
 class _ChannelBuffer:
@@ -189,11 +191,15 @@ class SendBuffer:
     Args:
         peer: its name, for errors.
         counters: where drops are counted.
+
+    Attributes:
+        held_back: the rights of packets that were given up because their right had ended, until that is told.
     """
 
     def __init__(self, peer: str, counters: Counters) -> None:
         self.peer = peer
         self.counters = counters
+        self.held_back: list[Fence] = []
         self._lanes: dict[str, _ChannelBuffer] = {channel: _ChannelBuffer(channel) for channel in FIRST}
         self._turns: deque[_ChannelBuffer] = deque()  # the lanes that have something, except the first ones
 
@@ -216,29 +222,39 @@ class SendBuffer:
         if was_empty and channel not in FIRST:
             self._turns.append(lane)
 
-    def take(self, limit_bytes: int) -> list[Message]:
-        """Takes what is to be sent next, at least one message if any waits."""
+    def take(self, limit_bytes: int, may_leave: Callable[[Fence], bool] = lambda fence: True) -> list[Message]:
+        """Takes what is to be sent next, at least one message if any waits that may be sent.
+
+        Args:
+            limit_bytes: after so many bytes no other is taken.
+            may_leave: returns whether what is sent under a right may be sent now; what may not is given up.
+        """
         messages: list[Message] = []
         size = 0
         while size < limit_bytes:
-            message = self._next()
-            if message is None:
+            found = self._next()
+            if found is None:
                 break
+            channel, message = found
+            if message.fence is not None and not may_leave(message.fence):
+                self.counters.drop(channel)
+                self.held_back.append(message.fence)
+                continue
             messages.append(message)
             size += len(message.head) + len(message.data)
         return messages
 
-    def _next(self) -> Message | None:
+    def _next(self) -> tuple[str, Message] | None:
         for channel in FIRST:
             if self._lanes[channel]:
-                return self._lanes[channel].pop()
+                return channel, self._lanes[channel].pop()
         if not self._turns:
             return None
         lane = self._turns.popleft()
         message = lane.pop()
         if lane:
             self._turns.append(lane)
-        return message
+        return lane.channel, message
 
     def waiting(self) -> dict[str, int]:
         """Returns how many packets wait on each channel where any do."""

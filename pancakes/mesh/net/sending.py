@@ -16,7 +16,7 @@ from pancakes.errors import PancakesError
 from pancakes.mesh.net.send_buffer import Message, PeerBusy
 from pancakes.mesh.net.session import BATCH_BYTES, Session, Train
 from pancakes.mesh.wire.runs import RowEncoder, head_of
-from pancakes.packet import NEIGHBOURS, Fence, Packet, agent_of
+from pancakes.packet import LOG, NEIGHBOURS, Fence, Packet, agent_of
 
 MOST_WAYS: Final = 4096
 """So many are remembered; a task that makes up one destination after the other must not fill the memory."""
@@ -31,6 +31,7 @@ class Way(msgspec.Struct, frozen=True, eq=False):
     Attributes:
         channel: the channel.
         fence: the fence.
+        right: the same, where what is sent rests on it: what a task says on `log` does not.
         place: the name of the one agent, or `NEIGHBOURS`: ways of different places do not get in each other's way.
         head: what their runs begin with.
         sessions: the peers.
@@ -39,6 +40,7 @@ class Way(msgspec.Struct, frozen=True, eq=False):
 
     channel: str
     fence: Fence | None
+    right: Fence | None
     place: str
     head: bytes
     sessions: tuple[Session, ...]
@@ -75,7 +77,7 @@ class _Turn:
             self._last.clear()
         else:
             self._last.pop(NEIGHBOURS, None)
-        train = Train(way.channel, way.head, way.sessions, [row], int(retry))
+        train = Train(way.channel, way.head, way.sessions, [row], int(retry), way.right)
         self._last[way.place] = (way, train)
         self._trains.append(train)
         if len(self._trains) == 1:
@@ -141,7 +143,7 @@ class Sending:
         row = way.encoder.encode(packet)
         for session in way.sessions:
             if session.congested:
-                return self._offer(way, packet, Message(row, not retry, way.head))
+                return self._offer(way, packet, Message(row, not retry, way.head, way.right))
         self._local.turn.add(way, row, retry)
         return len(way.sessions)
 
@@ -165,7 +167,8 @@ class Sending:
         with self._lock:
             sessions = self._sessions_at(place)
             if sessions is not None:
-                way = Way(packet.channel, packet.fence, place, head, sessions, RowEncoder(head))
+                right = packet.fence if packet.channel != LOG else None
+                way = Way(packet.channel, packet.fence, right, place, head, sessions, RowEncoder(head))
                 if len(self._ways) >= MOST_WAYS:
                     self._ways = {}
                 self._ways[key] = way

@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol
 import msgspec
 
 from pancakes.mesh.net.bucket import Bucket
+from pancakes.mesh.net.gate import OPEN, Gate
 from pancakes.mesh.net.send_buffer import FIRST, Counters, Key, Message, PeerBusy, SendBuffer
 from pancakes.mesh.net.transport import Connection, ConnectionHandler
 from pancakes.mesh.security.certified import Certified
@@ -22,6 +23,7 @@ from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Link
 from pancakes.mesh.wire.link_messages import Hello, RefuseLink
 from pancakes.mesh.wire.runs import run_of
+from pancakes.packet import Fence
 
 BATCH_BYTES: Final = 16 * 1024
 """How much is handed to a connection at a time when the link is busy. What is urgent waits for no more than that (or
@@ -42,6 +44,7 @@ class Train(msgspec.Struct, gc=False):
         sessions: the peers.
         rows: the encoded packets.
         retries: how many of them are no mission packets, because they were sent before.
+        fence: the right under which they are sent; None: they need none.
         run: all of them as one message, made when it is first sent.
     """
 
@@ -50,6 +53,7 @@ class Train(msgspec.Struct, gc=False):
     sessions: tuple[Session, ...]
     rows: list[bytes]
     retries: int
+    fence: Fence | None = None
     run: bytes = b""
 
     def message(self) -> bytes:
@@ -94,6 +98,7 @@ class Session(ConnectionHandler):
         number: the link's number in `Peers`.
         address: what was dialled; empty where the connection came in.
         now: the host clock.
+        gate: is asked about what is sent under a right.
 
     Attributes:
         counted: how many mission packets were sent.
@@ -101,7 +106,7 @@ class Session(ConnectionHandler):
             wait to be looked at; None: the connection has none.
     """
 
-    def __init__(self, owner: Owner, number: int, address: str, now: Callable[[], float]) -> None:
+    def __init__(self, owner: Owner, number: int, address: str, now: Callable[[], float], gate: Gate = OPEN) -> None:
         self.number = number
         self.address = address
         self.link: Link | None = None
@@ -120,6 +125,7 @@ class Session(ConnectionHandler):
         self.refused_said_s = float("-inf")
         self._owner = owner
         self._now = now
+        self._gate = gate
         self._connection: Connection | None = None
         self._remote = address
         self._lock = threading.Lock()
@@ -195,6 +201,7 @@ class Session(ConnectionHandler):
         """The connection took all it was given: give it more."""
         with self._lock:
             self._pump()
+        self._tell_held_back()
 
     def closed(self, reason: str) -> None:
         """See `ConnectionHandler`."""
@@ -223,12 +230,17 @@ class Session(ConnectionHandler):
                 for train in trains:
                     self.counters.drop(train.channel, len(train.rows))
                 return
+            # As near to the system call as can be: a process may have been stopped since the packets were published.
+            going = [train for train in trains if train.fence is None or self._gate.may_leave(train.fence)]
             packets = retries = 0
-            for train in trains:
+            for train in going:
                 packets += len(train.rows)
                 retries += train.retries
-            data = frame([train.message() for train in sorted(trains, key=_comes_after)])
-            self._write(data, packets, packets - retries)
+            if going:
+                data = frame([train.message() for train in sorted(going, key=_comes_after)])
+                self._write(data, packets, packets - retries)
+        if len(going) < len(trains):
+            self._hold_back([train for train in trains if not any(train is other for other in going)])
 
     def offer(self, channel: str, key: Key, message: Message) -> None:
         """Takes a packet, to be sent when there is room. From any thread.
@@ -245,8 +257,12 @@ class Session(ConnectionHandler):
                 except PeerBusy:
                     self.counters.drop(channel)
                     raise
-            else:
+            elif message.fence is None or self._gate.may_leave(message.fence):
                 self._write(frame([run_of(message.head, [message.data])]), 1, message.counts)
+            else:
+                self.counters.drop(channel)
+                self._outbox.held_back.append(message.fence)
+        self._tell_held_back()
 
     def end(self, reason: str) -> None:
         """Closes the connection once what it was given is sent."""
@@ -286,13 +302,25 @@ class Session(ConnectionHandler):
     def _pump(self) -> None:
         self.congested = True  # keeps the order: what is offered now goes behind what waits
         while True:
-            messages = self._outbox.take(BATCH_BYTES)
+            messages = self._outbox.take(BATCH_BYTES, self._gate.may_leave)
             if not messages:
                 self.congested = False
                 return
             self._write(frame(_in_runs(messages)), len(messages), sum(message.counts for message in messages))
             if self._unsent():
                 return
+
+    def _hold_back(self, trains: Sequence[Train]) -> None:
+        for train in trains:
+            assert train.fence is not None
+            self.counters.drop(train.channel, len(train.rows))
+            self._gate.held_back(train.fence, len(train.rows))
+
+    def _tell_held_back(self) -> None:
+        """Tells of what was given up in the outbox. Not under the lock: a line for `log` may come by here."""
+        held_back = self._outbox.held_back
+        while held_back:
+            self._gate.held_back(held_back.pop(), 1)
 
     def _write(self, data: bytes, packets: int = 0, counted: int = 0) -> None:
         """Writes frames. Under the lock."""

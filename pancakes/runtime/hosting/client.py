@@ -56,7 +56,7 @@ from pancakes.runtime.life.life import RESTS
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.service_messages import PeerDown
 from pancakes.runtime.supervision.slot import Slot
-from pancakes.runtime.supervision.task_messages import Carried, LetterGiven, Looked, Stood
+from pancakes.runtime.supervision.task_messages import Carried, HasNoPermit, LetterGiven, Looked, Stood
 from pancakes.service import Service
 from pancakes.task import TaskSpec
 
@@ -253,7 +253,7 @@ class ClientService(Service):
         match effect:
             case handoff_effect.Persist():
                 self._writing += 1
-                self._records.persist(effect.record, self)
+                self._records.persist(effect.record, self, self._guarded.may_write(place, effect.record))
             case handoff_effect.Send():
                 self._carrier.send(effect.peer, effect.message)
             case handoff_effect.After():
@@ -377,13 +377,15 @@ class ClientService(Service):
 
     def on_receive(self, message: Any) -> Any:
         match message:
-            case Looked() | Stood():
+            case Looked() | Stood() | HasNoPermit():
                 slot = self.slots.get(message.task.name)
                 if slot is not None and slot.task is not None and slot.task is message.task:
                     if isinstance(message, Looked):
                         self._checkpointing.looked(slot, message)
-                    else:
+                    elif isinstance(message, Stood):
                         self.feed(slot, hosting_event.StoodStill(message.offer, message.carried, message.reason))
+                    else:
+                        self._guarded.has_no_permit(self.places.at[slot.name])
             case RecordWritten():
                 self._written(message)
             case LetterGiven():

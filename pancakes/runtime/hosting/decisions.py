@@ -10,7 +10,7 @@ from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import AdoptionAsked, ForgettingAsked, GuardsChosen
 from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.packet import agent_of, join
+from pancakes.packet import Fence, agent_of, join
 from pancakes.runtime.hosting import adoption
 from pancakes.runtime.hosting.arrivals import Arrivals
 from pancakes.runtime.hosting.bidding_messages import AttemptOver
@@ -117,7 +117,7 @@ class Decisions:
         host, task_id = self._host, TaskId.parse(body.task_id)
         place = host.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
         record, lost = place.standing.record, self._records.lost(task_id)
-        stands_still = record.guarded and not host.kernel.permits.holds(join(host.address, task_id.name))
+        stands_still = record.guarded and not host.kernel.permits.holds(Fence(str(task_id), record.epoch))
         if record.phase is Phase.OWNER and stands_still and not is_disputed(record):
             self._stand_alone(place, body, request)
             return

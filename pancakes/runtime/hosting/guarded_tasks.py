@@ -7,10 +7,11 @@ from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.effect import Seize
 from pancakes.mesh.migration.event import PacketId
+from pancakes.mesh.migration.guarded_task import is_checkpoint
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.record import Record
 from pancakes.mesh.net.mesh import Mesh
-from pancakes.packet import Packet, agent_of
+from pancakes.packet import Fence, Packet, agent_of
 from pancakes.runtime.hosting.checkpointing import Checkpointing
 from pancakes.runtime.hosting.deliveries import Deliveries
 from pancakes.runtime.hosting.disputes import Disputes
@@ -21,6 +22,7 @@ from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.hosting.takings import Takings
+from pancakes.runtime.journal import May
 
 
 class GuardedTasks:
@@ -52,6 +54,7 @@ class GuardedTasks:
         self.begin = self._leases.begin
         self.close = self._leases.close
         self.look = self._leases.look
+        self.has_no_permit = self._leases.has_no_permit
         self._deliveries = deliveries
 
     def first_guardian(self, place: Place, snapshot: bytes = b"") -> GuardianId | None:
@@ -64,6 +67,20 @@ class GuardedTasks:
             self._leases.owe(place, packet)
         else:
             self._deliveries.on_disk(place, packet)
+
+    def may_write(self, place: Place, record: Record) -> May | None:
+        """Returns what is asked before a checkpoint of a task that runs is written; None: nothing is."""
+        if not place.standing.volatile.running or not is_checkpoint(place.standing.record, record):
+            return None
+        permits, right = self._host.kernel.permits, Fence(str(record.task_id), record.epoch)
+
+        def why_not() -> str:
+            if permits.holds(right):
+                return ""
+            permits.hold_back(right, "checkpoints")
+            return f"{record.task_id} may not act until its guardians answer"
+
+        return why_not
 
     def given(self, place: Place, effect: Seize) -> None:
         """A task was given to this agent: its guardians are asked."""

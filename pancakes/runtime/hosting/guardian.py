@@ -38,7 +38,7 @@ from pancakes.mesh.migration.messages import is_for
 from pancakes.mesh.migration.record import TaskId, Wanted
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.net.mesh import Mesh
-from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.runtime.hosting import held
 from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MoveOver
 from pancakes.runtime.hosting.host_state import HostState
@@ -204,11 +204,17 @@ class Guardian(Component):
         }
         if owner != self.agent or register.body is None:
             return row
-        snapshot = Snapshot.decode(register.body.snapshot)
-        permit_s = self.kernel.permits.left_s(join(self.agent, snapshot.service, register.task_id.name))
-        guardians = [member.agent for member in register.guards.members()]
-        number = snapshot.guard["guard"] if snapshot.guard is not None else 1
-        return {**row, "guardians": guardians, "guard": number, "permit_s": permit_s}
+        snapshot, permits = Snapshot.decode(register.body.snapshot), self.kernel.permits
+        address = join(self.agent, snapshot.service, register.task_id.name)
+        return {
+            **row,
+            "guardians": [member.agent for member in register.guards.members()],
+            "guard": snapshot.guard["guard"] if snapshot.guard is not None else 1,
+            "permit_s": permits.left_s(Fence(str(register.task_id), register.promised)),
+            "held_back": permits.held_back(str(register.task_id)),
+            "clock_steps": permits.steps(str(register.task_id)),
+            "no_dead_man": self.kernel.registry.without_dead_man(address),
+        }
 
     def _written(self, message: RegisterWritten) -> None:
         one = self._guarded[message.task_id]

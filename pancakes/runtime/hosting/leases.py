@@ -28,6 +28,7 @@ from pancakes.runtime.hosting.tenancy import Tenancy
 from pancakes.runtime.kernel.guard_notes import GuardianNote, GuardNote
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
+from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import GoOn
 
 REPLACED_S: Final = 60.0
@@ -75,7 +76,7 @@ class Leases:
 
     def permits(self, place: Place) -> bool:
         """Returns whether a guarded task may act now."""
-        return place.tenancy is not None and self._host.kernel.permits.holds(self._address(place))
+        return place.tenancy is not None and self._host.kernel.permits.holds(_right(place))
 
     def look(self, place: Place) -> None:
         """The record of a task may have changed: asks for leases, or no longer."""
@@ -84,6 +85,8 @@ class Leases:
         if owned and record.guarded:
             if place.tenancy is None:
                 self._begin(place)
+            elif permits.begin(_right(place)):
+                place.permit = False
             assert place.tenancy is not None
             if place.tenancy.told != (record.epoch, record.no, record.guards.version):
                 self._renew(place)
@@ -91,7 +94,7 @@ class Leases:
         if place.tenancy is not None:
             self._end(place)
         if record.phase is Phase.OWNER:
-            permits.free(self._address(place))
+            permits.free(str(place.task_id))
             slot = place.slot
             if slot is not None and slot.spec.guard is not None and idle(place.standing):
                 self._host.feed_place(place, GuardsChosen(((self._talk.me,),)))
@@ -111,7 +114,7 @@ class Leases:
         # An answer to this service's predecessor is older than every beat of its own, and so counts for nothing.
         place.tenancy = Tenancy(tenure=Tenure(beat=int(now_s * 1e6)), lost_s=now_s)
         self._learn_rule(place)
-        self._host.kernel.permits.revoke(self._address(place))
+        self._host.kernel.permits.revoke(_right(place))
         self._held.append(place)
         self._look_at(place)
 
@@ -121,7 +124,7 @@ class Leases:
         place.tenancy, place.permit = None, False
         self._held.remove(place)
         self._host.kernel.guard_notes.drop(self._address(place))
-        self._host.kernel.permits.revoke(self._address(place))
+        self._host.kernel.permits.revoke(_right(place))
 
     def _look_at(self, place: Place) -> None:
         tenancy = place.tenancy
@@ -129,10 +132,22 @@ class Leases:
             return
         if place.slot is not None:
             self._save([place.slot.name])
+            self._look_at_actuators(place.slot, tenancy)
         every_s = tenancy.rule.checkpoint_s if tenancy.rule is not None else CHOOSE_S
         # All tasks of an agent at the same moments: their checkpoints share messages, and rounds of its disk.
         to_next_s = every_s - self._host.kernel.host.now() % every_s
         tenancy.tick = self._host.after_host(to_next_s, partial(self._look_at, place))
+
+    def _look_at_actuators(self, slot: Slot, tenancy: Tenancy) -> None:
+        unsafe = frozenset(self._host.kernel.registry.without_dead_man(slot.address))
+        for device in sorted(unsafe - tenancy.unsafe):
+            self._host.log(
+                "warning",
+                f"{slot.address} is guarded and commands {device}, whose hardware does not hold by itself: where this"
+                " process is stopped or killed, it keeps its last command",
+            )
+            self._host.event("no_dead_man", task=slot.name, device=device)
+        tenancy.unsafe = unsafe
 
     def _learn_rule(self, place: Place) -> None:
         tenancy = place.tenancy
@@ -168,6 +183,9 @@ class Leases:
         elif tenancy.behind:
             return
         self._learn_rule(place)
+        if place.permit and not self.permits(place):
+            self._lost(place, tenancy)
+            return
         tenancy.tenure = tenure = asked_again(tenancy.tenure, record)
         # The clock is read before anything is sent: a lease begins later, so it ends later.
         tenancy.until[tenure.beat] = self._host.kernel.permits.moment().later(PERMIT_SHARE * tenancy.lease_s)
@@ -198,6 +216,7 @@ class Leases:
         no = tenure.replicated_no(record.guards)
         note = GuardNote(
             str(record.epoch),
+            _right(place),
             tenancy.number,
             tenancy.lease_s,
             tuple(guardians),
@@ -241,14 +260,13 @@ class Leases:
                 self._host.feed_place(place, GuardsChosen(both))
 
     def _permit(self, place: Place, tenancy: Tenancy) -> None:
-        permits, address = self._host.kernel.permits, self._address(place)
+        permits = self._host.kernel.permits
         until = tenancy.until.get(tenancy.tenure.granted_beat(place.standing.record.guards))
-        if until is None:
+        if until is None or until.left_s(permits.moment()) <= 0:  # the answer came too late
             return
-        permits.give(address, until)
-        if not permits.holds(address):  # the answer came too late
-            permits.revoke(address)
-            return
+        if place.permit and not self.permits(place):
+            self._lost(place, tenancy)
+        permits.give(_right(place), until)
         self._wait_for_end(place, tenancy)
         if place.permit:
             return
@@ -256,6 +274,9 @@ class Leases:
         without_s = self._host.kernel.host.now() - tenancy.lost_s
         self._host.event("permit_given", task=place.task_id.name, without_s=without_s)
         self._host.feed_place(place, PermitGiven())
+        self._go_on(place)
+
+    def _go_on(self, place: Place) -> None:
         standing, slot = place.standing, place.slot
         stands = standing.record.phase is Phase.OWNER and not standing.volatile.freezing
         if stands and slot is not None and slot.task is not None and slot.life.state is State.RUNNING:
@@ -267,7 +288,7 @@ class Leases:
     def _wait_for_end(self, place: Place, tenancy: Tenancy) -> None:
         if tenancy.end is not None:
             tenancy.end.cancel()
-        left_s = self._host.kernel.permits.left_s(self._address(place)) or 0.0
+        left_s = self._host.kernel.permits.left_s(_right(place)) or 0.0
         tenancy.end = self._host.after_host(left_s, partial(self._look_for_end, place))
 
     def _look_for_end(self, place: Place) -> None:
@@ -277,13 +298,34 @@ class Leases:
         if self.permits(place):
             self._wait_for_end(place, tenancy)
             return
+        self._lost(place, tenancy)
+
+    def has_no_permit(self, place: Place) -> None:
+        """A task has found its permit over, and stands still."""
+        if self._host.kernel.permits.holds(_right(place)):  # its guardians have answered since
+            self._hold(place)
+            self._go_on(place)
+        elif place.tenancy is not None and place.permit:
+            self._lost(place, place.tenancy)
+
+    def _lost(self, place: Place, tenancy: Tenancy) -> None:
+        """The permit is over: the actuators are held, and the guardians asked at once."""
+        step_s = self._host.kernel.permits.ended_by_step(_right(place))
         place.permit, tenancy.lost_s = False, self._host.kernel.host.now()
+        self._hold(place)
+        silent = ", ".join(sorted(one.agent for one in self._silent(place, tenancy, tenancy.lease_s / 2))) or "too few"
+        why = f"its guardians do not answer ({silent})"
+        if step_s:
+            why = f"the time of day of {self._host.agent} was set forward by {step_s:.1f} s, so its permit is over"
+            self._host.event("clock_stepped", task=place.task_id.name, by_s=step_s)
+        self._host.log("warning", f"{place.task_id} stands still: {why}")
+        self._host.event("permit_lost", task=place.task_id.name)
+        self._renew(place)
+
+    def _hold(self, place: Place) -> None:
         slot = place.slot
         if slot is not None and slot.task is not None:
             self._host.hold_actuators(slot, "its guardians do not answer")
-        silent = ", ".join(sorted(one.agent for one in self._silent(place, tenancy, tenancy.lease_s / 2))) or "too few"
-        self._host.log("warning", f"{place.task_id} stands still: its guardians do not answer ({silent})")
-        self._host.event("permit_lost", task=place.task_id.name)
 
     def _tell_behind(self, place: Place, tenancy: Tenancy) -> None:
         if not tenancy.behind:
@@ -381,3 +423,8 @@ class Leases:
 
     def _address(self, place: Place) -> str:
         return join(self._host.address, place.task_id.name)
+
+
+def _right(place: Place) -> Fence:
+    """Returns the right under which a task acts here."""
+    return Fence(str(place.task_id), place.standing.record.epoch)

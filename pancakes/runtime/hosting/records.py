@@ -12,7 +12,7 @@ from pancakes.errors import MigrationError
 from pancakes.mesh.migration.record import Record, TaskId
 from pancakes.runtime.hosting import adoption
 from pancakes.runtime.hosting.lost import Lost
-from pancakes.runtime.journal import Disk, JournalEntry, RecordTable
+from pancakes.runtime.journal import Disk, JournalEntry, May, RecordTable
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 
@@ -115,8 +115,14 @@ class Records:
         """Says what keeps a task's record from being written; empty: nothing that is known of."""
         return self._records.trouble(str(task_id))
 
-    def persist(self, record: Record, service: Reference) -> None:
-        """Writes a record, and tells the service that keeps it `RecordWritten`."""
+    def persist(self, record: Record, service: Reference, may: May | None = None) -> None:
+        """Writes a record, and tells the service that keeps it `RecordWritten`.
+
+        Args:
+            record: the record.
+            service: the service.
+            may: says, in the store's thread, whether it may be written once its turn has come; None: it may.
+        """
         task_id = record.task_id
         self._note_name(task_id)
 
@@ -124,7 +130,7 @@ class Records:
             tell(service, RecordWritten(task_id, why_not))
 
         written = partial(tell, service, RecordWritten(task_id))
-        self._records.write(str(task_id), replace(record, service=service.name), written, failed)
+        self._records.write(str(task_id), replace(record, service=service.name), written, failed, may)
 
 
 def _read(entry: JournalEntry | None) -> Record | None:

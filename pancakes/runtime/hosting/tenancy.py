@@ -31,6 +31,7 @@ class Tenancy(msgspec.Struct):
         answers: what neighbours have said that were asked whether they would guard it.
         asked_s: when they were asked last, in host time.
         behind: whether this agent's disk is an old copy: the guardians have a later checkpoint.
+        unsafe: the actuators that people were told of as keeping their last command.
         thin: whether people were told that it has fewer guardians than it should.
         renewal: asks for leases again.
         end: the end of the permit.
@@ -50,6 +51,7 @@ class Tenancy(msgspec.Struct):
     answers: dict[str, CanGuard] = {}
     asked_s: float = -1e9
     behind: bool = False
+    unsafe: frozenset[str] = frozenset()
     thin: bool = False
     renewal: OneShot | None = None
     end: OneShot | None = None

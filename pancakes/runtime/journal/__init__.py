@@ -6,7 +6,7 @@ from pancakes.runtime.journal.journal import Journal
 from pancakes.runtime.journal.memory_journal import MemoryJournal
 from pancakes.runtime.journal.record_table import RecordTable
 from pancakes.runtime.journal.seal import JournalEntry, JournalError, JournalLost, SetAside
-from pancakes.runtime.journal.store import RecordStore, ThreadedStore, VirtualStore
+from pancakes.runtime.journal.store import May, RecordStore, ThreadedStore, VirtualStore
 
 __all__ = [
     "Disk",
@@ -15,6 +15,7 @@ __all__ = [
     "Journal",
     "JournalError",
     "JournalLost",
+    "May",
     "MemoryJournal",
     "RecordStore",
     "RecordTable",

@@ -10,7 +10,7 @@ from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
 from pancakes.runtime.journal.disk import Disk
 from pancakes.runtime.journal.seal import JournalEntry
-from pancakes.runtime.journal.store import Failed, Persisted
+from pancakes.runtime.journal.store import Failed, May, Persisted
 
 _T = TypeVar("_T")
 
@@ -48,7 +48,7 @@ class RecordTable(Generic[_T]):
         self._newest = dict(self._on_disk)
         self.newest = self._newest
 
-    def write(self, key: str, record: _T, then: Persisted, failed: Failed) -> None:
+    def write(self, key: str, record: _T, then: Persisted, failed: Failed, may: May | None = None) -> None:
         """Begins to write a record in the place of the one of this key. Never waits.
 
         Args:
@@ -56,6 +56,7 @@ class RecordTable(Generic[_T]):
             record: what to write.
             then: called, in the store's thread, when it is on disk for good.
             failed: called instead, with the reason, where it could not be written.
+            may: says, in the store's thread, whether it may be written once its turn has come; None: it may.
         """
         self._newest[key] = record
 
@@ -68,7 +69,7 @@ class RecordTable(Generic[_T]):
         except MemoryError as error:
             failed(str(error))
             return
-        self._store.persist(JournalEntry(self._kind, key, data), written, failed)
+        self._store.persist(JournalEntry(self._kind, key, data), written, failed, may)
 
     def trouble(self, key: str) -> str:
         """Says what keeps a record from being written; empty: nothing that is known of."""

@@ -24,6 +24,8 @@ Persisted = Callable[[], object]
 """Called when the entry is on disk for good."""
 Failed = Callable[[str], None]
 """Called with the reason where it could not be written; the old entry may still be there, or the new one."""
+May = Callable[[], str]
+"""Returns why an entry may not be written now; empty: it may. Asked right before it is written."""
 Say = Callable[[str, str], None]
 """Takes a level and a line for `log`."""
 
@@ -36,6 +38,7 @@ class _Job(msgspec.Struct, eq=False):
     persisted: Persisted
     failed: Failed
     since_s: float
+    may: May | None = None
     told: bool = False
 
     @property
@@ -72,13 +75,14 @@ class RecordStore(ABC):
         self._troubles = Troubles()
 
     @abstractmethod
-    def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed) -> None:
+    def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed, may: May | None = None) -> None:
         """Begins to write an entry. Never waits; from any thread.
 
         Args:
             entry: what to write.
             persisted: called once when it is on disk, after those of all earlier entries of its kind and key.
             failed: called instead where it could not be written.
+            may: says whether it may be written once its turn has come; None: it may.
         """
 
     @abstractmethod
@@ -95,6 +99,13 @@ class RecordStore(ABC):
         Raises:
             JournalLost: nothing can be written any more; the calls of those that were not written are still to make.
         """
+        refused = [(job, why_not) for job in batch if job.may is not None and (why_not := job.may())]
+        for job, why_not in refused:
+            job.tell(why_not)
+        if refused:
+            batch = [job for job in batch if not job.told]
+        if not batch:
+            return
         try:
             self._journal.write([job.entry for job in batch])
         except JournalLost:
@@ -155,10 +166,10 @@ class ThreadedStore(RecordStore):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed) -> None:
+    def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed, may: May | None = None) -> None:
         with self._news:
             if not self._closing and not self._gone:
-                self._jobs.append(_Job(entry, persisted, failed, self._now()))
+                self._jobs.append(_Job(entry, persisted, failed, self._now(), may))
                 self._news.notify()
                 return
             reason = self._gone or "the journal is closed"
@@ -252,11 +263,11 @@ class VirtualStore(RecordStore):
         self._jobs: dict[_Job, None] = {}
         self._closed = False
 
-    def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed) -> None:
+    def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed, may: May | None = None) -> None:
         if self._closed:
             failed("the journal is closed")
             return
-        job = _Job(entry, persisted, failed, self._now())
+        job = _Job(entry, persisted, failed, self._now(), may)
         self._jobs[job] = None
         self._call_later(
             max(self._memory.latency_s, self._troubles.due_s(job.key) - self._now()), lambda: self._write_one(job)

@@ -12,7 +12,7 @@ import pykka
 
 from pancakes.errors import ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.events import Event, LogLine
-from pancakes.packet import LOG, Cause, Fence, Packet, type_name
+from pancakes.packet import CTRL, LOG, Cause, Fence, Packet, type_name
 from pancakes.runtime.foundation.signatures import check_called, check_overrides
 from pancakes.runtime.kernel.call import Call
 from pancakes.runtime.kernel.channel_queue import ChannelQueue
@@ -114,13 +114,19 @@ class Component(PykkaActor):
             LocalProtocolError: the body is of no registered type, or too large to travel.
             NoPermit: a guarded task does not know now whether another agent runs it.
         """
-        if not self.kernel.permits.holds(self.address) and channel != LOG:
-            raise NoPermit(f"{self.address} may not act until its guardians answer")
+        fence = self.fence
+        if fence is not None and channel != LOG:
+            permits = self.kernel.permits
+            if not permits.holds(fence):
+                permits.hold_back(fence, "packets")
+                raise NoPermit(f"{self.address} may not act until its guardians answer")
+            if channel == CTRL and to:
+                fence = permits.limited(fence, math.inf)
         in_hand = self.__in_hand
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
         sent_s, seq = self.kernel.now(), self.__seq.take()
-        packet = Packet(channel, type_name(body), self.address, to, sent_s, seq, body, cause, self.fence)
+        packet = Packet(channel, type_name(body), self.address, to, sent_s, seq, body, cause, fence)
         self.kernel.stream.publish(packet)
         return packet
 

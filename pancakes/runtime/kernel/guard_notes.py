@@ -7,6 +7,8 @@ from typing import Any
 
 import msgspec
 
+from pancakes.packet import Fence
+
 
 class GuardianNote(msgspec.Struct, frozen=True):
     """One guardian of a task, as its owner knows it. Times are host times.
@@ -29,6 +31,7 @@ class GuardNote(msgspec.Struct, frozen=True):
 
     Attributes:
         epoch: the epoch under which it is owned, as text.
+        right: the right under which it acts, and which its permit limits.
         number: how many guardians it is to have.
         lease_s: how long a lease is, in host seconds.
         guardians: those that it has.
@@ -37,6 +40,7 @@ class GuardNote(msgspec.Struct, frozen=True):
     """
 
     epoch: str
+    right: Fence
     number: int
     lease_s: float
     guardians: tuple[GuardianNote, ...]

@@ -22,7 +22,7 @@ from pancakes.runtime.kernel.dispatch import Dispatcher
 from pancakes.runtime.kernel.guard_notes import GuardNotes
 from pancakes.runtime.kernel.guest import Guest
 from pancakes.runtime.kernel.letters import DeadLetters
-from pancakes.runtime.kernel.permits import Permits
+from pancakes.runtime.kernel.permits import PermitEnd, Permits, moment_of_host
 from pancakes.runtime.kernel.pinned import PinnedDispatcher
 from pancakes.runtime.kernel.pool import PoolDispatcher
 from pancakes.runtime.kernel.registry import Registry
@@ -84,7 +84,7 @@ class Kernel:
         self.now = self.mission.now
         self.stream = InformationStream(agent)
         self.registry = Registry()
-        self.permits = Permits(self.host, virtual is not None)
+        self.permits = Permits(moment_of_host if virtual is None else self._virtual_moment, self.log)
         self.guard_notes = GuardNotes()
         self.tasks = TaskTable()
         self.task_timers = TimerTable()
@@ -213,6 +213,10 @@ class Kernel:
         for component in self.registry.components():
             component.actor_stopped.set()
             component.actor_inbox.component = None
+
+    def _virtual_moment(self) -> PermitEnd:
+        now_s = self.host.now()
+        return PermitEnd(now_s, now_s)
 
     def _release(self, component: Component, error: BaseException | None) -> None:
         self.stream.unsubscribe(component.address)

@@ -18,6 +18,8 @@ class DeviceEntry(msgspec.Struct, frozen=True):
         actuator: whether it takes commands, and therefore has one holder at a time.
         networked: whether its readings come from another agent.
         address: where it takes commands.
+        holds_by_itself_s: of an actuator: after so long without a fresh command, in mission seconds, its hardware goes
+            to its safe hold even where no process tells it to; None: it keeps its last command.
     """
 
     name: str
@@ -25,6 +27,7 @@ class DeviceEntry(msgspec.Struct, frozen=True):
     actuator: bool = False
     networked: bool = False
     address: str = ""
+    holds_by_itself_s: float | None = None
 
 
 class Registry:
@@ -165,6 +168,12 @@ class Registry:
         """Returns the names of the devices that a task holds."""
         with self._lock:
             return [name for name, holder in self._holders.items() if holder == address]
+
+    def without_dead_man(self, address: str) -> list[str]:
+        """Returns the names of the actuators that a task holds, and that keep their last command where it is gone."""
+        with self._lock:
+            held = (self._devices.get(name) for name, holder in self._holders.items() if holder == address)
+            return [device.name for device in held if device is not None and device.holds_by_itself_s is None]
 
     def release(self, address: str) -> None:
         """Takes back what a task holds."""

@@ -13,7 +13,7 @@ from pancakes.errors import MigrationError, PancakesError
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.record import Record, TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs, whereabouts
-from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.runtime.hosting.courier_messages import COURIER
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.records import Records
@@ -133,7 +133,9 @@ class ActuatorFence:
         fence = packet.fence
         if fence is None or self._marks.holds(self._task.name, fence):
             return True
-        claim, now_s = EpochClaim(fence, agent_of(packet.source)), self._task.kernel.host.now()
+        # For how long it is good changes with each command, and says nothing of who has the task.
+        claim = EpochClaim(Fence(fence.task_id, fence.epoch), agent_of(packet.source))
+        now_s = self._task.kernel.host.now()
         pending = self._pending.get(claim.peer)
         if pending is not None and pending.claim == claim:
             pending.packet, pending.since_s = packet, self._task.now()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +12,7 @@ import msgspec
 
 from pancakes.bodies.devices.driver import Actuator, Driver, Sensor
 from pancakes.control import Hold, SetFence
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFull, NoPermit
 from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.mesh.net.transport import Transport
 from pancakes.packet import CTRL, NETWORK, SYSTEM, Packet, agent_of
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from pancakes.runtime.kernel.kernel import Kernel
+    from pancakes.runtime.kernel.timer import OneShot
 
 
 class DeviceSpec(msgspec.Struct, frozen=True):
@@ -156,8 +158,9 @@ class DeviceTask(Task):
         self.driver: Driver | None = None
         self._sensor: Sensor | None = None
         self._actuator: Actuator | None = None
-        self._command_s = 0.0
-        self._guarded = False
+        self._good_until_s = 0.0
+        self._guard_shot: OneShot | None = None
+        self._guard_s = math.inf
         self._holding = True
         self._crowded = False
         self._refused: dict[str, str] = {}
@@ -174,8 +177,9 @@ class DeviceTask(Task):
         if actuator:
             self.subscribe(CTRL, driver_class.type, self.command)
             self.subscribe(NETWORK, TaskAt, self._told_where)
+        alone_s = self._actuator.holds_by_itself(self.device.hold_after_s) if self._actuator is not None else None
         self.kernel.registry.add_device(
-            DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked, self.address)
+            DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked, self.address, alone_s)
         )
 
     def on_settings(self) -> None:
@@ -245,23 +249,41 @@ class DeviceTask(Task):
             return
         if not self._fence.stands(packet):
             return
+        fence, ttl_s, speed = packet.fence, self.device.hold_after_s, self.kernel.mission.speed
+        if fence is not None:
+            fence = self.kernel.permits.limited(fence, ttl_s / speed)
+            if fence.good_for_s is not None:
+                ttl_s = min(ttl_s, fence.good_for_s * speed)
+        if ttl_s <= 0:
+            self._come_late(packet)
+            return
         if refusal := self._claim(packet.source):
             self._refuse(packet, refusal)
             return
         driver = self._actuator
         assert driver is not None
         self._refused.pop(packet.source, None)
-        self._command_s = self.now()
+        self._good_until_s = self.now() + ttl_s
         self._holding = False
         # What a virtual actuator sends on is said under the right of the task that commands it.
-        self.fence = packet.fence
+        self.fence = fence
         try:
-            driver.apply(packet.body, self.device.hold_after_s, packet.source)
+            driver.apply(packet.body, ttl_s, packet.source)
+        except NoPermit:  # it was over before a virtual actuator had sent it on
+            self._come_late(packet)
+            return
         finally:
             self.fence = None
-        if not self._guarded:
-            self._guarded = True
-            self.after(self.device.hold_after_s, self._guard)
+        if self._good_until_s < self._guard_s:
+            self._guard_in(ttl_s)
+
+    def _come_late(self, packet: Packet) -> None:
+        """A command is of a guarded task that may not act now."""
+        assert packet.fence is not None
+        self.kernel.permits.hold_back(packet.fence, "commands")
+        if not self._holding:
+            self._hold("its task may not act")
+        self._refuse(packet, f"{packet.fence.task_id} may not act until its guardians answer")
 
     def _refuse(self, packet: Packet, refusal: str) -> None:
         # Said once for each source and reason: at 10 commands a second it would drown everything else.
@@ -302,13 +324,19 @@ class DeviceTask(Task):
             return
         self._fence.set(body, change.request.by, lambda reason, result: self.answer_change(change, reason, result))
 
+    def _guard_in(self, ttl_s: float) -> None:
+        if self._guard_shot is not None:
+            self._guard_shot.cancel()
+        self._guard_s = self.now() + ttl_s
+        self._guard_shot = self.after(ttl_s, self._guard)
+
     def _guard(self) -> None:
         """Looks whether a fresh command has come in the time that the last one was good for."""
-        left_s = self._command_s + self.device.hold_after_s - self.now()
+        self._guard_s, self._guard_shot = math.inf, None
+        left_s = self._good_until_s - self.now()
         if left_s > 1e-9:
-            self.after(left_s, self._guard)
+            self._guard_in(left_s)
             return
-        self._guarded = False
         if not self._holding:
             self._hold("no fresh command")
 
@@ -371,7 +399,9 @@ class DeviceService(Service):
             {"task_id": task_id, "epoch": mark.n, "minter": mark.minter, "brought_by": mark.peer or self.agent}
             for task_id, mark in sorted(marks.items())
         ]
-        return {**super().describe_in_detail(slot), "fences": fences}
+        told = {**super().describe_in_detail(slot), "fences": fences}
+        entry = next((it for it in self.kernel.registry.devices() if it.name == slot.name and it.actuator), None)
+        return {**told, "holds_by_itself_s": entry.holds_by_itself_s} if entry is not None else told
 
     def author_of(self, slot: Slot) -> type:
         device: DeviceSpec | None = slot.spec.arguments.get("device")

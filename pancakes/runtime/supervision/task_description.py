@@ -48,7 +48,7 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
     }
     note = kernel.guard_notes.of(entry.address)
     if note is not None:
-        told["guarding"] = note.plain(kernel.host.now(), kernel.permits.left_s(entry.address))
+        told["guarding"] = note.plain(kernel.host.now(), kernel.permits.left_s(note.right))
         if not told["guarding"]["permit_s"] and life.state is State.RUNNING:
             told["rest"] = STANDS_STILL
     if not entry.device:

@@ -90,6 +90,16 @@ class Give(msgspec.Struct, frozen=True):
 # What a task's actor tells its service.
 
 
+class HasNoPermit(msgspec.Struct, frozen=True):
+    """A guarded task has found its permit over, and stands still from now on; to be answered by `GoOn` in time.
+
+    Attributes:
+        task: the actor.
+    """
+
+    task: Reference
+
+
 class TaskBegan(msgspec.Struct, frozen=True):
     """It runs.
 

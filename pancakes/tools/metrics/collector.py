@@ -189,7 +189,7 @@ class AgentMetrics(Collector):
         for address, note in self._kernel.guard_notes.all().items():
             where = address.split("/")
             self._takeovers.labels(*where)  # one that was never taken over is told as such
-            yield "guard_permit_seconds", where, self._kernel.permits.left_s(address) or 0.0
+            yield "guard_permit_seconds", where, self._kernel.permits.left_s(note.right) or 0.0
             yield "guard_answering_guardians", where, note.answering(now_s)
             yield "guard_wanted_guardians", where, note.number
             age_s = note.age_s(now_s)

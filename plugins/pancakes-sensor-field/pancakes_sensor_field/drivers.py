@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import DeviceContext, Sensor
+from pancakes.bodies.devices.driver import Actuator, DeviceContext, Sensor
 from pancakes.bodies.devices.network_devices import NetworkSensor
 from pancakes.bodies.devices.types import Motion, Temperature
 from pancakes.bodies.sim.drivers import SimulatedSensor
@@ -21,10 +21,11 @@ from pancakes.bodies.sim.quantities import Positive
 from pancakes.packet import SYSTEM, Packet, join
 from pancakes.runtime.config import parse_address
 from pancakes.settings import FilePath
-from pancakes_sensor_field.frame import TEMPERATURE
+from pancakes_sensor_field.frame import SIREN, TEMPERATURE, Frame, encode
 from pancakes_sensor_field.lines import Line, Reply, SerialLine, TcpLine, UdpLine
-from pancakes_sensor_field.packets import LineReport, ReportPeriod
+from pancakes_sensor_field.packets import LineReport, ReportPeriod, Siren
 from pancakes_sensor_field.station import Reading, Station
+from pancakes_sensor_field.wires import Wires
 
 NodeNumber = Annotated[int, Meta(ge=1, le=254)]
 PeriodS = Annotated[float, Meta(ge=0.1, le=3276.7)]
@@ -61,6 +62,7 @@ class LineNodes(Sensor):
     def __init__(self, context: DeviceContext, settings: Any) -> None:
         super().__init__(context, settings)
         self._station = Station(settings.nodes, settings.period_s)
+        self._wires = _wires(context)
         self._line: Line | None = None
         self._connected = False
         self._complained = False
@@ -81,6 +83,7 @@ class LineNodes(Sensor):
     def close(self) -> None:
         if self._line is not None:
             self._line.close()
+        self._forget()
 
     def sample(self) -> LineReport:
         """Says how well the nodes are heard."""
@@ -135,11 +138,16 @@ class LineNodes(Sensor):
     def _lost(self, reason: str) -> None:
         was, self._connected = self._connected, False
         self._station.ended()
+        self._forget()
         if was:
             self.context.log("error", f"{self.line_name()} is gone ({reason}); trying until it is there again")
         elif not self._complained:
             self.context.log("warning", f"{self.line_name()} is not there ({reason}); trying until it is")
         self._complained = True
+
+    def _forget(self) -> None:
+        for node in self.settings.nodes:
+            self._wires.forget(node)
 
     def _heard(self, data: bytes, reply: Reply, whole: bool) -> None:
         heard = self._station.received(data)
@@ -149,6 +157,8 @@ class LineNodes(Sensor):
             self.context.log(
                 "warning", f"a node with the number {number} speaks on {self.line_name()}; the settings do not name it"
             )
+        for node in heard.speakers:
+            self._wires.note(node, reply)
         for reading in heard.readings:
             self._show(reading)
         if heard.answer:
@@ -273,6 +283,59 @@ class TinyMotion(TinySensor):
     """The motion that a tiny node senses (`sensor_field.tiny_motion`)."""
 
     type = "motion"
+
+
+class TinySiren(Actuator):
+    """The siren of a tiny node (`sensor_field.tiny_siren`).
+
+    Each command says for how long it is good, and the node falls silent by itself then.
+    """
+
+    type = "sensor_field.siren"
+
+    @dataclass
+    class Settings:
+        """Which siren.
+
+        Attributes:
+            node: the name of the tiny node, as the settings of its line say it.
+            number: its number.
+        """
+
+        node: str
+        number: NodeNumber
+
+    settings: Settings
+
+    def __init__(self, context: DeviceContext, settings: Any) -> None:
+        super().__init__(context, settings)
+        self._wires = _wires(context)
+        self._unheard = False
+
+    def apply(self, command: Siren, ttl_s: float, source: str) -> None:
+        # Rather too short than too long: where the right to command it ends, another agent may have it.
+        self._sound(min(int(10 * ttl_s + 1e-6), 32767) if command.sounds else 0)
+
+    def holds_by_itself(self, hold_after_s: float) -> float:
+        """The node counts each command's time to live."""
+        return hold_after_s
+
+    def hold(self) -> None:
+        """Silences it."""
+        self._sound(0)
+
+    def _sound(self, tenths: int) -> None:
+        node = self.settings.node
+        unheard = not self._wires.send(node, encode(Frame(self.settings.number, SIREN, 0, tenths)))
+        if unheard and tenths and not self._unheard:
+            self.context.log(
+                "warning", f"the siren of {node} is not commanded: the node has not spoken on its line yet"
+            )
+        self._unheard = unheard and (self._unheard or tenths > 0)
+
+
+def _wires(context: DeviceContext) -> Wires:
+    return context.shared("sensor_field.wires", Wires)
 
 
 class SimulatedTemperature(SimulatedSensor):

@@ -11,9 +11,11 @@
 | 1 | its temperature, in hundredths of a degree Celsius | |
 | 2 | 1: something moves; 0: nothing does | |
 | 3 | its report period, in tenths of a second | the report period that it is to have |
+| 4 | for how long its siren sounds yet, in tenths of a second; 0: it is silent | for how long it is to sound |
 
 A node counts its frames in `number`: 0 for the first after its start, then 1 to 255 over and over. A node listens just
 after it has sent, as its radio costs power; what is for it is sent then, with the number of the frame that it answers.
+A node with a siren is on mains and listens all the time; it falls silent by itself when no other command comes in time.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ LENGTH: Final = 8
 TEMPERATURE: Final = 1
 MOTION: Final = 2
 PERIOD: Final = 3
+SIREN: Final = 4
 NODES: Final = range(1, 255)
 
 _VALUES: Final = range(-32768, 32768)

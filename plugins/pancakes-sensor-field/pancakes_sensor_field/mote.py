@@ -5,9 +5,10 @@ The program `tiny_node` and the simulated tiny nodes are this, with a clock and 
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
-from pancakes_sensor_field.frame import MOTION, PERIOD, TEMPERATURE, Decoder, Frame, encode
+from pancakes_sensor_field.frame import MOTION, PERIOD, SIREN, TEMPERATURE, Decoder, Frame, encode
 
 LEAST_PERIOD_S: Final = 0.1
 LONGEST_PERIOD_S: Final = 3276.7
@@ -19,6 +20,9 @@ class Mote:
 
     It tells its temperature and whether something moves once in each report period; and at once when something begins
     or ceases to move, as a motion sensor wakes the processor. When its period is changed it says that it has it.
+
+    Its siren sounds for as long as a command says, and then falls silent by itself: the dead-man switch that still
+    works where its gateway is stopped or dead.
 
     Args:
         node: its number.
@@ -32,13 +36,23 @@ class Mote:
         self._decoder = Decoder()
         self._celsius: float | None = None
         self._moving = False
-        self.next_s = 0.0
+        self._report_s = 0.0
+        self._silent_s = math.inf
+
+    @property
+    def next_s(self) -> float:
         """When it will speak next if nothing happens until then."""
+        return min(self._report_s, self._silent_s)
+
+    @property
+    def sounds(self) -> bool:
+        """Whether its siren sounds."""
+        return self._silent_s < math.inf
 
     def start(self, now_s: float) -> bytes:
         """Starts, or starts again after its power was gone. Returns what it sends."""
         self._number = -1
-        self.next_s = now_s + self._period_s
+        self._report_s, self._silent_s = now_s + self._period_s, math.inf
         return self._say(PERIOD, round(self._period_s * 10))
 
     def sense(self, celsius: float, moving: bool) -> bytes:
@@ -49,13 +63,17 @@ class Mote:
 
     def tick(self, now_s: float) -> bytes:
         """Time has passed. Returns what it sends."""
-        if now_s < self.next_s:
-            return b""
-        self.next_s = now_s + self._period_s
+        said = b""
+        if now_s >= self._silent_s:
+            self._silent_s = math.inf
+            said = self._say(SIREN, 0)
+        if now_s < self._report_s:
+            return said
+        self._report_s = now_s + self._period_s
         if self._celsius is None:
-            return b""
+            return said
         hundredths = round(100 * min(max(self._celsius, _COLDEST), _HOTTEST))
-        return self._say(TEMPERATURE, hundredths) + self._say(MOTION, int(self._moving))
+        return said + self._say(TEMPERATURE, hundredths) + self._say(MOTION, int(self._moving))
 
     def received(self, data: bytes, now_s: float) -> bytes:
         """Something came on its line. Returns what it sends."""
@@ -63,8 +81,11 @@ class Mote:
         for frame in self._decoder.feed(data):
             if frame.node == self._node and frame.kind == PERIOD and frame.value > 0:
                 self._period_s = frame.value / 10
-                self.next_s = min(self.next_s, now_s + self._period_s)
+                self._report_s = min(self._report_s, now_s + self._period_s)
                 said += self._say(PERIOD, frame.value)
+            elif frame.node == self._node and frame.kind == SIREN and frame.value >= 0:
+                self._silent_s = now_s + frame.value / 10 if frame.value else math.inf
+                said += self._say(SIREN, frame.value)
         return said
 
     def _say(self, kind: int, value: int) -> bytes:

@@ -44,6 +44,13 @@ class ReportPeriod(msgspec.Struct, frozen=True):
     node: str = ""
 
 
+@packet_type("sensor_field.siren")
+class Siren(msgspec.Struct, frozen=True):
+    """A command to the siren of a tiny node."""
+
+    sounds: bool
+
+
 @packet_type("sensor_field.activity")
 class Activity(msgspec.Struct, frozen=True):
     """Something happens at a node, or no more."""

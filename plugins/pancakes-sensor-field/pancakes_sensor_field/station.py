@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from pancakes_sensor_field.frame import MOTION, PERIOD, TEMPERATURE, Decoder, Frame, encode
+from pancakes_sensor_field.frame import MOTION, PERIOD, SIREN, TEMPERATURE, Decoder, Frame, encode
 
 STARTED_ANEW: Final = 3
 """So many old numbers in a row mean that a node counts anew, and that its first frame was lost."""
@@ -34,11 +34,13 @@ class Heard:
     Attributes:
         readings: the readings in them, in their order.
         answer: what is to be sent back at once, while the nodes listen.
+        speakers: the names of the nodes that spoke.
         strangers: numbers of nodes that the settings do not name, each told once.
     """
 
     readings: list[Reading] = field(default_factory=list)
     answer: bytes = b""
+    speakers: set[str] = field(default_factory=set)
     strangers: list[int] = field(default_factory=list)
 
 
@@ -119,6 +121,7 @@ class Station:
                 self._strangers[frame.node] = None
                 heard.strangers.append(frame.node)
             return
+        heard.speakers.add(node.name)
         if not self._is_next(node, frame):
             self.repeated += 1
             return
@@ -128,7 +131,7 @@ class Station:
             heard.readings.append(Reading(node.name, MOTION, float(frame.value != 0)))
         elif frame.kind == PERIOD:
             node.period = frame.value
-        else:
+        elif frame.kind != SIREN:  # which confirms what was asked for
             self.unknown += 1
         if node.wanted is not None and node.wanted != node.period:
             heard.answer += encode(Frame(frame.node, PERIOD, frame.number, node.wanted))

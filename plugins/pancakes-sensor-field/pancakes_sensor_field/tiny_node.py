@@ -4,8 +4,9 @@
     python -m pancakes_sensor_field.tiny_node --node 9 --udp 127.0.0.1:7421 --period 2
 
 What its sensors feel comes on standard input, a line for each change: `t 21.5` is a temperature in degrees Celsius,
-`m 1` something that moves, `m 0` that nothing does. It ends with its standard input, and so with the program at the
-other end, however that ends. It imports nothing of Pancakes.
+`m 1` something that moves, `m 0` that nothing does. It prints when its siren begins to sound, and when that ceases. It
+ends with its standard input, and so with the program at the other end, however that ends. It imports nothing of
+Pancakes.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class UdpWire:
 def run(mote: Mote, wire: PtyWire | UdpWire, speed: float, garble: float) -> None:
     """Plays a tiny node until its standard input ends."""
     noise = random.Random(1)
-    celsius, moving, typed = None, False, b""
+    celsius, moving, typed, sounds = None, False, b"", False
 
     def send(data: bytes) -> None:
         if data and noise.random() < garble:
@@ -104,6 +105,9 @@ def run(mote: Mote, wire: PtyWire | UdpWire, speed: float, garble: float) -> Non
                 if celsius is not None:
                     send(mote.sense(celsius, moving))
         send(mote.tick(now_s))
+        if mote.sounds != sounds:
+            sounds = mote.sounds
+            print("the siren sounds" if sounds else "the siren is silent", flush=True)
 
 
 def main() -> None:

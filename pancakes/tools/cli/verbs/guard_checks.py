@@ -44,3 +44,14 @@ def _check_owned(owner: dict[str, Any], known: Sequence[dict[str, Any]]) -> Iter
     elif silent:
         text = f"has a guardian that does not answer: {', '.join(silent)}"
         yield Finding("warning", about, text, "see whether it runs; after a minute another agent takes its place")
+    yield from _check_machine(about, owner)
+
+
+def _check_machine(about: str, owner: dict[str, Any]) -> Iterator[Finding]:
+    if devices := ", ".join(owner.get("no_dead_man", ())):
+        text = f"commands {devices}, whose hardware does not hold by itself: it goes on as it was where its agent dies"
+        yield Finding("warning", about, text, "docs/writing-a-driver.md says what a dead-man switch must do")
+    if steps := owner.get("clock_steps", 0):
+        times = "once" if steps == 1 else f"{steps} times"
+        text = f"stood still {times} because the time of day of {owner['agent']} was set forward"
+        yield Finding("warning", about, text, "have its clock set before the agent starts")
