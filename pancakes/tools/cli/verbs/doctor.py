@@ -17,7 +17,6 @@ from pancakes.tools.cli.output import show_json, show_text
 
 if TYPE_CHECKING:
     from pancakes.tools.cli.verbs.finding import Finding
-    from pancakes.tools.cli.verbs.guard_checks import check_guards
 
 MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error": ("error", "red")}
 
@@ -73,6 +72,7 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
     from pancakes.runtime.runtime_dir import entries
     from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
     from pancakes.tools.cli.verbs.finding import Finding
+    from pancakes.tools.cli.verbs.guard_checks import check_guards
 
     if not ask.where.addresses:
         try:
