@@ -135,7 +135,8 @@ class Takeovers:
                 f"{task_id} was taken over by {epoch.minter} from {owner}, silent for {silent_s:.1f} s; checkpoint"
                 f" {checkpoint.epoch}/{checkpoint.no}",
             )
-            self._guardian.event("taken_over", task=task_id.name, by=epoch.minter, source=owner, silent_s=silent_s)
+            told = {"by": epoch.minter, "source_agent": owner, "silent_s": silent_s}
+            self._guardian.event("taken_over", task=task_id.name, **told)
             self._tell_migrator(HasMoved(self._guardian, task_id, epoch.minter, str(epoch), None, ""))
         else:
             self._tell_migrator(AttemptOver(self._guardian, task_id, "", f"{epoch.minter} owns it", None))

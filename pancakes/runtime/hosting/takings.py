@@ -150,6 +150,9 @@ class Takings:
         if result is not None:
             self._end(place, taking)
             self._host.places.keep(place)
+            owner = seizing.checkpoint.epoch.minter
+            if not seizing.source and owner != self._host.agent:
+                place.came_from = owner
             self._host.feed_place(place, result)
         else:
             self._ask(place, [one for one in seizing.unasked() if one not in known])
