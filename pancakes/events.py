@@ -11,7 +11,12 @@ from pancakes.packet import packet_type
 
 LEVELS: Final = ("debug", "info", "warning", "error")
 
-SAID_IN_A_LINE: Final = frozenset(("task_failed", "task_given_up", "task_stuck", "service_failed", "command_refused"))
+SAID_IN_A_LINE: Final = frozenset(
+    (
+        *("task_failed", "task_given_up", "task_stuck", "service_failed", "command_refused"),
+        *("taken_over", "takeover_waits", "guard_thin", "disk_is_old"),
+    )
+)
 """Kinds of events of which a line tells people the same, so that an event would tell them twice."""
 
 

@@ -6,11 +6,13 @@ from services.numbered import SINK, Numbered, Sink, numbers, upto
 
 from pancakes.control import Guarding, Migrate, Stop, Take
 from pancakes.errors import NoPermit
+from pancakes.events import Event
 from pancakes.mesh.guarding.guard_messages import NO_CHECKPOINT
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import addressed
 from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.runtime.services.log_record import record_of as record_of_log
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")
@@ -71,6 +73,19 @@ def test_another_agent_goes_on_with_it(guarded):
     assert where(guarded) == [taker]
     assert record(guarded, "a").phase is Phase.RELEASED
     assert record(guarded, taker).phase is Phase.OWNER
+
+
+def test_a_take_over_is_told_as_an_arrival_with_the_state_and_by_the_guardian_that_arranged_it(guarded):
+    guarded.run_for(3.0)
+    guarded.crash("a")
+    assert guarded.run_until(lambda: where(guarded), 10)
+    (taker,) = where(guarded)
+    (arrived,) = guarded.agents[taker].events("task_arrived")
+    assert (arrived["task"], arrived["source_agent"]) == ("Count", "a") and arrived["state"]["n"] > 20
+    packets = [packet for agent in guarded.agents.values() for packet in agent.probe.packets(Event)]
+    told = [packet for packet in packets if packet.body.kind == "taken_over"]
+    assert [(it.body.fields["by"], it.body.fields["source_agent"]) for it in told] == [(taker, "a")]
+    assert record_of_log(told[0])["source"] in ("b/kernel/Guardian", "c/kernel/Guardian")
 
 
 def test_an_owner_that_restarts_within_the_lease_goes_on(guarded):

@@ -140,7 +140,8 @@ class Takeovers:
         if epoch.minter == orphan.called:
             self._guardian.log("warning", f"{task_id} runs on {epoch.minter}, {self._cause(orphan)}")
             owner = orphan.held.checkpoint.epoch.minter
-            self._guardian.event("taken_over", task=task_id.name, by=epoch.minter, source=owner, **self._loss(orphan))
+            told = {"by": epoch.minter, "source_agent": owner, **self._loss(orphan)}
+            self._guardian.event("taken_over", task=task_id.name, **told)
             self._tell_migrator(HasMoved(self._guardian, task_id, epoch.minter, str(epoch), None, ""))
         else:
             self._tell_migrator(AttemptOver(self._guardian, task_id, "", f"{epoch.minter} owns it", None))

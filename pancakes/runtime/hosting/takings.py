@@ -151,8 +151,10 @@ class Takings:
             self._end(place, taking)
             self._host.places.keep(place)
             if not result.source:
-                source, epoch = seizing.checkpoint.epoch.minter, result.epoch.n
-                self._host.event("task_taken", task=place.task_id.name, source_agent=source, epoch=epoch)
+                owner, epoch = seizing.checkpoint.epoch.minter, result.epoch.n
+                self._host.event("task_taken", task=place.task_id.name, source_agent=owner, epoch=epoch)
+                if owner != self._host.agent:
+                    place.came_from = owner
             self._host.feed_place(place, result)
         else:
             self._ask(place, [one for one in seizing.unasked() if one not in known])
