@@ -64,8 +64,10 @@ def test_what_an_agent_sends_under_another_name_is_dropped_and_said(rig, agent, 
     assert peer["refused"] == 2
 
 
-def test_a_peer_asks_for_a_thousand_things_at_once_and_no_more(rig, agent):
-    """What is no question is not counted."""
+def test_a_peer_asks_for_a_thousand_things_at_once_and_no_more(rig, agent, monkeypatch):
+    """What is no question is not counted. On a machine that has other work, so many more may come in the time."""
+    rate = 1000 if rig.virtual else 10
+    monkeypatch.setattr("pancakes.mesh.net.trust.MOST_ASKED_HZ", rate)
     a, ear = agent("a"), rig.ear()
     rig.transport("0").dial(a.address, ear)
     rig.until(lambda: ear.connection)
@@ -75,8 +77,10 @@ def test_a_peer_asks_for_a_thousand_things_at_once_and_no_more(rig, agent):
     ear.connection.send(raw_hello("0") + frame([Encoder().link_message(Welcome()), *sent]))
     rig.until(lambda: a.packets and (a.packets[-1].channel, a.packets[-1].seq) == ("chat", 1499))
     asked = [packet for packet in a.packets if packet.channel == "sysctrl"]
-    assert 1000 <= len(asked) < 1500 and len(a.packets) == len(asked) + 1500
-    refused = [packet.seq for _, packet, reason in a.unfit if reason == "0 asks for more than 1000 things in a second"]
+    assert rate <= len(asked) < 1500 and len(a.packets) == len(asked) + 1500
+    refused = [
+        packet.seq for _, packet, reason in a.unfit if reason == f"0 asks for more than {rate} things in a second"
+    ]
     assert sorted([*(packet.seq for packet in asked), *refused]) == list(range(1500))
 
 

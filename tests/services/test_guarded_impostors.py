@@ -66,10 +66,10 @@ def test_leases_are_granted_by_guardians_alone(fleet):
     a = fleet.agents["a"]
     fleet.faults.cut("a", off=("b", "c"))
     for _ in range(40):
-        beat = a.component("client").places[COUNT].tenancy.tenure.beat
+        beat, no = a.component("client").places[COUNT].tenancy.tenure.beat, record(fleet).no
         for name in "bc":
-            say(fleet, "d", LeaseKept(COUNT, FIRST, guardian(fleet, name), beat, 99, 2), "a/client")
-        say(fleet, "d", LeaseKept(COUNT, FIRST, guardian(fleet, "d"), beat, 99, 2), "a/client")
+            say(fleet, "d", LeaseKept(COUNT, FIRST, guardian(fleet, name), beat, no, 2), "a/client")
+        say(fleet, "d", LeaseKept(COUNT, FIRST, guardian(fleet, "d"), beat, no, 2), "a/client")
         fleet.run_for(0.1)
     assert a.events("permit_lost")
 
@@ -86,7 +86,7 @@ def test_pledges_are_of_guardians_alone(fleet):
     call = TakeTask(COUNT, "test.Count", FIRST, guards, CheckpointId(FIRST, 1))
     say(fleet, "c", call, "b/client")
     assert fleet.run_until(lambda: COUNT in b.component("client").places, 1.0)
-    body = CheckpointBody(b"made up")
+    body = CheckpointBody(record(fleet).snapshot)
     for name in "abcd":
         pledge = Pledge(COUNT, Epoch(1, "b"), guardian(fleet, name), CheckpointId(HIGH, 9), guards, body)
         say(fleet, "d", pledge, "b/client")
