@@ -101,3 +101,24 @@ def test_where_the_guardians_follow_an_agent_that_never_came_the_owner_gives_it_
         assert took.ok, took.reason
         fleet.run_for(2.0)
         assert fleet.agents[took.result["winner"]].running() == ["Count"]
+
+
+def test_a_former_owner_that_returns_keeps_its_guardians_from_no_take_over_where_the_later_owner_is_gone_too():
+    with guarded("Count", Count) as fleet:
+        fleet.crash("a")
+        assert fleet.run_until(lambda: running(fleet, "Count"), 10)
+        (later,) = running(fleet, "Count")
+        fleet.crash(later)
+        if later == "d":
+            fleet.crash("b")
+        fleet.restart("a")
+        assert fleet.run_until(lambda: running(fleet, "Count"), 30), "a still has its own lease"
+
+
+def running(fleet, name):
+    """The agents on which a task acts."""
+    return [
+        agent
+        for agent, one in fleet.agents.items()
+        if name in one.running() and one.agent.kernel.permits.holds(f"{agent}/client/{name}")
+    ]

@@ -84,6 +84,11 @@ class Tenure(msgspec.Struct, frozen=True):
         know = {one.guardian for one in self.answers if one.version == guards.version}
         return guards.has_quorum(know) and self.replicated_no(guards) >= no
 
+    @property
+    def passed(self) -> bool:
+        """Whether a guardian follows a later epoch."""
+        return any(one.promised > self.epoch for one in self.answers)
+
     def outvoted_by(self, guards: Guards) -> Epoch:
         """Returns the latest epoch that guardians follow; `NO_EPOCH`: those that follow the owner are a quorum."""
         against = [one for one in self.answers if one.promised > self.epoch]

@@ -38,6 +38,8 @@ ASK_AGAIN_S: Final = 2.0
 ANSWERED_S: Final = 0.2
 """So long the owner waits for what its neighbours say when it chooses guardians."""
 OWNED: Final = (Phase.OWNER, Phase.FROZEN)
+RESTS: Final = 3
+"""For so many leases an owner rests that a guardian has passed by: one ends, and guardians find another owner."""
 REMEMBERED: Final = 16
 """So many askings may be under way; a lease that was granted on an older one is as good as over."""
 
@@ -199,7 +201,18 @@ class Leases:
             self._talk.say(guardian, replace(keep, age_s=age_s))
         if tenancy.renewal is not None:
             tenancy.renewal.cancel()
-        tenancy.renewal = self._host.after_host(tenancy.lease_s / RENEWED, partial(self._renew, place))
+        tenancy.renewal = self._host.after_host(self._asks_again_in_s(place, tenancy), partial(self._renew, place))
+
+    def _asks_again_in_s(self, place: Place, tenancy: Tenancy) -> float:
+        """Returns after how long an owner asks for leases again, in host seconds.
+
+        One that gets no permit, and that a guardian has passed by for a later owner, lets the leases end that it still
+        has: else these keep the guardians from looking for an owner, where the later one is gone too.
+        """
+        without_s = self._host.kernel.host.now() - tenancy.lost_s
+        if tenancy.tenure.passed and not self.permits(place) and without_s > tenancy.lease_s:
+            return RESTS * tenancy.lease_s
+        return tenancy.lease_s / RENEWED
 
     def _note(self, place: Place, tenancy: Tenancy) -> None:
         """Notes what is known of its guardians, for others on this agent."""
