@@ -120,5 +120,5 @@ def running(fleet, name):
     return [
         agent
         for agent, one in fleet.agents.items()
-        if name in one.running() and one.agent.kernel.permits.holds(f"{agent}/client/{name}")
+        if name in one.running() and one.agent.kernel.permits.holds(one.task(name).fence)
     ]
