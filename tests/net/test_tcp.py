@@ -165,7 +165,7 @@ def test_a_name_is_not_looked_up_in_the_thread_of_all_links(tcp_rig: TcpRig, mon
 
     def noted(*arguments: Any, flags: int = 0, **more: Any) -> Any:
         asked.append((threading.current_thread().name, bool(flags & socket.AI_NUMERICHOST)))
-        return look_up(*arguments, flags=flags, **more)
+        return look_up(*arguments, **{**more, "flags": flags})
 
     here, there = tcp_rig.ear(), tcp_rig.ear()
     address = tcp_rig.transport("b").listen(tcp_rig.listen_at, lambda: there)
