@@ -116,11 +116,12 @@ def test_a_page_sees_the_killed_agent_again_when_it_is_back(tmp_path: Path) -> N
     assert mission.running["agent1"] == [] and mission.running["agent2"] == [SCAN]
 
 
-def test_a_task_that_is_not_guarded_is_not_rescued(tmp_path: Path) -> None:
-    flight = fly("rescue", 2, tmp_path, faults=False, sets=["agent1:task.ScanTarget.guard=0"])
+def test_a_task_that_waits_for_a_person_is_not_rescued(tmp_path: Path) -> None:
+    flight = fly("rescue", 2, tmp_path, faults=False, sets=['agent1:task.ScanTarget.takeover="ask"'])
     assert flight.summary["verdict"] == "FAIL"
     assert "no agent went on with ScanTarget after agent1 was killed" in flight.summary["reasons"]
-    assert "agent1 ran ScanTarget after agent1 came back" in flight.summary["reasons"], "its disk is all there is"
+    assert "agent1 ran ScanTarget after agent1 came back" in flight.summary["reasons"], "it goes on from its own disk"
+    assert not any("did not run" in reason for reason in flight.summary["reasons"])
 
 
 class LiveRescue(LiveDemo):

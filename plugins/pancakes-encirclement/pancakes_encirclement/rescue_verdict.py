@@ -165,7 +165,7 @@ def _loss_reasons(summary: Mapping[str, Any], scenario: Scenario, run: Run) -> l
     old, lost_s = scenario.first, summary["lost_s"]
     if lost_s is None:
         return [f"the mission ended after {run.ended_s:.0f} s, before {old} was killed"]
-    if not any(it["agent"] == old and it["end_s"] == lost_s for it in summary["holders"]):
+    if not any(it["agent"] == old and it["start_s"] <= lost_s <= it["end_s"] for it in summary["holders"]):
         return [f"{old} did not run {scenario.scan} when it was killed"]
     return []
 
