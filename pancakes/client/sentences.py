@@ -61,6 +61,8 @@ _SENTENCES: Final = {
     "migration_refused": lambda agent, it: f"{agent} refuses {it['task']}: {it['reason']}",
     "migration": _migration,
     "task_arrived": lambda agent, it: f"{agent} took {it['task']} from {it['source_agent']} with its state",
+    "agent_lost": lambda agent, it: f"{agent} is killed",
+    "agent_returned": lambda agent, it: f"{agent} is started again, on its disk",
     "task_handed_over": lambda agent, it: f"{agent} handed {it['task']} over to {it['to']}",
     "rate_changed": lambda agent, it: f"{agent} runs {it['task']} at {it['rate_hz']:g} Hz, asked by {it['by']}",
     "collision": lambda agent, it: f"collision: {' and '.join(it['names'])}",

@@ -64,6 +64,12 @@ def test_faults_of_the_network_need_a_virtual_one(out: Path) -> None:
     assert result.exit_code == USAGE and "--virtual" in result.output
 
 
+def test_a_demo_with_leases_is_not_run_faster_than_they_are(out: Path) -> None:
+    result = demo("rescue", "--live", "--headless", "--speed", "12.5", "--out", out)
+    assert result.exit_code == USAGE and not out.exists()
+    assert "the demo 'rescue' runs at 12 mission seconds a second at most, not at 12.5" in result.output
+
+
 def test_an_output_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     out = tmp_path / "file" / "out"
@@ -104,4 +110,5 @@ def test_the_demos_are_listed() -> None:
     result = demo("--list")
     assert result.exit_code == 0
     listed = [line.split()[0] for line in result.output.splitlines()]
-    assert listed == sorted(listed) and {"encirclement", "energy", "intruder", "pioneer", "sensor-field"} <= set(listed)
+    known = {"encirclement", "energy", "intruder", "pioneer", "rescue", "sensor-field"}
+    assert listed == sorted(listed) and known <= set(listed)

@@ -15,7 +15,7 @@ from pancakes.runtime.plugins import Plugins
 from pancakes.tools.demo import Comparison
 
 ROOT = Path(__file__).parents[2]
-DEMOS = ("encirclement", "energy", "intruder", "pioneer", "sensor-field")
+DEMOS = ("encirclement", "energy", "intruder", "pioneer", "rescue", "sensor-field")
 NOT_SOURCES = shutil.ignore_patterns("*.egg-info", "build", "__pycache__")
 Pancakes = Callable[..., "subprocess.CompletedProcess[str]"]
 

@@ -9,7 +9,7 @@ import pytest
 
 from pancakes.runtime.config import Config, load
 from pancakes.runtime.plugins import Plugins
-from pancakes_encirclement.demos import AGENTS, ENCIRCLEMENT, INTRUDER, PIONEER
+from pancakes_encirclement.demos import AGENTS, ENCIRCLEMENT, INTRUDER, PIONEER, RESCUE
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -18,7 +18,7 @@ def read(demo: str) -> dict[str, Config]:
     return {agent: load(CONFIGS / demo / f"{agent}.toml", plugins=Plugins()) for agent in AGENTS}
 
 
-@pytest.mark.parametrize("demo", ["encirclement", "pioneer", "intruder"])
+@pytest.mark.parametrize("demo", ["encirclement", "pioneer", "intruder", "rescue"])
 def test_they_are_sound_and_find_each_other(demo: str) -> None:
     configs = read(demo)
     addresses = {address for config in configs.values() for address in config.agent.listen}
@@ -39,6 +39,16 @@ def test_agent_2_runs_nothing_at_first_and_the_sensor_has_no_motors(demo: str) -
     assert configs["agent1"].tasks["ScanTarget"].migrate is not None
 
 
+def test_two_guardians_are_left_where_the_robot_that_circles_is_lost() -> None:
+    configs = read("rescue")
+    (guarded,) = configs["agent1"].tasks.values()
+    assert guarded.guard == 3 and guarded.lease_s == 2.0 and guarded.migrate is None
+    assert set(guarded.guardians) == set(AGENTS) - {"world", "agent1"}
+    assert configs["agent2"].tasks == {}, "it runs nothing until it goes on"
+    assert RESCUE.loss is not None and RESCUE.loss.agent == "agent1"
+    assert (guarded.lease_s + 1.5) * RESCUE.fastest <= RESCUE.loss.away_s, "it comes back after the take-over"
+
+
 def test_the_pioneers_run_the_same_tasks_as_the_kheperas() -> None:
     kheperas, pioneers = read("encirclement"), read("pioneer")
     for agent in AGENTS:
@@ -46,7 +56,7 @@ def test_the_pioneers_run_the_same_tasks_as_the_kheperas() -> None:
         assert types[0] == types[1]
 
 
-@pytest.mark.parametrize("demo", [ENCIRCLEMENT, PIONEER, INTRUDER], ids=lambda demo: demo.name)
+@pytest.mark.parametrize("demo", [ENCIRCLEMENT, PIONEER, INTRUDER, RESCUE], ids=lambda demo: demo.name)
 def test_each_demo_shows_the_circle_that_is_configured(demo: Any) -> None:
     configs = read(demo.name)
     assert configs["agent1"].tasks["ScanTarget"].settings["radius_m"] == demo.radius_m

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -16,6 +17,7 @@ from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
 from pancakes.runtime.kernel.keep import queue
 from pancakes.runtime.services.log_record import line_of, record_of
 from pancakes.task import Task, Tick, every, on
+from pancakes.tools.demo.losses import LossStep
 from pancakes.tools.demo.timeliness import Ticks, ticks_of
 
 ASK_S = 0.25
@@ -94,15 +96,20 @@ class Conductor(Task):
     Args:
         mission: what it fills in.
         events: path of the events file.
+        redial: has the launcher's mesh dial the agents that are not connected now, and not when it is time to.
     """
 
-    def __init__(self, *args: Any, mission: Mission, events: Path, **others: Any) -> None:
+    def __init__(self, *args: Any, mission: Mission, events: Path, redial: Callable[[], None], **others: Any) -> None:
         super().__init__(*args, **others)
         self._mission = mission
+        self._redial = redial
         self._path = events
         self._ready: dict[str, list[str]] = {}
         self._followed: dict[str, int] = {}
         self._lost_s: dict[str, float] = {}
+        self._away: set[str] = set()  # agents that were killed, and are not taken up again yet
+        self._returned: set[str] = set()  # those of them that were started again
+        self._zero_s: dict[str, float] = {}  # the mission time at which the clock of such an agent began anew
         self._file: TextIO | None = None
 
     def on_start(self) -> None:
@@ -126,6 +133,12 @@ class Conductor(Task):
                 self.publish(SYSCTRL, Describe(), to=agent)
         self.after_host(ASK_S, self._ask)
 
+    def _ask_returned(self, agent: str) -> None:
+        if agent in self._returned and not self._mission.ended:
+            self._redial()
+            self.publish(SYSCTRL, Describe(), to=agent)
+            self.after_host(ASK_S, partial(self._ask_returned, agent))
+
     @on(SYSCTRL, Reply)
     def on_reply(self, packet: Packet) -> None:
         """An agent says how far it is, or that it sends what it was asked to."""
@@ -137,6 +150,8 @@ class Conductor(Task):
             self._catch_up(agent, reply.result)
         if self._mission.phase == "running" and isinstance(reply.result, Mapping) and "tasks" in reply.result:
             self._mission.ticks[agent] = ticks_of(agent, reply.result)
+            if agent in self._returned and reply.result["ready"]:
+                self._take_up(agent, reply.result)
         if self._mission.phase != "connecting":
             return
         if not reply.ok:
@@ -156,8 +171,7 @@ class Conductor(Task):
         elif missing:
             self._mission.waiting_for[agent] = f"has not met {', '.join(missing)}"
         else:
-            tasks = [task for task in description["tasks"] if task["service"] not in ("device", "network", "log")]
-            self._ready[agent] = [task["task"] for task in tasks if task["state"] == "running"]
+            self._ready[agent] = _running(description)
             self._mission.waiting_for.pop(agent, None)
             self._follow(agent)
         self._mission.changed()
@@ -205,7 +219,7 @@ class Conductor(Task):
         if self._mission.phase != "running":
             return
         for agent in self._mission.agents:
-            if agent not in self._lost_s:
+            if agent not in self._lost_s and agent not in self._away:
                 self.publish(SYSCTRL, Describe(), to=agent)
         self.after_host(LOOK_S, self._look_at_ticks)
 
@@ -230,7 +244,7 @@ class Conductor(Task):
             self._on_own_log(packet)
             return
         if not self._mission.ended:
-            self._note(record_of(packet))
+            self._note(self._in_mission_time(record_of(packet)))
 
     def _on_own_log(self, packet: Packet) -> None:
         body = packet.body
@@ -240,6 +254,8 @@ class Conductor(Task):
         if body.kind == "peer_down" and peer == self._mission.agents[0]:
             # Without its world the mission has no ground to stand on.
             self.end(f"the agent {peer} is gone: {body.fields.get('reason', '')}")
+        elif peer in self._away:
+            pass  # it was killed, and is taken up again once it is ready
         elif body.kind == "peer_down" and self._mission.phase == "running":
             self._lost_s[peer] = self.now()
         elif peer in self._lost_s:
@@ -251,11 +267,38 @@ class Conductor(Task):
         """Takes what an agent said while it could not be heard, as far as that was not heard after all."""
         heard = [record for record in self._mission.events[-RECENT:] if record["agent"] == agent]
         for entry in records:
-            record = {key: value for key, value in entry.items() if key != "entry"}
+            record = self._in_mission_time({key: value for key, value in entry.items() if key != "entry"})
             if record["agent"] == agent and record not in heard:
                 self._note(record)
         if records:
             self.publish(SYSCTRL, History(after=records[-1]["entry"]), to=agent)
+
+    def _on_loss(self, step: LossStep) -> None:
+        """An agent was killed, or was started again."""
+        agent = step.agent
+        if step.kind == "agent_lost":
+            self._away.add(agent)
+            self._mission.running[agent] = []
+        else:
+            self._returned.add(agent)
+            self._ask_returned(agent)
+        self._keep({"t_s": round(step.t_s, 6), "agent": agent, "source": self.address, "kind": step.kind})
+
+    def _take_up(self, agent: str, description: Mapping[str, Any]) -> None:
+        """An agent is back that was killed: its mission begins anew, and what it has said so far is asked for."""
+        self._returned.discard(agent)
+        self._away.discard(agent)
+        self._lost_s.pop(agent, None)
+        self._mission.running[agent] = _running(description)
+        self._zero_s[agent] = self.now()
+        self.publish(SYSCTRL, Begin(), to=agent)
+        self._follow(agent)
+        self.publish(SYSCTRL, History(), to=agent)
+
+    def _in_mission_time(self, record: dict[str, Any]) -> dict[str, Any]:
+        """Returns a record of an agent, whose clock may have begun later than the mission."""
+        zero_s = self._zero_s.get(record["agent"], 0.0)
+        return {**record, "t_s": round(record["t_s"] + zero_s, 6)} if zero_s else record
 
     def _note(self, record: dict[str, Any]) -> None:
         """Keeps a record, and what follows from it."""
@@ -277,9 +320,12 @@ class Conductor(Task):
         self._mission.told(record)
 
     def on_receive(self, message: Any) -> Any:
-        if not isinstance(message, EndMission):
+        if isinstance(message, EndMission):
+            self.end(message.reason)
+        elif isinstance(message, LossStep):
+            self._on_loss(message)
+        else:
             return super().on_receive(message)
-        self.end(message.reason)
         return None
 
     def end(self, reason: str) -> None:
@@ -292,3 +338,9 @@ class Conductor(Task):
         mission.phase = "over"
         self.on_stop()
         mission.changed()
+
+
+def _running(description: Mapping[str, Any]) -> list[str]:
+    """Returns the user's tasks that run on an agent, from its answer to `Describe`."""
+    tasks = [task for task in description["tasks"] if task["service"] not in ("device", "network", "log")]
+    return [task["task"] for task in tasks if task["state"] == "running"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +32,27 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
+class Loss:
+    """An agent that is killed in the course of a mission, and started again later, on its disk.
+
+    Attributes:
+        agent: the agent; not the world.
+        earliest_s: it is killed at a time that is drawn from the run's seed, in mission seconds: not before this, ...
+        latest_s: ... and not after this.
+        away_s: so long after that it is started again, in mission seconds.
+    """
+
+    agent: str
+    earliest_s: float
+    latest_s: float
+    away_s: float
+
+    def at_s(self, seed: int) -> float:
+        """Returns when the agent is killed in the run with this seed."""
+        return random.Random(f"loss/{seed}").uniform(self.earliest_s, self.latest_s)
+
+
+@dataclass(frozen=True, slots=True)
 class Demo:
     """A mission that is installed, ready to run.
 
@@ -49,6 +72,9 @@ class Demo:
         arrange: takes the folder of a run, and whether it is live; returns what is to be set in each agent's file for
             that, as `--set` takes it, by agent. None: nothing.
         virtual: whether it runs in virtual time where nothing else is asked for.
+        loss: the agent that is killed on the way; None: none is, and one that ends by itself ends the mission.
+        fastest: the most mission seconds a second that it can run with live, where something that it shows takes its
+            time on the host's clock, as leases do.
     """
 
     name: str
@@ -63,6 +89,8 @@ class Demo:
     records: Mapping[str, str] = field(default_factory=lambda: {"Trajectory": "trajectory.csv"})
     arrange: Callable[[Path, bool], Mapping[str, Sequence[str]]] | None = None
     virtual: bool = False
+    loss: Loss | None = None
+    fastest: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ import subprocess
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,6 +27,7 @@ from pancakes.runtime.plugins import Plugins
 from pancakes.tools.demo.conductor import Conductor, EndMission, Mission
 from pancakes.tools.demo.demo import Run
 from pancakes.tools.demo.demo_plan import LAUNCHER, DemoPlan
+from pancakes.tools.demo.losses import Losses, LossStep
 from pancakes.tools.demo.timeliness import late_ones
 from pancakes.tools.launch.afresh import check_alone, empty_state
 from pancakes.tools.launch.keys_of_run import keys_of_run
@@ -70,14 +72,24 @@ class Launcher(Agent):
             type = "pancakes.conductor"
         """
         plugins = Plugins({("pancakes.tasks", "pancakes.conductor"): Conductor})
-        arguments = {"Conductor": {"mission": mission, "events": plan.out / "events.jsonl"}}
+        conductor = {
+            "mission": mission,
+            "events": plan.out / "events.jsonl",
+            "redial": lambda: self.mesh.redial(),  # it is not made yet
+        }
+        arguments = {"Conductor": conductor}
         super().__init__(parse(text, where="the launcher"), plugins, virtual, arguments)
 
     def end(self, reason: str) -> None:
         """Ends the mission before its time. Any thread."""
-        conductor = self.kernel.registry.get(f"{LAUNCHER}/client/Conductor")
-        if conductor is not None:
-            tell(conductor, EndMission(reason))
+        tell_conductor(self, EndMission(reason))
+
+
+def tell_conductor(launcher: Agent, message: EndMission | LossStep) -> None:
+    """Tells the launcher's task something. Any thread."""
+    conductor = launcher.kernel.registry.get(f"{LAUNCHER}/client/Conductor")
+    if conductor is not None:
+        tell(conductor, message)
 
 
 class Processes:
@@ -88,6 +100,7 @@ class Processes:
 
     def __init__(self, plan: DemoPlan) -> None:
         self._plan = plan
+        self._keys: Mapping[str, Sequence[str]] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, keys: Mapping[str, Sequence[str]]) -> None:
@@ -96,11 +109,22 @@ class Processes:
         Args:
             keys: what is set of each agent's file so that it finds its keys, as `--set` takes it.
         """
-        logs = self._plan.out / "logs"
-        logs.mkdir(parents=True, exist_ok=True)
-        for agent, path in self._plan.files.items():
-            with (logs / f"{agent}.txt").open("wb") as output:
-                self._processes[agent] = start_agent(path, (*self._plan.sets[agent], *keys[agent]), output)
+        self._keys = keys
+        (self._plan.out / "logs").mkdir(parents=True, exist_ok=True)
+        for agent in self._plan.files:
+            self.start_one(agent)
+
+    def start_one(self, agent: str) -> None:
+        """Starts one of them, as it was configured for this run; to be called in the thread that started them all."""
+        plan = self._plan
+        with (plan.out / "logs" / f"{agent}.txt").open("ab") as output:
+            self._processes[agent] = start_agent(plan.files[agent], (*plan.sets[agent], *self._keys[agent]), output)
+
+    def kill(self, agent: str) -> None:
+        """Ends one of them at once: it gets no word in. From then on it is none of those that should run."""
+        process = self._processes.pop(agent)
+        process.kill()
+        process.wait()
 
     def gone(self) -> str:
         """Returns a sentence about an agent that has ended by itself; empty where all run."""
@@ -137,8 +161,13 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
         processes.start(held.enter_context(keys_of_run(plan.configs)))
         launcher = Launcher(plan, mission)
         launcher.start()
+        now = launcher.kernel.mission.now
+        losses = Losses(
+            plan.demo.loss, plan.seed, now, processes.kill, processes.start_one, partial(tell_conductor, launcher)
+        )
         running_s = None
         while mission.phase != "over" and not interrupted.wait(LOOK_S):
+            losses.look()
             gone = processes.gone()
             if gone and mission.phase == "connecting":
                 raise PancakesError(gone)
@@ -185,6 +214,9 @@ class Onlooker(Protocol):
     def begin(self, fleet: VirtualFleet) -> None:
         """Takes the fleet, before anything runs."""
 
+    def joined(self, agent: Agent) -> None:
+        """Takes an agent that was killed, and is started again."""
+
     def slice_s(self) -> float:
         """Returns how much virtual time may pass until the next `pace`."""
 
@@ -226,23 +258,40 @@ def run_virtual(
     fleet = VirtualFleet(plan.seed, faults.quality if faults is not None else None)
     for address in plan.buses():
         fleet.network.exempt(address)
-    recorders: list[VirtualRecorder] = []
+    recorders: dict[str, VirtualRecorder] = {}
+
+    def start(name: str) -> None:
+        config = plan.configs[name]
+        agent = fleet.start(replace(config, record=None))
+        if config.record is not None and config.record.start:
+            recorders[name] = VirtualRecorder(agent.kernel, config.record, say)
+
+    def start_again(name: str) -> None:
+        start(name)
+        if onlooker is not None:
+            onlooker.joined(fleet.agents[name])
+
+    def kill(name: str) -> None:
+        if name in recorders:
+            recorders[name].end()
+        fleet.crash(name)
+
     try:
-        for config in plan.configs.values():
-            record = config.record
-            agent = fleet.start(replace(config, record=None))
-            if record is not None and record.start:
-                recorders.append(VirtualRecorder(agent.kernel, record, say))
+        for name in plan.configs:
+            start(name)
         if onlooker is not None:
             onlooker.begin(fleet)
         launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual))
-        if not _run_while(fleet, lambda: mission.phase == "connecting", READY_S, interrupted, onlooker):
+        losses = Losses(
+            plan.demo.loss, plan.seed, launcher.kernel.mission.now, kill, start_again, partial(tell_conductor, launcher)
+        )
+        if not _run_while(fleet, lambda: mission.phase == "connecting", READY_S, interrupted, onlooker, losses):
             raise _cannot_begin(mission)
         running_s = HOST.now()
         if faults is not None:
             faults.arrange(fleet, launcher)
         at_most_s = plan.duration_s * 2 + READY_S
-        _run_while(fleet, lambda: mission.phase != "over", at_most_s, interrupted, onlooker)
+        _run_while(fleet, lambda: mission.phase != "over", at_most_s, interrupted, onlooker, losses)
         if interrupted.is_set():
             _settle(mission)
         ended_s = HOST.now()
@@ -252,7 +301,7 @@ def run_virtual(
         try:
             fleet.close()
         finally:
-            for recorder in recorders:
+            for recorder in recorders.values():
                 recorder.end()
     return {
         "mode": "virtual",
@@ -268,6 +317,7 @@ def _run_while(
     at_most_s: float,
     interrupted: threading.Event,
     onlooker: Onlooker | None,
+    losses: Losses,
 ) -> bool:
     """Runs while a condition holds, for at most some virtual time.
 
@@ -277,8 +327,10 @@ def _run_while(
     until_s = fleet.now() + at_most_s
     while fleet.now() < until_s and not interrupted.is_set():
         slice_s = onlooker.slice_s() if onlooker is not None else SLICE_S
-        if fleet.run_while(condition, min(slice_s, until_s - fleet.now())):
+        # In virtual time a mission second is one of the fleet's.
+        if fleet.run_while(condition, min(slice_s, losses.wait_s(), until_s - fleet.now())):
             return True
+        losses.look()
         if onlooker is not None:
             onlooker.pace()
     return interrupted.is_set()
@@ -334,6 +386,7 @@ def configs_of(plan: DemoPlan) -> Mapping[str, Mapping[str, Any]]:
     def plain(config: Config) -> dict[str, Any]:
         return {
             "agent": msgspec.to_builtins(config.agent),
+            "clock": msgspec.to_builtins(config.clock),
             "devices": {name: dict(device.settings) for name, device in config.devices.items()},
             "services": {name: dict(service.settings) for name, service in config.services.items()},
             "tasks": msgspec.to_builtins(config.tasks),

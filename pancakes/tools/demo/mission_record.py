@@ -100,10 +100,15 @@ def read_lines(path: Path, split: Callable[[TextIO], Iterable[_T]]) -> Iterator[
 
 
 def holders(story: Story, task: str, end_s: float) -> list[Holder]:
-    """Returns the agents that ran a task, in the order of time. A task that is frozen for a move runs no more."""
+    """Returns the agents that ran a task, in the order of time.
+
+    A task that is frozen for a move runs no more, nor does any on an agent that was killed.
+    """
     found = []
     since: dict[str, float] = dict.fromkeys(story.running_at_first(task), 0.0)
     for event in story.events:
+        if event.kind == "agent_lost" and event.agent in since:
+            found.append(Holder(event.agent, since.pop(event.agent), event.t_s))
         if event.fields.get("task") != task:
             continue
         if event.kind in ("task_started", "task_resumed"):

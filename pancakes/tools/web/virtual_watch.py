@@ -60,7 +60,11 @@ class VirtualWatch:
         """Takes the agents of a fleet that are there; to be called before anything runs."""
         self._fleet = fleet
         for agent in fleet.agents.values():
-            self._tap(agent)
+            self.joined(agent)
+
+    def joined(self, agent: Agent) -> None:
+        """Takes an agent that was killed, and is started again; to be called before it runs."""
+        self._tap(agent)
 
     def slice_s(self) -> float:
         """Returns how much virtual time may pass until the next `pace`."""
@@ -153,8 +157,8 @@ class VirtualWatch:
 
     def _detail(self, agent: str, service: str, task: str) -> None:
         assert self._fleet is not None
-        registry = self._fleet.agents[agent].kernel.registry
-        owner = registry.get(f"{agent}/{service}")
+        there = self._fleet.agents.get(agent)  # none where it was killed
+        owner = there.kernel.registry.get(f"{agent}/{service}") if there is not None else None
         if not isinstance(owner, Service) or task not in owner.slots:
             return
         slot = owner.slots[task]

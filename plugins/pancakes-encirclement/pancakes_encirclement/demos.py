@@ -7,9 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from pancakes.tools.demo import Comparison, Demo, Run, Variant
+from pancakes.tools.demo import Comparison, Demo, Loss, Run, Variant
 from pancakes_encirclement.energy_verdict import judge_energy, judge_mission
 from pancakes_encirclement.intruder_verdict import judge_intruder
+from pancakes_encirclement.rescue_verdict import judge_rescue
 from pancakes_encirclement.verdict import Limits, judge_encirclement
 
 CONFIGS: Final = Path(__file__).parent / "configs"
@@ -26,6 +27,12 @@ def _draw_intruder(run: Run, summary: Mapping[str, Any]) -> None:
     from pancakes_encirclement.figure import draw_intruder
 
     draw_intruder(run, summary)
+
+
+def _draw_rescue(run: Run, summary: Mapping[str, Any]) -> None:
+    from pancakes_encirclement.figure import draw_rescue
+
+    draw_rescue(run, summary)
 
 
 def _draw_energy(out: Path, runs: Mapping[str, Run], summary: Mapping[str, Any]) -> None:
@@ -72,6 +79,21 @@ INTRUDER: Final = Demo(
     radius_m=0.55,
 )
 """Figure 1 of the paper."""
+
+RESCUE: Final = Demo(
+    name="rescue",
+    title="the robot that circles is killed, another goes on with its circle, and the first comes back",
+    agents=AGENTS,
+    configs=CONFIGS / "rescue",
+    duration_s=300.0,
+    judge=judge_rescue,
+    draw=_draw_rescue,
+    circled="sensor",
+    radius_m=0.55,
+    loss=Loss("agent1", earliest_s=70.0, latest_s=110.0, away_s=60.0),
+    fastest=12.0,
+)
+"""A task that outlives its robot."""
 
 ENERGY: Final = Comparison(
     name="energy",

@@ -72,6 +72,19 @@ def draw_intruder(run: Run, summary: Mapping[str, Any]) -> None:
     _draw(run, summary, panels, follows=True)
 
 
+def draw_rescue(run: Run, summary: Mapping[str, Any]) -> None:
+    """Draws a mission in which the robot that circles is killed, and comes back; see `draw_encirclement`."""
+    end_s, old = run.ended_s, summary["lost"]
+    lost_s = min(summary["lost_s"] if summary["lost_s"] is not None else end_s, end_s)
+    returned_s = min(summary["returned_s"] if summary["returned_s"] is not None else end_s, end_s)
+    panels = [(f"until {old} is killed", 0.0, lost_s)]
+    if lost_s < end_s:
+        panels.append((f"{summary['taken_by'] or 'no agent'} goes on", lost_s, returned_s))
+    if returned_s < end_s:
+        panels.append((f"{old} is back", returned_s, end_s))
+    _draw(run, summary, panels, follows=False)
+
+
 def _draw(run: Run, summary: Mapping[str, Any], panels: Sequence[tuple[str, float, float]], follows: bool) -> None:
     try:
         import matplotlib
@@ -99,11 +112,18 @@ def _draw(run: Run, summary: Mapping[str, Any], panels: Sequence[tuple[str, floa
             else:
                 axes.set_ylabel("y [m]")
             maps.append(axes)
-        handles, labels = _legend(scenario, follows)
+        handles, labels = _legend(scenario, follows, killed=summary.get("lost_s") is not None)
         figure.legend(handles, labels, loc="outside upper center", ncols=len(handles), frameon=False, handlelength=1.6)
         gantt = figure.add_subplot(grid[1, :])
         _gantt(gantt, lanes, scenario, panels, end_s)
-        _batteries(figure.add_subplot(grid[2, :], sharex=gantt), record, scenario, panels, end_s)
+        lower = figure.add_subplot(grid[2, :], sharex=gantt)
+        if "lost" in summary:
+            _loss(gantt, maps, summary, record, end_s)
+            _distances(lower, record, scenario, summary)
+        else:
+            _batteries(lower, record, scenario)
+        lower.set_xlabel("mission time [s]")
+        _time_axis(lower, panels, end_s)
         figure.savefig(run.out / "paths.png", dpi=200)
 
 
@@ -174,7 +194,7 @@ def _centres(
     return [(event.fields["x_m"], event.fields["y_m"]) for event in told[-1:] if to_s > from_s]
 
 
-def _legend(scenario: Scenario, follows: bool) -> tuple[list[Any], list[str]]:
+def _legend(scenario: Scenario, follows: bool, killed: bool) -> tuple[list[Any], list[str]]:
     from matplotlib.lines import Line2D
 
     handles = [
@@ -189,6 +209,9 @@ def _legend(scenario: Scenario, follows: bool) -> tuple[list[Any], list[str]]:
     for mover in scenario.movers[:1]:
         handles.append(Line2D([], [], color=_GREY if follows else _FAINT, ls=_DASHES, lw=0.8))
         labels.append(mover)
+    if killed:
+        handles.append(Line2D([], [], marker="x", ms=6, mew=1.4, color=_INK, lw=0))
+        labels.append("killed")
     return handles, labels
 
 
@@ -233,9 +256,37 @@ def _gantt(
     _time_axis(axes, panels, end_s)
 
 
-def _batteries(
-    axes: Axes, record: Record, scenario: Scenario, panels: Sequence[tuple[str, float, float]], end_s: float
-) -> None:
+def _loss(gantt: Axes, maps: Sequence[Axes], summary: Mapping[str, Any], record: Record, end_s: float) -> None:
+    """Marks where and when a robot was killed, and for how long its agent was away."""
+    lost_s, old = summary["lost_s"], summary["lost"]
+    if lost_s is None:
+        return
+    returned_s = summary["returned_s"] if summary["returned_s"] is not None else end_s
+    gantt.broken_barh(
+        [(lost_s, returned_s - lost_s)], (-0.36, 0.72), facecolor="none", edgecolor=_GREY, hatch="/////", lw=0.0
+    )
+    gantt.annotate(
+        f"← {old} is away", (returned_s, 0.0), xytext=(3, 0), textcoords="offset points", va="center", fontsize=6.5
+    )
+    at = next((row for row in record.paths.get(old, ()) if row.t_s >= lost_s), None)
+    for axes in maps:
+        if at is not None:
+            axes.plot(at.x_m, at.y_m, "x", ms=7, mew=1.4, color=_INK, zorder=6)
+
+
+def _distances(axes: Axes, record: Record, scenario: Scenario, summary: Mapping[str, Any]) -> None:
+    """Draws how far from the sensor node the robots were, and the radius of the circle."""
+    circle = summary["circle"]
+    for index, robot in enumerate(scenario.robots):
+        rows = record.paths.get(robot, ()) if circle["x_m"] is not None else ()
+        far_m = [math.hypot(row.x_m - circle["x_m"], row.y_m - circle["y_m"]) for row in rows]
+        axes.plot([row.t_s for row in rows], far_m, color=COLOURS[index % len(COLOURS)], lw=1.1)
+    axes.axhline(scenario.radius_m, color=_INK, lw=0.5, ls="--")
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("to the sensor [m]")
+
+
+def _batteries(axes: Axes, record: Record, scenario: Scenario) -> None:
     """Draws the robots' batteries, as a share of their range, and the levels at which something happens."""
     for index, robot in enumerate(scenario.robots):
         full_v, empty_v = scenario.battery_v.get(robot, (1.0, 0.0))
@@ -252,9 +303,7 @@ def _batteries(
             fontsize=6.5,
         )
     axes.set_ylabel("battery [%]")
-    axes.set_xlabel("mission time [s]")
     axes.margins(y=0.12)
-    _time_axis(axes, panels, end_s)
 
 
 def _time_axis(axes: Axes, panels: Sequence[tuple[str, float, float]], end_s: float) -> None:

@@ -68,8 +68,8 @@ def judge(record: Record, scenario: Scenario, run: Run, limits: Limits) -> dict[
     summary: dict[str, Any] = {
         "seed": run.seed,
         "duration_s": run.duration_s,
-        "circle": {**_named(centre), "radius_m": scenario.radius_m},
-        "homes": {robot: _named(home) for robot, home in homes.items()},
+        "circle": {**named(centre), "radius_m": scenario.radius_m},
+        "homes": {robot: named(home) for robot, home in homes.items()},
         "holders": [asdict(holder) for holder in held],
         "gap_s": gap_s(record.paths, scenario.scan, old, new) if new else None,
         "overlap_s": overlap_s(record.paths, scenario.robots, scenario.scan, held),
@@ -201,7 +201,8 @@ def _home_error(record: Record, agent: str, homes: Mapping[str, tuple[float, flo
     return math.dist((path[-1].x_m, path[-1].y_m), homes[agent]) if path else None
 
 
-def _named(position: tuple[float, float] | None) -> dict[str, float | None]:
+def named(position: tuple[float, float] | None) -> dict[str, float | None]:
+    """Returns a place as it stands in a summary."""
     return {"x_m": position[0] if position else None, "y_m": position[1] if position else None}
 
 

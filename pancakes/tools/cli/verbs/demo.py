@@ -99,6 +99,8 @@ def demo(
         pancakes demo encirclement --virtual --seed 7 --out runs/seven
         pancakes demo encirclement --view
     """
+    from pancakes.tools.demo import Comparison
+
     plugins = Plugins()
     if list_ or name is None:
         _list(plugins)
@@ -114,6 +116,12 @@ def demo(
         raise click.UsageError("--control and --port are about the page: they need --view")
     if control and virtual:
         raise click.UsageError("--control does not go with --virtual: such a run repeats, and takes no orders")
+    fastest = found.mission.fastest if isinstance(found, Comparison) else found.fastest
+    if not virtual and speed > fastest:
+        raise click.UsageError(
+            f"live, the demo {name!r} runs at {fastest:g} mission seconds a second at most, not at {speed:g}: what it"
+            " shows takes its time on the machine's own clock"
+        )
     interpreter.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
     # The agents end with the launcher, also where a second signal ends that at once.
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)
