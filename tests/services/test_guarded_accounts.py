@@ -96,3 +96,15 @@ def test_a_checkpoint_of_a_task_that_does_not_change_grows_no_older():
         fleet.run_for(1.0)
         (later,) = fleet.agents["b"].ask(Guarding()).result
         assert row["age_s"] < later["age_s"] < 3.0
+
+
+@pytest.mark.parametrize("fleet", ["ask"], indirect=True)
+def test_the_newest_checkpoint_is_named_that_any_guardian_has(fleet: FleetInTest):
+    fleet.faults.cut("b", off=("a",))
+    fleet.run_for(5.0)
+    fleet.crash("a")
+    fleet.run_for(8.0)
+    (ours,), (theirs,) = (fleet.agents[name].ask(Guarding()).result for name in "bc")
+    assert ours["checkpoint"] < theirs["checkpoint"]
+    would = fleet.agents["b"].ask(Take("Count", dry_run=True)).result
+    assert would["checkpoint"] == f"0@a/{theirs['checkpoint']}" and would["age_s"] <= 0.7
