@@ -244,7 +244,9 @@ class Guarding(msgspec.Struct, frozen=True):
     agent that its guardian follows), `epoch`, `checkpoint` (the number of the newest that it holds under that epoch),
     `age_s` (how long ago the task was known to be as that says, in host seconds), `silent_s` (how long ago it heard the
     owner), `lease` (whether the owner's lease runs there) and `wanted` (whether the task is to run). That of the owner
-    has `guardians`, `guard` (how many there are to be) and `permit_s` too: for how long the task may act.
+    has `guardians`, `guard` (how many there are to be), `permit_s` (for how long the task may act), `held_back` (how many acts came too late, by
+    kind), `clock_steps` (how often its clock was set forward, which ended the permit) and `no_dead_man` (the actuators
+    that it commands and that do not hold by themselves) too.
     """
 
 
