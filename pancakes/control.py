@@ -176,9 +176,8 @@ class HeldCheckpoint(msgspec.Struct, frozen=True):
 class Revive(msgspec.Struct, frozen=True):
     """Runs a task here whose agent is gone for good: from a checkpoint, or as its configuration says, without state.
 
-    A guarded task that is here, and stands still because its guardians are gone for good, goes on as it stands.
-    Its epoch is so much higher than all that is known of it that no actuator takes its commands for old, and that the
-    lost agent's own copy stands still where that agent ever comes back, once it is linked.
+    A guarded task that is here, and stands still because its guardians are gone for good, goes on as it stands. Its
+    epoch is so high that no actuator takes its commands for old, and that a lost agent that is back stands still.
 
     Attributes:
         task_id: the task, as `birthplace/name`.
@@ -240,13 +239,11 @@ class Migrations(msgspec.Struct, frozen=True):
 class Guarding(msgspec.Struct, frozen=True):
     """Asks an agent which guarded tasks it owns, and which it guards.
 
-    The reply's `result` is a list of plain mappings. Each has `task_id`, `agent` (the one that answers), `owner` (the
-    agent that its guardian follows), `epoch`, `checkpoint` (the number of the newest that it holds under that epoch),
-    `age_s` (how long ago the task was known to be as that says, in host seconds), `silent_s` (how long ago it heard the
-    owner), `lease` (whether the owner's lease runs there) and `wanted` (whether the task is to run). That of the owner
-    has `guardians`, `guard` (how many there are to be), `permit_s` (for how long the task may act), `held_back` (how many acts came too late, by
-    kind), `clock_steps` (how often its clock was set forward, which ended the permit) and `no_dead_man` (the actuators
-    that it commands and that do not hold by themselves) too.
+    The reply's `result` is a list of plain mappings. Each has `task_id`, `agent`, `owner` (the agent that its guardian
+    follows), `epoch`, `checkpoint` (the number of the newest that it holds), `age_s` (how long ago the task was as that
+    says, in host seconds), `silent_s` (since it heard the owner), `lease` (whether the owner's runs there) and `wanted`
+    (whether the task is to run). That of the owner has `guardians`, `guard` (their number as wanted), `permit_s`,
+    `held_back` (acts that came too late, by kind), `clock_steps` and `no_dead_man` (actuators that do not hold) too.
     """
 
 
@@ -255,9 +252,9 @@ class Checkpoints(msgspec.Struct, frozen=True):
     """Asks an agent for the checkpoints of a task that it holds: as its guardian, or of a hand-off that is in doubt.
 
     The reply's `result` is a list of plain mappings: `task_id`, `agent`, `held` (`guardian` or `in doubt`), `type`,
-    `service`, `wanted`, `epoch` (number and minter) and `no` of the checkpoint, `age_s` (how long ago the task was as
-    it says, in host seconds; None: unknown), `at_least` (it may be older), `seen` (the highest number of an epoch that
-    is known), `guardians` (one or two lists of agents), and `snapshot` where it was asked for.
+    `service`, `wanted`, `epoch` (number and minter) and `no` of the checkpoint, `age_s` (see `Guarding`; None: unknown),
+    `at_least` (it may be older), `seen` (the highest number of an epoch that is known), `guardians` (one or two lists
+    of agents) and, where it was asked for, `snapshot`.
 
     Attributes:
         task: its name.

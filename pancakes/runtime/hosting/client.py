@@ -324,8 +324,7 @@ class ClientService(Service):
 
     def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
         """Returns a task as data, encoded."""
-        sent = self.kernel.seq_of(slot.address).value - 1
-        task_id = self.places.at[slot.name].task_id
+        sent, task_id = self.kernel.seq_of(slot.address).value - 1, self.places.at[slot.name].task_id
         return snapshot_of(slot, task_id, self.name, carried, self.now(), sent, posted).encode()
 
     def spawn(self, slot: Slot) -> None:
@@ -342,15 +341,12 @@ class ClientService(Service):
             super().tell_news(slot, effect)  # what is unsure of many tasks is told once
 
     def write_rest(self, slot: Slot) -> None:
-        carried = slot.carried
-        snapshot = self.snapshot(slot, carried) if carried is not None else b""
+        snapshot = self.snapshot(slot, slot.carried) if slot.carried is not None else b""
         self.feed(slot, hosting_event.CameToRest(snapshot))
 
     def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
-        arguments = super().arguments_of(slot)
-        if slot.spec.durability != "each":
-            return arguments
-        return {**arguments, "tells_each_turn": True}
+        told = {"tells_each_turn": True} if slot.spec.durability == "each" else {}
+        return {**super().arguments_of(slot), **told}
 
     def changed(self, slot: Slot, carried: Carried) -> None:
         # It outlives a failure of the task the moment after.
@@ -482,8 +478,8 @@ class ClientService(Service):
             raise ControlRefused(f"{slot.address} is being handed over between {self.agent} and {peer}")
         if standing.leaving and not describes:
             raise ControlRefused(f"{slot.address} was handed over, and has not ended yet")
-        changes = isinstance(body, (control.Stop, control.Reschedule, control.Configure))
-        changes = changes or (describes and (body.state or body.began))
+        asks_state = describes and (body.state or body.began)
+        changes = asks_state or isinstance(body, control.Stop | control.Reschedule | control.Configure)
         if record.phase is Phase.RELEASED and changes:
             raise ControlRefused(f"{slot.name} moved to {record.peer}")
 
