@@ -162,8 +162,7 @@ class HeldCheckpoint(msgspec.Struct, frozen=True):
     Attributes:
         snapshot: the task, encoded.
         epoch: the epoch under which it was written, and the agent that has minted that.
-        no: the how-manieth it is under that epoch.
-        story: which one it is, where it is and how old, as a clause.
+        no, story: the how-manieth it is under that epoch; which one it is, where it is and how old, as a clause.
     """
 
     snapshot: bytes
@@ -252,9 +251,9 @@ class Checkpoints(msgspec.Struct, frozen=True):
     """Asks an agent for the checkpoints of a task that it holds: as its guardian, or of a hand-off that is in doubt.
 
     The reply's `result` is a list of plain mappings: `task_id`, `agent`, `held` (`guardian` or `in doubt`), `type`,
-    `service`, `wanted`, `epoch` (number and minter) and `no` of the checkpoint, `age_s` (see `Guarding`; None: unknown),
-    `at_least` (it may be older), `seen` (the highest number of an epoch that is known), `guardians` (one or two lists
-    of agents) and, where it was asked for, `snapshot`.
+    `service`, `wanted`, `epoch` (number and minter) and `no` of the checkpoint, `age_s` (None: unknown), `at_least` (it
+    may be older), `seen` (the highest number of an epoch that is known), `guardians` (one or two lists of agents), and
+    `snapshot` where it was asked for.
 
     Attributes:
         task: its name.
