@@ -59,7 +59,7 @@ class VirtualFleet:
         # Not the same one twice: an agent that has lost its identity is another one from then on.
         source = self._identities.setdefault(name, random.Random(f"journal/{self.seed}/{name}"))
         identity = uuid.UUID(int=source.getrandbits(128), version=4)
-        journal = self.journals[name] = MemoryJournal(disk, str(identity))
+        journal = self.journals[name] = MemoryJournal(disk, str(identity), name)
         agent = make(Virtual(self.dispatcher, self.network.transport(name), journal))
         agent.start()
         self.agents[name] = agent

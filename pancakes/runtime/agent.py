@@ -18,6 +18,7 @@ from pancakes.control import CONTROLS
 from pancakes.errors import PancakesError, describe, traceback_of
 from pancakes.events import Event
 from pancakes.mesh.address import LOCAL, is_local
+from pancakes.mesh.migration.boots import Boot
 from pancakes.mesh.migration.outbox import Outbox
 from pancakes.mesh.migration.rest import resting
 from pancakes.mesh.net.link_log import DROPS_REPORTED_EVERY_S
@@ -31,6 +32,8 @@ from pancakes.mesh.wire.link_messages import Hello, Identity
 from pancakes.packet import Packet, body_class, join
 from pancakes.runtime.composition import Composition
 from pancakes.runtime.config import Config
+from pancakes.runtime.hosting.births import BirthRule
+from pancakes.runtime.hosting.boot_memory import BootMemory
 from pancakes.runtime.hosting.census import Census
 from pancakes.runtime.hosting.census_messages import CENSUS, NeighbourUp
 from pancakes.runtime.hosting.client import ClientService
@@ -185,6 +188,7 @@ class Agent:
         self.records = Records(disk)
         self.resting = self._resting()
         self._registers = Registers(disk)
+        self._boots = BootMemory(disk)
         self.ledgers = Ledgers(disk, self.kernel.log)
         installed = Installed(self._plugins)
         self.host_state = HostState(self.kernel, config.agent.role, installed.version_of, installed.costs, self.records)
@@ -193,7 +197,7 @@ class Agent:
         self.skipped.extend(str(aside) for aside in journal.set_aside if (aside.kind, aside.key) not in told)
         self.skipped.extend(f"{one.task_id} is not started: {one.undecided(self.name)}" for one in lost)
         self.mesh = Mesh(
-            Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
+            Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role, journal.life),
             transport,
             config.agent.addresses if virtual is not None else self._addresses(),
             config.agent.peers,
@@ -225,6 +229,7 @@ class Agent:
                 "records": self.records,
                 "outbox": self.outbox,
                 "catalogue": installed,
+                "births": BirthRule(config.agent.peers, config.agent.birth_wait_s, journal.former),
             },
         }
         composition = Composition(config, self._plugins, installed, shared, arguments, self.skipped)
@@ -247,7 +252,8 @@ class Agent:
             self.kernel.stop()
             raise
         self._tend(Courier, COURIER, outbox=self.outbox, records=self.records, mesh=self.mesh)
-        self._tend(Census, CENSUS, records=self.records, state=self.host_state, mesh=self.mesh)
+        knows = {"records": self.records, "registers": self._registers, "boots": self._boots}
+        self._tend(Census, CENSUS, **knows, state=self.host_state, mesh=self.mesh)
         self._tend(Guardian, GUARDIAN, registers=self._registers, mesh=self.mesh, state=self.host_state)
         root = self.kernel.spawn(
             Root,
@@ -446,7 +452,7 @@ class Agent:
             self._say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
         census = self.kernel.registry.get(join(self.name, CENSUS))
         if hello.role == "agent" and census is not None:
-            tell(census, NeighbourUp(hello.name))
+            tell(census, NeighbourUp(hello.name, Boot(hello.journal, hello.boot, hello.life)))
 
     def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
         if name in self._clients:
@@ -462,7 +468,9 @@ class Agent:
 
     def _open_journal(self) -> Journal:
         directory = state_dir_of(self.config)
-        return MemoryJournal({}, str(uuid.uuid4())) if directory is None else FileJournal(directory)
+        if directory is None:
+            return MemoryJournal({}, str(uuid.uuid4()))
+        return FileJournal(directory, agent=self.name)
 
     def _open_transport(self) -> Transport:
         agent, network = self.config.agent, network_settings(self.config)

@@ -84,7 +84,8 @@ class FleetInTest:
     ) -> AgentInTest:
         """Starts an agent, and waits until all that should run at its start does.
 
-        It listens at `tcp://NAME:7400` and knows all agents that the fleet ever had.
+        It listens at `tcp://NAME:7400` and knows all agents that the fleet ever had. Its tasks begin at once, whatever
+        these know of them, unless `birth_wait_s` is given.
 
         Args:
             name: its name.
@@ -99,7 +100,7 @@ class FleetInTest:
                 written below the system's temporary directory, where pytest's `tmp_path` lies.
         """
         addresses = [config.agent.addresses[-1] for other, config in self._configs.items() if other != name]
-        agent = {"listen": f"tcp://{name}:7400", "peers": tuple(addresses), **agent}
+        agent = {"listen": f"tcp://{name}:7400", "peers": tuple(addresses), "birth_wait_s": 0.0, **agent}
         made = parts(name, text, tasks, devices, services, agent)
         self._classes.update({**(classes or {}), **made.classes})
         self._configs[name] = made.config

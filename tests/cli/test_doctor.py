@@ -435,3 +435,16 @@ def test_names_that_are_borne_twice():
     namesakes = [RunningAgent("a", "north", "agent", (), own), RunningAgent("a", "south", "agent", (), own)]
     assert levels(check_entries(namesakes)) == [("warning", "a")]
     assert levels(check_entries(namesakes[:1])) == []
+
+
+@pytest.mark.parametrize(
+    ("rest", "level", "begins"),
+    [
+        ("waits → b, tcp://c:7400", "warning", "is not born yet: why"),
+        ("disk lost", "error", "is not born: why"),
+        ("old copy", "error", "stands still: why"),
+    ],
+)
+def test_a_task_of_which_its_agent_does_not_know_whether_it_is_elsewhere(rest: str, level: str, begins: str) -> None:
+    (finding,) = found_in(agent(tasks=[task(state="stopped", rest=rest, reason="why")]))
+    assert (finding.level, finding.about) == (level, "a/Scan") and finding.text.startswith(begins) and finding.advice

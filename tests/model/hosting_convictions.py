@@ -40,7 +40,6 @@ CONVICTED_IN: Final[Mapping[str, str]] = {
     "StoodStill means nothing": "given away at the third attempt",
     "StillOverdue means nothing": "it comes and goes",
     "PartConcluded means nothing": "given away at the third attempt",
-    "that Born is declined means nothing": "its disk was wiped, and it comes",
     "that RunAsked is declined means nothing": "its disk was wiped, and it comes",
     "that AdoptionAsked is declined means nothing": "it comes, and there is no place",
     "that ForgettingAsked is declined means nothing": "its record was lost, it comes, and writes fail",
@@ -93,7 +92,7 @@ CONVICTED_IN: Final[Mapping[str, str]] = {
     "its service waits for what is elsewhere": "it comes, and the agent crashes",
     "a hand-off found on disk does not go on": "it comes, and the agent crashes",
     "there is always room": "its record was lost, it comes, and writes fail",
-    "what was lost is tried again and again": "its record was lost, it comes, and writes fail",
+    "what was lost is tried again and again": "its record was lost, and it comes",
     "it is not born": "its disk was wiped, and it comes",
     "what it carries is not written down": "transient",
     "what it carries is written down, and it does not start": "it comes where another has its name",
@@ -154,4 +153,6 @@ CONVICTED_IN: Final[Mapping[str, str]] = {
     "the adoption of a disputed task that cannot be written down is not answered": "another owns it, and writes fail",
     "that a disputed task cannot be given up is not answered": "another owns it, and writes fail",
     "an adoption is not answered where a stop comes after it": "another owns it, and writes fail",
+    "what is being adopted is born": "its birth waits, and a person decides",
+    "what is on its way here is refused, and tried again": "its disk was wiped, its birth waits, and it comes",
 }

@@ -263,7 +263,7 @@ MUTANTS: Final = (
     # Room
     HostingMutant(
         "there is always room",
-        "    if event.reason:\n",
+        "    if event.reason and record.phase not in DOUBT:",
         "    if False:\n",
     ),
     HostingMutant(
@@ -273,8 +273,14 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "it is not born",
-        "    elif record.unborn:\n        step.feed(handoff_event.Born(event.snapshot, event.guardian))\n",
-        "",
+        "        step.feed(handoff_event.Born(event.snapshot, event.guardian))\n",
+        "        pass\n",
+    ),
+    HostingMutant("what is being adopted is born", "record.unborn and step.standing.waits is None:", "record.unborn:"),
+    HostingMutant(
+        "what is on its way here is refused, and tried again",
+        "event.reason and record.phase not in DOUBT:",
+        "event.reason:",
     ),
     HostingMutant(
         "what it carries is not written down",

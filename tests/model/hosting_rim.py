@@ -130,6 +130,7 @@ class Rim:
             sent=world.sent,
             theirs=world.theirs,
             lost=world.lost,
+            unsure=bounds.births and record.unborn,
             spent=world.spent,
         )
         if not placed:
@@ -160,6 +161,9 @@ class Rim:
         if world.lost and record.phase is Phase.ABSENT:
             events.append(event.Room(one, "it is not decided where it is", for_good=True))
             return replace(world, reserved=False)
+        if world.unsure and (record.unborn or record.phase is Phase.OWNER):
+            events.append(event.Room(one, "it may be elsewhere"))
+            return replace(world, reserved=False)
         world, refused = self._refused(world, luck)
         if refused or self._full(world):
             events.append(event.Room(one, "it lacks something"))
@@ -186,7 +190,8 @@ class Rim:
             raise Violation("its place is prepared while its actor is there")
         start = one.start
         world, refused = self._refused(world, luck)
-        reason = CLOSES if world.closing else "it lacks something" if refused or self._full(world) else ""
+        refused = refused or self._full(world) or world.unsure
+        reason = CLOSES if world.closing else "it lacks something" if refused else ""
         events.append(LeaveRefused(reason) if reason else Admitted(start.incarnation + 1))
         return replace(world, carried=start.snapshot, fence=(start.epoch, start.incarnation))
 
@@ -200,6 +205,8 @@ class Rim:
             raise Violation("it starts under another right than its record says")
         if world.closing:
             raise Violation("it starts while its service ends")
+        if world.unsure:
+            raise Violation("it starts, and its agent does not know whether it is elsewhere")
         spent, asked = world.spent, world.life is not None and world.life.asker is not None
         if world.fresh and (asked or not (world.sent or world.theirs or spent.decisions or spent.requests)):
             raise Violation("it was to begin anew, and goes on from its checkpoint")
@@ -331,6 +338,8 @@ class Rim:
         life, starts = world.life, one.record.phase is Phase.OWNER and one.record.wanted is Wanted.RUNNING
         asked = life is not None and life.state is State.ASKED and life.asker is not None
         known = world.standing.record
+        if world.unsure and known.unborn and one.record.phase is Phase.OWNER and "adopt" not in world.asked_for:
+            raise Violation("it is born before others have told what they know of it")
         goes_on = known.phase is Phase.OWNER and known.wanted is Wanted.RUNNING
         if starts and asked and not world.reserved and not goes_on:
             raise Violation("its record says that it runs, and no actuators are kept for it")

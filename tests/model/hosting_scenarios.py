@@ -63,6 +63,17 @@ SUITE: Final[Mapping[str, Bounds]] = {
     "another owns it while it is given away": Bounds(offers=1, claims=1, decisions=1, ends=0, refusals=1),
     "another owns it, and its service ends": Bounds(claims=1, closes=True, crashes=1, decisions=1),
     "another owns it, and it sticks": Bounds(claims=2, sticks=True, requests=1, decisions=2),
+    "its birth waits, and writes fail": Bounds(births=True, requests=2, faults=1, ends=0),
+    "its birth waits, and a person decides": Bounds(births=True, decisions=2, requests=1, crashes=1, ends=0),
+    "its birth waits, and it follows another": Bounds(births=True, follows=True, requests=1, refusals=1, ends=0),
+    "its birth waits, and its service ends": Bounds(births=True, closes=True, crashes=1, requests=1, ends=0),
+    "its disk was wiped, its birth waits, and it comes": Bounds(births=True, wiped=True, theirs=1, refusals=1, ends=0),
+    "its disk is an old copy, and writes fail": Bounds(copies=1, requests=1, faults=1, ends=0),
+    "its disk is an old copy, and it went on elsewhere": Bounds(copies=1, claims=1, decisions=1, ends=0),
+    "its disk is an old copy, and it sticks": Bounds(copies=1, requests=1, sticks=True, ends=0),
+    "its disk is an old copy, and its service ends": Bounds(copies=1, closes=True, crashes=1, ends=0),
+    "its disk is an old copy while it is given away": Bounds(copies=1, offers=1, ends=0),
+    "it comes, and its disk is an old copy": Bounds(visitor=True, theirs=1, copies=1, refusals=1),
     "it comes back, and had failed": Bounds(TEMPORARY, offers=1, theirs=1, spawns=1),
 }
 """Seconds in all: searched by the tests too."""

@@ -85,6 +85,7 @@ class Steps:
         yield from self._requests(world)
         yield from self._decisions(world)
         yield from self._claims(world)
+        yield from self._knowledge(world)
         yield from self._as_a_source(world)
         yield from self._as_a_destination(world)
         if world.parts:
@@ -223,6 +224,8 @@ class Steps:
             yield "it is given up", giving_up, ForgettingAsked(record.seen, PEER)
         if record.phase is Phase.RELEASED and not record.sequel and not world.closing:
             yield "it is revived", adopting, AdoptionAsked(BIRTH, 0, 2)
+        if world.unsure and record.unborn and not world.closing:
+            yield "it is adopted", adopting, AdoptionAsked(BIRTH, 0, 2)
         if world.lost and record.phase is Phase.ABSENT:
             yield "it is adopted", adopting, AdoptionAsked(BIRTH, 0, 2)
             forgetting = replace(asked, asked_for=world.asked_for | {"forget"})
@@ -234,6 +237,21 @@ class Steps:
         if may and record.phase is Phase.OWNER and not is_disputed(record):
             heard = replace(world, spent=replace(spent, claims=spent.claims + 1))
             yield "another agent says that it owns it", heard, ClaimHeard(PEER, Epoch(record.epoch.n + 1, PEER))
+
+    def _knowledge(self, world: World) -> Iterator[Any]:
+        life, record, spent = world.life, world.standing.record, world.spent
+        owns = record.phase is Phase.OWNER and life is not None
+        lives = life is not None and life.state in (State.STARTING, State.RUNNING)
+        # One that is being handed over stands still, and is looked at again once that is over.
+        halts = owns and lives and idle(world.standing) and not world.standing.volatile.asked
+        told = StopAsked(reason="it may be elsewhere", again=True) if halts else Retry()
+        if world.unsure:
+            yield "others have told what they know of it", replace(world, unsure=False), Retry()
+            if halts:
+                yield "its agent looks again whether it stands still", world, told
+        elif spent.copies < self._bounds.copies and owns:
+            copied = replace(world, unsure=True, spent=replace(spent, copies=spent.copies + 1))
+            yield "others take the disk of its agent for an old copy", copied, told
 
     # The other agent -------------------------------------------------------------------------------------------
 
@@ -290,4 +308,5 @@ def _on_disk(world: World, record: Record) -> World:
     """Returns the world in which a record is on disk."""
     forgotten = "forget" in world.asked_for and record.phase is Phase.ABSENT and record.seen != NO_EPOCH
     asked_for = world.asked_for - {"forget"} | {"forgotten"} if forgotten else world.asked_for
-    return replace(world, disk=record, lost=False, asked_for=asked_for)
+    unsure = world.unsure and not world.disk.unborn  # once there is a record, nothing is asked about it
+    return replace(world, disk=record, lost=False, unsure=unsure, asked_for=asked_for)

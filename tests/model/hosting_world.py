@@ -55,6 +55,8 @@ class Bounds(msgspec.Struct, frozen=True):
         blocked: whether another task has its name at first.
         follows: whether it is to run because another task has left.
         claims: so often another agent says that it owns it too.
+        births: whether it is not born before others have told what they know of it.
+        copies: so often others take its agent's disk for an old copy, and it stands still until they told.
     """
 
     restart: RestartSpec = RestartSpec("permanent", at_most=1)
@@ -78,6 +80,8 @@ class Bounds(msgspec.Struct, frozen=True):
     blocked: bool = False
     follows: bool = False
     claims: int = 0
+    births: bool = False
+    copies: int = 0
 
 
 class Spent(msgspec.Struct, frozen=True):
@@ -93,6 +97,7 @@ class Spent(msgspec.Struct, frozen=True):
     decisions: int = 0
     followed: bool = False
     claims: int = 0
+    copies: int = 0
 
 
 class World(msgspec.Struct, frozen=True):
@@ -121,6 +126,7 @@ class World(msgspec.Struct, frozen=True):
         sent: the messages that this agent has sent.
         theirs: what the other agent has offered, and what became of that.
         lost: whether its record was lost, and what is to become of it is not decided.
+        unsure: whether its agent does not know yet whether it is elsewhere.
         spent: how much of the bounds is used up.
     """
 
@@ -145,6 +151,7 @@ class World(msgspec.Struct, frozen=True):
     sent: frozenset[tuple[str, Epoch]] = frozenset()
     theirs: tuple[tuple[Epoch, str], ...] = ()
     lost: bool = False
+    unsure: bool = False
     spent: Spent = Spent()
 
 

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Final
 
 from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 
+WAITS: Final = "waits → "
+"""Why a task is not born yet: it waits for what the agents named after this know of it."""
+DISK_LOST: Final = "disk lost"
+"""Why a task is not born: other agents know of it, so it was born before, and the disk of its birthplace was lost."""
+OLD_COPY: Final = "old copy"
+"""Why a task stands still: the disk of its agent is an old copy, and it may be elsewhere by now."""
 
-def rest_of(record: Record) -> str:
-    """Returns in a word why a task does not run here; empty where its record does not speak against it."""
+
+def rest_of(record: Record, otherwise: str = "") -> str:
+    """Returns in a word why a task does not run here; `otherwise` where its record does not speak against it."""
     if record.phase in (Phase.COMMITTED, Phase.RELEASED):
         return f"moved → {record.peer}"
     if record.phase is Phase.ABSENT and record.seen != NO_EPOCH:
         return f"moved → {record.peer}" if record.peer else "forgotten"
     if record.phase is Phase.OWNER and record.wanted is not Wanted.RUNNING:
         return record.wanted.value
-    return ""
+    return otherwise
 
 
 def resting(agent: str, tasks: Iterable[str], records: Mapping[TaskId, Record]) -> dict[str, str]:

@@ -238,9 +238,9 @@ class Mesh:
     def _begin(self) -> None:
         if self._state != "new":
             return
-        self._state = "running"
         times, may_be_named = self._times, self._transport.may_be_named
         self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, may_be_named)
+        self._state = "running"  # from now on `describe` has all that is known
         self._trust.begin()
         self._run_peers()
 

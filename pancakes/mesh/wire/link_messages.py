@@ -55,6 +55,7 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
         journal: UUID of its journal; two agents of one name are told apart by it.
         boot: how often that journal was opened; a higher one is a later life of the same agent.
         listen: the addresses at which the receiver can dial it, the best first.
+        life: drawn anew at each opening of the journal: of one boot there are two where the journal was copied.
     """
 
     version: int
@@ -64,6 +65,7 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
     journal: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
     boot: Count
     listen: Annotated[tuple[Address, ...], msgspec.Meta(max_length=MOST_LISTEN)] = ()
+    life: Annotated[str, msgspec.Meta(max_length=64)] = ""
 
 
 def fault_of_hello(hello: Hello) -> str:
@@ -149,6 +151,7 @@ class Identity(msgspec.Struct, frozen=True):
     boot: int = 0
     fleet: str = DEFAULT_FLEET
     role: Role = "agent"
+    life: str = ""
 
     def hello(self, listen: Sequence[str] = ()) -> Hello:
         """Returns the hello of this agent, which can be dialled at the addresses of `listen`.
@@ -156,7 +159,17 @@ class Identity(msgspec.Struct, frozen=True):
         Raises:
             LocalProtocolError: a part is not what it must be, such as a name with a slash.
         """
-        row = [HELLO_NUMBER, VERSION, self.fleet, self.name, self.role, self.journal, self.boot, list(listen)]
+        row = [
+            HELLO_NUMBER,
+            VERSION,
+            self.fleet,
+            self.name,
+            self.role,
+            self.journal,
+            self.boot,
+            list(listen),
+            self.life,
+        ]
         try:
             hello = codecs.convert(row, Hello)
         except msgspec.ValidationError as error:

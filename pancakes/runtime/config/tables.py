@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta, Struct, field
 
 from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
+from pancakes.mesh.migration.birth import DEFAULT_WAIT_S
 from pancakes.mesh.migration.guard_rule import LONGEST_LEASE_S, SHORTEST_LEASE_S, GuardRule
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.mesh.security.rules import AccessRule, Right
@@ -50,6 +51,9 @@ class AgentConfig(Struct, frozen=True):
         seed: where the agent's randomness starts; None draws it afresh at each start.
         folders: a command, or a task from another agent, sets a path of a file below these folders alone, or as the
             configuration has it; a relative one counts from the working directory.
+        birth_wait_s: a task of which this agent knows nothing, as on an empty disk, begins once all agents at the
+            addresses in `peers` have said that they know nothing of it either; after so many host seconds it begins
+            all the same, unless it is guarded. 0: no agent is asked.
     """
 
     name: str
@@ -61,6 +65,7 @@ class AgentConfig(Struct, frozen=True):
     state_dir: str = ""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
     folders: tuple[str, ...] = ()
+    birth_wait_s: Annotated[float, Meta(ge=0, le=3600)] = DEFAULT_WAIT_S
 
     @property
     def addresses(self) -> tuple[str, ...]:

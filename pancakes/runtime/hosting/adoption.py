@@ -85,6 +85,15 @@ def meaning(record: Record, me: str) -> str:
     )
 
 
+def meaning_of_copy(record: Record, me: str) -> str:
+    """Returns what it would mean that a task goes on from an old copy, for a person who has not yet said `force`."""
+    return (
+        f"{record.task_id} stands still, because the disk of {me} is an old copy: it may be elsewhere by now. By force,"
+        f" it goes on on {me} from that copy (epoch {record.epoch}). Where another agent owns it, both run until they"
+        f" are linked; then this one stands still, and `pancakes task resolve` decides. Nothing was done"
+    )
+
+
 def cost_of_revival(task_id: TaskId, me: str) -> str:
     """Returns what reviving a task would mean, for a person who has not yet said `force`."""
     return (

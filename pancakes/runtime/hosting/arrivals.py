@@ -19,11 +19,12 @@ from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
 from pancakes.runtime.foundation.arrays import alike
 from pancakes.runtime.hosting.courier_messages import SendUnsent
+from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.hosting_effect import AskRoom
 from pancakes.runtime.hosting.hosting_event import NoPlace, PlaceFree, Room
 from pancakes.runtime.hosting.hosting_service import HostingService
-from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.place import SURE, Place
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.snapshots import carried_of, settings_now, spec_of
 from pancakes.runtime.installed import Installed
@@ -46,10 +47,14 @@ class Arrivals:
         catalogue: where the classes of tasks that arrive are found.
         records: says which service has the record of a task.
         state: says whether this agent can take a task.
+        disputes: says what this agent does not know of its tasks.
     """
 
-    def __init__(self, host: HostingService, catalogue: Installed, records: Records, state: HostState) -> None:
+    def __init__(
+        self, host: HostingService, catalogue: Installed, records: Records, state: HostState, disputes: Disputes
+    ) -> None:
         self._host = host
+        self._disputes = disputes
         self._catalogue = catalogue
         self._records = records
         self._state = state
@@ -72,20 +77,17 @@ class Arrivals:
                 host.log("warning", f"no actuators are kept for {task_id}: {reason}")
         return specs
 
-    def undecided(self, place: Place) -> str:
-        """Says why a task is not started of which this agent does not know what it must know; empty: there is none."""
-        record, other = place.standing.record, place.other
-        if record.phase is not Phase.ABSENT:
-            return ""
-        lost = self._records.lost(record.task_id)
-        if lost is not None:
-            return lost.undecided(self._host.agent)
-        if other is None or not record.unborn:
-            return ""
-        return (
-            f"{other.peer} owns {place.task_id} (epoch {other.epoch}), of which {self._host.agent} knows nothing: its"
-            f" disk was lost. It stays there; `pancakes task migrate` brings it here"
-        )
+    def undecided(self, slot: Slot, place: Place) -> str:
+        """Says why a task would not start, as this agent does not know what it must know; empty: it does."""
+        if lost := self._lost(place):
+            return lost
+        unsure = self._disputes.unsure(slot, place, starts=False)
+        return unsure.why if unsure is not None else ""
+
+    def _lost(self, place: Place) -> str:
+        record = place.standing.record
+        lost = self._records.lost(record.task_id) if record.phase is Phase.ABSENT else None
+        return lost.undecided(self._host.agent) if lost is not None else ""
 
     def receive(self, peer: str, message: HandOffMessage, place: Place) -> Received | None:
         """Takes a hand-off message from a peer.
@@ -160,9 +162,14 @@ class Arrivals:
     def room(self, slot: Slot, place: Place, asked: AskRoom) -> Room:
         """Sees whether a task can run here now, and what it would begin with."""
         registry, record = self._host.kernel.registry, place.standing.record
-        if undecided := self.undecided(place):
+        place.unsure = SURE
+        if lost := self._lost(place):
             registry.unreserve(slot.address)
-            return Room(asked, undecided, for_good=True)
+            return Room(asked, lost, for_good=True)
+        if unsure := self._disputes.unsure(slot, place):
+            registry.unreserve(slot.address)
+            place.unsure = unsure
+            return Room(asked, unsure.why, for_good=unsure.for_good)
         reason = self._host.admit(slot)
         if not reason and asked.keep:
             reason = registry.reserve(slot.address, slot.spec.cls.requires)
@@ -205,7 +212,8 @@ class Arrivals:
                 "task_arrived", task=slot.name, source_agent=place.came_from, epoch=start.epoch.n, state=state
             )
             place.came_from = ""
-        reason = CLOSES if self._host.closing else self._host.admit(slot)
+        place.unsure = self._disputes.copied.of(place) or SURE
+        reason = CLOSES if self._host.closing else place.unsure.why or self._host.admit(slot)
         reason = reason or self._host.kernel.registry.hold(slot.address, slot.spec.cls.requires)
         self._host.feed_place(place, LeaveRefused(reason) if reason else Admitted(start.incarnation + 1))
 

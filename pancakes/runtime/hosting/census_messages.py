@@ -6,7 +6,9 @@ from typing import Final
 
 import msgspec
 
+from pancakes.mesh.migration.boots import Boot
 from pancakes.mesh.migration.claim import OwnerClaim
+from pancakes.mesh.migration.knowledge import TasksKnown
 from pancakes.mesh.migration.record import TaskId
 from pancakes.runtime.kernel.reference import Reference
 
@@ -23,9 +25,11 @@ class NeighbourUp(msgspec.Struct, frozen=True):
 
     Attributes:
         peer: the other agent.
+        boot: its boot.
     """
 
     peer: str
+    boot: Boot
 
 
 class Owns(msgspec.Struct, frozen=True):
@@ -38,6 +42,18 @@ class Owns(msgspec.Struct, frozen=True):
 
     owned: OwnerClaim
     peer: str = ""
+
+
+class AskAbout(msgspec.Struct, frozen=True):
+    """A service has the census ask neighbours what they know of tasks.
+
+    Attributes:
+        peers: the neighbours; empty: all of them.
+        task_ids: the tasks.
+    """
+
+    peers: tuple[str, ...]
+    task_ids: tuple[TaskId, ...]
 
 
 class HostBegan(msgspec.Struct, frozen=True):
@@ -60,3 +76,39 @@ class ClaimsCame(msgspec.Struct, frozen=True):
 
     peer: str
     claims: dict[TaskId, OwnerClaim]
+
+
+class NeighbourCame(msgspec.Struct, frozen=True):
+    """The census tells a service that hosts tasks that another agent can be asked from now on.
+
+    Attributes:
+        peer: the other agent.
+    """
+
+    peer: str
+
+
+class FactsCame(msgspec.Struct, frozen=True):
+    """The census tells a service that hosts tasks what another agent knows of tasks.
+
+    Attributes:
+        peer: the other agent.
+        told: what it says.
+    """
+
+    peer: str
+    told: TasksKnown
+
+
+class CopyNoticed(msgspec.Struct, frozen=True):
+    """The census tells a service that hosts tasks that another agent takes the disk of this one for an old copy.
+
+    Attributes:
+        peer: the other agent.
+    """
+
+    peer: str
+
+
+CensusNews = ClaimsCame | NeighbourCame | FactsCame | CopyNoticed
+"""What the census tells a service that hosts tasks."""

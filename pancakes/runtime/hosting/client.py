@@ -26,8 +26,9 @@ from pancakes.packet import NETWORK, Packet, agent_of, join
 from pancakes.runtime.hosting import hosting_effect, hosting_event
 from pancakes.runtime.hosting.arrivals import Arrivals
 from pancakes.runtime.hosting.bidding_messages import MIGRATOR, Accounted, BidAwarded, MigratorBegan, MoveOver
+from pancakes.runtime.hosting.births import BirthRule
 from pancakes.runtime.hosting.carrier import Carrier
-from pancakes.runtime.hosting.census_messages import CENSUS, ClaimsCame, HostBegan
+from pancakes.runtime.hosting.census_messages import CENSUS, ClaimsCame, CopyNoticed, FactsCame, NeighbourCame
 from pancakes.runtime.hosting.checkpointing import Checkpointing
 from pancakes.runtime.hosting.courier_messages import COURIER, CameFor
 from pancakes.runtime.hosting.decisions import Decisions
@@ -39,7 +40,7 @@ from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.machine import AnyEvent, handle
 from pancakes.runtime.hosting.mover import Mover
 from pancakes.runtime.hosting.now import Now
-from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.place import SURE, Place
 from pancakes.runtime.hosting.places import Places
 from pancakes.runtime.hosting.records import Records, RecordWritten
 from pancakes.runtime.hosting.shared_outbox import SharedOutbox
@@ -53,6 +54,7 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import RESTS
+from pancakes.runtime.life.life_effect import News, Tell
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.service_messages import PeerDown
 from pancakes.runtime.supervision.slot import Slot
@@ -78,6 +80,7 @@ class ClientService(Service):
         outbox: what its tasks have sent to others and is not acknowledged.
         state: what this agent could be to a task from elsewhere.
         mesh: says what neighbours are connected.
+        births: what is to be asked before a task is born.
 
     Attributes:
         places: all tasks that it has ever had to do with.
@@ -105,6 +108,7 @@ class ClientService(Service):
         outbox: SharedOutbox,
         state: HostState,
         mesh: Mesh,
+        births: BirthRule,
         **others: Any,
     ) -> None:
         super().__init__(*args, **others)
@@ -123,9 +127,9 @@ class ClientService(Service):
         self._waiters = Waiters(self, records)
         self._guarded = GuardedTasks(self, records, mesh, self._checkpointing.look_at, self._deliveries.on_disk)
         self._mover = Mover(self)
-        self._arrivals = Arrivals(self, catalogue, records, state)
+        self._disputes = Disputes(self, records, mesh, births)
+        self._arrivals = Arrivals(self, catalogue, records, state, self._disputes)
         self._departures = Departures(self)
-        self._disputes = Disputes(self)
         self._decisions = Decisions(self, records, self._mover, self._arrivals, self._disputes)
 
     # Its own life ----------------------------------------------------------------------------------------------
@@ -159,7 +163,7 @@ class ClientService(Service):
         self._checkpointing.begin()
         self._guarded.begin(self.places.values())
         self._mover.begin()
-        self.tell_census(HostBegan(self))
+        self._disputes.begin()
 
     def wants(self, slot: Slot) -> bool:
         record = self.places.at[slot.name].standing.record
@@ -215,7 +219,7 @@ class ClientService(Service):
         life, place.standing, effects = handle(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
             slot.life = life
-            slot.rest = rest_of(place.standing.record) if life.state in RESTS else ""
+            slot.rest = rest_of(place.standing.record, place.unsure.word) if life.state in RESTS else ""
             self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
         if place.standing.record is not before.record:
             self._guarded.look(place)
@@ -244,7 +248,7 @@ class ClientService(Service):
         self.places.bind(spec.name)
         place = self.places.at[spec.name]
         self._note(place)
-        slot.rest = rest_of(place.standing.record)
+        slot.rest = rest_of(place.standing.record, place.unsure.word)
         self.show(slot)
         return slot
 
@@ -333,6 +337,10 @@ class ClientService(Service):
         self._deliveries.again(self.places.at[slot.name])
         self._mover.watch(slot)
 
+    def tell_news(self, slot: Slot, effect: Tell) -> None:
+        if effect.news is not News.REFUSED or self.places.at[slot.name].unsure is SURE:
+            super().tell_news(slot, effect)  # what is unsure of many tasks is told once
+
     def write_rest(self, slot: Slot) -> None:
         carried = slot.carried
         snapshot = self.snapshot(slot, carried) if carried is not None else b""
@@ -390,7 +398,7 @@ class ClientService(Service):
                 self._deliveries.given(message)
             case CameFor():
                 self._deliveries.arrived(message)
-            case ClaimsCame():
+            case ClaimsCame() | NeighbourCame() | FactsCame() | CopyNoticed():
                 self._disputes.heard(message)
             case PeerDown():
                 self._carrier.drop(message.peer)
@@ -449,14 +457,8 @@ class ClientService(Service):
     # What is asked of it ---------------------------------------------------------------------------------------
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
-        if isinstance(body, control.Adopt):
-            self._decisions.adopt(body, request)
-            return
-        if isinstance(body, control.Forget):
-            self._decisions.forget(body, request)
-            return
-        if isinstance(body, control.Revive):
-            self._decisions.revive(body, request)
+        if isinstance(body, control.Adopt | control.Forget | control.Revive):
+            self._decisions.carry_out(body, request)
             return
         if slot is not None:
             self._refuse_elsewhere(body, slot)
@@ -488,7 +490,7 @@ class ClientService(Service):
         self._waiters.look_after(place, request)
 
     def refuse_start(self, slot: Slot) -> str:
-        return self._arrivals.undecided(self.places.at[slot.name]) or super().refuse_start(slot)
+        return self._arrivals.undecided(slot, self.places.at[slot.name]) or super().refuse_start(slot)
 
     @classmethod
     def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:

@@ -54,6 +54,20 @@ class Decisions:
             if lost.task_id.name == name and self._records.decider_of(lost) == self._host.name
         ]
 
+    def carry_out(self, body: Adopt | Forget | Revive, request: Request) -> None:
+        """Carries out what a person has decided.
+
+        Raises:
+            ControlRefused: it cannot be done; the sentence says why.
+        """
+        match body:
+            case Adopt():
+                self.adopt(body, request)
+            case Forget():
+                self.forget(body, request)
+            case Revive():
+                self.revive(body, request)
+
     def adopt(self, body: Adopt, request: Request) -> None:
         """Runs a task here, on a person's word.
 
@@ -61,7 +75,12 @@ class Decisions:
             ControlRefused: it is not in doubt, the other agent is there, or the request does not say `force`.
         """
         host = self._host
+        copied = [it for it in self._disputes.copied.undecided(body.target) if body.birthplace in ("", it.task_id[0])]
+        if copied:
+            self._adopt_copied(copied[0], body, request)
+            return
         known, lost = self._known(body.target), self._lost(body.target)
+        lost += self._disputes.births.undecided(body.target)
         chosen = adoption.chosen(host.address, body.target, body.birthplace, known, lost)
         if isinstance(chosen, Record) and adoption.was_forgotten(chosen):
             chosen = Lost(chosen.task_id, f"{host.agent} was told to forget it, after its record was lost")
@@ -74,6 +93,16 @@ class Decisions:
             self._run_here(chosen.task_id, AdoptionAsked(), chosen.peer, why, body.dry_run, request)
         else:
             self._adopt_doubtful(chosen, body, request)
+
+    def _adopt_copied(self, place: Place, body: Adopt, request: Request) -> None:
+        host, task_id = self._host, place.task_id
+        if not body.force:
+            raise ControlRefused(adoption.meaning_of_copy(place.standing.record, host.agent))
+        if not body.dry_run:
+            self._tell_asked("adopt", task_id, request)
+            host.log("warning", f"{task_id} goes on on {host.agent}, from an old copy, as {request.by} asked")
+            self._disputes.copied.decide(place)
+        host.reply(request, result={"task_id": str(task_id), "peer": ""})
 
     def _adopt_doubtful(self, record: Record, body: Adopt, request: Request) -> None:
         host, task_id, peer = self._host, record.task_id, record.peer
@@ -176,6 +205,7 @@ class Decisions:
             return
         host = self._host
         known, lost_ones = self._known(body.target), self._lost(body.target)
+        lost_ones += self._disputes.births.undecided(body.target)
         lost = adoption.chosen(host.address, body.target, body.birthplace, known, lost_ones, "forget")
         task_id = lost.task_id
         if body.dry_run:

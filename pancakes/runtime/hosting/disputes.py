@@ -1,4 +1,4 @@
-"""Tasks that two agents own: which of them stands still, and who is told."""
+"""What a service hears of its tasks from other agents: two that own one, and tasks that may be elsewhere."""
 
 from __future__ import annotations
 
@@ -7,10 +7,24 @@ from pancakes.mesh.migration.claim import Claims, OwnerClaim
 from pancakes.mesh.migration.event import ClaimHeard
 from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.mesh.migration.rest import DISK_LOST
 from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.runtime.hosting.census_messages import ClaimsCame, Owns
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.runtime.hosting.births import BirthRule, Births
+from pancakes.runtime.hosting.census_messages import (
+    CensusNews,
+    ClaimsCame,
+    CopyNoticed,
+    FactsCame,
+    HostBegan,
+    NeighbourCame,
+    Owns,
+)
+from pancakes.runtime.hosting.copied_tasks import CopiedTasks
 from pancakes.runtime.hosting.hosting_service import HostingService
-from pancakes.runtime.hosting.place import OtherOwner, Place
+from pancakes.runtime.hosting.place import OtherOwner, Place, Unsure
+from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.supervision.slot import Slot
 
 
 class Disputes:
@@ -18,14 +32,66 @@ class Disputes:
 
     Args:
         host: the service.
+        records: what this agent knows.
+        mesh: says what neighbours there are.
+        rule: what is to be asked before a task is born.
+
+    Attributes:
+        births: the tasks that are new here.
+        copied: those that may be elsewhere, as this agent's disk is an old copy.
     """
 
-    def __init__(self, host: HostingService) -> None:
+    def __init__(self, host: HostingService, records: Records, mesh: Mesh, rule: BirthRule) -> None:
         self._host = host
         self._claims = Claims()
+        self._told: set[TaskId] = set()  # the tasks that were told not to be born
+        self.births = Births(host, records, mesh, rule, self._fault_of_teller)
+        self.copied = CopiedTasks(host, self._fault_of_teller, self._went_on)
 
-    def heard(self, message: ClaimsCame) -> None:
-        """Another agent has told what it owns."""
+    def begin(self) -> None:
+        """The service has begun."""
+        self.births.begin()
+        self._host.tell_census(HostBegan(self._host))
+
+    def heard(self, news: CensusNews) -> None:
+        """The census has news."""
+        match news:
+            case ClaimsCame():
+                self._owned(news)
+            case NeighbourCame():
+                self.births.came(news.peer)
+            case FactsCame():
+                self.births.heard(news.peer, news.told)
+                self.copied.heard(news.peer, news.told)
+            case CopyNoticed():
+                self.copied.noticed(news.peer)
+
+    def unsure(self, slot: Slot, place: Place, starts: bool = True) -> Unsure | None:
+        """Returns why a task does not run here now, as its agent does not know what it must know; None: it does.
+
+        Args:
+            slot: its slot.
+            place: its place.
+            starts: whether it is about to start; otherwise it is only looked at.
+        """
+        return self.copied.of(place) or self._owned_elsewhere(place, starts) or self.births.of(slot, place, starts)
+
+    def _owned_elsewhere(self, place: Place, starts: bool) -> Unsure | None:
+        """Returns why a task is not born here that another agent says it owns."""
+        host, other, task_id = self._host, place.other, place.task_id
+        if other is None or not place.standing.record.unborn:
+            return None
+        why = (
+            f"{other.peer} owns {task_id} (epoch {other.epoch}), of which {host.agent} knows nothing: its disk was"
+            f" lost. It stays there; `pancakes task migrate` brings it here"
+        )
+        if starts and task_id not in self._told:
+            self._told.add(task_id)
+            host.log("warning", f"{task_id} is not born: {why}")
+            host.event("not_born", task=task_id.name, owner=other.peer, epoch=other.epoch.n)
+        return Unsure(DISK_LOST, why, for_good=True)
+
+    def _owned(self, message: ClaimsCame) -> None:
         for task_id, claim in message.claims.items():
             self._claims.heard(message.peer, claim)
             place = self._host.places.get(task_id)
@@ -89,6 +155,17 @@ class Disputes:
         self._host.event(
             "task_disputed", task=task_id.name, peer=other.peer, epoch=other.epoch.n, stands_still=stands_still
         )
+
+    def _went_on(self, place: Place, other: OtherOwner) -> None:
+        """What others know says that a task went on after the copy was made that this agent has for a disk."""
+        if place.standing.record.phase is Phase.OWNER and (place.other is None or place.other.epoch < other.epoch):
+            place.other = other
+            self._give_way(place, other)
+
+    def _fault_of_teller(self, peer: str, place: Place) -> str:
+        """Returns why an agent is not believed what it knows of a task; empty: it may host it, or guard it."""
+        access, of = self._host.kernel.access, self._type_of(place)
+        return access.fault(peer, "host", of) and access.fault(peer, "guard", of)
 
     def _type_of(self, place: Place) -> str:
         if place.slot is not None and place.slot.spec.type:

@@ -22,17 +22,19 @@ class Lost(msgspec.Struct, frozen=True):
         why: what became of what this agent knew of it, as a clause.
         read: what can be read of it: it is whole, but of another journal; None: nothing.
         times: how often the agent has lost a record of this task.
+        heard: the highest epoch that other agents know of.
     """
 
     task_id: TaskId
     why: str
     read: Record | None = None
     times: int = 1
+    heard: Epoch = NO_EPOCH
 
     @property
     def seen(self) -> Epoch:
         """The highest epoch that is known of the task."""
-        return self.read.seen if self.read is not None else NO_EPOCH
+        return max(self.read.seen, self.heard) if self.read is not None else self.heard
 
     @property
     def jump(self) -> int:

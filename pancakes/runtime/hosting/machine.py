@@ -170,8 +170,7 @@ def settled(standing: Standing) -> bool:
 
 
 def _ask_leave(step: HostingStep, effect: life_effect.AskLeave) -> None:
-    leave = step.leave
-    life = step.life
+    leave, life = step.leave, step.life
     assert life is not None
     if leave is Leave.ENTRY and effect.again and life.asker is None:
         leave = Leave.AGAIN
@@ -193,9 +192,8 @@ def _ask_leave(step: HostingStep, effect: life_effect.AskLeave) -> None:
 
 def _settle(step: HostingStep, effect: life_effect.Settle) -> None:
     step.do(effect)
-    life = step.life
+    life, standing = step.life, step.standing
     assert life is not None
-    standing = step.standing
     # One that waits for leave still may start, and one that was given away may be on its way back.
     if life.state is not State.ASKED and not standing.leaving:
         step.do(hosting_effect.Decided(effect.reason))
@@ -332,9 +330,9 @@ def _room(step: HostingStep, event: hosting_event.Room) -> None:
     if step.life is None or step.life.state not in UNDECIDED:
         step.unreserve()  # it was decided otherwise since
         return
-    if event.reason:
+    if event.reason and record.phase not in DOUBT:  # else its hand-off decides where it runs
         step.live(life_event.LeaveRefused(event.reason, event.for_good))
-    elif record.unborn:
+    elif record.unborn and step.standing.waits is None:  # else it is being adopted
         step.feed(handoff_event.Born(event.snapshot, event.guardian))
     elif event.snapshot:
         step.feed(handoff_event.Ended(Wanted.STOPPED, event.snapshot))
@@ -444,7 +442,6 @@ def _part_concluded(step: HostingStep, event: hosting_event.PartConcluded) -> No
 
 
 DECLINED: Final[Mapping[type, Rule]] = {
-    handoff_event.Born: _start_declined,
     handoff_event.RunAsked: _start_declined,
     handoff_event.AdoptionAsked: lambda step, effect: step.do(hosting_effect.Decided(effect.reason)),
     handoff_event.ForgettingAsked: lambda step, effect: step.do(hosting_effect.Lasts(effect.reason)),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import msgspec
 
 from pancakes.mesh.migration.epoch import Epoch
@@ -68,6 +70,24 @@ class OtherOwner(msgspec.Struct, frozen=True):
     epoch: Epoch
 
 
+class Unsure(msgspec.Struct, frozen=True):
+    """Why a task does not run here now: its agent does not know what it must know.
+
+    Attributes:
+        word: that in a word; see `pancakes.mesh.migration.rest`.
+        why: as a sentence.
+        for_good: whether only a person, or the task's coming here, changes that.
+    """
+
+    word: str = ""
+    why: str = ""
+    for_good: bool = False
+
+
+SURE: Final = Unsure()
+"""Its agent knows what it must know."""
+
+
 class Place(msgspec.Struct):
     """The place of one task, whether it runs here or has left only its record.
 
@@ -91,6 +111,7 @@ class Place(msgspec.Struct):
         tenancy: of a guarded task that is owned here: what its guardians have said; None: it is none.
         taking: what guardians have said of a task that this agent is to take; None: it is to take none.
         other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
+        unsure: why it does not run, where this agent does not know what it must know.
     """
 
     task_id: TaskId
@@ -110,6 +131,7 @@ class Place(msgspec.Struct):
     tenancy: Tenancy | None = None
     taking: Taking | None = None
     other: OtherOwner | None = None
+    unsure: Unsure = SURE
 
     @property
     def owes(self) -> bool:

@@ -50,6 +50,10 @@ class Registers:
         """Returns those that are on disk."""
         return list(self._table.on_disk.values())
 
+    def get(self, task_id: TaskId) -> GuardRegister | None:
+        """Returns the register of a task that is on disk; None: there is none."""
+        return self._table.on_disk.get(str(task_id))
+
     def lost(self) -> dict[str, str]:
         """Returns what became of those that are lost, by task."""
         return dict(self._lost)

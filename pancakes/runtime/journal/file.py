@@ -29,6 +29,7 @@ class FileJournal(Journal):
     Args:
         directory: the state directory.
         new_uuid: the id that a new journal gets; empty: a random one.
+        agent: the name of the agent that opens it.
 
     Raises:
         JournalError: the directory cannot be made, is used by another process, can be written by other users or
@@ -37,7 +38,7 @@ class FileJournal(Journal):
 
     check_s = CHECK_S
 
-    def __init__(self, directory: Path, new_uuid: str = "") -> None:
+    def __init__(self, directory: Path, new_uuid: str = "", agent: str = "") -> None:
         self.directory = directory
         self.place = str(directory)
         self._opened: StateDirectory | None = None
@@ -47,7 +48,7 @@ class FileJournal(Journal):
             self.remarks = self._opened.remarks
             self._lock = _locked(self._opened)
             self._clear_up()
-            self._open(lambda: new_uuid or str(uuid.uuid4()))
+            self._open(lambda: new_uuid or str(uuid.uuid4()), agent)
         except OSError as error:
             self.close()
             raise JournalError(f"the state directory {directory} cannot be used: {error.strerror}") from None

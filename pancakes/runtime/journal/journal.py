@@ -17,6 +17,8 @@ SUFFIX: Final = ".rec"
 """What names of stored entries end with."""
 BAD: Final = ".bad"
 """What is appended to the name of what was set aside."""
+MOST_NAMES: Final = 8
+"""So many names of agents a journal remembers, the newest."""
 _BAD_NAME: Final = re.compile(rf"(.+{re.escape(SUFFIX)})(?:\.(\d+))?{re.escape(BAD)}")
 _IDENTITY: Final = "identity"
 _LONGEST_NAME: Final = 200
@@ -31,6 +33,8 @@ class Journal(ABC):
     Attributes:
         uuid: the journal's id.
         boot: how often it was opened, this time included.
+        life: drawn anew at each opening: two that have the same boot and another life are copies of one journal.
+        former: the names of the agents that have opened it before, other than the one that does now.
         set_aside: what was found at opening and could not be believed; to be reported by name.
         missing: what was set aside at this opening or an earlier one, and has no entry in its place since then.
         place: where it is kept, for people.
@@ -40,6 +44,8 @@ class Journal(ABC):
 
     uuid: str
     boot: int
+    life: str
+    former: tuple[str, ...]
     set_aside: tuple[SetAside, ...]
     missing: tuple[SetAside, ...]
     place: str
@@ -84,20 +90,21 @@ class Journal(ABC):
     def close(self) -> None:
         """Lets go of the journal, so that another process may open it. A second call does nothing."""
 
-    def _open(self, new_uuid: Callable[[], str]) -> None:
+    def _open(self, new_uuid: Callable[[], str], agent: str) -> None:
         """Reads everything there is, puts aside what cannot be believed, and counts the boot."""
         self._entries: dict[tuple[str, str], JournalEntry] = {}
         aside: list[SetAside] = []
         names = self._names(SUFFIX)
         identity = _name_of(_IDENTITY, _IDENTITY)
-        self.uuid, self.boot = "", 0
+        self.uuid, self.boot, self.life = "", 0, new_uuid()
+        names_before: tuple[str, ...] = ()
         if identity in names:
             try:
-                self.uuid, self.boot = _read_identity(self._load(identity))
+                self.uuid, self.boot, names_before = _read_identity(self._load(identity))
             except Unbelievable as error:
                 aside.append(self._put_aside(identity, str(error)))
         # Without an identity of its own, entries that are there belong to another journal, and are put aside.
-        self.uuid = self.uuid or new_uuid()
+        self.uuid = self.uuid or self.life
         for name in names:
             if name == identity:
                 continue
@@ -112,7 +119,9 @@ class Journal(ABC):
         self.set_aside = tuple(aside)
         self.missing = self._missing()
         self.boot += 1
-        contents = codecs.encode_small(_JournalIdentity(self.uuid, self.boot))
+        self.former = tuple(name for name in names_before if name != agent)
+        names_now = (*self.former, agent) if agent else self.former
+        contents = codecs.encode_small(_JournalIdentity(self.uuid, self.boot, names_now[-MOST_NAMES:]))
         self._replace({identity: seal(self.uuid, JournalEntry(_IDENTITY, _IDENTITY, contents))})
 
     def _put_aside(self, name: str, reason: str) -> SetAside:
@@ -170,6 +179,7 @@ class Journal(ABC):
 class _JournalIdentity(NamedTuple):
     uuid: str
     boot: int
+    agents: tuple[str, ...] = ()
 
 
 _DECODE_IDENTITY: Final = codecs.decoder(_JournalIdentity)

@@ -12,6 +12,7 @@ class MemoryJournal(Journal):
     Args:
         disk: what is stored, by name. An empty one is a new disk.
         new_uuid: the id that a new journal gets; in virtual time it comes from the seed.
+        agent: the name of the agent that opens it.
 
     Attributes:
         fault: why nothing can be written; empty: everything can.
@@ -22,13 +23,13 @@ class MemoryJournal(Journal):
     fault: str = ""
     latency_s: float = 0.002
 
-    def __init__(self, disk: dict[str, bytes], new_uuid: str) -> None:
+    def __init__(self, disk: dict[str, bytes], new_uuid: str, agent: str = "") -> None:
         self._disk = disk
         if "lock" in disk:
             raise JournalError("the journal is in use already: two agents cannot share one")
         disk["lock"] = b""
         self._closed = False
-        self._open(lambda: new_uuid)
+        self._open(lambda: new_uuid, agent)
 
     def close(self) -> None:
         if not self._closed:

@@ -223,7 +223,7 @@ def _stop_refused(life: Life, event: StopAsked, at: Moment) -> Outcome:
     if event.again:
         return _ask(life, event.asker)
     if event.asker is None:
-        return replace(life, state=State.STOPPED), [LetGo()]
+        return replace(life, state=State.STOPPED, reason=event.reason), [LetGo()]
     return replace(_meant(life, event), state=State.STOPPED), [LetGo(), WriteRest()]
 
 

@@ -101,6 +101,7 @@ def make_plan(
             f'agent.state_dir="{out / "state" / agent}"',
             f"clock.speed={speed!r}",
             "clock.hold=true",
+            "agent.birth_wait_s=0",  # a fleet of its own, and each disk empty: there is no agent that could know more
             "service.log.settings.console=false",
         ]
         if live:

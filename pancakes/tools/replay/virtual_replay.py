@@ -113,7 +113,8 @@ class VirtualReplay:
 
 def _virtual(config: Config, seed: int) -> Config:
     """Returns a configuration for virtual time: it is recorded from outside, and its mission begins at once."""
-    agent = replace(config.agent, seed=seed) if config.agent.seed is None else config.agent
+    seed = seed if config.agent.seed is None else config.agent.seed
+    agent = replace(config.agent, seed=seed, birth_wait_s=0.0)  # its peers are not here
     log = config.services["log"]
     services = {**config.services, "log": replace(log, settings={**log.settings, "console": False})}
     clock = replace(config.clock, hold=False, speed=1.0)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 from pancakes import __version__
+from pancakes.mesh.migration.rest import DISK_LOST, OLD_COPY, WAITS
 from pancakes.runtime.life.restart import tries
 from pancakes.runtime.runtime_dir import RunningAgent
 from pancakes.tools.cli.verbs.finding import Finding
@@ -132,6 +133,7 @@ def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:
             yield Finding(
                 "error", about, text, f"pancakes task resolve AGENT/{task['task']} says which of the two lives"
             )
+        yield from _check_unsure(about, task)
         if task["state"] == "stuck":
             text = "was asked to stop and does not come back from what it is doing"
             yield Finding("error", about, text, "restart its agent; a task that waits for long sets blocking = True")
@@ -141,6 +143,19 @@ def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:
             yield Finding("warning", about, late, f"let it tick less often: pancakes task rate {about} HZ")
         if task["dropped"]:
             yield from _check_drops(name, about, ask(name, f"{task['service']}/{task['task']}"))
+
+
+def _check_unsure(about: str, task: dict[str, Any]) -> Iterator[Finding]:
+    """Looks at a task whose agent does not know whether it is elsewhere."""
+    rest, reason = task["rest"], task["reason"]
+    if rest.startswith(WAITS):
+        text = f"is not born yet: {reason}"
+        yield Finding("warning", about, text, "start that agent, or correct peers in [agent]")
+    elif rest == DISK_LOST:
+        advice = f"see where it is: pancakes task list; pancakes task forget {about} leaves it there"
+        yield Finding("error", about, f"is not born: {reason}", advice)
+    elif rest == OLD_COPY:
+        yield Finding("error", about, f"stands still: {reason}", "see that those agents run, or decide yourself")
 
 
 def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding]:

@@ -1,0 +1,88 @@
+"""A disk was lost, or an old copy of it was put in its place: what people see of that, with real processes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from cli.processes import Rig, Running
+from cli.test_two_owners import SOURCE, TASK, heard
+
+TASKS = TASK + '[task.Stays]\ntype = "count.Count"\n'
+
+
+def begun(rig: Rig) -> tuple[Running, Running, str]:
+    """Returns an agent with two tasks, one that it has met, and what its file says of that one and a third."""
+    rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
+    b = rig.ready("b")
+    c = rig.ready("c", agent=f'peers = ["{rig.address(b)}"]')
+    peers = f'peers = ["{rig.address(b)}", "{rig.address(c)}"]\nbirth_wait_s = 300'
+    a = rig.ready("a", TASKS, agent=peers)
+    heard(a, "task_started task=Count")
+    heard(a, "task_started task=Stays")
+    return a, b, peers
+
+
+def states(rig: Rig) -> dict[tuple[str, str], tuple[str, str]]:
+    return {(row["agent"], row["task"]): (row["state"], row["rest"]) for row in rig.listed("task", "list")}
+
+
+def end(agent: Running) -> None:
+    agent.process.terminate()
+    assert agent.ended() == 0
+
+
+def disk_of(rig: Rig) -> Path:
+    return next(path for path in (rig.directory / "state").rglob("a") if path.is_dir())
+
+
+def test_a_restored_backup_is_noticed_and_what_went_on_elsewhere_stands_still(rig: Rig):
+    a, _, peers = begun(rig)
+    end(a)
+    shutil.copytree(disk_of(rig), rig.directory / "backup")
+    a = rig.ready("a", TASKS, agent=peers)
+    heard(a, "c (agent")
+    heard(a, "b (agent")
+    assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
+    end(a)
+    shutil.rmtree(disk_of(rig))
+    shutil.copytree(rig.directory / "backup", rig.directory / "state" / "pancakes" / "test" / "a")
+
+    a = rig.ready("a", TASKS, agent=peers)
+    heard(a, "the disk of a is an old copy, as b and c say")
+    heard(a, "task_disputed task=Count")
+    found = states(rig)
+    assert found["a", "Count"] == ("stopped", "disputed") and found["b", "Count"] == ("running", "")
+    assert found["a", "Stays"] == ("running", "")
+    doctor = rig.pancakes("doctor", "--no-machine")
+    assert doctor.returncode == 1 and "is owned by another agent too" in doctor.stdout, doctor.stdout
+    assert rig.pancakes("task", "resolve", "a/Count").returncode == 0
+    assert states(rig)["a", "Count"] == ("running", "")
+
+
+def test_a_birthplace_with_an_empty_disk_asks_first(rig: Rig):
+    a, b, peers = begun(rig)
+    assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
+    end(a)
+    shutil.rmtree(disk_of(rig))
+    address = rig.address(b)
+    end(b)
+
+    a = rig.ready("a", TASKS, agent=peers)
+    heard(a, "c (agent")
+    said = heard(a, "not born yet: Count, Stays")
+    assert "warning" in said and address in said
+    found = states(rig)
+    assert found["a", "Count"] == found["a", "Stays"] == ("stopped", f"waits → {address}")
+    doctor = rig.pancakes("doctor", "--no-machine")
+    assert "a/Count: is not born yet: a/Count is new here" in " ".join(doctor.stdout.split()), doctor.stdout
+
+    b = rig.agent(rig.directory / "b.toml", "--set", f'agent.listen="{address}"')
+    heard(a, "not_born task=Count owner=b")
+    heard(a, "task_started task=Stays")
+    heard(b, "task_started task=Count")
+    assert states(rig)["a", "Count"] == ("stopped", "disk lost")
+    doctor = rig.pancakes("doctor", "--no-machine")
+    assert doctor.returncode == 1 and "b owns a/Count (epoch 1@a)" in " ".join(doctor.stdout.split()), doctor.stdout
+    assert rig.pancakes("task", "migrate", "b/Count", "--to", "a").returncode == 0
+    assert states(rig)["a", "Count"] == ("running", "")

@@ -1,0 +1,80 @@
+"""What is remembered of boots, and what becomes of the tasks of an agent whose disk is an old copy."""
+
+from __future__ import annotations
+
+import pytest
+
+from pancakes.mesh.migration.boots import MOST_JOURNALS, Boot, BootRemembered, BootsSeen
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.knowledge import TaskFact
+from pancakes.mesh.migration.old_copy import CopyVerdict, copied_task
+from pancakes.mesh.migration.record import TaskId
+
+MET = Boot("disk", 5, "fifth")
+
+
+def seen(*boots: Boot) -> BootsSeen:
+    known = BootsSeen()
+    for boot in boots:
+        known = known.with_(boot)
+    return known
+
+
+@pytest.mark.parametrize(
+    ("boot", "contradicted"),
+    [
+        (MET, False),
+        (Boot("disk", 6, "sixth"), False),
+        (Boot("disk", 4, "fourth"), True),
+        (Boot("disk", 4, "another fourth"), True),
+        (Boot("disk", 5, "another fifth"), True),
+        (Boot("new disk", 1, "first"), False),
+    ],
+)
+def test_a_disk_that_lacks_a_boot_which_was_met_is_an_old_copy(boot: Boot, contradicted: bool) -> None:
+    known = seen(Boot("disk", 4, "fourth"), MET)
+    assert (known.after(boot) == MET) is contradicted
+    assert (known.with_(boot) == known) is (contradicted or boot == MET), "of a copy nothing is remembered"
+
+
+def test_a_disk_that_comes_back_after_another_one_is_remembered() -> None:
+    known = seen(MET, Boot("new disk", 1, "first"))
+    assert known.after(Boot("disk", 3, "third")) == MET
+
+
+def test_the_newest_journals_of_an_agent_are_remembered() -> None:
+    known = seen(MET, *(Boot(f"disk {number}", 1, "first") for number in range(MOST_JOURNALS)))
+    assert len(known.boots) == MOST_JOURNALS and known.after(Boot("disk", 1, "first")) is None
+
+
+def test_what_is_told_of_another_journal_says_nothing() -> None:
+    assert not Boot("disk", 1, "first").is_before(BootRemembered("another disk", 9, "ninth").boot)
+    assert Boot("disk", 1, "first").is_before(BootRemembered("disk", 9, "ninth").boot)
+
+
+TASK = TaskId("a", "Scan")
+OURS = Epoch(3, "a")
+LATER, SAME = TaskFact(TASK, "b", Epoch(4, "a")), TaskFact(TASK, "a", OURS)
+
+
+@pytest.mark.parametrize(
+    ("sayers", "told", "known", "verdict", "missing"),
+    [
+        ("", "", [], CopyVerdict.GOES_ON, ()),
+        ("b", "", [], CopyVerdict.GOES_ON, ()),
+        ("b", "b", [LATER], CopyVerdict.GOES_ON, ()),
+        ("bc", "", [], CopyVerdict.WAITS, ("b", "c")),
+        ("bc", "b", [], CopyVerdict.WAITS, ("c",)),
+        ("bc", "bd", [SAME], CopyVerdict.WAITS, ("c",)),
+        ("bc", "bc", [], CopyVerdict.GOES_ON, ()),
+        ("bc", "bc", [SAME], CopyVerdict.GOES_ON, ()),
+        ("bc", "b", [LATER], CopyVerdict.ELSEWHERE, ()),
+        ("bcd", "bcd", [SAME, LATER], CopyVerdict.ELSEWHERE, ()),
+    ],
+)
+def test_what_becomes_of_a_task_on_an_old_copy(
+    sayers: str, told: str, known: list[TaskFact], verdict: CopyVerdict, missing: tuple[str, ...]
+) -> None:
+    copied = copied_task(OURS, set(sayers), set(told), known)
+    assert (copied.verdict, copied.missing) == (verdict, missing)
+    assert copied.fact == (LATER if verdict is CopyVerdict.ELSEWHERE else None)

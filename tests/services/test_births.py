@@ -1,0 +1,322 @@
+"""A task that is new on its birthplace is born once the other agents have said that they know nothing of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from services.numbered import Sink
+
+from pancakes.control import Adopt, Describe, Forget, Migrate, Start, Stop
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.knowledge import AskTasks, TaskFact, TasksKnown
+from pancakes.mesh.migration.record import TaskId
+from pancakes.packet import NETWORK
+from pancakes.runtime.hosting.census_messages import CENSUS
+from pancakes.testing import AgentInTest, FleetInTest
+
+SINK = {"Sink": Sink}
+GUARDED = {"Sink": {"type": Sink, "guard": 3}}
+TASK = TaskId("a", "Sink")
+
+
+@pytest.fixture
+def fleet() -> Iterator[FleetInTest]:
+    with FleetInTest(seed=7) as made:
+        yield made
+
+
+def start(fleet: FleetInTest, name: str, peers: str = "", text: str = "", **others: Any) -> AgentInTest:
+    """Starts an agent that asks those of `peers`, one letter each, before it gives birth."""
+    addresses = tuple(f"tcp://{peer}:7400" for peer in peers)
+    return fleet.start(name, text, peers=addresses, **{"birth_wait_s": 10.0, "classes": {"Sink": Sink}, **others})
+
+
+def state(agent: AgentInTest, task: str = "Sink") -> tuple[str, str]:
+    found = agent.ask(Describe(target=task)).result
+    return found["state"], found["rest"]
+
+
+def moved(fleet: FleetInTest, tasks: dict[str, Any] = SINK) -> None:
+    """The task was born on a and runs on b, and a has crashed."""
+    start(fleet, "a", tasks=tasks)
+    start(fleet, "b", "a")
+    fleet.connect()
+    assert fleet.agents["a"].ask(Migrate("Sink", to="b")).ok
+    fleet.run_for(2.0)
+    assert state(fleet.agents["b"])[0] == "running"
+    fleet.crash("a")
+
+
+def test_when_a_whole_fleet_starts_for_the_first_time_all_is_born_at_once_and_nothing_is_said(fleet: FleetInTest):
+    for name, others in (("a", "bc"), ("b", "ac"), ("c", "ab")):
+        start(fleet, name, others, tasks={"Sink": Sink, "Other": Sink}, settle=False)
+    agents = list(fleet.agents.values())
+    assert fleet.run_until(lambda: all(len(agent.running("client")) == 2 for agent in agents), 0.5)
+    fleet.run_for(11.0)
+    assert [line for agent in agents for line in agent.lines("warning") + agent.lines("error")] == []
+    assert [event for agent in agents for event in agent.events("birth_waits")] == []
+
+
+def test_an_agent_is_ready_while_its_tasks_wait(fleet: FleetInTest):
+    a = start(fleet, "a", "b", tasks=SINK)
+    assert a.agent.ready.is_set() and state(a) == ("stopped", "waits → tcp://b:7400")
+
+
+def test_without_peers_it_is_born_at_once(fleet: FleetInTest):
+    assert start(fleet, "a", tasks=SINK).running("client") == ["Sink"]
+    assert start(fleet, "b", "c", tasks=SINK, birth_wait_s=0.0).running("client") == ["Sink"]
+
+
+def test_an_agent_that_has_a_record_of_it_waits_for_none(fleet: FleetInTest):
+    start(fleet, "a", tasks=SINK)
+    fleet.run_for(0.5)
+    fleet.crash("a")
+    assert start(fleet, "a", "bc", tasks=SINK).running("client") == ["Sink"]
+
+
+def test_a_simulated_world_among_the_peers_is_met_and_not_asked(fleet: FleetInTest):
+    fleet.start("w", role="environment")
+    a = start(fleet, "a", "w", tasks=SINK)
+    assert fleet.run_until(lambda: a.running("client") == ["Sink"], 2.0)
+
+
+def test_where_an_agent_is_missing_it_says_so_and_the_task_begins_later_with_a_warning(fleet: FleetInTest):
+    start(fleet, "b")
+    a = start(fleet, "a", "bc", tasks={"Sink": Sink, "Other": Sink})
+    fleet.run_for(2.0)
+    assert state(a) == ("stopped", "waits → tcp://c:7400")
+    described = a.ask(Describe(target="Sink")).result
+    assert (
+        "a/Sink is new here, and may run elsewhere: it waits to hear from tcp://c:7400, for 10 s at"
+        in described["reason"]
+    )
+    (told,) = a.events("birth_waits")
+    assert (told["tasks"], told["missing"]) == ("Other, Sink", "tcp://c:7400")
+    assert sum("Other, Sink" in line for line in a.lines("warning")) == 1 and a.lines("error") == []
+    fleet.run_for(9.0)
+    assert sorted(a.running("client")) == ["Other", "Sink"]
+    unasked = sorted((it["task"], it["missing"]) for it in a.events("born_unasked"))
+    assert unasked == [("Other", "tcp://c:7400"), ("Sink", "tcp://c:7400")]
+
+
+def test_an_agent_that_comes_late_is_asked_then(fleet: FleetInTest):
+    a = start(fleet, "a", "b", tasks=SINK)
+    fleet.run_for(3.0)
+    start(fleet, "b", "a")
+    assert fleet.run_until(lambda: a.running("client") == ["Sink"], 1.0)
+    assert a.events("born_unasked") == []
+
+
+def test_what_is_asked_for_expressly_begins_at_once(fleet: FleetInTest):
+    a = start(fleet, "a", "b", tasks=SINK)
+    assert a.ask(Start("Sink", dry_run=True)).ok and a.running("client") == []
+    assert a.ask(Start("Sink")).ok and a.running("client") == ["Sink"]
+    assert [it["missing"] for it in a.events("born_unasked")] == ["tcp://b:7400"]
+
+
+def test_one_that_is_stopped_while_it_waits_stays_stopped(fleet: FleetInTest):
+    a = start(fleet, "a", "b", tasks=SINK)
+    assert a.ask(Stop("Sink")).ok
+    fleet.run_for(12.0)
+    assert a.running("client") == []
+
+
+def test_a_birthplace_with_an_empty_disk_gives_no_birth_to_what_runs_elsewhere(fleet: FleetInTest):
+    moved(fleet)
+    fleet.fleet.disk("a").clear()
+    a = start(fleet, "a", "b", tasks=SINK)
+    fleet.run_for(12.0)
+    assert a.running("client") == [] and state(fleet.agents["b"])[0] == "running"
+    refused = a.ask(Start("Sink"))
+    assert not refused.ok and "b owns a/Sink (epoch 1@a)" in refused.reason
+    assert state(a) == ("stopped", "disk lost") and [it["owner"] for it in a.events("not_born")] == ["b"]
+    assert a.events("task_disputed") == [] and fleet.agents["b"].events("task_disputed") == []
+    assert fleet.agents["b"].ask(Migrate("Sink", to="a")).ok
+    fleet.run_for(2.0)
+    assert state(a) == ("running", "")
+
+
+def test_also_one_that_passed_it_on_knows_that_it_was_born(fleet: FleetInTest):
+    moved(fleet)
+    start(fleet, "c", "b")
+    fleet.connect()
+    assert fleet.agents["b"].ask(Migrate("Sink", to="c")).ok
+    fleet.run_for(2.0)
+    fleet.crash("c")
+    fleet.fleet.disk("a").clear()
+    a = start(fleet, "a", "b", tasks=SINK)
+    fleet.run_for(12.0)
+    assert state(a) == ("stopped", "disk lost")
+    (told,) = a.events("not_born")
+    assert (told["task"], told["owner"], told["epoch"]) == ("Sink", "c", 2)
+    assert sum("a/Sink was born before (c has it, epoch 2@b)" in line for line in a.lines("error")) == 1
+    assert "was born before" in a.ask(Start("Sink")).reason
+
+
+def test_a_person_decides_about_one_that_was_born_before(fleet: FleetInTest):
+    test_also_one_that_passed_it_on_knows_that_it_was_born(fleet)
+    a = fleet.agents["a"]
+    meaning = a.ask(Adopt("Sink"))
+    assert not meaning.ok and "its state is lost" in meaning.reason and "Nothing was done" in meaning.reason
+    assert a.ask(Adopt("Sink", force=True)).ok
+    fleet.run_for(1.0)
+    assert state(a) == ("running", "")
+    c = fleet.restart("c")
+    fleet.connect()
+    fleet.run_for(1.0)
+    assert state(c) == ("stopped", "disputed"), "its epoch is the lower one"
+
+
+def test_forgotten_it_rests_for_good(fleet: FleetInTest):
+    test_also_one_that_passed_it_on_knows_that_it_was_born(fleet)
+    assert fleet.agents["a"].ask(Forget("Sink")).ok
+    fleet.crash("a")
+    a = start(fleet, "a", tasks=SINK)
+    fleet.run_for(1.0)
+    assert state(a) == ("stopped", "forgotten")
+
+
+def test_what_was_moved_before_its_agent_was_renamed_is_not_born_under_the_new_name(fleet: FleetInTest):
+    moved(fleet)
+    disk = {name: data for name, data in fleet.fleet.disk("a").items() if name != "lock"}
+    fleet.fleet.disk("r").update(disk)
+    r = start(fleet, "r", "b", tasks=SINK)
+    fleet.run_for(12.0)
+    assert state(r) == ("stopped", "disk lost")
+    assert any("a/Sink was born before (b has it, epoch 1@a), and r knows nothing of r/Sink" in it for it in r.lines())
+
+
+def test_an_old_disk_under_a_new_name_asks_about_both_names(fleet: FleetInTest):
+    start(fleet, "a")
+    fleet.run_for(0.5)
+    disk = {name: data for name, data in fleet.fleet.disk("a").items() if name != "lock"}
+    fleet.crash("a")
+    fleet.fleet.disk("a").clear()
+    moved(fleet)
+    fleet.fleet.disk("r").update(disk)
+    r = start(fleet, "r", "b", tasks=SINK)
+    fleet.run_for(12.0)
+    assert state(r) == ("stopped", "disk lost"), "it went from another disk, which had that name"
+
+
+# Guarded tasks -----------------------------------------------------------------------------------------------------
+
+
+def test_a_guarded_task_waits_on_until_a_person_decides(fleet: FleetInTest):
+    a = start(fleet, "a", "b", tasks=GUARDED)
+    fleet.run_for(30.0)
+    assert state(a) == ("stopped", "waits → tcp://b:7400")
+    refused = a.ask(Start("Sink"))
+    assert not refused.ok and "pancakes task adopt a/Sink --force" in refused.reason
+    assert len(a.events("birth_waits")) == 2
+    assert a.ask(Adopt("Sink", force=True)).ok
+    fleet.run_for(2.0)
+    assert state(a)[0] == "running"
+
+
+def test_a_guarded_task_is_born_once_most_of_its_guardians_know_nothing_of_it(fleet: FleetInTest):
+    start(fleet, "b")
+    guarded = {"Sink": {"type": Sink, "guard": 3, "guardians": ("b", "a")}}
+    a = start(fleet, "a", "bc", tasks=guarded)
+    fleet.run_for(9.0)
+    assert state(a) == ("stopped", "waits → tcp://c:7400")
+    fleet.run_for(3.0)
+    assert state(a)[0] == "running" and [it["missing"] for it in a.events("born_unasked")] == ["tcp://c:7400"]
+
+
+def test_a_guardian_knows_of_its_task(fleet: FleetInTest):
+    start(fleet, "b")
+    start(fleet, "c", "b")
+    a = start(fleet, "a", "bc", tasks=GUARDED)
+    fleet.run_for(5.0)
+    assert state(a)[0] == "running"
+    fleet.crash("a")
+    fleet.fleet.disk("a").clear()
+    a = start(fleet, "a", "bc", tasks=GUARDED)
+    fleet.run_for(1.0)
+    assert state(a) == ("stopped", "disk lost"), "its lease runs, and it is not born a second time"
+    fleet.run_for(20.0)
+    assert sum("Sink" in agent.running("client") for agent in fleet.agents.values()) == 1
+
+
+# Forged messages ---------------------------------------------------------------------------------------------------
+
+ALLOWED = """
+[[access.allow]]
+who = ["role:agent"]
+may = ["look", "publish"]
+"""
+
+
+def says(fleet: FleetInTest, who: str, *facts: TaskFact, task_ids: tuple[TaskId, ...] = (TASK,)) -> None:
+    fleet.agents[who].publish(NETWORK, TasksKnown(task_ids, facts), to=f"a/{CENSUS}")
+    fleet.run_for(0.2)
+
+
+@pytest.mark.parametrize("right", ["host", ""])
+def test_an_agent_that_says_it_is_at_the_address_of_another_is_believed_as_far_as_it_may_host(
+    fleet: FleetInTest, right: str
+) -> None:
+    rights = ALLOWED.replace('"publish"', f'"publish", "{right}"') if right else ALLOWED
+    a = start(fleet, "a", "b", rights, tasks=SINK)
+    fleet.run_for(1.0)
+    start(fleet, "x", "a", listen="tcp://b:7400")
+    fleet.run_for(0.3)
+    assert a.running("client") == (["Sink"] if right else [])
+
+
+@pytest.mark.parametrize("right", ["host", "guard", ""])
+def test_that_a_task_was_born_is_believed_only_of_an_agent_that_may_host_or_guard_it(fleet: FleetInTest, right: str):
+    rights = ALLOWED.replace('"publish"', f'"publish", "{right}"') if right else ALLOWED
+    start(fleet, "x")
+    a = start(fleet, "a", "xb", rights, tasks=SINK)
+    fleet.run_for(1.0)
+    says(fleet, "x", TaskFact(TASK, "x", Epoch(9, "x")))
+    fleet.run_for(12.0)
+    assert a.running("client") == ([] if right else ["Sink"])
+    refused = any("x says that a/Sink was born before, and is not believed: a does not" in it for it in a.lines())
+    assert refused == (not right)
+
+
+def test_an_agent_answers_for_itself_alone(fleet: FleetInTest):
+    a = start(fleet, "a", "b", tasks=SINK)
+    for name in "xy":
+        start(fleet, name, "a")
+    fleet.run_for(1.0)
+    says(fleet, "x")
+    says(fleet, "y")
+    assert state(a) == ("stopped", "waits → tcp://b:7400")
+
+
+def test_an_answer_about_a_task_that_was_not_asked_about_says_nothing(fleet: FleetInTest):
+    start(fleet, "x")
+    a = start(fleet, "a", "xb", tasks=SINK)
+    fleet.run_for(1.0)
+    says(fleet, "x", TaskFact(TASK, "x", Epoch(9, "x")), task_ids=(TaskId("a", "Other"),))
+    says(fleet, "x", TaskFact(TaskId("a", "Other"), "x", Epoch(9, "x")))
+    assert state(a) == ("stopped", "waits → tcp://b:7400")
+
+
+def test_a_simulated_world_knows_of_no_task(fleet: FleetInTest):
+    fleet.start("w", role="environment")
+    a = start(fleet, "a", "wb", tasks=SINK)
+    fleet.run_for(1.0)
+    says(fleet, "w", TaskFact(TASK, "w", Epoch(9, "w")))
+    assert state(a) == ("stopped", "waits → tcp://b:7400")
+
+
+def test_an_agent_that_asks_is_answered_and_a_simulated_world_is_not(fleet: FleetInTest):
+    start(fleet, "a", tasks=SINK)
+    answers = {}
+    for name, role in (("x", "agent"), ("w", "environment")):
+        agent = fleet.start(name, role=role)
+        fleet.connect()
+        fleet.run_for(0.5)
+        (before,) = [link["packets_in"] for link in agent.agent.mesh.links() if link["name"] == "a"]
+        agent.publish(NETWORK, AskTasks((TASK, TaskId("a", "Other"))), to=f"a/{CENSUS}")
+        fleet.run_for(0.5)
+        (after,) = [link["packets_in"] for link in agent.agent.mesh.links() if link["name"] == "a"]
+        answers[name] = after - before
+    assert answers == {"x": 1, "w": 0}
