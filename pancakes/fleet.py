@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from pancakes.mesh.net.memory import MemoryNetwork, Quality
 from pancakes.runtime.agent import Agent, Virtual
+from pancakes.runtime.clock import SkewedClock
 from pancakes.runtime.config import Config
 from pancakes.runtime.journal import MemoryJournal
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
@@ -53,14 +54,22 @@ class VirtualFleet:
         """
         return self.add(config.agent.name, lambda virtual: Agent(config, self._plugins, virtual))
 
-    def add(self, name: str, make: Callable[[Virtual], Agent]) -> Agent:
-        """Starts an agent that `make` makes of what it shares with the fleet; see `start`."""
+    def add(self, name: str, make: Callable[[Virtual], Agent], clock_rate: float = 1.0) -> Agent:
+        """Starts an agent that `make` makes of what it shares with the fleet; see `start`.
+
+        Args:
+            name: its name.
+            make: makes it.
+            clock_rate: how fast its host clock runs: its seconds for each virtual second.
+        """
         disk = self.disk(name)
         # Not the same one twice: an agent that has lost its identity is another one from then on.
         source = self._identities.setdefault(name, random.Random(f"journal/{self.seed}/{name}"))
         identity = uuid.UUID(int=source.getrandbits(128), version=4)
         journal = self.journals[name] = MemoryJournal(disk, str(identity), name)
-        agent = make(Virtual(self.dispatcher, self.network.transport(name), journal))
+        clock = SkewedClock(self.dispatcher.clock, clock_rate) if clock_rate != 1.0 else None
+        transport = self.network.transport(name, clock.due_s if clock is not None else None)
+        agent = make(Virtual(self.dispatcher, transport, journal, clock))
         agent.start()
         self.agents[name] = agent
         return agent

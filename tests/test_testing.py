@@ -1,5 +1,6 @@
 """The helpers that ship with the library are tested like the rest of it."""
 
+import math
 import threading
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ from pancakes.bodies.devices.types import Load
 from pancakes.control import Migrate, Start, Stop
 from pancakes.events import LogLine
 from pancakes.mesh.migration.cost import Cost
+from pancakes.runtime.clock import SkewedClock, VirtualClock
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, Probe, assert_published, config_of, no_thread_left, threaded_agent
 
@@ -161,3 +163,31 @@ def test_a_fleet_may_be_given_cost_functions():
         fleet.connect()
         assert agent.ask(Migrate("Count", cost={"costly": 1.0})).ok
         assert agent.events("migration_asked")[0]["cost"] == "1 costly"
+
+
+@pytest.mark.parametrize("rate", [0.9, 0.99, 1.01, 1.1])
+def test_an_agent_may_have_a_clock_that_is_too_fast_or_too_slow_now_and_after_a_restart(rate):
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Blink": Blink}, clock_rate=rate)
+        fleet.start("b")
+        fleet.connect()
+        for _ in range(2):
+            before_s, began_s = len(agent.probe.packets(Load)), fleet.now()
+            rang = []
+            agent.kernel.timer.after_host(10.0, lambda rang=rang: rang.append(fleet.now()))
+            fleet.run_for(100.0)
+            assert rang == [pytest.approx(began_s + 10.0 / rate)]
+            assert len(agent.probe.packets(Load)) - before_s == pytest.approx(200 * rate, abs=1)
+            fleet.crash("a")
+            agent = fleet.restart("a")
+
+
+def test_a_clock_of_its_own_says_when_it_will_have_reached_a_time_never_too_early():
+    true = VirtualClock()
+    for rate in (0.9, 0.99, 1.0, 1.01, 1.1, 1 / 3):
+        clock = SkewedClock(true, rate)
+        for time_s in (0.1, 0.3, 1.7, 1e3 / 7, 1e6 / 3):
+            found_s = clock.true_s(time_s)
+            assert found_s * rate >= time_s > math.nextafter(found_s, 0.0) * rate * (1 - 1e-15)
+    with pytest.raises(ValueError, match="a clock cannot run at 0 times the true rate"):
+        SkewedClock(true, 0)

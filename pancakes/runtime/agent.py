@@ -31,6 +31,7 @@ from pancakes.mesh.security.roster import Roster
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.link_messages import Hello, Identity
 from pancakes.packet import Packet, body_class, join
+from pancakes.runtime.clock import SkewedClock
 from pancakes.runtime.composition import Composition
 from pancakes.runtime.config import Config
 from pancakes.runtime.hosting.births import BirthRule
@@ -87,11 +88,13 @@ class Virtual(msgspec.Struct, frozen=True):
         dispatcher: runs them all.
         transport: this agent's own way onto the network in memory.
         journal: what stands for its disk.
+        clock: its host clock; None: the virtual one.
     """
 
     dispatcher: VirtualDispatcher
     transport: Transport
     journal: MemoryJournal
+    clock: SkewedClock | None = None
 
 
 class Agent:
@@ -138,6 +141,7 @@ class Agent:
             speed=config.clock.speed,
             hold=config.clock.hold,
             virtual=virtual.dispatcher if virtual is not None else None,
+            skewed=virtual.clock if virtual is not None else None,
         )
         self.ready = threading.Event()
         self.fatal: str = ""
@@ -327,7 +331,8 @@ class Agent:
         if root is not None:
             tell(root, Close())
             if self.kernel.virtual is not None:
-                self.kernel.virtual.run_while(lambda: not closed.is_set(), self.kernel.host.now() + CLOSE_S)
+                until_s = self.kernel.virtual.clock.now() + CLOSE_S
+                self.kernel.virtual.run_while(lambda: not closed.is_set(), until_s)
             elif not closed.wait(CLOSE_S):
                 self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
         for address in (COURIER, CENSUS, GUARDIAN):

@@ -55,6 +55,35 @@ class VirtualClock:
         self.now_s = time_s
 
 
+class SkewedClock:
+    """A clock that runs at another rate than the virtual one: each agent of a test may have a bad clock of its own.
+
+    Args:
+        true: the virtual clock.
+        rate: its seconds for each second of the virtual clock.
+    """
+
+    def __init__(self, true: VirtualClock, rate: float) -> None:
+        if not (rate > 0 and math.isfinite(rate)):
+            raise ValueError(f"a clock cannot run at {rate} times the true rate")
+        self._true = true
+        self.rate = rate
+
+    def now(self) -> float:
+        return self._true.now_s * self.rate
+
+    def true_s(self, time_s: float) -> float:
+        """Returns the first virtual time at which this clock has reached `time_s`."""
+        found_s = time_s / self.rate
+        while found_s * self.rate < time_s:  # by rounding: a timer would come a hair too early, again and again
+            found_s = math.nextafter(found_s, math.inf)
+        return found_s
+
+    def due_s(self, delay_s: float) -> float:
+        """Returns the virtual time at which `delay_s` seconds of this clock will have passed."""
+        return self.true_s(self.now() + delay_s)
+
+
 class MissionClock:
     """The mission's time: 0 while held, then `speed` times as fast as the host clock.
 

@@ -59,6 +59,7 @@ class FleetInTest:
         self.agents: dict[str, AgentInTest] = {}
         self.started: list[AgentInTest] = []
         self._configs: dict[str, Config] = {}
+        self._rates: dict[str, float] = {}
 
     def __enter__(self) -> FleetInTest:
         return self
@@ -80,6 +81,7 @@ class FleetInTest:
         services: Mapping[str, Any] | None = None,
         classes: Mapping[str, type] | None = None,
         settle: bool = True,
+        clock_rate: float = 1.0,
         **agent: Any,
     ) -> AgentInTest:
         """Starts an agent, and waits until all that should run at its start does.
@@ -96,6 +98,7 @@ class FleetInTest:
             services: services by name, likewise; a default service may be given with its settings alone.
             classes: classes that `text` names, by name.
             settle: whether to wait until it is ready.
+            clock_rate: how fast its clock runs, now and when it is started again: its seconds for each virtual second.
             agent: keys of `[agent]`, and `speed` and `hold` of `[clock]`. Without `folders` a command may have files
                 written below the system's temporary directory, where pytest's `tmp_path` lies.
         """
@@ -104,6 +107,7 @@ class FleetInTest:
         made = parts(name, text, tasks, devices, services, agent)
         self._classes.update({**(classes or {}), **made.classes})
         self._configs[name] = made.config
+        self._rates[name] = clock_rate
         return self._start(made.config, settle)
 
     def load(
@@ -131,7 +135,7 @@ class FleetInTest:
         return self._start(config, settle)
 
     def restart(self, name: str, settle: bool = True) -> AgentInTest:
-        """Starts an agent again that was stopped or has crashed, with the configuration and the disk that it had."""
+        """Starts an agent again that was stopped or has crashed, with the configuration, clock and disk that it had."""
         config = self._configs[name]
         addresses = [other.agent.addresses[-1] for known, other in self._configs.items() if known != name]
         return self._start(replace(config, agent=replace(config.agent, peers=tuple(addresses))), settle)
@@ -145,7 +149,7 @@ class FleetInTest:
             self.fleet.dispatcher.settle()  # it listens before the agent says anything
             return made[0].agent
 
-        self.fleet.add(config.agent.name, make)
+        self.fleet.add(config.agent.name, make, self._rates.get(config.agent.name, 1.0))
         (found,) = made
         self.agents[found.name] = found
         self.started.append(found)

@@ -122,3 +122,17 @@ def running(fleet, name):
         for agent, one in fleet.agents.items()
         if name in one.running() and one.agent.kernel.permits.holds(one.task(name).fence)
     ]
+
+
+def test_a_permit_that_is_over_by_the_clock_lets_nothing_out_although_no_timer_has_come():
+    with guarded("Count", Count) as fleet:
+        a = fleet.agents["a"]
+        fleet.faults.cut("a")
+        # As after a suspend: no timer has run meanwhile, but the clock of the permit has gone on.
+        assert a.kernel.permits.left_s("a/client/Count") > 1.0
+        a.kernel.permits.give("a/client/Count", a.kernel.permits.moment())
+        before = a.task("Count").state.n
+        fleet.run_for(0.5)
+        assert a.task("Count").state.n == before
+        fleet.faults.calm()
+        assert fleet.run_until(lambda: running(fleet, "Count"), 20)

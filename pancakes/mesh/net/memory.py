@@ -87,9 +87,15 @@ class MemoryNetwork:
         self.pipes: dict[_Pipe, None] = {}
         self._next_port = _FIRST_FREE_PORT
 
-    def transport(self, agent: str) -> MemoryTransport:
-        """Returns a transport for an agent; faults are told by its name."""
-        return MemoryTransport(self, agent)
+    def transport(self, agent: str, due_s: Callable[[float], float] | None = None) -> MemoryTransport:
+        """Returns a transport for an agent; faults are told by its name.
+
+        Args:
+            agent: its name.
+            due_s: returns the virtual time at which so many seconds of the agent's clock will have passed; None: it
+                has the virtual clock.
+        """
+        return MemoryTransport(self, agent, due_s or (lambda delay_s: self.now() + delay_s))
 
     def set_quality(self, a: str, b: str, quality: Quality) -> None:
         """Sets how well two agents hear each other, both ways, for all that is sent from now on."""
@@ -230,10 +236,11 @@ class MemoryNetwork:
 class MemoryTransport(Transport):
     """The transport of one agent on a `MemoryNetwork`. Made by `MemoryNetwork.transport`."""
 
-    def __init__(self, network: MemoryNetwork, agent: str) -> None:
+    def __init__(self, network: MemoryNetwork, agent: str, due_s: Callable[[float], float]) -> None:
         self.agent = agent
         self.dials: dict[ConnectionHandler, None] = {}
         self._network = network
+        self._due_s = due_s
         self._closed = False
 
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
@@ -244,8 +251,7 @@ class MemoryTransport(Transport):
             self._network.dial(address, self, handler)
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
-        network = self._network
-        return network.call_at(network.now() + delay_s, lambda: None if self._closed else function())
+        return self._network.call_at(self._due_s(delay_s), lambda: None if self._closed else function())
 
     def close(self) -> None:
         """Frees its addresses, and closes all that is open once what is due now has run, as real sockets are."""

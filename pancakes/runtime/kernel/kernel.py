@@ -14,7 +14,7 @@ from pancakes.errors import PancakesError
 from pancakes.events import LogLine
 from pancakes.mesh.security.access import Access
 from pancakes.packet import LOG, Packet, type_name
-from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock
+from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock, SkewedClock
 from pancakes.runtime.folders import Folders
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.counter import Counter
@@ -45,6 +45,7 @@ class Kernel:
         speed: mission seconds for each second of host time.
         hold: whether the mission waits at 0 for a `Begin` packet.
         virtual: run on this dispatcher, in virtual time; None: on threads, in real time.
+        skewed: the host clock in virtual time, where it is not the virtual one itself.
 
     Attributes:
         host: the host clock.
@@ -75,11 +76,12 @@ class Kernel:
         speed: float = 1.0,
         hold: bool = False,
         virtual: VirtualDispatcher | None = None,
+        skewed: SkewedClock | None = None,
     ) -> None:
         self.agent = agent
         self.seed = seed
         self.virtual = virtual
-        self.host: Clock = virtual.clock if virtual is not None else MonotonicClock()
+        self.host: Clock = skewed or (virtual.clock if virtual is not None else MonotonicClock())
         self.mission = MissionClock(self.host, speed, hold)
         self.now = self.mission.now
         self.stream = InformationStream(agent)
@@ -101,7 +103,7 @@ class Kernel:
         self.timer: Timer
         self._shared: Dispatcher
         if virtual is not None:
-            self.timer = VirtualTimer(agent, self.mission, virtual)
+            self.timer = VirtualTimer(agent, self.mission, virtual, skewed)
             self._shared = virtual
             self._pinned: Dispatcher = virtual
         else:

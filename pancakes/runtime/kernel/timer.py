@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final, Protocol
 
-from pancakes.runtime.clock import Clock, MissionClock
+from pancakes.runtime.clock import Clock, MissionClock, SkewedClock
 from pancakes.runtime.kernel.guest import GUEST_S, Guest
 from pancakes.runtime.kernel.inbox import Inbox
 from pancakes.runtime.kernel.pool import PoolDispatcher
@@ -206,11 +206,21 @@ def _checked(delay_s: float) -> float:
 
 
 class VirtualTimer(Timer):
-    """The timer in virtual time: no thread; the dispatcher calls it when the next deadline comes."""
+    """The timer in virtual time: no thread; the dispatcher calls it when the next deadline comes.
 
-    def __init__(self, name: str, mission: MissionClock, dispatcher: VirtualDispatcher) -> None:
-        super().__init__(name, mission, dispatcher.clock)
+    Args:
+        name: for its address.
+        mission: the mission clock.
+        dispatcher: calls it.
+        skewed: the agent's host clock, where it is not the virtual one.
+    """
+
+    def __init__(
+        self, name: str, mission: MissionClock, dispatcher: VirtualDispatcher, skewed: SkewedClock | None = None
+    ) -> None:
+        super().__init__(name, mission, skewed or dispatcher.clock)
         self._dispatcher = dispatcher
+        self._skewed = skewed
         self._call: VirtualCall | None = None
         self._call_s = math.inf
         self._halted = False
@@ -237,7 +247,8 @@ class VirtualTimer(Timer):
             self._call = None
         self._call_s = next_s
         if next_s != math.inf:
-            self._call = self._dispatcher.call_at(next_s, self._come)
+            true_s = next_s if self._skewed is None else self._skewed.true_s(next_s)
+            self._call = self._dispatcher.call_at(true_s, self._come)
 
     def _come(self) -> None:
         self._call = None
