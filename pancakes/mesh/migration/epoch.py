@@ -28,3 +28,6 @@ MOST_STEP: Final = 10_000_000
 """An epoch may be so much higher than the one before. An adoption of a task whose record was lost takes a step of a
 million for each time that it was lost.
 """
+MORE_THAN_TAKEN: Final = 1_000_000
+"""A guarded task that is adopted has an epoch so much higher than all that is known of it: more than agents can have
+minted that took it over since."""

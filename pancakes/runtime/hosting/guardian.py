@@ -108,8 +108,9 @@ class Guardian(Component):
         for task, why in self._registers.lost().items():
             self.log("error", f"{self.agent} guards {task!a} no more, as it may have forgotten a pledge: {why}")
         for register in self._registers.all():
-            one = self._guarded[register.task_id] = _Guarded(register, heard_s=self._began_s, saved_s=self._began_s)
-            one.effects.extend(recover(register))
+            one = self._new(register)
+            one.heard_s = one.saved_s = self._began_s
+            one.effects.extend(recover(register, self._mesh.identity.boot))
             self._go_on(one)
 
     def on_receive(self, message: Any) -> Any:
@@ -195,6 +196,10 @@ class Guardian(Component):
             one.register = written
         self._go_on(one)
 
+    def _new(self, register: GuardRegister) -> _Guarded:
+        one = self._guarded[register.task_id] = _Guarded(register, Lease(boot=self._mesh.identity.boot))
+        return one
+
     @on(NETWORK, KeepLease, keep=KEEP, addressed=True)
     def on_keep(self, packet: Packet) -> None:
         """The owner of a task asks for a lease."""
@@ -265,7 +270,7 @@ class Guardian(Component):
                 self.log("warning", f"{self.agent} does not guard {asked.task_id} for {peer}: {fault}")
             self._say(packet.source, DenyLease(asked.task_id, asked.epoch, self._me, NO_EPOCH, fault))
             return
-        one = self._guarded.setdefault(asked.task_id, _Guarded(GuardRegister(asked.task_id)))
+        one = self._guarded.get(asked.task_id) or self._new(GuardRegister(asked.task_id))
         if isinstance(asked, KeepLease):  # a newer one says all that an older one says
             one.waiting = [it for it in one.waiting if it[0] != packet.source or not isinstance(it[1], KeepLease)]
         if len(one.waiting) < MOST_WAIT:

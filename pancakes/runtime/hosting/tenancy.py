@@ -5,9 +5,9 @@ from __future__ import annotations
 import msgspec
 
 from pancakes.mesh.guarding.choosing import CanGuard
-from pancakes.mesh.guarding.tenure import Seizing, Tenure
+from pancakes.mesh.guarding.seizing import Seizing
+from pancakes.mesh.guarding.tenure import Owed, Tenure
 from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.event import PacketId
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.runtime.kernel.permits import PermitEnd
@@ -26,10 +26,9 @@ class Tenancy(msgspec.Struct):
         told: the epoch, the checkpoint and the guards that guardians were told of last.
         bodies: which checkpoint each guardian was sent last, and with which beat.
         heard_s: when each guardian has said something last, in host time.
-        owed: packets that are acknowledged once a checkpoint of this number is at a quorum.
+        owed: packets that are acknowledged once the checkpoint with their effect is at a quorum.
         answers: what neighbours have said that were asked whether they would guard it.
         asked_s: when they were asked last, in host time.
-        behind: whether this agent's disk is an old copy: the guardians have a later checkpoint.
         thin: whether people were told that it has fewer guardians than it should.
         renewal: asks for leases again.
         end: the end of the permit.
@@ -44,10 +43,9 @@ class Tenancy(msgspec.Struct):
     told: tuple[Epoch, int, int] | None = None
     bodies: dict[GuardianId, tuple[int, int]] = {}
     heard_s: dict[GuardianId, float] = {}
-    owed: list[tuple[int, PacketId]] = []
+    owed: list[Owed] = []
     answers: dict[str, CanGuard] = {}
     asked_s: float = -1e9
-    behind: bool = False
     thin: bool = False
     renewal: OneShot | None = None
     end: OneShot | None = None
