@@ -13,6 +13,7 @@ from pancakes.mesh.guarding.guard_messages import (
     LeaseKept,
     Pledge,
     SeizeTask,
+    YieldLease,
 )
 from pancakes.mesh.guarding.guardian_core import (
     AnswerAsker,
@@ -51,14 +52,14 @@ def test_the_first_keep_is_written_down_before_it_is_granted():
     kept = LeaseKept(TASK, OLD, ME, 7, 4, 0)
     assert handle(ME, GuardRegister(TASK), Lease(), first) == [
         WriteRegister(HELD),
-        SetLease(Lease(OLD, 1), 2.0),
+        SetLease(Lease(OLD, 1, 7), 2.0),
         AnswerAsker(kept),
     ]
 
 
 def test_a_keep_without_news_costs_no_write():
     assert handle(ME, HELD, RUNS, KEEP) == [
-        SetLease(Lease(OLD, 6), 2.0),
+        SetLease(Lease(OLD, 6, 7), 2.0),
         AnswerAsker(LeaseKept(TASK, OLD, ME, 7, 4, 0)),
     ]
 
@@ -131,6 +132,22 @@ def test_epochs_rise_in_bounded_steps():
 def test_the_end_of_an_older_lease_does_not_end_a_newer_one():
     assert handle(ME, HELD, RUNS, LeaseOver(4)) == []
     assert handle(ME, HELD, RUNS, LeaseOver(5)) == [SetLease(OVER, 0.0)]
+
+
+def test_a_goodbye_ends_the_lease_that_it_is_about_and_no_later_one():
+    runs = Lease(OLD, 5, beat=7, boot=2)
+    assert handle(ME, HELD, runs, YieldLease(TASK, OLD, 7, 2)) == [SetLease(replace(runs, epoch=None), 0.0)]
+    assert handle(ME, HELD, runs, YieldLease(TASK, OLD, 6, 2)) == [], "the owner has asked again since"
+    assert handle(ME, HELD, runs, YieldLease(TASK, OLD, 7, 1)) == [], (
+        "what it granted in its former life it has forgotten"
+    )
+    assert handle(ME, HELD, runs, YieldLease(TASK, NEW, 7, 2)) == []
+
+
+def test_a_keep_that_comes_late_makes_a_lease_no_older():
+    runs = Lease(OLD, 5, beat=9, boot=2)
+    granted = [effect.lease for effect in handle(ME, HELD, runs, KEEP) if isinstance(effect, SetLease)]
+    assert granted == [Lease(OLD, 6, beat=9, boot=2)]
 
 
 def test_after_a_restart_it_waits_for_a_whole_lease():

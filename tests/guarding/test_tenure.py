@@ -1,6 +1,7 @@
 """What an owner makes of what its guardians say, and an agent that is to take a task."""
 
 import pytest
+from msgspec.structs import replace
 
 from pancakes.mesh.guarding.guard_messages import (
     NO_CHECKPOINT,
@@ -9,9 +10,22 @@ from pancakes.mesh.guarding.guard_messages import (
     DenyLease,
     LeaseKept,
     Pledge,
+    YieldLease,
 )
-from pancakes.mesh.guarding.tenure import Seizing, Tenure, answered, asked_again, keep_lease, told
+from pancakes.mesh.guarding.seizing import Seizing, told
+from pancakes.mesh.guarding.tenure import (
+    Tenure,
+    answered,
+    asked_again,
+    begun,
+    conclusion,
+    keep_lease,
+    kept_packets,
+    may_ask,
+    yield_lease,
+)
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId
 from pancakes.mesh.migration.guards import GuardianId, Guards
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 
@@ -66,8 +80,34 @@ class TestAPermit:
         assert tenure.answers == () and tenure.beat == 4
 
     def test_an_owner_whose_disk_is_an_old_copy_is_told(self):
-        assert not after(kept(A)).is_behind(4)
-        assert after(kept(B, no=5)).is_behind(4)
+        assert may_ask(after(kept(A)), OWNER)
+        old = after(kept(B, no=5))
+        assert not may_ask(old, OWNER)
+        later = replace(OWNER, no=6)
+        assert not may_ask(answered(old, later, kept(A)), later), "what it wrote since is no newer than theirs"
+
+    def test_one_that_owns_it_anew_asks_again(self):
+        anew = replace(OWNER, epoch=E2, seen=E2)
+        assert may_ask(after(kept(B, no=5)), anew)
+        assert not asked_again(after(kept(B, no=5)), anew).behind
+
+
+class TestItsBeats:
+    def test_those_of_a_later_life_are_higher_although_the_clock_begins_anew(self):
+        first = begun(1, 400 * 86_400.0)
+        assert asked_again(first, OWNER).beat < begun(2, 0.0).beat < begun(2, 0.5).beat
+
+    def test_an_answer_to_a_former_life_says_nothing_of_a_lease(self):
+        former = asked_again(begun(3, 9e6), OWNER)
+        tenure = asked_again(begun(4, 0.0), OWNER)
+        for guardian in (A, B, C):
+            tenure = answered(tenure, OWNER, kept(guardian, former.beat))
+        assert tenure.granted_beat(THREE) < tenure.beat
+
+    def test_a_goodbye_names_the_last_one_and_the_life_of_the_guardian_that_was_heard(self):
+        tenure = after(LeaseKept(TASK, E1, B, 2, 4, 2, boot=7))
+        assert yield_lease(tenure, OWNER, B) == YieldLease(TASK, E1, 3, 7)
+        assert yield_lease(tenure, OWNER, C).boot == -1, "it has granted nothing"
 
 
 class TestACheckpoint:
@@ -89,7 +129,46 @@ def test_guards_may_change_once_a_quorum_of_both_sets_has_them_and_the_newest_ch
     assert not after(kept(A, version=1), kept(B, version=0), record=record).have(JOINT, 4)
 
 
+class TestAnAcknowledgement:
+    first, second = PacketId("s", 1), PacketId("s", 2)
+    owed = ((CheckpointId(E1, 4), first), (CheckpointId(E1, 5), second))
+
+    def test_it_waits_for_a_quorum(self):
+        assert kept_packets(after(kept(A, no=5)), OWNER, self.owed) == ([], list(self.owed))
+        assert kept_packets(after(kept(A, no=5), kept(B)), OWNER, self.owed) == ([self.first], [self.owed[1]])
+
+    def test_what_was_owed_under_another_epoch_is_not_given(self):
+        anew = replace(OWNER, epoch=E2, seen=E2)
+        tenure = asked_again(after(kept(A)), anew)
+        for guardian in (A, B):
+            tenure = answered(tenure, anew, kept(guardian, tenure.beat, no=9, epoch=E2))
+        assert kept_packets(tenure, anew, self.owed) == ([], [])
+
+
+class TestWhatFollows:
+    def test_an_owner_that_is_outvoted_gives_the_task_up_unless_it_acts_or_asks_for_pledges(self):
+        outvoted = after(deny(B, E2), deny(C, E3))
+        assert conclusion(outvoted, OWNER, acts=False, seizes=False) == ClaimHeard("c", E3)
+        assert conclusion(outvoted, OWNER, acts=True, seizes=False) is None
+        assert conclusion(outvoted, OWNER, acts=False, seizes=True) is None
+
+    def test_an_epoch_of_its_own_has_no_other_owner(self):
+        own = Epoch(5, "a")
+        assert conclusion(after(deny(B, own), deny(C, own)), OWNER, acts=False, seizes=False) == ClaimHeard("", own)
+
+    def test_new_guardians_decide_alone_once_both_sets_know_of_them(self):
+        record = replace(OWNER, guards=JOINT)
+        known = after(kept(A, version=1), kept(B, version=1), record=record)
+        assert conclusion(known, record, acts=True, seizes=False) == GuardsChosen(JOINT.sets[1:])
+        assert conclusion(after(kept(A, version=1), record=record), record, acts=True, seizes=False) is None
+
+
 class TestOutvoted:
+    def test_one_that_is_silent_for_long_follows_it_no_more(self):
+        waits = after(deny(A, E2), kept(C), beats=9)
+        assert waits.outvoted_by(THREE) == NO_EPOCH
+        assert asked_again(waits, OWNER).outvoted_by(THREE) == E2, "B has said nothing for nine askings"
+
     def test_one_that_follows_another_is_not_enough(self):
         assert after(deny(B, E2)).outvoted_by(THREE) == NO_EPOCH
 

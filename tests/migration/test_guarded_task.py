@@ -197,3 +197,9 @@ class TestAClaim:
 def test_an_adoption_has_the_task_guarded_by_this_agent_alone():
     (record,) = persisted(handle("a", COMMITTED, IDLE, AdoptionAsked(guardian=A)))
     assert record.guards.sets == ((A,),)
+
+
+def test_an_adoption_is_above_every_epoch_under_which_others_may_have_taken_the_task_over():
+    (adopted,) = persisted(handle("a", COMMITTED, IDLE, AdoptionAsked(guardian=A)))
+    taken_over = Epoch(E2.n + 1, "b")  # what a destination mints, of which its giver hears nothing
+    assert adopted.epoch == adopted.seen and adopted.epoch.n > taken_over.n + 1_000

@@ -1,7 +1,7 @@
-"""Searches the core of migration and its join with a life, and shows that it would see it if they were broken.
+"""Searches the core of migration, its join with a life, and guarded tasks, and shows that it would see a broken rule.
 
-`scripts/check-migration` runs it. All there is to know about the fault models stands in `model.search` and
-`model.hosting_search`.
+`scripts/check-migration` runs it. All there is to know about the fault models stands in `model.search`,
+`model.hosting_search` and `model.guarded_search`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import click
-from model import hosting_scenarios
+from model import guarded_scenarios, hosting_scenarios
 from model.bounds import DEEP, SUITE
+from model.guarded_mutants import MUTANTS as GUARDED_MUTANTS
 from model.hosting_convictions import CONVICTED_IN
-from model.jobs import Job, JoinedJob, Report, carry_out
+from model.jobs import AnyJob, GuardedJob, Job, JoinedJob, Report, carry_out
 from model.mutants import MUTANTS
 
 
@@ -41,6 +42,30 @@ def tell(report: Report, traces: bool) -> None:
             print(f"      {number:2}. {sentence}", flush=True)
 
 
+COVERED = {
+    "take-over": "taken over",
+    "hand-off": "COMMITTED",
+    "replaced": "the new guardians are in use",
+    "lost disk": "loses its disk",
+    "stop": "a stop is answered",
+    "adopt": "adopted",
+    "goodbye": "a lease ends at a goodbye",
+    "packet": "a packet is acknowledged",
+}
+
+
+def tell_covered(reports: list[Report]) -> None:
+    """Prints which scenario of guarded tasks came to what."""
+    rows = [(r.job.name, r.result.reached) for r in reports if r.result is not None and r.result.reached]
+    if not rows:
+        return
+    print("\nwhat the scenarios of guarded tasks came to:")
+    print(f"  {'':<44}{'  '.join(COVERED)}")
+    for name, reached in rows:
+        marks = ("x" if any(part in it for it in reached) else "." for part in COVERED.values())
+        print(f"  {name:<44}{'  '.join(f'{mark:<{len(word)}}' for mark, word in zip(marks, COVERED, strict=True))}")
+
+
 def as_json(reports: list[Report]) -> dict[str, Any]:
     """Returns the figures for `--json`."""
     searches = [(r.job, r.result, r) for r in reports if not r.job.mutant and r.result is not None]
@@ -55,6 +80,7 @@ def as_json(reports: list[Report]) -> dict[str, Any]:
                 "states": result.states,
                 "transitions": result.transitions,
                 "complete": result.complete,
+                "reached": list(result.reached),
                 "trace": r.trace,
             }
             for job, result, r in searches
@@ -62,20 +88,23 @@ def as_json(reports: list[Report]) -> dict[str, Any]:
     }
 
 
-def choose(deep: bool, mutants: bool, only: str) -> list[Job | JoinedJob]:
+def choose(deep: bool, mutants: bool, only: str) -> list[AnyJob]:
     """Returns the searches to make.
 
     Raises:
         click.BadParameter: `only` names none of them.
     """
-    jobs: list[Job | JoinedJob] = []
+    jobs: list[AnyJob] = []
     if not mutants:
         jobs += [Job(bounds) for bounds in (*SUITE, *(DEEP if deep else ()))]
         jobs += [
             JoinedJob(scenario) for scenario in (*hosting_scenarios.SUITE, *(hosting_scenarios.DEEP if deep else ()))
         ]
+        guarded = (*guarded_scenarios.SUITE, *(guarded_scenarios.DEEP if deep else ()))
+        jobs += [GuardedJob(scenario) for scenario in guarded]
     jobs += [Job(mutant.bounds, mutant.name) for mutant in MUTANTS]
     jobs += [JoinedJob.of(mutant) for mutant in CONVICTED_IN]
+    jobs += [GuardedJob(mutant.scenario.title, mutant.name) for mutant in GUARDED_MUTANTS]
     chosen = [job for job in jobs if only in job.name]
     if not chosen:
         names = "".join(f"\n  {job.name}" for job in jobs)
@@ -84,7 +113,7 @@ def choose(deep: bool, mutants: bool, only: str) -> list[Job | JoinedJob]:
     return exact or chosen
 
 
-def run(jobs: list[Job | JoinedJob], processes: int) -> list[Report]:
+def run(jobs: list[AnyJob], processes: int) -> list[Report]:
     """Makes the searches, several at once, and prints each as soon as it and those before it are done."""
     told = ""
     reports: list[Report] = []
@@ -108,13 +137,14 @@ def run(jobs: list[Job | JoinedJob], processes: int) -> list[Report]:
 )
 @click.option("--json", "json_file", type=click.Path(dir_okay=False, path_type=Path), help="Write the figures there.")
 def check_migration(deep: bool, mutants: bool, only: str, jobs: int, json_file: Path | None) -> None:
-    """Search the core of migration and its join with a life exhaustively, and convict their broken variants.
+    """Search the core of migration, its join with a life, and guarded tasks exhaustively, and convict broken variants.
 
     Every message may be lost, doubled, delayed and overtaken, every agent may crash between any two steps, every
     timer may fire at any time. The exit code is 0 only where no promise is broken and every variant is convicted.
     """
     began_s = time.monotonic()
     reports = run(choose(deep, mutants, only), jobs)
+    tell_covered(reports)
     figures = as_json(reports)
     if json_file is not None:
         json_file.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
-from model import hosting_scenarios
+from model import guarded_scenarios, hosting_scenarios
+from model.guarded_mutants import MUTANTS as GUARDED_MUTANTS
+from model.guarded_search import GuardedSearch
 from model.hosting_convictions import CONVICTED_IN
 from model.hosting_mutants import make
 from model.hosting_search import search
@@ -86,6 +88,45 @@ class JoinedJob:
 
 
 @dataclass(frozen=True)
+class GuardedJob:
+    """One search: of the cores of guarded tasks in a scenario, or of a mutant of theirs."""
+
+    bounds: str
+    mutant: str = ""
+
+    @property
+    def name(self) -> str:
+        """What it is called on the command line and in figures."""
+        return self.mutant or self.bounds
+
+    @property
+    def heading(self) -> str:
+        """What searches of this kind are called."""
+        return "broken variants of guarded tasks:" if self.mutant else "guarded tasks:"
+
+    def search(self) -> Result:
+        """Makes the search; a scenario that does not come to what it is there for is a broken promise too.
+
+        Raises:
+            LookupError: a mutant's edit does not match the source exactly once.
+        """
+        if self.mutant:
+            mutant = next(mutant for mutant in GUARDED_MUTANTS if mutant.name == self.mutant)
+            return GuardedSearch(mutant.scenario, mutant.make()).run()
+        deep = self.bounds in guarded_scenarios.DEEP
+        scenario = (guarded_scenarios.DEEP if deep else guarded_scenarios.SUITE)[self.bounds]
+        search = GuardedSearch(scenario)
+        found = search.run()
+        missed = search.missed()
+        if found.violation or not missed or not found.complete:
+            return replace(found, reached=tuple(sorted(search.reached)))
+        return replace(found, violation=f"the scenario, which never came to: {', '.join(missed)}")
+
+
+AnyJob = Job | JoinedJob | GuardedJob
+
+
+@dataclass(frozen=True)
 class Report:
     """What came of it.
 
@@ -94,7 +135,7 @@ class Report:
         fault: why it could not be made; empty where it could.
     """
 
-    job: Job | JoinedJob
+    job: AnyJob
     result: Result | None
     wall_s: float
     fault: str = ""
@@ -108,15 +149,16 @@ class Report:
 
     @property
     def good(self) -> bool:
-        """Whether it came out as it must: no violation in all there is, or a mutant convicted."""
+        """Whether it came out as it must: no violation in all there is, a deep one cut off or not; or a conviction."""
         if self.result is None:
             return False
         if self.job.mutant:
             return bool(self.result.violation)
-        return self.result.complete and not self.result.violation
+        cut_off = isinstance(self.job, GuardedJob) and self.job.bounds in guarded_scenarios.DEEP
+        return (self.result.complete or cut_off) and not self.result.violation
 
 
-def carry_out(job: Job | JoinedJob) -> Report:
+def carry_out(job: AnyJob) -> Report:
     """Makes one search."""
     began_s = time.monotonic()
     try:

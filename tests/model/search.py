@@ -96,6 +96,7 @@ class Result:
         transitions: how many steps were taken between them.
         configurations: how many configurations of the agents there were among them.
         complete: whether all there is was searched.
+        reached: what the search came to that it is there for, where that is asked.
     """
 
     violation: str
@@ -104,6 +105,7 @@ class Result:
     transitions: int
     configurations: int
     complete: bool = True
+    reached: tuple[str, ...] = ()
 
 
 class Search:

@@ -95,8 +95,9 @@ def test_pledges_are_of_guardians_alone(fleet):
 
 def test_a_lease_is_given_up_by_its_owner_alone(fleet):
     for name in "abc":
-        say(fleet, "d", YieldLease(COUNT, FIRST), f"{name}/{GUARDIAN}")
-        say(fleet, "d", YieldLease(COUNT, HIGH), f"{name}/{GUARDIAN}")
+        for boot in range(3):
+            say(fleet, "d", YieldLease(COUNT, FIRST, 2**62, boot), f"{name}/{GUARDIAN}")
+            say(fleet, "d", YieldLease(COUNT, HIGH, 2**62, boot), f"{name}/{GUARDIAN}")
     assert goes_on(fleet)
 
 

@@ -89,6 +89,7 @@ class LeaseKept(msgspec.Struct, frozen=True):
         beat: which asking this answers.
         no: the newest checkpoint under that epoch that the guardian has; -1: none.
         version: the newest version of the guards of that epoch that it has; -1: none.
+        boot: in which life of its agent it says so.
     """
 
     task_id: TaskId
@@ -97,6 +98,7 @@ class LeaseKept(msgspec.Struct, frozen=True):
     beat: int
     no: int
     version: int
+    boot: int = 0
     journal: str = ""
 
 
@@ -165,10 +167,15 @@ class YieldLease(msgspec.Struct, frozen=True):
 
     Attributes:
         epoch: the epoch under which it owned the task.
+        beat: the number of its last asking; a lease that was granted on a later one does not end.
+        boot: in which life of its agent the guardian was heard last; one that has begun anew since cannot know on which
+            asking it granted what, so the lease does not end.
     """
 
     task_id: TaskId
     epoch: Epoch
+    beat: int
+    boot: int
     journal: str = ""
 
 

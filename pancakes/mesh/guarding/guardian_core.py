@@ -66,10 +66,14 @@ class Lease(msgspec.Struct, frozen=True):
     Attributes:
         epoch: of the owner that has the lease; None: no lease runs.
         number: the how-manieth it is, so that the end of one is not taken for that of a later one.
+        beat: the newest asking of that owner that it was granted on, in this life of the agent.
+        boot: which life of the agent this is.
     """
 
     epoch: Epoch | None = None
     number: int = 0
+    beat: int = 0
+    boot: int = 0
 
 
 class LeaseOver(msgspec.Struct, frozen=True):
@@ -130,16 +134,21 @@ def handle(me: GuardianId, register: GuardRegister, lease: Lease, event: GuardEv
         case SeizeTask():
             return _seize(me, register, lease, event)
         case YieldLease():
-            return [SetLease(replace(lease, epoch=None), 0.0)] if event.epoch == lease.epoch else []
+            return [SetLease(replace(lease, epoch=None), 0.0)] if _is_yielded(lease, event) else []
         case LeaseOver():
             return [SetLease(replace(lease, epoch=None), 0.0)] if event.number == lease.number else []
 
 
-def recover(register: GuardRegister) -> list[GuardEffect]:
-    """Decides what to do after a restart: it cannot know what lease it gave, so it waits for a whole one."""
+def recover(register: GuardRegister, boot: int = 0) -> list[GuardEffect]:
+    """Decides what to do after a restart: it cannot know what lease it gave, so it waits for a whole one.
+
+    Args:
+        register: what is on disk.
+        boot: which life of the agent this is.
+    """
     if not register.guards.sets:
         return []
-    return [SetLease(Lease(register.promised, 1), register.lease_s)]
+    return [SetLease(Lease(register.promised, 1, boot=boot), register.lease_s)]
 
 
 def _keep(me: GuardianId, register: GuardRegister, lease: Lease, keep: KeepLease) -> list[GuardEffect]:
@@ -161,8 +170,11 @@ def _keep(me: GuardianId, register: GuardRegister, lease: Lease, keep: KeepLease
     no = new.checkpoint.no if new.checkpoint.epoch == keep.epoch else -1
     version = new.guards.version if new.guards.epoch == keep.epoch else -1
     write: list[GuardEffect] = [WriteRegister(new)] if new != register else []
-    kept = LeaseKept(keep.task_id, keep.epoch, me, keep.beat, no, version)
-    return [*write, SetLease(Lease(keep.epoch, lease.number + 1), keep.lease_s), AnswerAsker(kept)]
+    # A KEEP that comes late is older than what was granted before it.
+    beat = max(lease.beat, keep.beat) if lease.epoch == keep.epoch else keep.beat
+    granted = Lease(keep.epoch, lease.number + 1, beat, lease.boot)
+    kept = LeaseKept(keep.task_id, keep.epoch, me, keep.beat, no, version, lease.boot)
+    return [*write, SetLease(granted, keep.lease_s), AnswerAsker(kept)]
 
 
 def _seize(me: GuardianId, register: GuardRegister, lease: Lease, seize: SeizeTask) -> list[GuardEffect]:
@@ -178,6 +190,11 @@ def _seize(me: GuardianId, register: GuardRegister, lease: Lease, seize: SeizeTa
         return [_deny(me, register, seize.epoch, f"the lease of the epoch {lease.epoch} runs")]
     new = replace(register, type=register.type or seize.type, promised=seize.epoch)
     return [WriteRegister(new), SetLease(replace(lease, epoch=None), 0.0), _pledge(me, new, seize.epoch)]
+
+
+def _is_yielded(lease: Lease, said: YieldLease) -> bool:
+    """Returns whether the owner has no permit by the lease, nor will have: what comes late is of an earlier life."""
+    return said.epoch == lease.epoch and said.beat >= lease.beat and said.boot == lease.boot
 
 
 def _nothing_kept(register: GuardRegister) -> bool:

@@ -1,12 +1,12 @@
-"""What the owner of a guarded task has of its guardians, and what an agent has that is to take one over. Pure.
+"""What the owner of a guarded task has of its guardians. Pure.
 
-A crash forgets both. That is safe: an owner that has begun anew acts once its guardians have answered it again, and an
-agent that asks for pledges once more gets them only where no other agent was heard of as the owner.
+A crash forgets it. That is safe: an owner that has begun anew acts once its guardians have answered it again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Final
 
 import msgspec
 from msgspec.structs import replace
@@ -15,16 +15,23 @@ from pancakes.mesh.guarding.guard_messages import (
     CheckpointBody,
     CheckpointId,
     DenyLease,
-    GuardAnswer,
     KeepLease,
     LeaseKept,
-    Pledge,
-    SeizeTask,
+    YieldLease,
 )
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.event import Seized
-from pancakes.mesh.migration.guards import GuardianId, Guards, newest
-from pancakes.mesh.migration.record import Record, TaskId
+from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId
+from pancakes.mesh.migration.guards import GuardianId, Guards
+from pancakes.mesh.migration.record import Record
+
+BEATS_OF_BOOT: Final = 2**44
+"""A life of an agent has so many beats: one for each 0.1 ms of 55 years."""
+
+PATIENCE: Final = 8
+"""A guardian that has granted none of so many askings, those of two leases, follows the owner no more."""
+
+Owed = tuple[CheckpointId, PacketId]
+"""A packet, and the checkpoint with its effect."""
 
 
 class LastAnswer(msgspec.Struct, frozen=True):
@@ -35,6 +42,7 @@ class LastAnswer(msgspec.Struct, frozen=True):
         beat: the newest asking that it has granted; 0: none.
         no: the newest checkpoint of that epoch that it has; -1: none.
         version: the newest version of the guards of that epoch that it has; -1: none.
+        boot: in which life of its agent it said so; -1: it has granted nothing.
         promised: where it has denied the lease since: the epoch that it follows.
     """
 
@@ -42,6 +50,7 @@ class LastAnswer(msgspec.Struct, frozen=True):
     beat: int = 0
     no: int = -1
     version: int = -1
+    boot: int = -1
     promised: Epoch = NO_EPOCH
 
 
@@ -50,13 +59,18 @@ class Tenure(msgspec.Struct, frozen=True):
 
     Attributes:
         epoch: under which it owns the task.
-        beat: how often it has asked for leases since it began.
+        beat: the number of its newest asking for leases; no earlier one has a higher number.
+        since: the number of its first asking under that epoch.
         answers: what each guardian has said last.
+        behind: whether a guardian has a later checkpoint of the epoch than the owner had when it heard so: the owner's
+            disk is an old copy. It asks for no lease any more, so the guardians look for another owner.
     """
 
     epoch: Epoch = NO_EPOCH
     beat: int = 0
+    since: int = 0
     answers: tuple[LastAnswer, ...] = ()
+    behind: bool = False
 
     def of(self, guardian: GuardianId) -> LastAnswer:
         """Returns what one guardian has said last."""
@@ -75,37 +89,50 @@ class Tenure(msgspec.Struct, frozen=True):
             (no for no in numbers if guards.has_quorum({one.guardian for one in self.answers if one.no >= no})), -1
         )
 
-    def is_behind(self, no: int) -> bool:
-        """Returns whether a guardian has a later checkpoint of the epoch: the owner's disk is an old copy."""
-        return any(one.no > no for one in self.answers)
-
     def have(self, guards: Guards, no: int) -> bool:
         """Returns whether a quorum has these guards and the checkpoint of this number on its disks."""
         know = {one.guardian for one in self.answers if one.version == guards.version}
         return guards.has_quorum(know) and self.replicated_no(guards) >= no
 
-    @property
-    def passed(self) -> bool:
-        """Whether a guardian follows a later epoch."""
-        return any(one.promised > self.epoch for one in self.answers)
-
     def outvoted_by(self, guards: Guards) -> Epoch:
-        """Returns the latest epoch that guardians follow; `NO_EPOCH`: those that follow the owner are a quorum."""
+        """Returns the latest epoch that guardians follow; `NO_EPOCH`: those that may follow the owner are a quorum.
+
+        One that says nothing for long follows it no more: else an owner that one guardian has left, and whose other one
+        is gone for good, would ask for ever, and hold the lease of the third.
+        """
         against = [one for one in self.answers if one.promised > self.epoch]
         names = {one.guardian for one in against}
-        if guards.has_quorum([it for it in guards.members() if it not in names]):
+        if guards.has_quorum([it for it in guards.members() if it not in names and not self._is_silent(it)]):
             return NO_EPOCH
         return max((one.promised for one in against), default=NO_EPOCH)
+
+    def _is_silent(self, guardian: GuardianId) -> bool:
+        return max(self.of(guardian).beat, self.since) + PATIENCE < self.beat
 
 
 def _named(answers: Iterable[LastAnswer], beat: int) -> set[GuardianId]:
     return {one.guardian for one in answers if one.beat >= beat}
 
 
+def begun(boot: int, now_s: float) -> Tenure:
+    """Returns what an owner has that begins: an answer to its predecessor is older than every beat of its own.
+
+    Args:
+        boot: which life of the agent this is; the host clock may begin anew with each.
+        now_s: host time.
+    """
+    return Tenure(beat=boot * BEATS_OF_BOOT + int(now_s * 1e4))
+
+
+def may_ask(tenure: Tenure, record: Record) -> bool:
+    """Returns whether the owner asks for leases: one whose disk is an old copy does not."""
+    return not (tenure.behind and tenure.epoch == record.epoch)
+
+
 def asked_again(tenure: Tenure, record: Record) -> Tenure:
     """Returns what the owner has as it asks for leases once more."""
     if tenure.epoch != record.epoch:
-        return Tenure(record.epoch, tenure.beat + 1)
+        return Tenure(record.epoch, tenure.beat + 1, tenure.beat + 1)
     return replace(tenure, beat=tenure.beat + 1)
 
 
@@ -134,73 +161,43 @@ def answered(tenure: Tenure, record: Record, answer: LeaseKept | DenyLease) -> T
     elif answer.beat < known.beat or answer.beat > tenure.beat:
         return tenure
     else:
-        new = LastAnswer(answer.guardian, answer.beat, max(known.no, answer.no), max(known.version, answer.version))
+        no, version = max(known.no, answer.no), max(known.version, answer.version)
+        new = LastAnswer(answer.guardian, answer.beat, no, version, answer.boot)
     others = (one for one in tenure.answers if one.guardian != answer.guardian)
-    return replace(tenure, answers=(*others, new))
+    behind = tenure.behind or (tenure.epoch == record.epoch and new.no > record.no)
+    return replace(tenure, answers=(*others, new), behind=behind)
 
 
-class Seizing(msgspec.Struct, frozen=True):
-    """What an agent has that asks the guardians of a task for their pledges.
+def conclusion(tenure: Tenure, record: Record, acts: bool, seizes: bool) -> ClaimHeard | GuardsChosen | None:
+    """Returns what follows from what guardians have said, besides a permit; None: nothing.
 
-    Attributes:
-        task_id: the task.
-        type: entry point name of its class.
-        epoch: the epoch that it has minted for itself.
-        guards: the newest guards that it knows of.
-        yields: the owner of this epoch has stopped for good; `NO_EPOCH`: none has, as far as is known.
-        source: the agent that gives the task away; empty: it is taken over.
-        offer: of that hand-off.
-        checkpoint: the newest checkpoint that it knows of.
-        body: that checkpoint; None: it has none yet.
-        pledged: the guardians that have pledged themselves.
-        denied: what others have said, by guardian.
+    Args:
+        tenure: what they have said.
+        record: the record, as it is on disk.
+        acts: whether the task has a permit.
+        seizes: whether this agent asks for pledges itself.
     """
-
-    task_id: TaskId
-    type: str
-    epoch: Epoch
-    guards: Guards
-    checkpoint: CheckpointId
-    body: CheckpointBody | None
-    yields: Epoch = NO_EPOCH
-    source: str = ""
-    offer: Epoch = NO_EPOCH
-    pledged: tuple[GuardianId, ...] = ()
-    denied: tuple[DenyLease, ...] = ()
-
-    def ask(self) -> SeizeTask:
-        """Returns what the guardians are asked."""
-        return SeizeTask(self.task_id, self.type, self.epoch, self.yields, self.guards)
-
-    def unasked(self) -> list[GuardianId]:
-        """Returns the guardians that have not pledged themselves yet."""
-        return [one for one in self.guards.members() if one not in self.pledged]
-
-    def result(self) -> Seized | None:
-        """Returns what follows once a quorum has pledged itself; None: none has yet, or none has a checkpoint."""
-        if self.body is None or not self.guards.has_quorum(self.pledged):
-            return None
-        body = self.body
-        return Seized(self.epoch, self.guards, body.snapshot, body.wanted, self.source, self.offer)
-
-    def promised(self) -> Epoch:
-        """Returns the latest epoch that a guardian follows that has denied its pledge."""
-        return max((one.promised for one in self.denied), default=NO_EPOCH)
+    if tenure.epoch != record.epoch:
+        return None
+    later = tenure.outvoted_by(record.guards)
+    if later != NO_EPOCH:
+        peer = later.minter if later.minter != record.epoch.minter else ""
+        return ClaimHeard(peer, later) if not (acts or seizes) else None
+    both = record.guards.sets[1:]
+    return GuardsChosen(both) if both and not tenure.behind and tenure.have(record.guards, record.no) else None
 
 
-def told(seizing: Seizing, answer: GuardAnswer) -> Seizing:
-    """Takes what a guardian says to an agent that has asked for its pledge."""
-    if answer.epoch != seizing.epoch:
-        return seizing
-    if isinstance(answer, DenyLease):
-        others = [one for one in seizing.denied if one.guardian != answer.guardian]
-        return replace(seizing, denied=(*others, answer))
-    if not isinstance(answer, Pledge):
-        return seizing
-    # A stranger counts for nothing: it is among no guards. Which are the newest, any of them may know.
-    seizing = replace(seizing, guards=newest(seizing.guards, answer.guards))
-    if answer.guardian not in seizing.pledged:
-        seizing = replace(seizing, pledged=(*seizing.pledged, answer.guardian))
-    if answer.body is not None and answer.checkpoint > seizing.checkpoint:
-        seizing = replace(seizing, checkpoint=answer.checkpoint, body=answer.body)
-    return seizing
+def kept_packets(tenure: Tenure, record: Record, owed: Iterable[Owed]) -> tuple[list[PacketId], list[Owed]]:
+    """Returns the packets whose effects a take-over keeps, and those that wait for that.
+
+    What was owed under another epoch is neither: the task may go on from a state without its effect. Its sender sends
+    it again.
+    """
+    ours = [one for one in owed if one[0].epoch == record.epoch]
+    no = tenure.replicated_no(record.guards) if tenure.epoch == record.epoch else -1
+    return [packet for at, packet in ours if at.no <= no], [one for one in ours if one[0].no > no]
+
+
+def yield_lease(tenure: Tenure, record: Record, guardian: GuardianId) -> YieldLease:
+    """Returns what an owner that stops tells a guardian."""
+    return YieldLease(record.task_id, record.epoch, tenure.beat, tenure.of(guardian).boot)

@@ -17,7 +17,7 @@ from pancakes.mesh.migration.effect import (
     Remember,
     StartTask,
 )
-from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, Epoch
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
     Arrived,
@@ -134,7 +134,9 @@ def adopt(me: str, record: Record, event: AdoptionAsked) -> list[Effect]:
     """Takes a task that is in doubt or disputed, or whose record was lost, under a new epoch, on a person's word."""
     if not _may_be_adopted(record, event):
         return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to adopt")]
-    epoch = Epoch(max(record.seen.n, event.seen) + event.jump, me)
+    # Agents that took a guarded task over have minted epochs of which none is known here.
+    jump = event.jump if event.guardian is None else max(event.jump, MORE_THAN_MOVES)
+    epoch = Epoch(max(record.seen.n, event.seen) + jump, me)
     snapshot, guards = event.snapshot or record.snapshot, first_guards(epoch, event.guardian)
     own = Record(record.task_id, Phase.OWNER, epoch, epoch, snapshot=snapshot, guards=guards)
     return [Persist(own), *_run(own)]

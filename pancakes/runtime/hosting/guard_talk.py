@@ -32,6 +32,11 @@ class GuardTalk:
         """This agent as a guardian."""
         return GuardianId(self._service.agent, self._mesh.identity.journal)
 
+    @property
+    def boot(self) -> int:
+        """Which life of this agent this is."""
+        return self._mesh.identity.boot
+
     def neighbours(self) -> list[GuardianId]:
         """Returns the guardians of all agents that are linked."""
         return [GuardianId(hello.name, hello.journal) for hello in self._mesh.connected() if hello.journal]

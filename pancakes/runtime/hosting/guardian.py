@@ -123,10 +123,10 @@ class Guardian(Component):
         for task, why in self._registers.lost().items():
             self.log("error", f"{self.agent} guards {task!a} no more, as it may have forgotten a pledge: {why}")
         for register in self._registers.all():
-            one = self._guarded[register.task_id] = _Guarded(
-                register, heard_s=self._began_s, as_of_s=self._began_s, from_disk=True
-            )
-            one.effects.extend(recover(register))
+            one = self._new(register)
+            one.heard_s = one.as_of_s = self._began_s
+            one.from_disk = True
+            one.effects.extend(recover(register, self._mesh.identity.boot))
             self._go_on(one)
 
     def on_receive(self, message: Any) -> Any:
@@ -227,6 +227,10 @@ class Guardian(Component):
                 self._note_shortest()
         self._go_on(one)
 
+    def _new(self, register: GuardRegister) -> _Guarded:
+        one = self._guarded[register.task_id] = _Guarded(register, Lease(boot=self._mesh.identity.boot))
+        return one
+
     @on(NETWORK, KeepLease, keep=KEEP, addressed=True)
     def on_keep(self, packet: Packet) -> None:
         """The owner of a task asks for a lease."""
@@ -298,7 +302,7 @@ class Guardian(Component):
                 self.log("warning", f"{self.agent} does not guard {asked.task_id} for {peer}: {fault}")
             self._say(packet.source, DenyLease(asked.task_id, asked.epoch, self._me, NO_EPOCH, fault))
             return
-        one = self._guarded.setdefault(asked.task_id, _Guarded(GuardRegister(asked.task_id)))
+        one = self._guarded.get(asked.task_id) or self._new(GuardRegister(asked.task_id))
         if isinstance(asked, KeepLease):  # a newer one says all that an older one says
             one.waiting = [it for it in one.waiting if it[0] != packet.source or not isinstance(it[1], KeepLease)]
         if len(one.waiting) < MOST_WAIT:

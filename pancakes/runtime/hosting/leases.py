@@ -10,10 +10,18 @@ from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
 from pancakes.mesh.guarding.choosing import CanGuard, MayGuard, choose
-from pancakes.mesh.guarding.guard_messages import MOST_AGE_S, DenyLease, LeaseKept, YieldLease
-from pancakes.mesh.guarding.tenure import Tenure, answered, asked_again, keep_lease
-from pancakes.mesh.migration.epoch import NO_EPOCH
-from pancakes.mesh.migration.event import GuardsChosen, PacketId, PermitGiven
+from pancakes.mesh.guarding.guard_messages import MOST_AGE_S, CheckpointId, DenyLease, LeaseKept
+from pancakes.mesh.guarding.tenure import (
+    answered,
+    asked_again,
+    begun,
+    conclusion,
+    keep_lease,
+    kept_packets,
+    may_ask,
+    yield_lease,
+)
+from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId, PermitGiven
 from pancakes.mesh.migration.guard_rule import PERMIT_SHARE, RENEWED, GuardRule
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.record import Phase
@@ -38,8 +46,6 @@ ASK_AGAIN_S: Final = 2.0
 ANSWERED_S: Final = 0.2
 """So long the owner waits for what its neighbours say when it chooses guardians."""
 OWNED: Final = (Phase.OWNER, Phase.FROZEN)
-RESTS: Final = 3
-"""For so many leases an owner rests that a guardian has passed by: one ends, and guardians find another owner."""
 REMEMBERED: Final = 16
 """So many askings may be under way; a lease that was granted on an older one is as good as over."""
 
@@ -106,15 +112,16 @@ class Leases:
         for place in list(self._held):
             record = place.standing.record
             self._renew(place)
+            assert place.tenancy is not None
+            tenure = place.tenancy.tenure
             self._end(place)
             if self._host.kernel.stopping:
                 for guardian in record.guards.members():
-                    self._talk.say(guardian, YieldLease(record.task_id, record.epoch))
+                    self._talk.say(guardian, yield_lease(tenure, record, guardian))
 
     def _begin(self, place: Place) -> None:
         now_s = self._host.kernel.host.now()
-        # An answer to this service's predecessor is older than every beat of its own, and so counts for nothing.
-        place.tenancy = Tenancy(tenure=Tenure(beat=int(now_s * 1e6)), lost_s=now_s)
+        place.tenancy = Tenancy(tenure=begun(self._talk.boot, now_s), lost_s=now_s)
         self._learn_rule(place)
         self._host.kernel.permits.revoke(_right(place))
         self._held.append(place)
@@ -178,12 +185,10 @@ class Leases:
     def _renew(self, place: Place) -> None:
         """Asks all guardians of a task for a lease."""
         tenancy, record = place.tenancy, place.standing.record
-        if tenancy is None:
+        if tenancy is None or not may_ask(tenancy.tenure, record):
             return
         if tenancy.tenure.epoch != record.epoch:
-            tenancy.behind, tenancy.as_of_s = False, {}
-        elif tenancy.behind:
-            return
+            tenancy.as_of_s = {}
         self._learn_rule(place)
         if place.permit and not self.permits(place):
             self._lost(place, tenancy)
@@ -201,18 +206,7 @@ class Leases:
             self._talk.say(guardian, replace(keep, age_s=age_s))
         if tenancy.renewal is not None:
             tenancy.renewal.cancel()
-        tenancy.renewal = self._host.after_host(self._asks_again_in_s(place, tenancy), partial(self._renew, place))
-
-    def _asks_again_in_s(self, place: Place, tenancy: Tenancy) -> float:
-        """Returns after how long an owner asks for leases again, in host seconds.
-
-        One that gets no permit, and that a guardian has passed by for a later owner, lets the leases end that it still
-        has: else these keep the guardians from looking for an owner, where the later one is gone too.
-        """
-        without_s = self._host.kernel.host.now() - tenancy.lost_s
-        if tenancy.tenure.passed and not self.permits(place) and without_s > tenancy.lease_s:
-            return RESTS * tenancy.lease_s
-        return tenancy.lease_s / RENEWED
+        tenancy.renewal = self._host.after_host(tenancy.lease_s / RENEWED, partial(self._renew, place))
 
     def _note(self, place: Place, tenancy: Tenancy) -> None:
         """Notes what is known of its guardians, for others on this agent."""
@@ -256,21 +250,19 @@ class Leases:
         if tenancy is None:
             return
         tenancy.heard_s[answer.guardian] = self._host.kernel.host.now()
-        tenancy.tenure = tenure = answered(tenancy.tenure, record, answer)
+        before, tenancy.tenure = tenancy.tenure, answered(tenancy.tenure, record, answer)
         self._note(place, tenancy)
-        if isinstance(answer, DenyLease):
-            later = tenure.outvoted_by(record.guards)
-            if later != NO_EPOCH and place.taking is None and not self.permits(place):
-                peer = later.minter if later.minter != self._host.agent else ""
-                self._outvoted(place, OtherOwner(peer, later))
-        elif tenure.is_behind(record.no):
-            self._tell_behind(place, tenancy)
-        else:
+        if tenancy.tenure.behind:
+            if not before.behind:
+                self._tell_behind(place)
+        elif isinstance(answer, LeaseKept):
             self._permit(place, tenancy)
             self._acknowledge(place, tenancy)
-            both = record.guards.sets[1:]
-            if both and tenure.have(record.guards, record.no):
-                self._host.feed_place(place, GuardsChosen(both))
+        follows = conclusion(tenancy.tenure, record, self.permits(place), place.taking is not None)
+        if isinstance(follows, ClaimHeard):
+            self._outvoted(place, OtherOwner(follows.peer, follows.epoch))
+        elif follows is not None:
+            self._host.feed_place(place, follows)
 
     def _permit(self, place: Place, tenancy: Tenancy) -> None:
         permits = self._host.kernel.permits
@@ -340,28 +332,25 @@ class Leases:
         if slot is not None and slot.task is not None:
             self._host.hold_actuators(slot, "its guardians do not answer")
 
-    def _tell_behind(self, place: Place, tenancy: Tenancy) -> None:
-        if not tenancy.behind:
-            tenancy.behind = True  # it asks for no lease any more, so the guardians look for an owner
-            self._host.log(
-                "error",
-                f"the disk of {self._host.agent} is an old copy: the guardians of {place.task_id} have a later"
-                " checkpoint, and have an agent go on from that",
-            )
-            self._host.event("disk_is_old", task=place.task_id.name)
+    def _tell_behind(self, place: Place) -> None:
+        self._host.log(
+            "error",
+            f"the disk of {self._host.agent} is an old copy: the guardians of {place.task_id} have a later"
+            " checkpoint, and have an agent go on from that",
+        )
+        self._host.event("disk_is_old", task=place.task_id.name)
 
     def owe(self, place: Place, packet: PacketId) -> None:
         """Acknowledges a packet once the checkpoint with its effect is at a quorum, so that a take-over keeps it."""
         assert place.tenancy is not None
-        place.tenancy.owed.append((place.standing.record.no, packet))
+        record = place.standing.record
+        place.tenancy.owed.append((CheckpointId(record.epoch, record.no), packet))
         self._acknowledge(place, place.tenancy)
 
     def _acknowledge(self, place: Place, tenancy: Tenancy) -> None:
-        no = tenancy.tenure.replicated_no(place.standing.record.guards)
-        if tenancy.tenure.epoch != place.standing.record.epoch:
-            return
-        while tenancy.owed and tenancy.owed[0][0] <= no:
-            self._on_disk(place, tenancy.owed.pop(0)[1])
+        kept, tenancy.owed = kept_packets(tenancy.tenure, place.standing.record, tenancy.owed)
+        for packet in kept:
+            self._on_disk(place, packet)
 
     # Choosing guardians ----------------------------------------------------------------------------------------
 

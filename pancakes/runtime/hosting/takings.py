@@ -5,23 +5,13 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
-from msgspec.structs import replace
-
 from pancakes.errors import MigrationError
-from pancakes.mesh.guarding.guard_messages import (
-    NO_CHECKPOINT,
-    CheckpointBody,
-    CheckpointId,
-    DenyLease,
-    GuardAnswer,
-    Pledge,
-)
+from pancakes.mesh.guarding import seizing as rules
+from pancakes.mesh.guarding.guard_messages import DenyLease, GuardAnswer, Pledge
+from pancakes.mesh.guarding.seizing import Seizing
 from pancakes.mesh.guarding.taking_over import TakeTask
-from pancakes.mesh.guarding.tenure import Seizing, told
 from pancakes.mesh.migration.effect import Seize
-from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.guards import GuardianId
-from pancakes.mesh.migration.record import Phase
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.hosting_service import HostingService
@@ -60,34 +50,18 @@ class Takings:
         except MigrationError as error:
             self._host.log("error", f"{place.task_id} cannot be taken: {error}")
             return
-        seizing = Seizing(
-            place.task_id,
-            type,
-            Epoch(record.seen.n + 1, self._host.agent),
-            commit.guards,
-            CheckpointId(commit.yields, commit.no),
-            CheckpointBody(record.snapshot),
-            commit.yields,
-            effect.source,
-            commit.offer,
-        )
-        self._begin(place, seizing, None)
+        self._begin(place, rules.given_away(self._host.agent, record, type, effect.source, commit), None)
 
     def called(self, place: Place, call: TakeTask) -> None:
         """A guardian says that the owner of a task is silent, and that this agent is to take it."""
-        record, volatile = place.standing.record, place.standing.volatile
-        if place.taking is not None or record.phase is Phase.FROZEN or volatile.running:
+        if place.taking is not None or self._called >= MOST_CALLED:
             return
-        if self._called >= MOST_CALLED:
+        seizing = rules.called(self._host.agent, place.standing.record, place.standing.volatile, call)
+        if seizing is None:
             return
         self._host.places.keep(place)
         self._called += 1
-        epoch = Epoch(max(record.seen.n, call.promised.n) + 1, self._host.agent)
-        ours = record.phase in (Phase.OWNER, Phase.COMMITTED) and record.guarded
-        checkpoint = CheckpointId(record.epoch, record.no) if ours else NO_CHECKPOINT
-        body = CheckpointBody(record.snapshot, record.wanted) if ours else None
-        self._host.event("task_called", task=place.task_id.name, epoch=epoch.n, silent_s=call.silent_s)
-        seizing = Seizing(place.task_id, call.type, epoch, call.guards, checkpoint, body)
+        self._host.event("task_called", task=place.task_id.name, epoch=seizing.epoch.n, silent_s=call.silent_s)
         self._begin(place, seizing, self._host.kernel.host.now() + GIVEN_UP_S)
 
     def _begin(self, place: Place, seizing: Seizing, until_s: float | None) -> None:
@@ -108,16 +82,11 @@ class Takings:
     def _again(self, place: Place, taking: Taking) -> None:
         if place.taking is not taking:
             return
-        seizing, record = taking.seizing, place.standing.record
         late = taking.until_s is not None and self._host.kernel.host.now() >= taking.until_s
-        gone = record.seen >= seizing.epoch or (seizing.source and record.phase is not Phase.PREPARED)
-        if late or gone:
+        if late or rules.is_vain(taking.seizing, place.standing.record):
             self._end(place, taking)
             return
-        if seizing.source and seizing.promised() > seizing.epoch:
-            # Another agent has asked for the task: only a higher epoch can have it now.
-            higher = Epoch(seizing.promised().n + 1, self._host.agent)
-            taking.seizing = replace(seizing, epoch=higher, pledged=(), denied=())
+        taking.seizing = rules.asked_anew(taking.seizing, self._host.agent)
         self._ask(place, taking.seizing.unasked())
         self._later(place, taking)
 
@@ -142,7 +111,7 @@ class Takings:
                 self._host.log("warning", f"the pledge of {answer.guardian.agent} does not count: {error}")
                 return
         known = taking.seizing.guards.members()
-        taking.seizing = seizing = told(taking.seizing, answer)
+        taking.seizing = seizing = rules.told(taking.seizing, answer)
         if isinstance(answer, DenyLease):
             self._host.log("debug", f"{answer.guardian.agent} does not pledge {place.task_id}: {answer.reason}")
             return

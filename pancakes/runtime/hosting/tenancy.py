@@ -5,9 +5,9 @@ from __future__ import annotations
 import msgspec
 
 from pancakes.mesh.guarding.choosing import CanGuard
-from pancakes.mesh.guarding.tenure import Seizing, Tenure
+from pancakes.mesh.guarding.seizing import Seizing
+from pancakes.mesh.guarding.tenure import Owed, Tenure
 from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.event import PacketId
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.runtime.kernel.permits import PermitEnd
@@ -27,10 +27,9 @@ class Tenancy(msgspec.Struct):
         bodies: which checkpoint each guardian was sent last, and with which beat.
         heard_s: when each guardian has said something last, in host time.
         as_of_s: when the task was known last to be as each of the newest checkpoints says, in host time, by number.
-        owed: packets that are acknowledged once a checkpoint of this number is at a quorum.
+        owed: packets that are acknowledged once the checkpoint with their effect is at a quorum.
         answers: what neighbours have said that were asked whether they would guard it.
         asked_s: when they were asked last, in host time.
-        behind: whether this agent's disk is an old copy: the guardians have a later checkpoint.
         unsafe: the actuators that people were told of as keeping their last command.
         thin: whether people were told that it has fewer guardians than it should.
         renewal: asks for leases again.
@@ -47,10 +46,9 @@ class Tenancy(msgspec.Struct):
     bodies: dict[GuardianId, tuple[int, int]] = {}
     heard_s: dict[GuardianId, float] = {}
     as_of_s: dict[int, float] = {}
-    owed: list[tuple[int, PacketId]] = []
+    owed: list[Owed] = []
     answers: dict[str, CanGuard] = {}
     asked_s: float = -1e9
-    behind: bool = False
     unsafe: frozenset[str] = frozenset()
     thin: bool = False
     renewal: OneShot | None = None
