@@ -133,14 +133,18 @@ class GuardedFleet:
     def _case(self) -> TakeoverTally | None:
         """Makes one fault, or two; returns what happened; None: there are no more faults."""
         draw, tally = self._random, TakeoverTally()
-        whole = self._away is None and self._is_whole()
-        kind = self._deck.deal(() if whole else FOR_GOOD)
+        kind = self._deal()
+        if not kind and self._deck.left:  # no others are wanted
+            if self._away is not None:
+                self._come_back()
+            self._waits.until(self._comes_whole, GOES_ON_WITHIN_S)
+            kind = self._deal()
         if not kind:
             return None
         alone = self._away is None
         during = "" if self._calm else draw.choice(["", "hand-off", "take-over", "take-over"])
         second = self._deck.deal(DISKS) if during == "take-over" else ""
-        if second and (kind not in LOSSES or second == "full disk"):
+        if second and (kind not in LOSSES or (second == "full disk" and kind not in DISKS)):
             kind, second = second, kind
         owner = self._last
         if second and kind == "full disk":
@@ -175,6 +179,11 @@ class GuardedFleet:
         if not second and not during and alone and hit == owner:
             self._measure(kind, hit, struck_ns, commands, tally)
         return tally
+
+    def _deal(self) -> str:
+        """Returns the kind that comes next; empty: none that may come now."""
+        whole = self._away is None and self._is_whole()
+        return self._deck.deal(() if whole else FOR_GOOD)
 
     def _strike(self, kind: str, hit: str) -> Stroke:
         return self._strokes.strike(kind, hit, [name for name in NAMES if name != hit])
@@ -275,11 +284,11 @@ class GuardedFleet:
     def _is_whole(self) -> bool:
         """Returns whether the task has three guardians, all of which have a lease on it; so one may lose its disk."""
         rows = self._guarding()
-        guardians: list[str] = next(
-            (row["guardians"] for row in rows if "guardians" in row and row["agent"] == row["owner"]), []
-        )
-        held = {row["agent"] for row in rows if row["lease"] and row["age_s"] < 4 * LEASE_S}
-        return len(guardians) == 3 and set(guardians) <= held
+        owner = next((row for row in rows if "guardians" in row and row["lease"] and row["permit_s"]), None)
+        if owner is None:
+            return False
+        held = {row["agent"] for row in rows if row["lease"] and row["epoch"] == owner["epoch"]}
+        return len(owner["guardians"]) == 3 and set(owner["guardians"]) <= held
 
     def _move(self, owner: str) -> None:
         with Client(Where(tuple(self._fleet.addresses[name] for name in NAMES), "torture"), 0.2) as client:
