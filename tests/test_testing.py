@@ -3,6 +3,7 @@
 import math
 import threading
 from dataclasses import dataclass
+from functools import partial
 
 import pytest
 
@@ -173,13 +174,17 @@ def test_an_agent_may_have_a_clock_that_is_too_fast_or_too_slow_now_and_after_a_
         fleet.connect()
         for _ in range(2):
             before_s, began_s = len(agent.probe.packets(Load)), fleet.now()
-            rang = []
-            agent.kernel.timer.after_host(10.0, lambda rang=rang: rang.append(fleet.now()))
+            rang: list[float] = []
+            agent.kernel.timer.after_host(10.0, partial(note_time, fleet, rang))
             fleet.run_for(100.0)
             assert rang == [pytest.approx(began_s + 10.0 / rate)]
             assert len(agent.probe.packets(Load)) - before_s == pytest.approx(200 * rate, abs=1)
             fleet.crash("a")
             agent = fleet.restart("a")
+
+
+def note_time(fleet, rang):
+    rang.append(fleet.now())
 
 
 def test_a_clock_of_its_own_says_when_it_will_have_reached_a_time_never_too_early():

@@ -1,11 +1,13 @@
-"""Fifty faults of real agents that guard a task: kills, ends, and stops shorter and longer than the lease."""
+"""Fifty faults of real agents that guard a task, of all kinds: kills, goodbyes, stops, cuts, lost and full disks."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from torture.guarded_faults import GuardedTally, run_guarded_fleets
+from torture.guarded_faults import Takeovers
+from torture.strokes import KINDS
+from torture.takeover_tally import TakeoverTally
 
 UNGATED = """
 from pancakes.runtime.kernel.permits import Permits
@@ -14,21 +16,22 @@ Permits.holds = lambda permits, address: True
 """
 
 
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(900)
 def test_no_fault_has_two_act_or_none(tmp_path: Path) -> None:
-    tally = run_guarded_fleets(tmp_path, faults=13, fleets=4)
-    print(tally.told())
-    assert (tally.standstills, tally.doubled) == ([], 0)
-    # A process that is stopped between its look at the clock and the act does that one act late.
-    assert tally.late <= tally.faults["long stop"] + tally.faults["short stop"]
-    assert sum(tally.faults.values()) >= 50 and len(tally.gaps_s) >= 10
+    tally = Takeovers(tmp_path).run(faults=50, fleets=4)
+    print("\n".join(tally.told()))
+    assert tally.failures(KINDS) == []
+    assert tally.faults.total() == 50 and tally.meanwhile >= 15
 
 
-@pytest.mark.timeout(200)
+@pytest.mark.timeout(400)
 def test_agents_that_look_at_no_permit_are_convicted(tmp_path: Path) -> None:
-    tally = GuardedTally()
+    tally = TakeoverTally()
     for seed in range(1, 4):
-        tally.add(run_guarded_fleets(tmp_path / str(seed), faults=4, fleets=3, seed=10 * seed, spoilt_by=UNGATED))
+        directory = tmp_path / str(seed)
+        directory.mkdir()
+        kinds = ("cut", "long stop")
+        tally.add(Takeovers(directory, seed, UNGATED, calm=True, kinds=kinds).run(faults=6, fleets=2))
         if tally.doubled:
             break
-    assert tally.doubled, tally.told()
+    assert tally.doubled and tally.failures(()), tally.told()

@@ -22,6 +22,7 @@ from torture.missions import FIGURES, figures_of, fly_all
 from torture.schedules import run_schedule, run_schedules
 from torture.standstill_command import standstill
 from torture.storm_command import storms
+from torture.takeover_command import takeovers
 
 from pancakes.runtime.plugins import Plugins, UnknownPlugin
 
@@ -169,7 +170,7 @@ COUNTED = (
 """What is counted in fault schedules: how it is called, and its key in `Outcome.counts`."""
 
 
-for live in (kills, cuts, gap, gate, load, standstill, storms):
+for live in (kills, cuts, gap, gate, load, standstill, storms, takeovers):
     torture.add_command(live)
 
 

@@ -1,183 +1,381 @@
-"""Real agents that guard a task, of which one after the other is killed, stopped or ended, also while the task moves.
+"""Real agents that guard a task, struck by all kinds of faults, half of the time while it moves or is taken over.
 
-The oracle is outside of the agents: a file in which whoever runs the task counts. Of two lines the later one is under
-the epoch that is not lower, but for one line of a process that was stopped between its look at the clock and the act.
+The oracle is outside of the agents. The task counts in a file, its actuators write down each command, both with the
+epoch; of two lines the later one is under the epoch that is not lower. An agent that is never struck sends it counted
+packets, and none of those that it acknowledged may have its effect twice or never.
 """
 
 from __future__ import annotations
 
+import json
+import math
 import random
-import signal
-import statistics
+import tempfile
+import threading
 import time
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Final
 
+from torture.deck import Deck
 from torture.live import LiveFleet
+from torture.proxy import Proxy
+from torture.strokes import DISKS, FOR_GOOD, KILLS, KINDS, LOSSES, Stroke, Strokes
+from torture.takeover_tally import Heard, TakeoverTally, Trace, Traces
+from torture.waits import Waits
 
 from pancakes.client import Client, Where
-from pancakes.control import Migrate
+from pancakes.control import Guarding, Migrate
 from pancakes.errors import PancakesError
 
-NAMES = ("a", "b", "c", "d")
-LEASE_S = 2.0
-KINDS = ("kill", "end", "short stop", "long stop")
-STOPPED_S = {"short stop": 0.5, "long stop": 2.5 * LEASE_S}
-GOES_ON_WITHIN_S = 20.0
+NAMES: Final = ("a", "b", "c", "d")
+TELLER: Final = "teller"
+"""The agent that is never struck, and sends packets to the task."""
+LEASE_S: Final = 2.0
+GOES_ON_WITHIN_S: Final = 90.0
+"""So long after all is well the task may stand still: on a machine with much to do processes start slowly."""
+STARTS_WITHIN_S: Final = 300.0
+"""The same for the first start of all agents of all fleets at once."""
+MOST_STANDSTILLS: Final = 3
+"""After so many no more faults are made: it does not work."""
+REPLACED: Final = "import pancakes.runtime.hosting.leases as leases\nleases.REPLACED_S = 12.0\n"
+"""A guardian whose disk was lost is replaced this soon, not after a minute: so more of them are lost and replaced."""
 
 
-@dataclass
-class GuardedTally:
-    """What happened.
-
-    Attributes:
-        faults: how many of each kind.
-        late: acts under an epoch that had ended.
-        doubled: how often two such acts, or more, followed each other.
-        gaps_s: from each loss of the owner to the first act of another, in seconds.
-        standstills: faults after which no agent acted for too long.
-        acts: all acts.
-    """
-
-    faults: Counter[str] = field(default_factory=Counter)
-    late: int = 0
-    doubled: int = 0
-    gaps_s: list[float] = field(default_factory=list)
-    standstills: list[str] = field(default_factory=list)
-    acts: int = 0
-
-    def add(self, other: GuardedTally) -> None:
-        """Adds what happened to another fleet."""
-        self.faults += other.faults
-        self.late += other.late
-        self.doubled += other.doubled
-        self.gaps_s += other.gaps_s
-        self.standstills += other.standstills
-        self.acts += other.acts
-
-    def judge(self, epochs: Sequence[int]) -> None:
-        """Counts the acts that came late."""
-        self.acts = len(epochs)
-        highest, before = -1, False
-        for epoch in epochs:
-            late = epoch < highest
-            self.late += late
-            self.doubled += late and before
-            highest, before = max(highest, epoch), late
-
-    def told(self) -> str:
-        """Returns it as a line."""
-        gaps = sorted(self.gaps_s)
-        middle = f"p50 {statistics.median(gaps):.2f} s, max {gaps[-1]:.2f} s" if gaps else "none"
-        kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(self.faults.items()))
-        return f"{kinds}; {self.acts} acts, {self.late} late; gaps: {middle}; {len(self.standstills)} standstills"
+class Standstill(Exception):
+    """No agent acts."""
 
 
-class GuardedFaults:
-    """One fleet of four agents with one task, guarded by three.
+class GuardedFleet:
+    """One fleet of four agents with one task, guarded by three, and one that sends it packets.
 
     Args:
         directory: all files.
         seed: draws the faults; the machine draws the rest.
+        deck: deals out the kinds.
+        waits: all of its own.
         spoilt_by: Python that breaks the agents, see `LiveFleet`.
+        calm: whether each fault comes alone, and none while the task moves.
     """
 
-    def __init__(self, directory: Path, seed: int, spoilt_by: str = "") -> None:
+    def __init__(
+        self, directory: Path, seed: int, deck: Deck, waits: Waits, spoilt_by: str = "", calm: bool = False
+    ) -> None:
         self._random = random.Random(f"guarded/{seed}")
-        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._count = directory / "One.count"
-        task = f'[task.One]\ntype = "torture.Holder"\nguard = 3\nlease_s = {LEASE_S}\ncheckpoint_s = 0.5\n'
-        task += f'settings = {{directory = "{directory}"}}\n'
-        listen = {name: f"local://{directory}/{name}" for name in NAMES}
-        log = '[service.log]\nsettings = {level = "warning"}\n'
-        rest = dict.fromkeys(NAMES, log)
-        self._fleet = LiveFleet(directory, NAMES, {**rest, "a": task + log}, listen, spoilt_by=spoilt_by)
-        self.tally = GuardedTally()
+        self._deck, self._waits, self._calm = deck, waits, calm
+        directory.mkdir(mode=0o700, parents=True)
+        self._counts = Traces(directory / "One.count")
+        self._commands = Traces(directory / "commands")
+        self._heard = Heard(directory / "One.heard")
+        self._told = directory / "One.told"
+        common = '[service.log]\nsettings = {level = "warning"}\n'
+        self._rest = (
+            f'{common}[device.motors]\ndriver = "torture.tracer"\nsettings = {{file = "{directory}/commands"}}\n'
+        )
+        task = f'[task.One]\ntype = "torture.Sentry"\nguard = 3\nlease_s = {LEASE_S}\ncheckpoint_s = 0.5\n'
+        task += f'durability = "each"\nsettings = {{directory = "{directory}"}}\n'
+        tells = f'[task.Teller]\ntype = "torture.Teller"\nsettings = {{directory = "{directory}", to = ["a/One"]}}\n'
+        rest = {**dict.fromkeys(NAMES, self._rest), "a": self._rest + task, TELLER: common + tells}
+        names = (*NAMES, TELLER)
+        listen = {name: f"local://{directory}/{name}" for name in names}
+        self._proxies: dict[tuple[str, str], Proxy] = {}
+        peers: dict[str, list[str]] = {name: [] for name in names}
+        for number, dialled in enumerate(names):
+            for dialler in names[:number]:
+                proxy = self._proxies[dialler, dialled] = Proxy(listen[dialled])
+                peers[dialler].append(proxy.address)
+        self._fleet = LiveFleet(
+            directory, names, rest, listen, peers, roles={TELLER: "environment"}, spoilt_by=REPLACED + spoilt_by
+        )
+        self._started_s: dict[str, float] = {}
+        self._strokes = Strokes(self._fleet, self._proxies, LEASE_S, self._random, self._note_start)
+        self._away: Stroke | None = None
+        self._last = "a"
+        self._acts = 0
+        self._unread: list[Trace] = []  # commands that were judged, and are still to be looked at in their case
 
-    def run(self, faults: int) -> GuardedTally:
-        """Runs the fleet through so many faults, half of them while the task is asked to move."""
-        fleet = self._fleet
+    def run(self, done: Callable[[TakeoverTally], None]) -> None:
+        """Strikes the fleet until no more faults are dealt out, or the task stands still.
+
+        Args:
+            done: is told what happened in each case: one fault, or two, the second while the first is dealt with.
+
+        Raises:
+            InterruptedError: its waits were broken off.
+        """
         try:
-            for name in NAMES:
-                fleet.start(name)
-            self._goes_on("the start", since=0)
-            time.sleep(2.0)  # its guardians are chosen
-            for _ in range(faults):
-                self._fault(self._random.choice(KINDS))
-                if self.tally.standstills:
-                    break
+            tally = TakeoverTally()
+            for name in self._fleet.names:
+                self._fleet.start(name)
+            try:
+                self._wait_for_acts("the start", tally, STARTS_WITHIN_S)
+                # Once its own disk is lost, this agent would give birth to the task again.
+                self._fleet.configure("a", self._rest)
+                self._waits.until(self._comes_whole, GOES_ON_WITHIN_S)
+                done(tally)
+                while (case := self._case()) is not None:
+                    done(case)
+                tally = TakeoverTally()
+                self._end(tally)
+            except Standstill as standstill:
+                tally = standstill.args[1]
+                tally.standstills.append(standstill.args[0])
+            done(tally)
         finally:
-            fleet.close()
-        self.tally.judge([int(line.split()[1]) for line in self._lines()])
-        return self.tally
+            self._strokes.close()
+            self._fleet.close()
+            for proxy in self._proxies.values():
+                proxy.close()
 
-    def _fault(self, kind: str) -> None:
-        fleet, owner = self._fleet, self._last()[2]
-        hit = owner if self._random.random() < 0.8 else self._random.choice(NAMES)
-        self.tally.faults[kind] += 1
-        if self._random.random() < 0.5:
+    # Cases -----------------------------------------------------------------------------------------------------
+
+    def _case(self) -> TakeoverTally | None:
+        """Makes one fault, or two; returns what happened; None: there are no more faults."""
+        draw, tally = self._random, TakeoverTally()
+        kind = self._deal()
+        if not kind and self._deck.left:  # no others are wanted
+            if self._away is not None:
+                self._come_back()
+            self._waits.until(self._comes_whole, GOES_ON_WITHIN_S)
+            kind = self._deal()
+        if not kind:
+            return None
+        alone = self._away is None
+        during = "" if self._calm else draw.choice(["", "hand-off", "take-over", "take-over"])
+        second = self._deck.deal(DISKS) if during == "take-over" else ""
+        if second and (kind not in LOSSES or (second == "full disk" and kind not in DISKS)):
+            kind, second = second, kind
+        owner = self._last
+        if second and kind == "full disk":
+            hit = draw.choice([name for name in self._up() if name != owner])
+        elif second:
+            hit = owner
+        else:
+            hit = self._target(kind, owner)
+        tally.faults[kind] += 1
+        if kind == "kill, restored disk":
+            self._strokes.back_up(hit)
+            self._waits.let(draw.uniform(0.5, 2.0))
+        if during == "hand-off" or (second and kind not in (*LOSSES, "full disk")):
+            during = "hand-off"
             self._move(owner)
-            time.sleep(self._random.uniform(0.0, 0.05))
-        since, at_s = self._count.stat().st_size, time.monotonic()
-        process = fleet.running[hit].process
-        if kind == "kill":
-            fleet.kill(hit)
-        elif kind == "end":
-            process.terminate()
-            process.wait(20.0)
-            fleet.kill(hit)
-        else:
-            process.send_signal(signal.SIGSTOP)
-        stopped_s = STOPPED_S.get(kind, 0.0)
-        if kind != "short stop":
-            self._goes_on(f"{kind} of {hit}, where {owner} had the task", since, at_s if hit == owner else None, hit)
-        time.sleep(max(0.0, stopped_s - (time.monotonic() - at_s)))
-        if kind in STOPPED_S:
-            process.send_signal(signal.SIGCONT)
-        else:
-            fleet.start(hit)
-        time.sleep(self._random.uniform(1.0, 2.0))
-        self._goes_on(f"the end of {kind} of {hit}", self._count.stat().st_size)
+            self._waits.let(draw.uniform(0.0, 0.05))
+        struck_ns = time.monotonic_ns()
+        strokes = [(time.monotonic(), self._strike(kind, hit))]
+        if second:
+            self._waits.let(draw.uniform(0.02, 1.2 * LEASE_S))
+            # Where the first one filled a disk, the second one has the task taken over.
+            target = owner if kind == "full disk" else self._target(second, self._last_now(tally), hit)
+            tally.faults[second] += 1
+            strokes.append((time.monotonic(), self._strike(second, target)))
+        tally.meanwhile += len(strokes) if during == "hand-off" or kind == "full disk" else len(strokes) - 1
+        if self._away is not None and draw.random() < 0.5:
+            self._come_back()
+        self._heal(strokes)
+        self._wait_for_acts(f"{kind} of {hit}, {second or 'nothing else'}, where {owner} had it", tally)
+        self._waits.let(draw.uniform(0.5, 1.5))
+        commands = self._read(tally)
+        if not second and not during and alone and hit == owner:
+            self._measure(kind, hit, struck_ns, commands, tally)
+        return tally
+
+    def _deal(self) -> str:
+        """Returns the kind that comes next; empty: none that may come now."""
+        whole = self._away is None and self._is_whole()
+        return self._deck.deal(() if whole else FOR_GOOD)
+
+    def _strike(self, kind: str, hit: str) -> Stroke:
+        return self._strokes.strike(kind, hit, [name for name in NAMES if name != hit])
+
+    def _target(self, kind: str, owner: str, spared: str = "") -> str:
+        """Draws which agent is struck: mostly the one that has the task, but for a full disk another one."""
+        up = [name for name in self._up() if name != spared]
+        others = [name for name in up if name != owner]
+        if kind == "full disk" or owner not in up or (not self._calm and self._random.random() < 0.3):
+            return self._random.choice(others)
+        return owner
+
+    def _up(self) -> list[str]:
+        return [name for name in NAMES if name in self._fleet.running]
+
+    def _heal(self, strokes: Sequence[tuple[float, Stroke]]) -> None:
+        for began_s, stroke in sorted(strokes, key=lambda one: one[0] + one[1].for_s):
+            if stroke.for_s == math.inf:
+                if self._away is not None:
+                    self._come_back()
+                self._away = stroke
+                continue
+            self._waits.let(max(0.0, began_s + stroke.for_s - time.monotonic()))
+            stroke.heal()
+        if len(strokes) == 2 and self._away is not None:
+            self._come_back()  # with another one that lacks its disk, or that starts, it may be one too many
+
+    def _come_back(self) -> None:
+        assert self._away is not None
+        away, self._away = self._away, None
+        away.heal()
+
+    def _measure(self, kind: str, hit: str, struck_ns: int, commands: Sequence[Trace], tally: TakeoverTally) -> None:
+        """Notes when the first command came after the loss of the owner."""
+        after = [trace for trace in commands if trace.at_ns > struck_ns]
+        other = next((trace for trace in after if trace.epoch[1] != hit), None)
+        if kind in KILLS and after and after[0].epoch[1] == hit:
+            tally.returned_s.append(after[0].at_ns / 1e9 - self._started_s[hit])
+        elif other is not None and kind in LOSSES:
+            gaps_s = tally.killed_s if kind in KILLS else tally.ended_s if kind == "goodbye" else tally.stood_s
+            gaps_s.append((other.at_ns - struck_ns) / 1e9)
+
+    # Looking ---------------------------------------------------------------------------------------------------
+
+    def _read(self, tally: TakeoverTally) -> list[Trace]:
+        commands = [*self._unread, *self._commands.read(tally)]
+        self._unread = []
+        acts = self._counts.read(tally)
+        self._acts += len(acts)
+        if acts:
+            self._last = acts[-1].epoch[1]
+        self._heard.read(tally)
+        return commands
+
+    def _last_now(self, tally: TakeoverTally) -> str:
+        """Returns the agent that has acted last."""
+        self._unread = self._read(tally)
+        return self._last
+
+    def _wait_for_acts(self, after: str, tally: TakeoverTally, within_s: float = GOES_ON_WITHIN_S) -> None:
+        """Waits until the task acts.
+
+        Raises:
+            Standstill: it does not.
+        """
+        self._unread = self._read(tally)
+        since = self._acts
+
+        def acts(for_s: float) -> bool:
+            time.sleep(for_s)
+            self._unread = self._read(tally)
+            return self._acts > since
+
+        if not self._waits.until(acts, within_s):
+            raise Standstill(f"no agent acts after {after}; {self._said()}", tally)
+
+    def _said(self) -> str:
+        """Returns what guardians know of the task, and the last that the agents have said."""
+        known = [f"{row}" for row in self._guarding()]
+        said = [f"{name}: {line}" for name, one in self._fleet.running.items() for line in one.so_far()[-6:]]
+        return "\n".join([*known, *said])
+
+    def _guarding(self) -> list[dict[str, Any]]:
+        """Returns what the agents that run tell of the task that they guard."""
+        rows: list[dict[str, Any]] = []
+        with Client(Where(tuple(self._fleet.addresses.values()), "torture"), 2.0) as client:
+            for name in (*self._up(), TELLER):
+                try:
+                    rows += client.request(name, Guarding()).result
+                except PancakesError:
+                    continue
+        return rows
+
+    def _comes_whole(self, within_s: float) -> bool:
+        time.sleep(within_s)
+        return self._is_whole()
+
+    def _is_whole(self) -> bool:
+        """Returns whether the task has three guardians, all of which have a lease on it; so one may lose its disk."""
+        rows = self._guarding()
+        owner = next((row for row in rows if "guardians" in row and row["lease"] and row["permit_s"]), None)
+        if owner is None:
+            return False
+        held = {row["agent"] for row in rows if row["lease"] and row["epoch"] == owner["epoch"]}
+        return len(owner["guardians"]) == 3 and set(owner["guardians"]) <= held
 
     def _move(self, owner: str) -> None:
-        with Client(Where(tuple(self._fleet.addresses.values()), "torture"), 0.2) as client:
+        with Client(Where(tuple(self._fleet.addresses[name] for name in NAMES), "torture"), 0.2) as client:
             try:
                 client.request(owner, Migrate("client/One"))
-            except PancakesError:  # the answer comes later than it is waited for
+            except PancakesError:  # the answer comes later than it is waited for, or it has just moved
                 pass
 
-    def _goes_on(self, after: str, since: int, lost_s: float | None = None, lost: str = "") -> None:
-        """Waits until the task acts again; on another agent than the one that is lost."""
-        deadline_s = time.monotonic() + GOES_ON_WITHIN_S
-        while time.monotonic() < deadline_s:
-            acts = [line.split()[2] for line in self._lines(since)]
-            if any(agent != lost for agent in acts):
-                if lost_s is not None:
-                    self.tally.gaps_s.append(time.monotonic() - lost_s)
-                return
-            time.sleep(0.01)
-        self.tally.standstills.append(after)
+    def _note_start(self, name: str) -> None:
+        self._started_s[name] = time.monotonic()
 
-    def _last(self) -> list[str]:
-        return self._lines(max(0, self._count.stat().st_size - 200))[-1].split()
+    def _end(self, tally: TakeoverTally) -> None:
+        """Waits until the task has heard all that was told it."""
+        if self._away is not None:
+            self._come_back()
+        told = int(self._told.read_text() or 0)
 
-    def _lines(self, since: int = 0) -> list[str]:
-        if not self._count.exists():
-            return []
-        with self._count.open("rb") as file:
-            file.seek(since)
-            lines = file.read().decode().splitlines(keepends=True)
-        return [line for line in lines if line.endswith("\n") and len(line.split()) == 4]
+        def heard(within_s: float) -> bool:
+            time.sleep(within_s)
+            self._read(tally)
+            return self._heard.newest >= told
+
+        if not self._waits.until(heard, GOES_ON_WITHIN_S):
+            tally.wrong.append(f"packet {told} was not heard in {GOES_ON_WITHIN_S:g} s, only {self._heard.newest}")
 
 
-def run_guarded_fleets(directory: Path, faults: int, fleets: int, seed: int = 1, spoilt_by: str = "") -> GuardedTally:
-    """Runs several fleets at once, each through so many faults; returns what happened to all of them."""
-    made = [GuardedFaults(directory / str(number), seed + number, spoilt_by) for number in range(fleets)]
-    total = GuardedTally()
-    with ThreadPoolExecutor(fleets) as pool:
-        for tally in pool.map(lambda one: one.run(faults), made):
-            total.add(tally)
-    return total
+class Takeovers:
+    """Runs several fleets at once, and keeps what was done, so that a run that was ended can go on.
+
+    Args:
+        directory: what was done is kept in its file `done`; one that has it goes on.
+        seed: draws the faults.
+        spoilt_by: Python that breaks the agents, see `LiveFleet`.
+        calm: whether each fault comes alone.
+        kinds: which faults.
+        told: is told of all that was done, after each case.
+
+    Attributes:
+        tally: all that was done.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        seed: int = 1,
+        spoilt_by: str = "",
+        calm: bool = False,
+        kinds: Sequence[str] = KINDS,
+        told: Callable[[TakeoverTally], None] = lambda tally: None,
+    ) -> None:
+        self._file = directory / "done"
+        self._seed, self._spoilt_by, self._calm, self._kinds, self._told = seed, spoilt_by, calm, kinds, told
+        self._lock = threading.Lock()
+        self._waits = Waits()
+        self.tally = TakeoverTally()
+        self._cases = 0
+        for line in self._file.read_text().splitlines() if self._file.exists() else []:
+            self.tally.add(TakeoverTally.of(json.loads(line)))
+            self._cases += 1
+
+    def run(self, faults: int, fleets: int) -> TakeoverTally:
+        """Makes so many faults in all, those counted that were made before; returns all that was done.
+
+        Raises:
+            PancakesError: a fleet could not be set up.
+        """
+        # Not the same once more, where it goes on.
+        draw = random.Random(f"takeovers/{self._seed}/{self._cases}")
+        deck = Deck(self._kinds, faults - self.tally.faults.total(), draw)
+        with ThreadPoolExecutor(fleets) as pool:
+            try:
+                list(pool.map(lambda seed: self._strike(seed, deck), [draw.getrandbits(32) for _ in range(fleets)]))
+            finally:
+                self._waits.break_off()
+        return self.tally
+
+    def _strike(self, seed: int, deck: Deck) -> None:
+        draw = random.Random(seed)
+        # A fleet that stands still is given up: the next one may be better.
+        while deck.left and len(self.tally.standstills) < MOST_STANDSTILLS:
+            with tempfile.TemporaryDirectory(prefix="pancakes-takeovers-") as name:
+                seed = draw.getrandbits(32)
+                GuardedFleet(Path(name) / "f", seed, deck, self._waits, self._spoilt_by, self._calm).run(self._done)
+
+    def _done(self, tally: TakeoverTally) -> None:
+        with self._lock:
+            with self._file.open("a") as file:
+                file.write(json.dumps(tally.figures()) + "\n")
+            self.tally.add(tally)
+            self._told(self.tally)

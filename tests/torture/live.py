@@ -131,6 +131,45 @@ class Teller(Task):
                 out.write(str(n + 1))
 
 
+class Sentry(Task):
+    """Counts in a file that all agents share, and drives; keeps the numbers of the packets that it hears."""
+
+    requires = ("motors",)
+
+    @dataclass
+    class Settings:
+        directory: str = ""
+
+    @dataclass
+    class State:
+        n: int = 0
+        heard: int = 0
+
+    def on_start(self):
+        self.fence_n = self.fence.epoch[0]
+        self.count = self.opened("count")
+        self.ears = self.opened("heard")
+
+    def on_stop(self):
+        os.close(self.count)
+        os.close(self.ears)
+
+    def opened(self, kind):
+        path = os.path.join(self.settings.directory, f"{self.name}.{kind}")
+        return os.open(path, os.O_CREAT | os.O_WRONLY | os.O_APPEND)
+
+    @every(hz=20)
+    def tick(self, tick):
+        self.state.n += 1
+        os.write(self.count, f"{self.state.n} {self.fence_n} {self.agent} {time.monotonic_ns()}\\n".encode())
+        self.publish("ctrl", Twist(float(self.fence_n), float(self.state.n)))
+
+    @on("system", Count, keep=reliable(256))
+    def hear(self, packet):
+        os.write(self.ears, f"{packet.body.n} {self.state.heard}\\n".encode())
+        self.state.heard = packet.body.n
+
+
 class Pilot(Task):
     """Drives, a hundred times a second, and carries so much state."""
 
@@ -175,11 +214,20 @@ class Recorder(Actuator):
 
     def hold(self):
         pass
+
+
+class Tracer(Recorder):
+    """Wheels that write down the commands of a `Sentry`: its count and its epoch, which agent, and when."""
+
+    def apply(self, command, ttl_s, source):
+        count, epoch = int(command.omega_radps), int(command.v_mps)
+        os.write(self.out, f"{count} {epoch} {self.context.agent} {time.monotonic_ns()}\\n".encode())
 '''
 ENTRY_POINTS = """
 [pancakes.tasks]
 torture.Holder = plugin_torture:Holder
 torture.Pilot = plugin_torture:Pilot
+torture.Sentry = plugin_torture:Sentry
 torture.Teller = plugin_torture:Teller
 
 [pancakes.packets]
@@ -187,6 +235,7 @@ torture = plugin_torture
 
 [pancakes.drivers]
 torture.recorder = plugin_torture:Recorder
+torture.tracer = plugin_torture:Tracer
 """
 
 
@@ -250,13 +299,18 @@ class LiveFleet:
         self.running: dict[str, Running] = {}
         self._commands = dict(commands or {})
         self._configs: dict[str, Path] = {}
+        self._heads: dict[str, str] = {}
         for name in names:
             dialled = list((peers or {}).get(name, [self.addresses[other] for other in names if other != name]))
             head = f'schema = 1\n[agent]\nname = "{name}"\nfleet = "torture"\nlisten = "{self.addresses[name]}"\n'
             head += f'state_dir = "{self.state / name}"\nrole = "{(roles or {}).get(name, "agent")}"\n'
-            path = directory / f"{name}.toml"
-            path.write_text(f"{head}peers = {json.dumps(dialled)}\n{rest.get(name, '')}\n{INSECURE}")
-            self._configs[name] = path
+            self._heads[name] = f"{head}peers = {json.dumps(dialled)}\n"
+            self.configure(name, rest.get(name, ""))
+
+    def configure(self, name: str, rest: str) -> None:
+        """Changes what follows `[agent]` in the configuration of an agent; it counts from its next start on."""
+        path = self._configs[name] = self.directory / f"{name}.toml"
+        path.write_text(f"{self._heads[name]}{rest}\n{INSECURE}")
 
     def start(self, name: str, wait: bool = False) -> None:
         """Starts an agent, or starts it again with the state that it left. It ends with this thread."""

@@ -89,6 +89,9 @@ class Proxy:
         self.cut = threading.Event()
         self._open = True
         self._word = ""
+        self._flows = (threading.Event(), threading.Event())
+        for flow in self._flows:
+            flow.set()
         self._lock = threading.Lock()
         self._pairs: list[tuple[socket.socket, socket.socket]] = []
         self._ended = False
@@ -104,9 +107,23 @@ class Proxy:
         with self._lock:
             self._open = True
 
+    def hold(self, there: bool, back: bool) -> None:
+        """Holds what is said, or lets it go on: nothing is lost, it comes late, and no end is told of it.
+
+        Args:
+            there: whether what the one that dials says is held.
+            back: whether what the other one says is.
+        """
+        for flow, held in zip(self._flows, (there, back), strict=True):
+            if held:
+                flow.clear()
+            else:
+                flow.set()
+
     def close(self) -> None:
         """Ends it, and all connections."""
         self._ended = True
+        self.hold(False, False)
         self._listener.close()
         self._break()
 
@@ -143,9 +160,9 @@ class Proxy:
 
     def _carry_both(self, near: socket.socket, far: socket.socket) -> None:
         """Carries both ways until both have ended, and closes the two."""
-        back = threading.Thread(target=self._carry, args=(far, near), daemon=True)
+        back = threading.Thread(target=self._carry, args=(far, near, self._flows[1]), daemon=True)
         back.start()
-        self._carry(near, far)
+        self._carry(near, far, self._flows[0])
         back.join()
         with self._lock:
             if (near, far) in self._pairs:
@@ -153,10 +170,11 @@ class Proxy:
         near.close()
         far.close()
 
-    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+    def _carry(self, source: socket.socket, sink: socket.socket, flow: threading.Event) -> None:
         reader = FrameReader()
         try:
             while data := source.recv(1 << 18):
+                flow.wait()
                 for payload in reader.feed(data):
                     messages = unpacked(payload)
                     if self._is_cut_by(messages):
@@ -167,6 +185,7 @@ class Proxy:
                         sink.sendall(struct.pack(">I", len(whole)) + whole)
                     if ends:
                         return
+            flow.wait()  # an end is said too
         except OSError:
             pass
         finally:
