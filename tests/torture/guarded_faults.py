@@ -269,8 +269,9 @@ class GuardedFleet:
     def _guarding(self) -> list[dict[str, Any]]:
         """Returns what the agents that run tell of the task that they guard."""
         rows: list[dict[str, Any]] = []
-        with Client(Where(tuple(self._fleet.addresses.values()), "torture"), 2.0) as client:
-            for name in (*self._up(), TELLER):
+        names = (*self._up(), TELLER)
+        with Client(Where(tuple(self._fleet.addresses[name] for name in names), "torture"), 2.0) as client:
+            for name in names:
                 try:
                     rows += client.request(name, Guarding()).result
                 except PancakesError:
