@@ -32,7 +32,7 @@ def test_a_rule_that_is_wrong_or_left_out_is_seen(mutant: GuardedMutant) -> None
 
 
 def test_a_scenario_that_does_not_come_to_what_it_is_there_for_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(SUITE, "vain", Scenario("vain", takers="B", numbers=0, crashes=""))
+    monkeypatch.setitem(SUITE, "vain", Scenario("vain", takers="B", called=0, crashes=""))
     result = GuardedJob("vain").search()
     assert result.violation == "the scenario, which never came to: B acts"
 

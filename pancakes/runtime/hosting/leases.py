@@ -145,6 +145,8 @@ class Leases:
         every_s = tenancy.rule.checkpoint_s if tenancy.rule is not None else CHOOSE_S
         # All tasks of an agent at the same moments: their checkpoints share messages, and rounds of its disk.
         to_next_s = every_s - self._host.kernel.host.now() % every_s
+        if to_next_s < every_s / 2:  # it may be next to nothing, as numbers are rounded
+            to_next_s += every_s
         tenancy.tick = self._host.after_host(to_next_s, partial(self._look_at, place))
 
     def _look_at_actuators(self, slot: Slot, tenancy: Tenancy) -> None:
