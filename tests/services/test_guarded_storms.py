@@ -16,7 +16,7 @@ CAUGHT = 33
 def test_never_do_two_act_and_at_the_end_one_does_with_clocks_that_are_wrong_by_one_percent(first):
     ends = list(run_storms(range(first, first + 20), 0.01))
     assert {end.seed: end.violation for end in ends if end.violation} == {}
-    assert sum(end.counts["taken"] for end in ends) > 20
+    assert sum(end.counts["taken"] for end in ends) > 5
 
 
 def test_two_act_in_a_storm_where_clocks_are_wrong_by_ten_percent():

@@ -76,6 +76,7 @@ def test_it_goes_to_the_service_of_the_same_name_and_comes_back():
 def test_an_agent_without_that_service_refuses_and_nothing_is_left_behind(services: dict[str, object], dry_run: bool):
     with two(services) as fleet:
         a, b = fleet.agents["a"], fleet.agents["b"]
+        fleet.run_for(1.0)  # each has noted the other's boot
         disk = dict(fleet.fleet.disk("b"))
 
         reply = a.ask(Migrate("Guide", dry_run=dry_run))

@@ -18,7 +18,7 @@ from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
 from pancakes.runtime.foundation.arrays import alike
-from pancakes.runtime.hosting.courier_messages import SendUnsent
+from pancakes.runtime.hosting.courier_messages import COURIER, SendUnsent
 from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.hosting_effect import AskRoom
@@ -205,7 +205,7 @@ class Arrivals:
             self._host.kernel.continue_seq(slot.address, seq + 1)
         self._host.outbox.arrive(place.task_id, snapshot.posted, start.fresh, self._host.kernel.host.now())
         if snapshot.posted is not None:
-            self._host.tell_courier(SendUnsent())
+            self._host.tell_actor(COURIER, SendUnsent())
         if place.came_from:
             place.ask_again_s = self._host.kernel.host.now() + SETTLE_S
             state = in_brief(snapshot.state)

@@ -13,7 +13,7 @@ from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.rest import DISK_LOST, WAITS
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.peers import reachable
-from pancakes.runtime.hosting.census_messages import AskAbout
+from pancakes.runtime.hosting.census_messages import CENSUS, AskAbout
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.lost import Lost
 from pancakes.runtime.hosting.place import Place, Unsure
@@ -280,7 +280,7 @@ class Births:
     def _ask(self, peers: tuple[str, ...]) -> None:
         task_ids = tuple(task_id for unborn in self._unborn.values() for task_id in unborn.task_ids)
         if task_ids:
-            self._host.tell_census(AskAbout(peers, task_ids))
+            self._host.tell_actor(CENSUS, AskAbout(peers, task_ids))
 
     def _ask_again(self) -> None:
         """A question or an answer may be lost. What waits looks again each second."""

@@ -28,9 +28,9 @@ from pancakes.runtime.hosting.arrivals import Arrivals
 from pancakes.runtime.hosting.bidding_messages import MIGRATOR, Accounted, BidAwarded, MigratorBegan, MoveOver
 from pancakes.runtime.hosting.births import BirthRule
 from pancakes.runtime.hosting.carrier import Carrier
-from pancakes.runtime.hosting.census_messages import CENSUS, ClaimsCame, CopyNoticed, FactsCame, NeighbourCame
+from pancakes.runtime.hosting.census_messages import ClaimsCame, CopyNoticed, FactsCame, NeighbourCame
 from pancakes.runtime.hosting.checkpointing import Checkpointing
-from pancakes.runtime.hosting.courier_messages import COURIER, AskedBegan, CameFor
+from pancakes.runtime.hosting.courier_messages import AskedBegan, CameFor
 from pancakes.runtime.hosting.decisions import Decisions
 from pancakes.runtime.hosting.deliveries import Deliveries
 from pancakes.runtime.hosting.departures import Departures
@@ -221,7 +221,8 @@ class ClientService(Service):
             slot.life = life
             slot.rest = rest_of(place.standing.record, place.unsure.word) if life.state in RESTS else ""
             self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
-        if place.standing.record is not before.record:
+        record, asks = place.standing.record, slot is not None and slot.spec.guard is not None
+        if record is not before.record and (asks or record.guarded or place.tenancy is not None):
             self._guarded.look(place)
         for effect in effects:
             if isinstance(effect, hosting_effect.HostingEffect):
@@ -257,7 +258,8 @@ class ClientService(Service):
         match effect:
             case handoff_effect.Persist():
                 self._writing += 1
-                self._records.persist(effect.record, self, self._guarded.may_write(place, effect.record))
+                may = self._guarded.may_write(place, effect.record) if place.tenancy is not None else None
+                self._records.persist(effect.record, self, may)
             case handoff_effect.Send():
                 self._carrier.send(effect.peer, effect.message)
             case handoff_effect.After():
@@ -280,7 +282,8 @@ class ClientService(Service):
                 if place.follows is not None:
                     self._mover.followed(place, place.follows)
             case hosting_effect.Lasts():
-                self._decisions.written(place, effect.why_not)
+                if place.adoption is not None or place.forgetting:
+                    self._decisions.written(place, effect.why_not)
             case hosting_effect.Drop():
                 self._departures.drop(place, slot, effect.ends)
             case handoff_effect.Resume():
@@ -363,16 +366,7 @@ class ClientService(Service):
         # What it has heard it has heard: its sender may not know yet, and sends that again.
         slot.carried = Carried(slot.spec.settings, {}, heard=self.carried_of(slot).heard)
 
-    def tell_courier(self, message: object) -> None:
-        self._tell(COURIER, message)
-
-    def tell_census(self, message: object) -> None:
-        self._tell(CENSUS, message)
-
-    def tell_migrator(self, message: object) -> None:
-        self._tell(MIGRATOR, message)
-
-    def _tell(self, path: str, message: object) -> None:
+    def tell_actor(self, path: str, message: object) -> None:
         component = self.kernel.registry.get(join(self.agent, path))
         if component is not None:
             tell(component, message)

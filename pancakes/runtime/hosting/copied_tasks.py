@@ -11,7 +11,7 @@ from pancakes.mesh.migration.knowledge import TaskFact, TasksKnown
 from pancakes.mesh.migration.old_copy import CopiedTask, CopyVerdict, copied_task
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.migration.rest import OLD_COPY
-from pancakes.runtime.hosting.census_messages import AskAbout
+from pancakes.runtime.hosting.census_messages import CENSUS, AskAbout
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.machine import idle
 from pancakes.runtime.hosting.place import OtherOwner, Place, Unsure
@@ -160,7 +160,7 @@ class CopiedTasks:
         self._asked_s = self._host.kernel.host.now()
         if places:
             task_ids = tuple(place.task_id for place in places)
-            self._host.tell_census(AskAbout(tuple(sorted(self._sayers)), task_ids))
+            self._host.tell_actor(CENSUS, AskAbout(tuple(sorted(self._sayers)), task_ids))
 
     def _ask_again(self, place: Place) -> None:
         """A question or an answer may be lost. What waits looks again each second."""

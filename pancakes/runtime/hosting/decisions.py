@@ -13,7 +13,7 @@ from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.packet import Fence, agent_of, join
 from pancakes.runtime.hosting import adoption
 from pancakes.runtime.hosting.arrivals import Arrivals
-from pancakes.runtime.hosting.bidding_messages import AttemptOver
+from pancakes.runtime.hosting.bidding_messages import MIGRATOR, AttemptOver
 from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.lost import Lost
@@ -219,7 +219,7 @@ class Decisions:
         record = place.standing.record
         if record.phase is Phase.OWNER:
             # The asker of the move that was in doubt has waited for this.
-            host.tell_migrator(AttemptOver(host, task_id, "", adopted.reason, adopted.ledger))
+            host.tell_actor(MIGRATOR, AttemptOver(host, task_id, "", adopted.reason, adopted.ledger))
             host.event("task_adopted", task=task_id.name, peer=adopted.peer, epoch=record.epoch.n)
             if why_not:
                 why_not = f"{task_id} belongs to {host.agent} now, but does not run: {why_not}"

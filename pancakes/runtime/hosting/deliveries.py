@@ -12,7 +12,7 @@ from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt, TaskBegan
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Packet
-from pancakes.runtime.hosting.courier_messages import AskedBegan, CameFor, Say
+from pancakes.runtime.hosting.courier_messages import COURIER, AskedBegan, CameFor, Say
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.place import Place, began_from
 from pancakes.runtime.hosting.task_letters import TaskLetters
@@ -141,4 +141,4 @@ class Deliveries:
         self._say(sender, receipt)
 
     def _say(self, peer: str, body: Receipt | ForwardTo | TaskBegan) -> None:
-        self._host.tell_courier(Say(peer, body))
+        self._host.tell_actor(COURIER, Say(peer, body))

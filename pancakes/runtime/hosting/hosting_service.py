@@ -56,19 +56,13 @@ class HostingService(Reference, Protocol):
     def connected(self, peer: str) -> bool:
         """Returns whether there is a link to an agent now."""
 
-    def tell_courier(self, message: object) -> None:
-        """Tells this agent's courier something; nothing, while it is being started anew."""
-
-    def tell_census(self, message: object) -> None:
-        """Tells this agent's census something; nothing, while it is being started anew."""
+    def tell_actor(self, path: str, message: object) -> None:
+        """Tells another actor of this agent something, such as the courier; nothing where it does not run."""
 
     def open_slot(self, spec: TaskSpec) -> Slot: ...
 
     def has_migrator(self) -> bool:
         """Returns whether the Task Migrator runs."""
-
-    def tell_migrator(self, message: object) -> None:
-        """Tells the Task Migrator something, where it runs."""
 
     def hold_actuators(self, slot: Slot, reason: str) -> None: ...
 

@@ -14,6 +14,7 @@ from pancakes.mesh.migration.rule import ASK_AGAIN_S
 from pancakes.mesh.migration.sequel import Sequel
 from pancakes.packet import SYSTEM, Packet, agent_of
 from pancakes.runtime.hosting.bidding_messages import (
+    MIGRATOR,
     Accounted,
     AttemptOver,
     BidAwarded,
@@ -50,8 +51,8 @@ class Mover:
         for record, ledger in self._broken_off:
             reason = f"{self._host.address} was started anew before {ledger.winner} had the task"
             stayed = ledger.stayed(str(record.offer), reason)
-            self._host.tell_migrator(BrokenOff(self._host, record.task_id, stayed, reason))
-        self._host.tell_migrator(ServiceBegan(self._host))
+            self._host.tell_actor(MIGRATOR, BrokenOff(self._host, record.task_id, stayed, reason))
+        self._host.tell_actor(MIGRATOR, ServiceBegan(self._host))
 
     def found(self, record: Record) -> None:
         """Learns of a record that was on disk."""
@@ -111,7 +112,7 @@ class Mover:
         place.move = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
         host.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
-        host.tell_migrator(Negotiate(self._host, request, asked_by, body.to, body.dry_run))
+        host.tell_actor(MIGRATOR, Negotiate(self._host, request, asked_by, body.to, body.dry_run))
 
     def watch(self, slot: Slot) -> None:
         """A task runs: watches what its rule for moving is about."""
@@ -168,7 +169,7 @@ class Mover:
         """
         for place in list(self._host.places.values()):
             if place.account is not None:
-                self._host.tell_migrator(place.account)
+                self._host.tell_actor(MIGRATOR, place.account)
             elif place.move is not None and place.move.ledger is None:
                 self.over(MoveOver(place.task_id, "the Task Migrator was started anew", None))
 
@@ -179,7 +180,7 @@ class Mover:
         ledger = place.move.take_ledger() if place.move is not None else None
         if effect.peer or place.move is not None:
             message = AttemptOver(self._host, place.task_id, effect.peer, effect.reason, ledger)
-            self._host.tell_migrator(message)
+            self._host.tell_actor(MIGRATOR, message)
 
     def handed_over(self, place: Place, effect: HandedOver) -> None:
         """Another agent has the task: does what is to follow."""
@@ -195,7 +196,7 @@ class Mover:
         note = f"{on_its_way}, so the duration ends with the choice of {peer}"
         # Where the migrator does not run, it is told once it does.
         place.account = HasMoved(host, task_id, peer, str(effect.epoch), sequel.ledger, note)
-        host.tell_migrator(place.account)
+        host.tell_actor(MIGRATOR, place.account)
         self._follow(sequel.then, place)
 
     def accounted(self, accounted: Accounted) -> None:
