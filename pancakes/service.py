@@ -371,7 +371,6 @@ class Service(Component):
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
             self.kernel.tasks.note_settings(slot.address, None)
             self._fail(slot, error, hopeless=isinstance(error, SettingsError))
-            return
 
     def halt(self, slot: Slot) -> None:
         if slot.task is not None:

@@ -9,7 +9,6 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -17,7 +16,6 @@ import msgspec
 from pancakes.control import CONTROLS
 from pancakes.errors import PancakesError, describe, traceback_of
 from pancakes.events import Event
-from pancakes.mesh.address import LOCAL, is_local
 from pancakes.mesh.migration.boots import Boot
 from pancakes.mesh.migration.outbox import Outbox
 from pancakes.mesh.migration.rest import resting
@@ -57,7 +55,6 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.runtime_dir import make_directory, runtime_dir
 from pancakes.runtime.services.actuator_fence import FencesOfAgent
 from pancakes.runtime.services.closer import Closer
 from pancakes.runtime.services.device import DeviceService
@@ -69,7 +66,13 @@ from pancakes.runtime.services.wanted_recordings import wanted_recordings
 from pancakes.runtime.state_dir import state_dir_of
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDown
-from pancakes.runtime.transport_settings import keys_for, network_settings, tcp_addresses, transport_settings
+from pancakes.runtime.transport_settings import (
+    addresses_of,
+    keys_for,
+    network_settings,
+    tcp_addresses,
+    transport_settings,
+)
 from pancakes.service import Service
 
 if TYPE_CHECKING:
@@ -197,6 +200,9 @@ class Agent:
         self.ledgers = Ledgers(disk, self.kernel.log)
         installed = Installed(self._plugins)
         self.host_state = HostState(self.kernel, config.agent.role, installed.version_of, installed.costs, self.records)
+        addresses, fault = (config.agent.addresses, "") if virtual is not None else addresses_of(config.agent, network)
+        if fault:
+            self.skipped.append(f"{self.name} cannot be reached at {config.agent.addresses[0]}: {fault}")
         lost = self.records.all_lost()
         told = {(RECORD, str(one.task_id)) for one in lost}
         self.skipped.extend(str(aside) for aside in journal.set_aside if (aside.kind, aside.key) not in told)
@@ -204,7 +210,7 @@ class Agent:
         self.mesh = Mesh(
             Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role, journal.life),
             transport,
-            config.agent.addresses if virtual is not None else self._addresses(),
+            addresses,
             config.agent.peers,
             self.kernel.random_for("mesh"),
             self.kernel.host,
@@ -250,18 +256,16 @@ class Agent:
         Raises:
             PancakesError: its port is in use.
         """
-        try:
-            self.mesh.start()
-        except PancakesError:
-            self.store.close()
-            self.kernel.transport.close()
-            self.kernel.stop()
-            raise
         self._tend(Courier, COURIER, outbox=self.outbox, records=self.records, mesh=self.mesh)
         knows = {"records": self.records, "registers": self._registers, "boots": self._boots}
         self._tend(Census, CENSUS, **knows, state=self.host_state, mesh=self.mesh)
         held = {"registers": self._registers, "records": self.records}
         self._tend(Guardian, GUARDIAN, **held, mesh=self.mesh, state=self.host_state)
+        try:
+            self.mesh.start()  # after the actors that peers ask at once
+        except PancakesError:
+            self._release()
+            raise
         root = self.kernel.spawn(
             Root,
             join(self.name, "kernel"),
@@ -335,10 +339,13 @@ class Agent:
                 self.kernel.virtual.run_while(lambda: not closed.is_set(), until_s)
             elif not closed.wait(CLOSE_S):
                 self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
-        for address in (COURIER, CENSUS, GUARDIAN):
-            helper = self.kernel.registry.get(join(self.name, address))
-            if helper is not None:
-                helper.stop()
+        self._release()
+
+    def _release(self) -> None:
+        for place in (COURIER, CENSUS, GUARDIAN):
+            actor = self.kernel.registry.get(join(self.name, place))
+            if actor is not None:
+                actor.stop()
         self.mesh.stop()
         self.store.close()
         if self.kernel.virtual is not None:
@@ -402,15 +409,12 @@ class Agent:
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
-            "process": self._process() if self.kernel.virtual is None else None,
+            "process": describe_process(self.kernel.host.now() - self._born_s) if self.kernel.virtual is None else None,
             **self.host_state.describe(),
         }
 
     def _roster(self) -> Roster | None:
         return self._keys.roster if self._keys is not None else None
-
-    def _process(self) -> dict[str, Any]:
-        return {**describe_process(), "uptime_s": self.kernel.host.now() - self._born_s}
 
     # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
 
@@ -488,18 +492,6 @@ class Agent:
         self.insecure = keys is None and bool(tcp_addresses(agent))
         settings = transport_settings(agent, network)
         return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys)
-
-    def _addresses(self) -> tuple[str, ...]:
-        """Returns where it listens; without `local://` where another user has taken the place of its directory."""
-        agent = self.config.agent
-        directory = network_settings(self.config).transports.get(LOCAL, {}).get("directory")
-        try:
-            if not agent.local_group and not any(is_local(address) for address in agent.listen):
-                make_directory(Path(str(directory)) if directory else runtime_dir())
-        except (OSError, PancakesError) as error:
-            self.skipped.append(f"{self.name} cannot be reached at {agent.addresses[0]}: {error}")
-            return agent.listen
-        return agent.addresses
 
     def _resting(self) -> dict[str, str]:
         services = {task.name: task.service for task in self.config.tasks.values() if task.start}

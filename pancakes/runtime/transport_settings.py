@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.errors import ConfigError, PancakesError
-from pancakes.mesh.address import LOCAL
+from pancakes.mesh.address import LOCAL, is_local
 from pancakes.mesh.security.certified import fault_of_bearer
 from pancakes.mesh.security.key_folders import keys_of_agent
 from pancakes.runtime.config.tables import AgentConfig, Config
+from pancakes.runtime.runtime_dir import make_directory, runtime_dir
 from pancakes.runtime.services.network import NetworkService
 from pancakes.settings import make_settings
 
@@ -45,6 +46,17 @@ def network_settings(config: Config) -> NetworkService.Settings:
 def tcp_addresses(agent: AgentConfig) -> list[str]:
     """Returns the addresses of an agent's configuration that are reached over TCP."""
     return [address for address in (*agent.listen, *agent.peers) if address.startswith(f"{TCP}://")]
+
+
+def addresses_of(agent: AgentConfig, network: NetworkService.Settings) -> tuple[tuple[str, ...], str]:
+    """Returns where an agent listens, and why not at `local://`, where another user took the place of its directory."""
+    directory = network.transports.get(LOCAL, {}).get("directory")
+    try:
+        if not agent.local_group and not any(is_local(address) for address in agent.listen):
+            make_directory(Path(str(directory)) if directory else runtime_dir())
+    except (OSError, PancakesError) as error:
+        return agent.listen, str(error)
+    return agent.addresses, ""
 
 
 def keys_for(config: Config, network: NetworkService.Settings) -> Keys | None:

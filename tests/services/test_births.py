@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import pytest
@@ -13,6 +13,7 @@ from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.knowledge import AskTasks, TaskFact, TasksKnown
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import NETWORK
+from pancakes.runtime.hosting.census import Census
 from pancakes.runtime.hosting.census_messages import CENSUS
 from pancakes.testing import AgentInTest, FleetInTest
 
@@ -106,6 +107,22 @@ def test_an_agent_that_comes_late_is_asked_then(fleet: FleetInTest):
     fleet.run_for(3.0)
     start(fleet, "b", "a")
     assert fleet.run_until(lambda: a.running("client") == ["Sink"], 1.0)
+    assert a.events("born_unasked") == []
+
+
+def test_a_question_that_was_lost_is_asked_again(fleet: FleetInTest, monkeypatch: pytest.MonkeyPatch):
+    lost: list[AskTasks] = []
+    say = Census._say  # noqa: SLF001 - memory links lose nothing
+
+    def loses_the_first(census: Census, peer: str, bodies: Iterable[object], otherwise: str) -> None:
+        asked = [body for body in bodies if isinstance(body, AskTasks)] if not lost else []
+        lost.extend(asked)
+        say(census, peer, [] if asked else bodies, otherwise)
+
+    monkeypatch.setattr(Census, "_say", loses_the_first)
+    start(fleet, "b", "a")
+    a = start(fleet, "a", "b", tasks=SINK)
+    assert fleet.run_until(lambda: a.running("client") == ["Sink"], 3.0) and lost
     assert a.events("born_unasked") == []
 
 

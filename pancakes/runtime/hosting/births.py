@@ -244,15 +244,18 @@ class Births:
             host.log("error", unsure.why)
             host.event("not_born", task=task_id.name, owner=fact.owner, epoch=fact.epoch.n)
 
-    def _waiting(self) -> list[tuple[Slot, Place]]:
+    def _still_unborn(self) -> list[tuple[Slot, Place]]:
         found = []
         for task_id in list(self._unborn):
             place = self._host.places.get(task_id)
             if place is None or not self._may_be_born(place):
                 del self._unborn[task_id]
-            elif place.slot is not None and place.slot.life.state is State.REFUSED:
+            elif place.slot is not None:
                 found.append((place.slot, place))
         return found
+
+    def _waiting(self) -> list[tuple[Slot, Place]]:
+        return [(slot, place) for slot, place in self._still_unborn() if slot.life.state is State.REFUSED]
 
     def _look_again(self) -> None:
         for slot, place in self._waiting():
@@ -288,7 +291,7 @@ class Births:
         if now_s < self._asked_s + ASK_AGAIN_S:
             return
         self._asked_s = now_s
-        waiting = [self._unborn_of(place).said() for _, place in self._waiting()]
-        silent = [peer for peer in self._mesh.neighbours() if any(peer not in said for said in waiting)]
+        heard = [self._unborn_of(place).said() for _, place in self._still_unborn()]  # one of them starts right now
+        silent = [peer for peer in self._mesh.neighbours() if any(peer not in said for said in heard)]
         if silent:
             self._ask(tuple(silent))

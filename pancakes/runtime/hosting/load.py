@@ -38,7 +38,7 @@ def host_share() -> float:
     return os.getloadavg()[0] / (os.cpu_count() or 1)
 
 
-def describe_process() -> dict[str, Any]:
+def describe_process(uptime_s: float) -> dict[str, Any]:
     """Returns what this process is and has used so far, as plain values."""
     import platform
 
@@ -52,6 +52,7 @@ def describe_process() -> dict[str, Any]:
         "processor_s": processor_time_s(),
         "memory_mib": process.memory_info().rss / 2**20,
         "threads": process.num_threads(),
+        "uptime_s": uptime_s,
     }
 
 
