@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.mesh.migration.birth import Birth, Heard, Verdict, birth_of
+from pancakes.mesh.migration.birth import Birth, BirthFacts, Verdict, birth_of
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.knowledge import MOST_ASKED, TaskFact, fact_of, newest_fact, questions
 from pancakes.mesh.migration.record import Phase, Record, TaskId
@@ -15,32 +15,32 @@ LATER = TaskFact(TASK, "c", Epoch(2, "b"))
 
 
 @pytest.mark.parametrize(
-    ("heard", "verdict", "missing"),
+    ("facts", "verdict", "missing"),
     [
-        (Heard(), Verdict.BORN, ()),
-        (Heard(("b", "c"), ("c", "b", "d")), Verdict.BORN, ()),
-        (Heard(("b", "c"), ("b",)), Verdict.WAITS, ("c",)),
-        (Heard(("b", "c"), ("b",), over=True), Verdict.UNASKED, ("c",)),
-        (Heard(("b", "c"), (), guardians=(), over=True), Verdict.WAITS, ("b", "c")),
-        (Heard(("b", "c"), ("b", "c"), guardians=("d", "e")), Verdict.BORN, ()),
-        (Heard(("b", "c"), ("b",), guardians=("b", "c"), over=True), Verdict.WAITS, ("c",)),
-        (Heard(("b", "c", "d"), ("b", "c"), guardians=("b", "c"), over=True), Verdict.UNASKED, ("d",)),
-        (Heard(("b", "c", "d"), ("b", "c"), guardians=("b", "c")), Verdict.WAITS, ("d",)),
-        (Heard(("b",), ("c",), guardians=("c",), over=True), Verdict.UNASKED, ("b",)),
-        (Heard(("b",), ("b",), (THERE,)), Verdict.RESTS, ()),
-        (Heard((), (), (THERE,)), Verdict.RESTS, ()),
-        (Heard(("b", "c"), ("b",), (THERE,), over=True), Verdict.RESTS, ("c",)),
-        (Heard(("b",), ("b",), (THERE,), guardians=("b",), over=True), Verdict.RESTS, ()),
+        (BirthFacts(), Verdict.BORN, ()),
+        (BirthFacts(("b", "c"), ("c", "b", "d")), Verdict.BORN, ()),
+        (BirthFacts(("b", "c"), ("b",)), Verdict.WAITS, ("c",)),
+        (BirthFacts(("b", "c"), ("b",), over=True), Verdict.UNASKED, ("c",)),
+        (BirthFacts(("b", "c"), (), guardians=(), over=True), Verdict.WAITS, ("b", "c")),
+        (BirthFacts(("b", "c"), ("b", "c"), guardians=("d", "e")), Verdict.BORN, ()),
+        (BirthFacts(("b", "c"), ("b",), guardians=("b", "c"), over=True), Verdict.WAITS, ("c",)),
+        (BirthFacts(("b", "c", "d"), ("b", "c"), guardians=("b", "c"), over=True), Verdict.UNASKED, ("d",)),
+        (BirthFacts(("b", "c", "d"), ("b", "c"), guardians=("b", "c")), Verdict.WAITS, ("d",)),
+        (BirthFacts(("b",), ("c",), guardians=("c",), over=True), Verdict.UNASKED, ("b",)),
+        (BirthFacts(("b",), ("b",), (THERE,)), Verdict.RESTS, ()),
+        (BirthFacts((), (), (THERE,)), Verdict.RESTS, ()),
+        (BirthFacts(("b", "c"), ("b",), (THERE,), over=True), Verdict.RESTS, ("c",)),
+        (BirthFacts(("b",), ("b",), (THERE,), guardians=("b",), over=True), Verdict.RESTS, ()),
     ],
 )
-def test_the_decision(heard: Heard, verdict: Verdict, missing: tuple[str, ...]) -> None:
-    birth = birth_of(heard)
+def test_the_decision(facts: BirthFacts, verdict: Verdict, missing: tuple[str, ...]) -> None:
+    birth = birth_of(facts)
     assert (birth.verdict, birth.missing) == (verdict, missing)
 
 
 @pytest.mark.parametrize("known", [(THERE, LATER), (LATER, THERE)])
 def test_of_several_facts_the_newest_is_told(known: tuple[TaskFact, ...]) -> None:
-    assert birth_of(Heard(known=known)) == Birth(Verdict.RESTS, fact=LATER)
+    assert birth_of(BirthFacts(known=known)) == Birth(Verdict.RESTS, fact=LATER)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from pancakes.mesh.migration.post import (
     LostLetters,
     Outgoing,
     Receipt,
-    TaskBegan,
+    StreamsBegan,
     false_name,
 )
 from pancakes.mesh.migration.record import TaskId
@@ -75,9 +75,9 @@ class TestWhatIsLost:
 
     def test_an_answer_says_so_without_an_acknowledgement(self, out):
         assert out.is_unsure_of("a/Scan", 1) and not out.is_unsure_of("a/Scan", 0) and not out.is_unsure_of("b/X", 1)
-        out.began(TaskBegan("a/Scan", 1, {"another": 0}), "b")
+        out.began(StreamsBegan("a/Scan", 1, {"another": 0}), "b")
         assert out.take_lost() == []
-        out.began(TaskBegan("a/Scan", 1, {STREAM: 0}), "b")
+        out.began(StreamsBegan("a/Scan", 1, {STREAM: 0}), "b")
         assert out.take_lost() == [LostLetters("a/Scan", 1, 8, "b")]
         assert not out.is_unsure_of("a/Scan", 1)
 
@@ -93,7 +93,7 @@ class TestWhatIsLost:
         for stream in ("me/uuid.1", "me/uuid.1/1"):
             box.acknowledged(Receipt("a/Scan", stream, 1, 0, 0, 0), "a", 0.0)
         assert box.unsure_of("a/Scan", 3) == ("me/uuid.1", "me/uuid.1/1")
-        box.began(TaskBegan("a/Scan", 3, {"me/uuid.1": 0, "me/uuid.1/1": 0}), "b")
+        box.began(StreamsBegan("a/Scan", 3, {"me/uuid.1": 0, "me/uuid.1/1": 0}), "b")
         assert [(lost.sender, lost.first, lost.last) for lost in box.take_lost()] == [("", 1, 1), ("me/Source", 1, 1)]
 
 

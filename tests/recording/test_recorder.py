@@ -345,7 +345,7 @@ def test_that_a_recording_may_not_go_on_or_may_go_on_is_told_where_the_journal_c
     agent = fleet.start("a")
     path = tmp_path / "r.mcap"
 
-    def fail(entry, then, failed):
+    def fail(entry, then, failed, may=None):
         failed("the disk is full")
 
     with monkeypatch.context() as broken:
@@ -371,7 +371,7 @@ def test_a_stop_that_was_not_written_is_written_with_the_next_end(fleet, tmp_pat
     agent = fleet.start("a")
     record(agent, tmp_path / "r.mcap")
     with monkeypatch.context() as broken:
-        broken.setattr(agent.agent.store, "persist", lambda entry, then, failed: failed("the disk is full"))
+        broken.setattr(agent.agent.store, "persist", lambda entry, then, failed, may=None: failed("the disk is full"))
         assert not agent.ask(Stop(RECORDER)).ok
     assert not agent.ask(Start(RECORDER, {"path": str(tmp_path / "s.mcap"), "free_mib": 1e9})).ok
     fleet.run_for(0.1)

@@ -9,7 +9,7 @@ import pytest
 from services.numbered import SINK, Numbered, Sink, Source, numbers, upto
 
 from pancakes.control import Guarding, Migrate, Revive, Start, Stop
-from pancakes.mesh.migration.post import TaskBegan
+from pancakes.mesh.migration.post import StreamsBegan
 from pancakes.runtime.hosting.courier_messages import COURIER
 from pancakes.testing import FleetInTest
 
@@ -147,6 +147,6 @@ def test_a_task_that_is_revived_without_its_state_has_lost_all():
 def test_an_agent_that_was_not_asked_is_not_believed(fleet: FleetInTest):
     send(fleet, *upto(5))
     stream = fleet.agents["d"].agent.outbox.name
-    fleet.agents["c"].publish("network", TaskBegan("a/Sink", 9, {stream: 0}), to=f"d/{COURIER}")
+    fleet.agents["c"].publish("network", StreamsBegan("a/Sink", 9, {stream: 0}), to=f"d/{COURIER}")
     fleet.run_for(1.0)
     assert told(fleet) == []

@@ -50,7 +50,7 @@ from pancakes.mesh.migration.messages import (
     Reserved,
     Solicit,
 )
-from pancakes.mesh.migration.post import AskBegan, ForwardTo, Letter, Receipt, TaskBegan
+from pancakes.mesh.migration.post import AskBegan, ForwardTo, Letter, Receipt, StreamsBegan
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs
 from pancakes.mesh.wire.codec import Encoder
@@ -110,7 +110,7 @@ _BODIES: Final[Sequence[tuple[str, Any]]] = (
             Receipt("a/Count", "z/1.1", 1, 1),
             ForwardTo("a/Count", "b", 1),
             AskBegan("a/Count", ("z/1.1",)),
-            TaskBegan("a/Count", 1, {"z/1.1": 0}),
+            StreamsBegan("a/Count", 1, {"z/1.1": 0}),
             WhereIs("a/Count"),
             TaskAt("a/Count", "z", _OFFER),
         )

@@ -27,7 +27,7 @@ class Verdict(Enum):
     """It was born before: a person decides."""
 
 
-class Heard(msgspec.Struct, frozen=True):
+class BirthFacts(msgspec.Struct, frozen=True):
     """What is to be known before a task is born.
 
     Attributes:
@@ -59,15 +59,15 @@ class Birth(msgspec.Struct, frozen=True):
     fact: TaskFact | None = None
 
 
-def birth_of(heard: Heard) -> Birth:
+def birth_of(facts: BirthFacts) -> Birth:
     """Decides whether a task begins."""
-    missing = tuple(name for name in heard.named if name not in heard.said)
-    if heard.known:
-        return Birth(Verdict.RESTS, missing, max(heard.known, key=lambda fact: fact.epoch))
+    missing = tuple(name for name in facts.named if name not in facts.said)
+    if facts.known:
+        return Birth(Verdict.RESTS, missing, max(facts.known, key=lambda fact: fact.epoch))
     if not missing:
         return Birth(Verdict.BORN)
-    enough = heard.guardians is None or _most(heard.guardians, heard.said)
-    return Birth(Verdict.UNASKED if heard.over and enough else Verdict.WAITS, missing)
+    enough = facts.guardians is None or _most(facts.guardians, facts.said)
+    return Birth(Verdict.UNASKED if facts.over and enough else Verdict.WAITS, missing)
 
 
 def _most(guardians: Sequence[str], said: Collection[str]) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.post import ForwardTo, LostLetters, Outgoing, OutgoingLetter, Receipt, TaskBegan
+from pancakes.mesh.migration.post import ForwardTo, LostLetters, Outgoing, OutgoingLetter, Receipt, StreamsBegan
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Posted
 
@@ -77,7 +77,7 @@ class Outbox:
         """Returns the streams of which letters may be lost, now that a task is owned under an epoch."""
         return tuple(name for name, stream in self._streams.items() if stream.is_unsure_of(task_id, epoch_n))
 
-    def began(self, news: TaskBegan, peer: str) -> None:
+    def began(self, news: StreamsBegan, peer: str) -> None:
         """Learns from what state a task began where it is now."""
         for stream in self._streams.values():
             stream.began(news, peer)

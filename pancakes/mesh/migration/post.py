@@ -79,7 +79,7 @@ class Receipt(msgspec.Struct, frozen=True):
 
 @packet_type("post.when")
 class AskBegan(msgspec.Struct, frozen=True):
-    """Asks the agent that says that it owns a task from what state it began there; answered by `TaskBegan`.
+    """Asks the agent that says that it owns a task from what state it began there; answered by `StreamsBegan`.
 
     Attributes:
         task_id: the task.
@@ -90,8 +90,8 @@ class AskBegan(msgspec.Struct, frozen=True):
     streams: Annotated[tuple[str, ...], msgspec.Meta(max_length=MOST_STREAMS)]
 
 
-@packet_type("post.began")
-class TaskBegan(msgspec.Struct, frozen=True):
+@packet_type("post.streams_began")
+class StreamsBegan(msgspec.Struct, frozen=True):
     """Says from what state a task began where it is now: so that its senders know what was lost with its last agent.
 
     Attributes:
@@ -269,7 +269,7 @@ class Outgoing:
         to = self._to.get(task_id)
         return to is not None and to.acknowledged > 0 and 0 <= to.began_n < epoch_n
 
-    def began(self, news: TaskBegan, peer: str) -> None:
+    def began(self, news: StreamsBegan, peer: str) -> None:
         """Learns from what state a task began where it is now."""
         to = self._to.get(news.task_id)
         if to is not None and self.stream in news.upto:

@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from pancakes.mesh.migration.birth import Birth, Heard, Verdict, birth_of
+from pancakes.mesh.migration.birth import Birth, BirthFacts, Verdict, birth_of
 from pancakes.mesh.migration.knowledge import TaskFact, TasksKnown, fact_of
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.rest import DISK_LOST, WAITS
@@ -187,7 +187,7 @@ class Births:
         named = self._named(place) if self._rule.asks else ()
         guardians = [name for name in rule.guardians if name != self._host.agent] if rule is not None else None
         said = {*unborn.said(), *self._strangers}
-        return birth_of(Heard(named, said, unborn.known, guardians, over))
+        return birth_of(BirthFacts(named, said, unborn.known, guardians, over))
 
     def _named(self, place: Place) -> Sequence[str]:
         """Returns the agents that are to be asked, by name; those that were never met by their address."""

@@ -25,7 +25,7 @@ LOOK_S: Final = 1.0
 ASK_AGAIN_S: Final = 0.9
 
 
-class _Told(msgspec.Struct):
+class _Heard(msgspec.Struct):
     """What those that take the disk for an old copy have told of one task.
 
     Attributes:
@@ -57,7 +57,7 @@ class CopiedTasks:
         self._went_on = went_on
         self._sayers: set[str] = set()
         self._copied: set[TaskId] = set()  # what came later is no copy
-        self._told: dict[TaskId, _Told] = {}
+        self._told: dict[TaskId, _Heard] = {}
         self._decided: set[TaskId] = set()  # by a person
         self._asked_s = 0.0
 
@@ -89,7 +89,7 @@ class CopiedTasks:
             place = self._host.places.get(task_id)
             if place is None or self._fault(peer, place):
                 continue
-            heard = self._told.setdefault(task_id, _Told())
+            heard = self._told.setdefault(task_id, _Heard())
             heard.by.add(peer)
             if (fact := facts.get(task_id)) is not None and fact not in heard.known:
                 heard.known.append(fact)
@@ -127,7 +127,7 @@ class CopiedTasks:
         if record.phase not in HERE or place.task_id not in self._copied or place.task_id in self._decided:
             return CopiedTask(CopyVerdict.GOES_ON)
         sayers = [peer for peer in self._sayers if not self._fault(peer, place)]
-        told = self._told.get(place.task_id, _Told())
+        told = self._told.get(place.task_id, _Heard())
         return copied_task(record.seen, sayers, told.by, told.known)
 
     def _look(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
-from pancakes.mesh.migration.post import RESEND_S, AskBegan, ForwardTo, Letter, Receipt, TaskBegan, false_name
+from pancakes.mesh.migration.post import RESEND_S, AskBegan, ForwardTo, Letter, Receipt, StreamsBegan, false_name
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.whereabouts import WhereIs, whereabouts
 from pancakes.mesh.net.mesh import Mesh
@@ -78,7 +78,7 @@ class Courier(Component):
         self._outbox.post(packet, host, self.kernel.host.now())
         tell(self, SendUnsent())
 
-    def _say(self, peer: str, body: Letter | Receipt | ForwardTo | TaskBegan) -> None:
+    def _say(self, peer: str, body: Letter | Receipt | ForwardTo | StreamsBegan) -> None:
         if peer != self.agent:
             try:
                 self.publish(NETWORK, body, to=join(peer, COURIER))
@@ -127,7 +127,7 @@ class Courier(Component):
         if service is not None:
             tell(service, AskedBegan(agent_of(packet.source), packet.body))
 
-    @on(NETWORK, TaskBegan, keep=KEEP, addressed=True)
+    @on(NETWORK, StreamsBegan, keep=KEEP, addressed=True)
     def on_task_began(self, packet: Packet) -> None:
         """The agent that owns a task answers."""
         peer = agent_of(packet.source)

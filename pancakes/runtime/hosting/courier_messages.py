@@ -7,7 +7,7 @@ from typing import Final
 import msgspec
 
 from pancakes.mesh.migration.claim import OwnerClaim
-from pancakes.mesh.migration.post import AskBegan, ForwardTo, Letter, Receipt, TaskBegan
+from pancakes.mesh.migration.post import AskBegan, ForwardTo, Letter, Receipt, StreamsBegan
 from pancakes.packet import Packet
 
 COURIER: Final = "kernel/Courier"
@@ -35,7 +35,7 @@ class Say(msgspec.Struct, frozen=True):
     """
 
     peer: str
-    body: Letter | Receipt | ForwardTo | TaskBegan
+    body: Letter | Receipt | ForwardTo | StreamsBegan
 
 
 class OwnerHeard(msgspec.Struct, frozen=True):

@@ -8,7 +8,7 @@ from pancakes.errors import MigrationError
 from pancakes.mesh.migration.core import handle
 from pancakes.mesh.migration.effect import Deliver, Forward
 from pancakes.mesh.migration.event import Arrived, PacketId
-from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt, TaskBegan
+from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt, StreamsBegan
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Packet
@@ -118,7 +118,7 @@ class Deliveries:
         place = self._host.places.get(TaskId.parse(message.asked.task_id))
         if place is not None and place.began is not None and place.standing.record.phase is Phase.OWNER:
             upto = {stream: place.began.upto(stream) for stream in message.asked.streams}
-            self._say(message.peer, TaskBegan(message.asked.task_id, place.began.epoch_n, upto))
+            self._say(message.peer, StreamsBegan(message.asked.task_id, place.began.epoch_n, upto))
 
     def again(self, place: Place) -> None:
         """Gives a task that has begun anew what was acknowledged and is not in its checkpoint; all else comes after."""
@@ -140,5 +140,5 @@ class Deliveries:
             receipt = replace(receipt, began_n=began.epoch_n, began_seq=began.upto(packet.stream))
         self._say(sender, receipt)
 
-    def _say(self, peer: str, body: Receipt | ForwardTo | TaskBegan) -> None:
+    def _say(self, peer: str, body: Receipt | ForwardTo | StreamsBegan) -> None:
         self._host.tell_actor(COURIER, Say(peer, body))

@@ -58,7 +58,7 @@ def of_records(records: Iterable[Record], asked: Checkpoints) -> Iterator[dict[s
 def _row(task_id: TaskId, encoded: bytes, epoch: Epoch, no: int, asked: Checkpoints) -> Iterator[dict[str, Any]]:
     try:
         snapshot = Snapshot.decode(encoded)
-    except MigrationError:  # what cannot be read is of no use to anyone
+    except MigrationError:  # what cannot be read is of no use
         return
     row = {"task_id": str(task_id), "type": snapshot.type, "service": snapshot.service}
     body = {"snapshot": encoded} if asked.body else {}

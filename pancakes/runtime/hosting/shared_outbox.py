@@ -18,7 +18,7 @@ from pancakes.mesh.migration.post import (
     LostLetters,
     OutgoingLetter,
     Receipt,
-    TaskBegan,
+    StreamsBegan,
 )
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Posted
@@ -85,7 +85,7 @@ class SharedOutbox:
             asked = [(str(it.task_id), self._outbox.unsure_of(str(it.task_id), it.epoch.n)) for it in claims]
         return [AskBegan(task_id, streams[:MOST_STREAMS]) for task_id, streams in asked if streams]
 
-    def began(self, news: TaskBegan, peer: str) -> None:
+    def began(self, news: StreamsBegan, peer: str) -> None:
         """Learns from what state a task began where it is now."""
         with self._lock:
             self._outbox.began(news, peer)
