@@ -120,6 +120,8 @@ class FleetInTest:
     ) -> AgentInTest:
         """Starts the agent of a configuration file as `pancakes-agent` would, with its own address and its own peers.
 
+        As with `start`, its tasks begin at once, unless `sets` give `agent.birth_wait_s`.
+
         Args:
             path: the file.
             sets: changes of it, each as `table.key=value`.
@@ -130,7 +132,7 @@ class FleetInTest:
             ConfigError: the file is not sound; the message names every fault.
         """
         self._classes.update(classes or {})
-        config = silent(load(path, sets, registered(self._classes)))
+        config = silent(load(path, ["agent.birth_wait_s=0", *sets], registered(self._classes)))
         self._configs[config.agent.name] = config
         return self._start(config, settle)
 

@@ -211,7 +211,9 @@ def fly(watch: VirtualWatch | None, place: Path) -> list[dict[str, Any]]:
     try:
         for name in ("world", "agent1", "sensor"):
             text = (ENCIRCLEMENT / f"{name}.toml").read_text().replace("hold = true", "hold = false")
-            text = text.replace("[agent]", "[agent]\nseed = 3").replace("trajectory.csv", f"{place}/trajectory.csv")
+            text = text.replace("[agent]", "[agent]\nseed = 3\nbirth_wait_s = 0").replace(
+                "trajectory.csv", f"{place}/trajectory.csv"
+            )
             fleet.start(parse(text, where=name))
         if watch is not None:
             watch.begin(fleet)
