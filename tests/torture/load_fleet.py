@@ -72,7 +72,7 @@ class LoadedFleet:
     def _config(self, name: str, tasks: Tasks, dialled: Sequence[str]) -> str:
         lines = [
             f'schema = 1\n[agent]\nname = "{name}"\nfleet = "load"\nlisten = "{self.addresses[name]}"',
-            f'state_dir = "{self.directory / "state" / name}"\npeers = {json.dumps(list(dialled))}',
+            f'state_dir = "{self.directory / "state" / name}"\npeers = {json.dumps(list(dialled))}\nbirth_wait_s = 0',
             "[channel.load]",
         ]
         for task, settings in tasks.items():
