@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -10,10 +10,10 @@ from services.numbered import Sink
 
 from pancakes.control import Adopt, Describe, Forget, Migrate, Start, Stop
 from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.knowledge import AskTasks, TaskFact, TasksKnown
+from pancakes.mesh.migration.knowledge import AskTasks, TaskFact, TasksKnown, questions
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import NETWORK
-from pancakes.runtime.hosting.census import Census
+from pancakes.runtime.hosting import census
 from pancakes.runtime.hosting.census_messages import CENSUS
 from pancakes.testing import AgentInTest, FleetInTest
 
@@ -112,14 +112,15 @@ def test_an_agent_that_comes_late_is_asked_then(fleet: FleetInTest):
 
 def test_a_question_that_was_lost_is_asked_again(fleet: FleetInTest, monkeypatch: pytest.MonkeyPatch):
     lost: list[AskTasks] = []
-    say = Census._say  # noqa: SLF001 - memory links lose nothing
 
-    def loses_the_first(census: Census, peer: str, bodies: Iterable[object], otherwise: str) -> None:
-        asked = [body for body in bodies if isinstance(body, AskTasks)] if not lost else []
+    def loses_the_first(task_ids: tuple[TaskId, ...]) -> list[AskTasks]:
+        asked = questions(task_ids)
+        if lost:
+            return asked
         lost.extend(asked)
-        say(census, peer, [] if asked else bodies, otherwise)
+        return []
 
-    monkeypatch.setattr(Census, "_say", loses_the_first)
+    monkeypatch.setattr(census, "questions", loses_the_first)
     start(fleet, "b", "a")
     a = start(fleet, "a", "b", tasks=SINK)
     assert fleet.run_until(lambda: a.running("client") == ["Sink"], 3.0) and lost
