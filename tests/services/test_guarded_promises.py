@@ -4,7 +4,7 @@ from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 
 from pancakes.bodies.devices.driver import Actuator
-from pancakes.control import Take
+from pancakes.control import Reply, Stop, Take
 from pancakes.mesh.guarding.guard_messages import KeepLease, SeizeTask
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import addressed
@@ -82,6 +82,29 @@ def test_a_state_that_did_not_change_is_not_sent_again():
         fleet.agents["d"].publish("system", Numbered(1), to=SINK)
         fleet.run_for(5.0)
         assert sum(keep.body is not None for keep in keeps) == 1
+
+
+def test_a_stop_is_answered_once_a_quorum_keeps_to_it():
+    with guarded("Count", Count) as fleet:
+        a = fleet.agents["a"]
+        for other in "bc":
+            fleet.faults.delay("a", other, 0.3)
+        asked = a.publish("sysctrl", Stop("Count"))
+        fleet.run_for(0.5)
+        assert a.running() == [] and a.probe.packets(Reply) == []
+        assert a.reply_to(asked).ok
+        fleet.crash("a")
+        fleet.run_for(20.0)
+        assert running(fleet, "Count") == []
+
+
+def test_a_stop_that_no_guardian_hears_of_is_said_to_hold_here_alone():
+    with guarded("Count", Count) as fleet:
+        a = fleet.agents["a"]
+        fleet.faults.cut("a")
+        stopped = a.ask(Stop("Count"))
+        assert not stopped.ok and a.running() == []
+        assert "a/Count is stopped on a, but too few of its guardians (b, c) have confirmed that" in stopped.reason
 
 
 def test_where_the_guardians_follow_an_agent_that_never_came_the_owner_gives_it_up():

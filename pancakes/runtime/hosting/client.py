@@ -54,7 +54,7 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import RESTS
-from pancakes.runtime.life.life_effect import News, Tell
+from pancakes.runtime.life.life_effect import Answer, News, Tell
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.service_messages import PeerDown
 from pancakes.runtime.supervision.slot import Slot
@@ -332,8 +332,7 @@ class ClientService(Service):
 
     def spawn(self, slot: Slot) -> None:
         super().spawn(slot)
-        # From here on the record is what counts, and this grows old.
-        slot.carried = None
+        slot.carried = None  # from here on the record is what counts
 
     def task_running(self, slot: Slot) -> None:
         self._deliveries.again(self.places.at[slot.name])
@@ -342,6 +341,13 @@ class ClientService(Service):
     def tell_news(self, slot: Slot, effect: Tell) -> None:
         if effect.news is not News.REFUSED or self.places.at[slot.name].unsure is SURE:
             super().tell_news(slot, effect)  # what is unsure of many tasks is told once
+
+    def answer(self, slot: Slot, effect: Answer) -> None:
+        answer, place = super().answer, self.places.at[slot.name]
+        if slot.life.at_rest and not effect.reason:
+            self._guarded.stopped(place, lambda fault: answer(slot, Answer(effect.asker, fault)))
+        else:
+            answer(slot, effect)
 
     def write_rest(self, slot: Slot) -> None:
         snapshot = self.snapshot(slot, slot.carried) if slot.carried is not None else b""

@@ -54,6 +54,7 @@ class GuardedTasks:
         self.begin = self._leases.begin
         self.close = self._leases.close
         self.look = self._leases.look
+        self.stopped = self._leases.stopped
         self.has_no_permit = self._leases.has_no_permit
         self._deliveries = deliveries
 

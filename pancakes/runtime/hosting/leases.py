@@ -46,6 +46,8 @@ ASK_AGAIN_S: Final = 2.0
 ANSWERED_S: Final = 0.2
 """So long the owner waits for what its neighbours say when it chooses guardians."""
 OWNED: Final = (Phase.OWNER, Phase.FROZEN)
+STOP_HEARD_S: Final = 4.0
+"""So long a stop waits for the task's guardians, in host time."""
 REMEMBERED: Final = 16
 """So many askings may be under way; a lease that was granted on an older one is as good as over."""
 
@@ -349,10 +351,39 @@ class Leases:
         place.tenancy.owed.append((CheckpointId(record.epoch, record.no), packet))
         self._acknowledge(place, place.tenancy)
 
+    def stopped(self, place: Place, answer: Callable[[str], None]) -> None:
+        """A person has had a task stopped: that is done once a quorum knows, as else a taker would go on with it."""
+        tenancy = place.tenancy
+        if tenancy is None:
+            answer("")
+            return
+        tenancy.stops.append((place.standing.record.no, answer))
+        self._acknowledge(place, tenancy)
+        self._host.after_host(STOP_HEARD_S, partial(self._stop_overdue, place, tenancy, answer))
+
+    def _stop_overdue(self, place: Place, tenancy: Tenancy, answer: Callable[[str], None]) -> None:
+        waits = [it for it in tenancy.stops if it[1] is answer]
+        if waits:
+            tenancy.stops = [it for it in tenancy.stops if it not in waits]
+            guardians = place.standing.record.guards.members()
+            names = ", ".join(sorted(one.agent for one in guardians if one != self._talk.me))
+            answer(
+                f"{place.task_id} is stopped on {self._host.agent}, but too few of its guardians ({names}) have"
+                " confirmed that: where they cannot be reached, another agent may go on with it"
+            )
+
+    def _tell_stops(self, place: Place, tenancy: Tenancy) -> None:
+        no = tenancy.tenure.replicated_no(place.standing.record.guards)
+        known, tenancy.stops = tenancy.stops, [it for it in tenancy.stops if it[0] > no]
+        for at, answer in known:
+            if at <= no:
+                answer("")
+
     def _acknowledge(self, place: Place, tenancy: Tenancy) -> None:
         kept, tenancy.owed = kept_packets(tenancy.tenure, place.standing.record, tenancy.owed)
         for packet in kept:
             self._on_disk(place, packet)
+        self._tell_stops(place, tenancy)
 
     # Choosing guardians ----------------------------------------------------------------------------------------
 

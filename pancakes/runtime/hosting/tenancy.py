@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import msgspec
 
 from pancakes.mesh.guarding.choosing import CanGuard
@@ -28,6 +30,7 @@ class Tenancy(msgspec.Struct):
         heard_s: when each guardian has said something last, in host time.
         as_of_s: when the task was known last to be as each of the newest checkpoints says, in host time, by number.
         owed: packets that are acknowledged once the checkpoint with their effect is at a quorum.
+        stops: of each stop that is not answered yet, the checkpoint that says so, and what answers it, given a fault.
         answers: what neighbours have said that were asked whether they would guard it.
         asked_s: when they were asked last, in host time.
         unsafe: the actuators that people were told of as keeping their last command.
@@ -47,6 +50,7 @@ class Tenancy(msgspec.Struct):
     heard_s: dict[GuardianId, float] = {}
     as_of_s: dict[int, float] = {}
     owed: list[Owed] = []
+    stops: list[tuple[int, Callable[[str], None]]] = []
     answers: dict[str, CanGuard] = {}
     asked_s: float = -1e9
     unsafe: frozenset[str] = frozenset()
