@@ -189,7 +189,7 @@ class Task(Component):
 
     def acts(self) -> bool:
         # A guarded task that does not know whether another agent runs it stands still until its service tells it.
-        if self.kernel.permits.holds(self.fence):
+        if self.kernel.permits.may_act(self.fence):
             return True
         if not self.actor_inbox.paused:
             self.pause()
@@ -203,7 +203,7 @@ class Task(Component):
         looks before each turn and where a packet or a command leaves; a task that acts past Pancakes (on a file, a
         socket, a subprocess) asks right before it does.
         """
-        return not self.__revoked and self.kernel.permits.holds(self.fence)
+        return not self.__revoked and self.kernel.permits.may_act(self.fence)
 
     def revoke(self) -> None:
         self.__revoked = True

@@ -220,7 +220,7 @@ class Agent:
             on_peer_down=self._on_peer_down,
             on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
             defer=defer,
-            gate=Gate(permits.holds, lambda fence, packets: permits.hold_back(fence, "packets", packets)),
+            gate=Gate(permits.may_act, lambda fence, packets: permits.hold_back(fence, "packets", packets)),
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
             access=self.kernel.access,
             keys=self._keys,

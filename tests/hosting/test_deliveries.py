@@ -41,10 +41,10 @@ def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_
 
         for number in range(20):
             arrive(number)
-        buried = agent.agent.kernel.letters.count
+        buried = agent.agent.kernel.dead_letters.count
         for number in range(16, 20):
             arrive(number)
-        assert agent.agent.kernel.letters.count == buried, "it is told of once"
+        assert agent.agent.kernel.dead_letters.count == buried, "it is told of once"
         for number in range(16):
             arrive(number)
-        assert agent.agent.kernel.letters.count == buried + 16, "that it was told of is forgotten"
+        assert agent.agent.kernel.dead_letters.count == buried + 16, "that it was told of is forgotten"

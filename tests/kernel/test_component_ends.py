@@ -5,10 +5,10 @@ from kernel.virtual_rig import Diary, Number, Word
 
 from pancakes.runtime.kernel.call import Call
 from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.dead_letters import ATTEMPTS
 from pancakes.runtime.kernel.dispatch import defer
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue, reliable
-from pancakes.runtime.kernel.letters import ATTEMPTS
 from pancakes.runtime.kernel.mailbox import Mailbox
 
 
@@ -37,7 +37,7 @@ def test_any_error_ends_the_actor_and_no_other(virtual, error):
     assert end is error
     assert failing.diary == ["start", f"failed: {type(error).__name__}"]  # `on_stop` is for an end that was meant
     assert other.diary == ["start", 1]
-    assert virtual.kernel.letters.count == 1
+    assert virtual.kernel.dead_letters.count == 1
     (letter,) = [line for line in virtual.lines() if "dead letter" in line]
     assert "a/client/T failed 1 time on 'virtual_rig.number' #1 from a/client/Source" in letter
 
@@ -147,14 +147,14 @@ def lives(virtual, lives_left, *bodies):
 def test_a_packet_that_may_not_be_lost_comes_three_times_and_is_then_a_dead_letter(virtual):
     assert lives(virtual, 9, Number(1), Number(13), Number(2)) == [1, 13, 13, 13, 2]
     assert ATTEMPTS == 3
-    assert virtual.kernel.letters.count == 1
+    assert virtual.kernel.dead_letters.count == 1
     (letter,) = [line for line in virtual.lines() if "dead letter" in line]
     assert "a/client/Picky failed 3 times on 'virtual_rig.number'" in letter
 
 
 def test_any_other_packet_is_a_dead_letter_at_once_though_a_reliable_one_shares_its_channel(virtual):
     assert lives(virtual, 9, Word("bad"), Number(1)) == ["bad", 1]
-    assert virtual.kernel.letters.count == 1
+    assert virtual.kernel.dead_letters.count == 1
 
 
 def test_a_call_meant_for_an_actor_that_ended_is_not_made_in_its_successors_turn(virtual):

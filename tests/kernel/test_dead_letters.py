@@ -5,8 +5,8 @@ from __future__ import annotations
 from kernel.actors import bounded
 
 from pancakes.packet import SYSTEM, Packet
+from pancakes.runtime.kernel.dead_letters import ATTEMPTS, MOST_KNOWN, DeadLetters
 from pancakes.runtime.kernel.keep import reliable
-from pancakes.runtime.kernel.letters import ATTEMPTS, MOST_KNOWN, DeadLetters
 from pancakes.runtime.kernel.mailbox import Mailbox
 
 

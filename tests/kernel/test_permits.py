@@ -37,9 +37,9 @@ class Clocks:
 
 def test_what_is_not_guarded_may_always_act() -> None:
     permits = Clocks().permits()
-    assert permits.holds(None) and permits.holds(FIRST) and permits.left_s(FIRST) is None
+    assert permits.may_act(None) and permits.may_act(FIRST) and permits.left_s(FIRST) is None
     permits.revoke(Fence("b/Other", (0, "b")))
-    assert permits.holds(None) and permits.holds(FIRST)
+    assert permits.may_act(None) and permits.may_act(FIRST)
     assert permits.limited(FIRST, 0.5) is FIRST
 
 
@@ -48,11 +48,11 @@ def test_a_permit_lasts_until_its_end() -> None:
     permits = clocks.permits()
     permits.give(FIRST, clocks.moment().later(2.0))
     clocks.pass_s(1.5)
-    assert permits.holds(FIRST) and permits.left_s(FIRST) == pytest.approx(0.5)
+    assert permits.may_act(FIRST) and permits.left_s(FIRST) == pytest.approx(0.5)
     clocks.pass_s(0.5)
-    assert not permits.holds(FIRST) and permits.left_s(FIRST) == 0.0
+    assert not permits.may_act(FIRST) and permits.left_s(FIRST) == 0.0
     permits.free(FIRST.task_id)
-    assert permits.holds(FIRST)
+    assert permits.may_act(FIRST)
 
 
 @pytest.mark.parametrize("by", [(3.0, 0.0), (0.0, 3.0), (3.0, -50.0)], ids=["suspended", "set forward", "set back"])
@@ -61,7 +61,7 @@ def test_a_permit_is_over_as_soon_as_either_clock_says_so(by: tuple[float, float
     permits = clocks.permits()
     permits.give(FIRST, clocks.moment().later(2.0))
     clocks.pass_s(*by)
-    assert not permits.holds(FIRST)
+    assert not permits.may_act(FIRST)
 
 
 def test_a_step_of_the_time_of_day_alone_is_told_from_other_ends_and_counted() -> None:
@@ -81,17 +81,17 @@ def test_a_new_epoch_has_no_permit_before_it_is_given_one() -> None:
     clocks = Clocks()
     permits = clocks.permits()
     permits.give(FIRST, clocks.moment().later(2.0))
-    assert not permits.begin(FIRST) and permits.holds(FIRST)
+    assert not permits.begin(FIRST) and permits.may_act(FIRST)
     assert permits.begin(LATER)
-    assert not permits.holds(LATER) and not permits.holds(FIRST)
+    assert not permits.may_act(LATER) and not permits.may_act(FIRST)
 
 
 def test_a_later_epoch_than_this_agent_ever_had_is_the_business_of_another() -> None:
     permits = Clocks().permits()
     permits.revoke(FIRST)
-    assert not permits.holds(FIRST) and permits.holds(LATER)
+    assert not permits.may_act(FIRST) and permits.may_act(LATER)
     permits.revoke(LATER)
-    assert not permits.holds(LATER)
+    assert not permits.may_act(LATER)
 
 
 def test_a_right_says_for_how_long_it_is_good_whichever_limit_comes_first() -> None:

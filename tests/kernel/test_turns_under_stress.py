@@ -271,7 +271,7 @@ def test_a_call_that_fails_between_two_packets_brings_neither_back(kernel, secon
     assert component.heard == ["one"]
     queues = component.actor_inbox.queues.values()
     assert [it.body.text for waiting in queues for it in iter(waiting.take, None)] == ["two"]
-    assert kernel.letters.count == 0
+    assert kernel.dead_letters.count == 0
 
 
 def test_what_is_published_again_and_again_has_its_cause_as_the_first_time_and_none_after_the_turn(kernel):

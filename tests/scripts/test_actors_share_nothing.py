@@ -39,7 +39,7 @@ OWN_TABLES = {
     "runtime/hosting/host_state.py": "its reservations, a table without a lock, and the clock",
     "runtime/hosting/shared_outbox.py": "the outbox, which is pure",
     "runtime/kernel/channel_queue.py": "the queue's own limits",
-    "runtime/kernel/letters.py": "the keep of a queue, which is data",
+    "runtime/kernel/dead_letters.py": "the keep of a queue, which is data",
     "runtime/kernel/pinned.py": "the wake-up of a thread, which is a queue",
     "runtime/kernel/pool.py": "the threads of the pool, which the lock guards",
     "runtime/kernel/stream.py": "the subscriptions of the stream, which the lock guards",

@@ -137,8 +137,8 @@ def test_an_actuator_remembers_each_task_that_it_has_seen():
     store.close()
     journal = MemoryJournal(disk, "x")
     fences = Fences(Disk(journal, VirtualStore(journal, lambda delay_s, function: None), []))
-    assert fences.holds("wheels", first) and fences.holds("wheels", second)
-    assert not fences.holds("arm", first)
+    assert fences.obeys("wheels", first) and fences.obeys("wheels", second)
+    assert not fences.obeys("arm", first)
 
 
 def test_a_damaged_fence_is_told_by_name():

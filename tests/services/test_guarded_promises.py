@@ -143,7 +143,7 @@ def running(fleet, name):
     return [
         agent
         for agent, one in fleet.agents.items()
-        if name in one.running() and one.agent.kernel.permits.holds(one.task(name).fence)
+        if name in one.running() and one.agent.kernel.permits.may_act(one.task(name).fence)
     ]
 
 

@@ -85,7 +85,7 @@ class TestOnOneAgent:
         fleet.run_for(10.0)
         assert [event["task"] for event in agent.events("task_failed")] == ["Sink"] * 3
         assert numbers(fleet) == [1, 2, 4, 5]
-        assert agent.kernel.letters.count == 1
+        assert agent.kernel.dead_letters.count == 1
         assert [line for line in agent.lines("warning") if "dead letter" in line and "3 times" in line]
         assert not agent.agent.outbox.waiting()
 

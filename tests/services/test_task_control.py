@@ -279,7 +279,7 @@ def test_a_task_that_fails_is_started_again_and_both_are_told(fleet, service):
     failed = agent.events("task_failed", task="Fragile")
     assert [event["then"] for event in failed] == ["restart", "restart", "restart"]
     assert "RuntimeError: negative" in failed[0]["error"] and "test_task_control.py" in failed[0]["error"]
-    assert agent.kernel.letters.count == 1
+    assert agent.kernel.dead_letters.count == 1
     assert [line for line in agent.lines("info") if line.startswith("got")] == ["got 1", "got 2"]
     assert agent.slot("Fragile", service).life.incarnation == 4
 

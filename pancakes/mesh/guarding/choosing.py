@@ -1,4 +1,4 @@
-"""Who guards a task: the owner asks its neighbours, and chooses. Pure."""
+"""Which agents guard a task: the owner asks its neighbours, and chooses. Pure."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class CanGuard(msgspec.Struct, frozen=True):
     """Says whether an agent would guard a task.
 
     Attributes:
-        guardian: who says so.
+        guardian: the agent that says so.
         refusal: why not; empty: it would.
         runs_type: whether it could run the task: else it is a witness, which only remembers.
         on_battery: whether it runs on a battery.

@@ -85,7 +85,7 @@ class LeaseKept(msgspec.Struct, frozen=True):
 
     Attributes:
         epoch: the epoch of the owner.
-        guardian: who says so.
+        guardian: the guardian that says so.
         beat: which asking this answers.
         no: the newest checkpoint under that epoch that the guardian has; -1: none.
         version: the newest version of the guards of that epoch that it has; -1: none.
@@ -127,7 +127,7 @@ class Pledge(msgspec.Struct, frozen=True):
 
     Attributes:
         epoch: the epoch that it has promised itself to.
-        guardian: who says so.
+        guardian: the guardian that says so.
         checkpoint: the newest checkpoint that it has.
         guards: the newest guards that it knows.
         body: that checkpoint; None: it has none.
@@ -148,7 +148,7 @@ class DenyLease(msgspec.Struct, frozen=True):
 
     Attributes:
         epoch: the epoch of which it was asked.
-        guardian: who says so.
+        guardian: the guardian that says so.
         promised: the highest epoch that it has promised itself to.
         reason: why, as a sentence.
     """

@@ -1,4 +1,4 @@
-"""What a guardian decides: to whom it grants a lease on a task, and to whom it pledges itself. Pure.
+"""What a guardian decides: which agent gets a lease on a task, and which one its pledge. Pure.
 
 A register for each task, in the manner of CASPaxos (arXiv 1802.07000), with leases: the owner of a task asks each of
 its guardians for a lease again and again, and tells them its newest checkpoint. An agent that is to take the task mints

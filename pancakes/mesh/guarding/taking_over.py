@@ -42,7 +42,7 @@ class LeaseSeen(msgspec.Struct, frozen=True):
     """Says whether a lease runs at a guardian.
 
     Attributes:
-        guardian: who says so.
+        guardian: the guardian that says so.
         runs: whether one runs.
         promised: the latest epoch that it follows.
         guards: the newest guards that it knows of.

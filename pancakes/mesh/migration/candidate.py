@@ -83,7 +83,7 @@ def commit(record: Record, event: Received, message: Commit) -> list[Effect]:
 
 
 def abort(record: Record, event: Received, message: Abort) -> list[Effect]:
-    """Drops a dormant snapshot that its owner took back; remembers `seen`, and who has the task."""
+    """Drops a dormant snapshot that its owner took back; remembers `seen`, and which agent has the task."""
     if record.phase is not Phase.PREPARED or (record.peer, record.offer) != (event.peer, message.offer):
         return []
     return [Persist(replace(record, phase=Phase.ABSENT, offer=NO_EPOCH, snapshot=b"")), Discard()]

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 
 class Epoch(NamedTuple):
-    """How often a task was handed over, and who minted that number; ordered in this order.
+    """How often a task was handed over, and which agent minted that number; ordered in this order.
 
     The next epoch offered is the hand-off's id and the fencing token in one.
 

@@ -197,7 +197,7 @@ class Award(msgspec.Struct, frozen=True):
     """The bids are compared, and `peer` is next.
 
     Attributes:
-        peer: whom to ask for a reservation.
+        peer: the agent to ask for a reservation.
         request: what it bid on.
     """
 

@@ -1,4 +1,4 @@
-"""The hand-off's core, as far as a guarded task differs: its guardians decide who may run it. Pure.
+"""The hand-off's core, as far as a guarded task differs: its guardians decide which agent may run it. Pure.
 
 Its owner acts only while more than half of the guardians have granted it a lease; so where another agent owns the task
 under a later epoch, the guardians have decided that, and nothing is left to dispute (docs/protocol.md, guardians).

@@ -1,4 +1,4 @@
-"""The guardians of a task: a few agents that together remember who may run it. Pure."""
+"""The guardians of a task: a few agents that together remember which agent may run it. Pure."""
 
 from __future__ import annotations
 

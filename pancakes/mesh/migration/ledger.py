@@ -1,4 +1,4 @@
-"""The account of one move: who was asked, what each said, who won, and why the others did not."""
+"""The account of one move: which agents were asked, what each said, which won, and why the others did not."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class Awarded(msgspec.Struct, frozen=True):
 
 
 class Exhausted(msgspec.Struct, frozen=True):
-    """No neighbour can take the task, or the one asking wanted to know nothing but who could.
+    """No neighbour can take the task, or the request was only to know which could.
 
     Attributes:
         error: what to tell the asker; its message has each neighbour's reason. None after a dry run that
@@ -46,7 +46,7 @@ class Negotiation:
     Args:
         request: what is asked; sent to each of `asked` by the caller.
         source: as in `Ledger`.
-        asked_by: who wants the move, for the ledger.
+        asked_by: the task or person that wants the move, for the ledger.
         neighbours: the neighbours in a role that hosts tasks.
         now_s: host time.
         to: the only neighbour to ask; empty: all.

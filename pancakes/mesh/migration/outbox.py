@@ -46,7 +46,7 @@ class Outbox:
 
         Args:
             sender: the task that sends it, as `birthplace/name`; empty: the sender does not move.
-            task_id: whom it is for.
+            task_id: the task that it is for.
             packet: the packet, as the wire writes it.
             host: where that task is, as far as is known; used for the first packet of this sender to it only.
             now_s: host time.

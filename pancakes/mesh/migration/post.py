@@ -107,7 +107,7 @@ class StreamsBegan(msgspec.Struct, frozen=True):
 
 @packet_type("post.forward_to")
 class ForwardTo(msgspec.Struct, frozen=True):
-    """Says that the task is not here, and who has it as far as is known here.
+    """Says that the task is not here, and which agent has it as far as is known here.
 
     Attributes:
         task_id: the task.
@@ -170,7 +170,7 @@ class LostLetters(msgspec.Struct, frozen=True):
 
 
 class OutgoingLetter(msgspec.Struct, frozen=True):
-    """What to send, and to whom.
+    """What to send, and to which agent.
 
     Attributes:
         peer: the agent; empty: this one and all neighbours.
@@ -227,7 +227,7 @@ class Outgoing:
         """Takes a packet, and returns what is to be sent now.
 
         Args:
-            task_id: whom it is for.
+            task_id: the task that it is for.
             packet: the packet, as the wire writes it.
             host: where the task is, as far as the caller knows; used for the first packet to this task only.
             now_s: host time.

@@ -65,7 +65,7 @@ class Phase(Enum):
 
 
 class Wanted(Enum):
-    """What is wanted of a task by those who command it; outlives a reboot."""
+    """What is wanted of a task by the people and tasks that command it; outlives a reboot."""
 
     RUNNING = "running"
     STOPPED = "stopped"
@@ -86,7 +86,7 @@ class Record(msgspec.Struct, frozen=True):
         offer: in FROZEN, COMMITTED and PREPARED, the epoch of the hand-off under way.
         peer: the other side of that hand-off; afterwards, where packets for the task are forwarded to. Of a disputed
             task, the other owner.
-        wanted: what those who command the task want of it.
+        wanted: what the people and tasks that command it want of it.
         incarnation: how often it was started here under `epoch`; a checkpoint of an earlier one is not taken.
         snapshot: an encoded `Snapshot`; empty where this agent holds none.
         sequel: what is to be done here once the task has gone, an encoded `Sequel`; empty: nothing, or nothing more.
@@ -116,7 +116,7 @@ class Record(msgspec.Struct, frozen=True):
 
     @property
     def guarded(self) -> bool:
-        """Whether its guardians decide who may run it."""
+        """Whether its guardians decide which agent may run it."""
         return bool(self.guards.sets)
 
     def encode(self) -> bytes:

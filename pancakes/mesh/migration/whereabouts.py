@@ -1,4 +1,4 @@
-"""Where a task is, as far as one agent knows: asked by agents that must know who may command their actuators. Pure."""
+"""Where a task is, as far as one agent knows: asked by agents whose actuators a task is to command. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pancakes.packet import packet_type
 
 @packet_type("task.where")
 class WhereIs(msgspec.Struct, frozen=True):
-    """Asks an agent's courier who has a task. Answered by `TaskAt`.
+    """Asks an agent's courier which agent has a task. Answered by `TaskAt`.
 
     Attributes:
         task_id: the task, as `birthplace/name`.
@@ -22,7 +22,7 @@ class WhereIs(msgspec.Struct, frozen=True):
 
 @packet_type("task.at")
 class TaskAt(msgspec.Struct, frozen=True):
-    """Says who has a task, as far as is known here.
+    """Says which agent has a task, as far as is known here.
 
     Attributes:
         task_id: the task.
@@ -46,5 +46,5 @@ def whereabouts(me: str, task_id: str, record: Record | None) -> TaskAt:
             return TaskAt(task_id, record.peer, record.offer)
         case Phase.RELEASED:
             return TaskAt(task_id, record.peer, record.seen)
-        case _:  # any agent may offer a task, and only one that gave it away knows to whom
+        case _:  # any agent may offer a task, and only one that gave it away knows to which other
             return TaskAt(task_id)

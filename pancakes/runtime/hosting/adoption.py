@@ -120,7 +120,7 @@ def cost_of_revival(task_id: TaskId, me: str, checkpoint: str = "") -> str:
 
 
 def cost_of_standing_alone(record: Record, me: str) -> str:
-    """Returns what it would mean that a task goes on whose guardians are gone, for who has not yet said `force`."""
+    """Returns what it would mean that a task goes on without its guardians, for a person who has not said `force`."""
     others = " and ".join(one.agent for one in record.guards.members() if one.agent != me) or "no other agent"
     return (
         f"{record.task_id} stands still on {me}: its guardians are {me} and {others}, and more than half do not answer."

@@ -174,7 +174,7 @@ class Census(Component):
         self._tell_services(CopyNoticed(peer))
 
 
-def _why(who: str, later: Boot, boot: Boot) -> str:
+def _why(agent: str, later: Boot, boot: Boot) -> str:
     if later.number == boot.number:
-        return f"{who} remembers another start of its journal with the same number, {boot.number}"
-    return f"{who} remembers start {later.number} of its journal, and this is start {boot.number}"
+        return f"{agent} remembers another start of its journal with the same number, {boot.number}"
+    return f"{agent} remembers start {later.number} of its journal, and this is start {boot.number}"

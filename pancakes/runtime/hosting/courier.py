@@ -138,7 +138,7 @@ class Courier(Component):
 
     @on(NETWORK, WhereIs, addressed=True)
     def on_where_is(self, packet: Packet) -> None:
-        """An agent must know who has a task before it obeys it."""
+        """Another agent asks which one has a task, before its actuators obey the task."""
         try:
             record = self._records.get(TaskId.parse(packet.body.task_id))
             self.publish(NETWORK, whereabouts(self.agent, packet.body.task_id, record), to=packet.source)

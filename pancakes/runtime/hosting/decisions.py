@@ -146,7 +146,7 @@ class Decisions:
         host, task_id = self._host, TaskId.parse(body.task_id)
         place = host.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
         record, lost = place.standing.record, self._records.lost(task_id)
-        stands_still = record.guarded and not host.kernel.permits.holds(Fence(str(task_id), record.epoch))
+        stands_still = record.guarded and not host.kernel.permits.may_act(Fence(str(task_id), record.epoch))
         if record.phase is Phase.OWNER and stands_still and not is_disputed(record):
             self._stand_alone(place, body, request)
             return

@@ -16,7 +16,7 @@ from pancakes.runtime.hosting.courier_messages import COURIER, AskedBegan, CameF
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.place import Place, began_from
 from pancakes.runtime.hosting.task_letters import TaskLetters
-from pancakes.runtime.kernel.letters import ATTEMPTS
+from pancakes.runtime.kernel.dead_letters import ATTEMPTS
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
@@ -61,7 +61,7 @@ class Deliveries:
         if packet is None and key not in letters.failures:
             letters.note_failures(letter, ATTEMPTS)
             reason = f"{slot.address} cannot read packet #{letter.seq} of {letter.stream}"
-            self._host.kernel.letters.bury(reason)
+            self._host.kernel.dead_letters.bury(reason)
         addressed = None
         if packet is not None and letters.failures.get(key, 0) < ATTEMPTS:
             # To its handlers it is as any other packet that names them.
@@ -83,7 +83,7 @@ class Deliveries:
             failures = letters.failures.get((letter.stream, letter.seq), 0) + 1
             letters.note_failures(letter, failures)
             if failures == ATTEMPTS and packet is not None:
-                self._host.kernel.letters.bury(
+                self._host.kernel.dead_letters.bury(
                     f"{task.address} failed {failures} times on {packet.type!r} #{packet.seq} from {packet.source}"
                 )
         elif told.outcome is LetterOutcome.TAKEN:

@@ -76,7 +76,7 @@ class GuardedTasks:
         permits, right = self._host.kernel.permits, Fence(str(record.task_id), record.epoch)
 
         def why_not() -> str:
-            if permits.holds(right):
+            if permits.may_act(right):
                 return ""
             permits.hold_back(right, "checkpoints")
             return f"{record.task_id} may not act until its guardians answer"

@@ -1,4 +1,4 @@
-"""The guardian: remembers for the owners of tasks, and decides with others who may run each of them."""
+"""The guardian: remembers for the owners of tasks, and decides with others which agent may run each of them."""
 
 from __future__ import annotations
 

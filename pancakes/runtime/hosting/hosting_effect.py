@@ -47,7 +47,7 @@ class Unreserve(msgspec.Struct, frozen=True):
 
 
 class Decided(msgspec.Struct, frozen=True):
-    """Tell those who wait whether it starts.
+    """Tell the requests that wait whether it starts.
 
     Attributes:
         reason: why it does not run; empty: it runs.
@@ -57,7 +57,7 @@ class Decided(msgspec.Struct, frozen=True):
 
 
 class Lasts(msgspec.Struct, frozen=True):
-    """Tell those who wait that all that was decided about it is on disk.
+    """Tell the requests that wait that all that was decided about it is on disk.
 
     Attributes:
         why_not: why it is not; empty: it is.

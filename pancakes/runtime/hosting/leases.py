@@ -86,7 +86,7 @@ class Leases:
 
     def permits(self, place: Place) -> bool:
         """Returns whether a guarded task may act now."""
-        return place.tenancy is not None and self._host.kernel.permits.holds(_right(place))
+        return place.tenancy is not None and self._host.kernel.permits.may_act(_right(place))
 
     def look(self, place: Place) -> None:
         """The record of a task may have changed: asks for leases, or no longer."""
@@ -311,7 +311,7 @@ class Leases:
 
     def has_no_permit(self, place: Place) -> None:
         """A task has found its permit over, and stands still."""
-        if self._host.kernel.permits.holds(_right(place)):  # its guardians have answered since
+        if self._host.kernel.permits.may_act(_right(place)):  # its guardians have answered since
             self._hold(place)
             self._go_on(place)
         elif place.tenancy is not None and place.permit:

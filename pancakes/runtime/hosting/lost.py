@@ -50,7 +50,7 @@ class Lost(msgspec.Struct, frozen=True):
         return self.why + told
 
     def undecided(self, me: str) -> str:
-        """Returns why the task is not started, and what can be done, for who wants it to run on the agent `me`."""
+        """Returns why the task is not started, and what a person can do who wants it to run on `me`."""
         name = f"{me}/{self.task_id.name}"
         return (
             f"it may run elsewhere, and {self.story()}. It stays at rest until you decide: where `pancakes task list`"
@@ -59,7 +59,7 @@ class Lost(msgspec.Struct, frozen=True):
         )
 
     def meaning(self, me: str) -> str:
-        """Returns what adopting the task on the agent `me` would mean, for who has not yet said `force`."""
+        """Returns what adopting the task on the agent `me` would mean, for a person who has not yet said `force`."""
         begins = "from what is in that record" if self.snapshot else "as its configuration says, its state is lost"
         return (
             f"of {self.task_id}, {self.story()}. Adopted by force, it runs on {me} ({begins}), under a new epoch. Where"

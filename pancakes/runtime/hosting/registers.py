@@ -32,7 +32,7 @@ class RegisterWritten(msgspec.Struct, frozen=True):
 class Registers:
     """The registers of one guardian. Any thread; of one task, one thread at a time writes.
 
-    A guardian that has lost a register has forgotten to whom it pledged itself, so it is none of that task any more.
+    A guardian that has lost a register has forgotten its pledge, so it is no guardian of that task any more.
 
     Args:
         disk: what they are kept on.

@@ -10,7 +10,7 @@ import msgspec
 from pancakes.mesh.migration.event import PacketId
 from pancakes.mesh.migration.post import Letter
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.letters import MOST_KNOWN
+from pancakes.runtime.kernel.dead_letters import MOST_KNOWN
 from pancakes.runtime.kernel.reference import Reference
 
 KEPT: Final = 1024

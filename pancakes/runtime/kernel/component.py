@@ -117,7 +117,7 @@ class Component(PykkaActor):
         fence = self.fence
         if fence is not None and channel != LOG:
             permits = self.kernel.permits
-            if not permits.holds(fence):
+            if not permits.may_act(fence):
                 permits.hold_back(fence, "packets")
                 raise NoPermit(f"{self.address} may not act until its guardians answer")
             if channel == CTRL and to:
@@ -433,7 +433,7 @@ class Component(PykkaActor):
         packet = self.__in_hand
         if packet is not None:  # else it was a tick or a call
             self.__in_hand = None
-            self.kernel.letters.failed(self.address, self.actor_inbox.queues[packet.channel], packet)
+            self.kernel.dead_letters.failed(self.address, self.actor_inbox.queues[packet.channel], packet)
         if self.actor_stopped.is_set():
             self.__tell_failure(f"{self.address} failed while it stopped", error)
             return

@@ -18,10 +18,10 @@ from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock, SkewedCl
 from pancakes.runtime.folders import Folders
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.counter import Counter
+from pancakes.runtime.kernel.dead_letters import DeadLetters
 from pancakes.runtime.kernel.dispatch import Dispatcher
 from pancakes.runtime.kernel.guard_notes import GuardNotes
 from pancakes.runtime.kernel.guest import Guest
-from pancakes.runtime.kernel.letters import DeadLetters
 from pancakes.runtime.kernel.permits import PermitEnd, Permits, moment_of_host
 from pancakes.runtime.kernel.pinned import PinnedDispatcher
 from pancakes.runtime.kernel.pool import PoolDispatcher
@@ -57,7 +57,7 @@ class Kernel:
         guard_notes: what is known of the guardians of those that are owned here.
         tasks: the tasks of all services, at rest or not.
         task_timers: what ticks here.
-        letters: packets whose handlers failed.
+        dead_letters: packets whose handlers failed.
         timer: the timer actor.
         transport: how this agent reaches other processes (a `pancakes.mesh.net.transport.Transport`).
         access: what peers may do here; the agent sets it.
@@ -90,7 +90,7 @@ class Kernel:
         self.guard_notes = GuardNotes()
         self.tasks = TaskTable()
         self.task_timers = TimerTable()
-        self.letters = DeadLetters(self.log)
+        self.dead_letters = DeadLetters(self.log)
         self.transport: Any = None
         self.folders = Folders(agent)
         self.access = Access(agent)

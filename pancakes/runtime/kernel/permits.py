@@ -109,7 +109,7 @@ class Permits:
         """Lets a task act that is not guarded."""
         self._permits.pop(task_id, None)
 
-    def holds(self, fence: Fence | None) -> bool:
+    def may_act(self, fence: Fence | None) -> bool:
         """Returns whether what has this right may act now."""
         permit = self._asked(fence)
         return permit is None or permit.until.left_s(self.moment()) > 0

@@ -131,9 +131,9 @@ class ActuatorFence:
     def stands(self, packet: Packet) -> bool:
         """Returns whether a command may be obeyed now. Else it waits, or is refused."""
         fence = packet.fence
-        if fence is None or self._marks.holds(self._task.name, fence):
+        if fence is None or self._marks.obeys(self._task.name, fence):
             return True
-        # For how long it is good changes with each command, and says nothing of who has the task.
+        # For how long it is good changes with each command, and says nothing of which agent has the task.
         claim = EpochClaim(Fence(fence.task_id, fence.epoch), agent_of(packet.source))
         now_s = self._task.kernel.host.now()
         pending = self._pending.get(claim.peer)

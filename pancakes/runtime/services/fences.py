@@ -38,7 +38,7 @@ class Fences:
         """Returns the highest epoch that the actuator has seen of a task, on disk or about to be; None: none."""
         return self.of(actuator).get(task_id)
 
-    def holds(self, actuator: str, fence: Fence) -> bool:
+    def obeys(self, actuator: str, fence: Fence) -> bool:
         """Returns whether a command under `fence` may be obeyed: its epoch is on disk, and none higher."""
         mark = self._marks.on_disk.get(actuator, {}).get(fence.task_id)
         return mark is not None and (mark.n, mark.minter) == tuple(fence.epoch)

@@ -408,7 +408,7 @@ class Root(Component):
             "tasks": [
                 describe_task(self.kernel, entry) for name in self.places for entry in self.kernel.tasks.of(name)
             ],
-            "dead_letters": self.kernel.letters.count,
+            "dead_letters": self.kernel.dead_letters.count,
             "undelivered": self.kernel.stream.undelivered,
         }
 

@@ -212,7 +212,7 @@ class AgentMetrics(Collector):
     def _agent(self) -> Iterator[_Value]:
         kernel = self._kernel
         yield "undelivered_packets", [kernel.agent], kernel.stream.undelivered
-        yield "dead_letters", [kernel.agent], kernel.letters.count
+        yield "dead_letters", [kernel.agent], kernel.dead_letters.count
         yield "mission_seconds", [kernel.agent], kernel.mission.now()
         if self.battery_level is not None:
             yield "battery_level_ratio", [kernel.agent], self.battery_level

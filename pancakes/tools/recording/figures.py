@@ -132,4 +132,4 @@ def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]
         )
     told = ({**peer, "peer": peer["name"], "dropped": sum(peer["dropped"].values())} for peer in kernel.links())
     links = tuple(codecs.convert(row, OneLink) for row in told)
-    return TaskFigures(kernel.mission.now(), tuple(tasks), links, kernel.stream.undelivered, kernel.letters.count)
+    return TaskFigures(kernel.mission.now(), tuple(tasks), links, kernel.stream.undelivered, kernel.dead_letters.count)
