@@ -123,7 +123,7 @@ class Cutter:
         for name in fleet.names:
             fleet.start(name, wait=True)
         with Client(Where((fleet.addresses["source"],), "torture"), 10.0) as client:
-            wait_for_link(client, "source", "destination")
+            wait_for_both(client, "source", "destination")
             link.cut_at(f"migration.{step}")
             asking = threading.Thread(target=_ask, args=(client,), daemon=True)
             asking.start()
@@ -174,17 +174,19 @@ class Cutter:
         return lines[-1].split()[2] if lines else NOBODY
 
 
-def wait_for_link(client: Client, one: str, other: str) -> None:
-    """Waits until two agents have found each other."""
+def wait_for_both(client: Client, one: str, other: str) -> None:
+    """Waits until two agents have found each other, and the tasks of the first, which are new, are born."""
     until_s = time.monotonic() + 20.0
     while time.monotonic() < until_s:
         try:
-            if client.request(one, Describe()).result["neighbours"] == [other]:
+            found = client.request(one, Describe()).result
+            tasks = [task for task in found["tasks"] if task["service"] == "client"]
+            if found["neighbours"] == [other] and all(task["state"] == "running" for task in tasks):
                 return
         except PancakesError:  # it has only just been started
             pass
         time.sleep(0.05)
-    raise TimeoutError(f"{one} and {other} did not find each other within 20 s")
+    raise TimeoutError(f"{one} and {other} did not find each other within 20 s, or its tasks do not run")
 
 
 def _ask(client: Client) -> None:

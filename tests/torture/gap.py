@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from torture.cuts import wait_for_link
+from torture.cuts import wait_for_both
 from torture.grounds import Survey, on_loopback
 from torture.live import LiveFleet
 
@@ -88,7 +88,7 @@ def _move(fleet: LiveFleet, moves: int, move_s: float) -> list[_Attempt]:
     attempts = []
     never = threading.Event()
     with Client(Where(tuple(fleet.addresses.values()), "torture"), move_s) as client:
-        wait_for_link(client, *NAMES)
+        wait_for_both(client, *NAMES)
         at, to = NAMES
         for number in range(moves):
             asked_s = time.monotonic()
