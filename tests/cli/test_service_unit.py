@@ -108,6 +108,15 @@ def test_the_command_prints_the_unit_of_a_configuration(rig: Rig):
     assert "User=" not in rig.pancakes("agent", "unit", str(config), "--user").stdout
 
 
+def test_a_driver_says_what_it_opens(rig: Rig):
+    settings = '{ port = "/dev/ttyUSB3", nodes = { shed = 1 } }'
+    config = rig.config("a", f'[device.line]\ndriver = "sensor_field.serial"\nsettings = {settings}\n')
+    done = rig.pancakes("agent", "unit", str(config))
+    assert done.returncode == 0, done.stderr
+    assert values(done.stdout, "DeviceAllow") == ["/dev/ttyUSB3 rw"]
+    assert values(done.stdout, "SupplementaryGroups") == ["dialout"]
+
+
 def test_what_cannot_be_a_service_is_refused_with_a_reason(rig: Rig):
     config = rig.config("a", '[device.arm]\ndriver = "no.such"\n')
     done = rig.pancakes("agent", "unit", str(config))
