@@ -114,7 +114,7 @@ def test_a_driver_says_what_it_opens(rig: Rig):
     done = rig.pancakes("agent", "unit", str(config))
     assert done.returncode == 0, done.stderr
     assert values(done.stdout, "DeviceAllow") == ["/dev/ttyUSB3 rw"]
-    assert values(done.stdout, "SupplementaryGroups") == ["dialout"]
+    assert values(done.stdout, "SupplementaryGroups") == ["dialout"] and values(done.stdout, "ReadWritePaths") == []
 
 
 def test_what_cannot_be_a_service_is_refused_with_a_reason(rig: Rig):

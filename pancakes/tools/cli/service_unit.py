@@ -86,7 +86,7 @@ def facts_of(config: Config, plugins: Plugins) -> UnitFacts:
     """
     agent, skipped = config.agent, list[str]()
     composition = Composition(config, plugins, Installed(plugins), {}, {}, skipped)
-    files = composition.files(composition.services())
+    files = [path for path in composition.files(composition.services()) if not path.startswith("/dev/")]
     if skipped:
         raise PancakesError(f"{config.path}: {skipped[0]}")
     folders = {agent.state_dir, *agent.folders, *(os.path.dirname(path) for path in files)}
