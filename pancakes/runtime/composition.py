@@ -74,14 +74,17 @@ class Composition:
     def folders(self, specs: Sequence[ServiceSpec]) -> Folders:
         """Returns the folders that the configuration names, and the files in the settings of these services."""
         agent = self._config.agent
+        return Folders(agent.name, agent.folders, self.files(specs))
+
+    def files(self, specs: Sequence[ServiceSpec]) -> list[str]:
+        """Returns the files that the settings of these services, of their tasks and of their devices name."""
         given: list[tuple[type, Mapping[str, Any]]] = []
         for spec in specs:
             given.append((spec.cls.Settings, spec.settings))
             given += [(task.cls.Settings, task.settings) for task in spec.tasks]
             given += [(device.cls.Settings, device.settings) for device in spec.arguments.get("devices", ())]
             given.append((RecordingSettings, spec.arguments.get("record") or {}))
-        files = [path for cls, settings in given for _, path in paths_in(cls, settings) if path]
-        return Folders(agent.name, agent.folders, files)
+        return [path for cls, settings in given for _, path in paths_in(cls, settings) if path]
 
     def _service(self, config: ServiceConfig, tasks: tuple[TaskSpec, ...]) -> ServiceSpec | None:
         try:

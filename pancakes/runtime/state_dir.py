@@ -9,7 +9,13 @@ from pancakes.runtime.config import Config
 
 
 def default_state_dir(fleet: str, name: str) -> Path:
-    """Returns the state directory of an agent whose configuration does not name one."""
+    """Returns the state directory of an agent whose configuration does not name one.
+
+    A service of the system has the one that systemd made for it (`StateDirectory=`).
+    """
+    of_service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if of_service:
+        return Path(of_service)
     base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
     return Path(base) / "pancakes" / fleet / name
 

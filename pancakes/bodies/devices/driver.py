@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import random
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, TypeVar
 
+from pancakes.bodies.devices.hardware import Hardware
 from pancakes.mesh.net.transport import Transport
 from pancakes.packet import Packet
 from pancakes.runtime.foundation.signatures import check_overrides
@@ -102,6 +103,15 @@ class Driver(ABC):
     def __init__(self, context: DeviceContext, settings: Any) -> None:
         self.context = context
         self.settings = settings
+
+    @classmethod
+    def hardware(cls, settings: Any) -> Sequence[Hardware]:
+        """Returns what a device with these settings opens of its computer, for the unit of a service of the system.
+
+        Args:
+            settings: the driver's settings.
+        """
+        return ()
 
     def open(self) -> None:
         """Prepares the hardware. An error here fails the device, which its service then restarts."""

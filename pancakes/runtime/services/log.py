@@ -26,6 +26,7 @@ from pancakes.runtime.life.life_effect import Answer
 from pancakes.runtime.life.life_event import Written
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.life.restart import RestartSpec
+from pancakes.runtime.services.journal_levels import for_standard_error
 from pancakes.runtime.services.log_record import line_of, record_of
 from pancakes.runtime.services.log_writer import LogWriter
 from pancakes.runtime.services.wanted_recordings import NOTHING, WantedRecording
@@ -77,7 +78,7 @@ class Console(LogWriter):
         if self.settings.traceback and isinstance(body, LogLine):
             line = "\n".join([line, *(printable(f"          {row}") for row in body.traceback.splitlines())])
         try:
-            print(line, file=sys.stderr, flush=True)
+            print(for_standard_error(line, level_of(body)), file=sys.stderr, flush=True)
         except (OSError, ValueError):
             # The reader of this terminal or pipe has gone; an agent does not stop for that.
             self.stop()

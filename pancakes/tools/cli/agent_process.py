@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.tools.cli import interpreter
 from pancakes.tools.cli.exit_codes import OK, REFUSED
+from pancakes.tools.cli.notify_socket import NotifySocket
 from pancakes.tools.cli.output import show_text
 
 if TYPE_CHECKING:
@@ -119,6 +120,7 @@ class Orders:
 def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None) -> int:
     from pancakes.runtime.agent import Agent
 
+    manager = NotifySocket.from_environment(os.environ)
     running = Agent(config, plugins)
     deafen = _listen_to_libraries(running)
     interpreter.keep()
@@ -128,8 +130,13 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     running.start()
     registration = _register(running)
     if ready_fd is not None:
-        _tell_when_ready(running, ready_fd)
+        _when_ready(running, lambda: _tell_launcher(running, ready_fd))
+    if manager is not None:
+        _when_ready(running, lambda: manager.say(READY=1, STATUS=f"{running.name} is ready"))
+        _feed_watchdog(running, manager)
     reason = orders.wait()
+    if manager is not None:
+        manager.say(STOPPING=1, STATUS=reason or f"{running.name} ends")
     # From now on no command finds the agent, which is about to end.
     if registration is not None:
         registration.remove()
@@ -183,21 +190,39 @@ def _register(running: Agent) -> Registration | None:
         return None
 
 
-def _tell_when_ready(running: Agent, ready_fd: int) -> None:
+def _when_ready(running: Agent, tell: Callable[[], None]) -> None:
+    import threading
+
+    def wait() -> None:
+        running.ready.wait()
+        tell()
+
+    threading.Thread(target=wait, name=f"{running.name}-ready", daemon=True).start()
+
+
+def _tell_launcher(running: Agent, ready_fd: int) -> None:
     """Lets the launcher know that the agent is ready, and before that which of its tasks do not start.
 
     Each is a line: `rests SERVICE/TASK WHY`, and at the end `ready`. A launcher that has gone need not know.
     """
     import contextlib
-    import threading
 
-    def tell() -> None:
-        running.ready.wait()
-        told = [*(f"rests {task} {why}" for task, why in running.resting.items()), "ready"]
-        with contextlib.suppress(OSError), open(ready_fd, "w", encoding="utf-8") as pipe:
-            pipe.writelines(f"{line}\n" for line in told)
+    told = [*(f"rests {task} {why}" for task, why in running.resting.items()), "ready"]
+    with contextlib.suppress(OSError), open(ready_fd, "w", encoding="utf-8") as pipe:
+        pipe.writelines(f"{line}\n" for line in told)
 
-    threading.Thread(target=tell, name=f"{running.name}-ready", daemon=True).start()
+
+def _feed_watchdog(running: Agent, manager: NotifySocket) -> None:
+    """Has the timer's thread say that the agent lives, twice as often as it must: no tick comes where it hangs."""
+    if manager.watchdog_s is None:
+        return
+    period_s = manager.watchdog_s / 2
+
+    def feed() -> None:
+        manager.say(WATCHDOG=1)
+        running.kernel.timer.after_host(period_s, feed)
+
+    feed()
 
 
 def _listen_to_libraries(running: Agent) -> Callable[[], None]:

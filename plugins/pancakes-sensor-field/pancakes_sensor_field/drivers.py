@@ -8,12 +8,14 @@ says of its temperature becomes a reading of the device `shed_temperature`, and 
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from msgspec import Meta
 
 from pancakes.bodies.devices.driver import Actuator, DeviceContext, Sensor
+from pancakes.bodies.devices.hardware import Hardware
 from pancakes.bodies.devices.network_devices import NetworkSensor
 from pancakes.bodies.devices.types import Motion, Temperature
 from pancakes.bodies.sim.drivers import SimulatedSensor
@@ -194,6 +196,10 @@ class SerialNodes(LineNodes):
 
     def make_line(self) -> Line:
         return SerialLine(self.settings.port, self.settings.baud)
+
+    @classmethod
+    def hardware(cls, settings: Settings) -> Sequence[Hardware]:
+        return (Hardware(settings.port, "dialout"),)
 
     def line_name(self) -> str:
         return f"the serial port {self.settings.port}"

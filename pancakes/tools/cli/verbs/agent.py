@@ -11,7 +11,7 @@ from pancakes.control import ReloadKeys
 from pancakes.tools.cli.asking import ask_each, survey
 from pancakes.tools.cli.name_types import agents, the_agent
 from pancakes.tools.cli.options import Ask, asks_agents, orders_agents
-from pancakes.tools.cli.output import show_json, show_sections
+from pancakes.tools.cli.output import show_json, show_sections, show_text
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
 
@@ -83,6 +83,34 @@ def reload_keys(agents: tuple[str, ...], ask: Ask) -> None:
     """
     rows = [{"agent": name, "new_key": found} for name, found in ask_each(ask, ReloadKeys(), *agents)]
     ask.show(rows, ("agent", "new_key"))
+
+
+@agent.command()
+@click.argument("path", metavar="CONFIG", type=click.Path(dir_okay=False))
+@click.option("--user", "of_person", is_flag=True, help="A unit for your own services (systemctl --user).")
+@click.option(
+    "--run-as", "user", metavar="USER", help="The user of this machine as which it runs.  [default: pancakes]"
+)
+def unit(path: str, of_person: bool, user: str | None) -> None:
+    """Print the unit with which systemd runs the agent of CONFIG: ready when the agent is, restarted where it hangs.
+
+    A service of the system runs under a user of its own, with state, log and runtime directories of its own, and may
+    open no more of the machine than the drivers of CONFIG need. docs/system-service.md has the rest.
+
+    \b
+    Example:
+        pancakes agent unit /etc/pancakes/agent1.toml | sudo tee /etc/systemd/system/pancakes-agent1.service
+        pancakes agent unit agent1.toml --user > ~/.config/systemd/user/pancakes-agent1.service
+    """
+    from pancakes.runtime.config import load
+    from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.cli.service_unit import USER, facts_of, unit_of, user_unit_of
+
+    if of_person and user is not None:
+        raise click.UsageError("--run-as is for a service of the system: one of --user runs as you")
+    plugins = Plugins()
+    facts = facts_of(load(path, (), plugins, must_load=True), plugins)
+    show_text(user_unit_of(facts) if of_person else unit_of(facts, user or USER), nl=False)
 
 
 def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str, Any]:

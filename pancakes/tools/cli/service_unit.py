@@ -1,0 +1,192 @@
+"""The unit with which systemd runs an agent as a service, from the agent's configuration."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from pancakes.bodies.devices.hardware import Hardware
+from pancakes.errors import PancakesError
+from pancakes.runtime.composition import Composition
+from pancakes.runtime.config import Config
+from pancakes.runtime.installed import Installed
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.transport_settings import tcp_addresses
+from pancakes.settings import SettingsError, make_settings
+
+USER: Final = "pancakes"
+"""The user of the machine as which its agents run, where no other is named."""
+WATCHDOG_S: Final = 10
+_USER_NAME: Final = re.compile(r"[a-z_][a-z0-9_-]{0,30}")
+_PLAIN: Final = re.compile(r"[\w@+=:,./-]+")
+_HOMES: Final = ("/home", "/root", "/run/user")
+
+_SANDBOX: Final = """\
+NoNewPrivileges=yes
+CapabilityBoundingSet=
+ProtectSystem=strict
+PrivateTmp=yes
+ProtectProc=invisible
+ProtectClock=yes
+ProtectHostname=yes
+ProtectKernelTunables=yes
+ProtectKernelModules=yes
+ProtectKernelLogs=yes
+ProtectControlGroups=yes
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
+RestrictNamespaces=yes
+RestrictRealtime=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+RemoveIPC=yes
+KeyringMode=private
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallFilter=~@privileged @resources
+SystemCallErrorNumber=EPERM
+UMask=0077
+"""
+
+
+class UnitFacts(msgspec.Struct, frozen=True):
+    """What the unit of an agent rests on.
+
+    Attributes:
+        name: the agent's name.
+        fleet: its fleet.
+        command: the command that runs it, all paths absolute.
+        networked: whether it speaks to other machines.
+        group: the group of the machine that `local://` is open to; empty: none.
+        writes: the folders outside its own that its configuration has it write to.
+        reads: the folders that it needs to run: where its program and its configuration are.
+        hardware: what its drivers open.
+    """
+
+    name: str
+    fleet: str
+    command: tuple[str, ...]
+    networked: bool = False
+    group: str = ""
+    writes: tuple[str, ...] = ()
+    reads: tuple[str, ...] = ()
+    hardware: tuple[Hardware, ...] = ()
+
+
+def facts_of(config: Config, plugins: Plugins) -> UnitFacts:
+    """Returns what the unit of a configuration's agent rests on.
+
+    Raises:
+        PancakesError: a part of the configuration is not installed here, or its settings are wrong.
+    """
+    agent, skipped = config.agent, list[str]()
+    composition = Composition(config, plugins, Installed(plugins), {}, {}, skipped)
+    files = [path for path in composition.files(composition.services()) if not path.startswith("/dev/")]
+    if skipped:
+        raise PancakesError(f"{config.path}: {skipped[0]}")
+    folders = {agent.state_dir, *agent.folders, *(os.path.dirname(path) for path in files)}
+    program = Path(sys.executable).parent / "pancakes-agent"
+    command = (str(program),) if program.exists() else (sys.executable, "-m", "pancakes.tools.cli.agent_command")
+    path = os.path.abspath(config.path)
+    return UnitFacts(
+        agent.name,
+        agent.fleet,
+        (*command, "--config", path),
+        networked=bool(tcp_addresses(agent)),
+        group=agent.local_group,
+        writes=tuple(sorted(folder for folder in folders if os.path.isabs(folder))),
+        reads=(sys.prefix, sys.base_prefix, str(Path(__file__).parent), os.path.dirname(path)),
+        hardware=tuple(_hardware(config, plugins)),
+    )
+
+
+def _hardware(config: Config, plugins: Plugins) -> Iterable[Hardware]:
+    for device in config.devices.values():
+        driver = plugins.get("pancakes.drivers", device.driver)
+        try:
+            yield from driver.hardware(make_settings(driver.Settings, device.settings))
+        except SettingsError as error:
+            raise PancakesError(f"{config.path}: the settings of the device {device.name}: {error}") from None
+
+
+def unit_of(facts: UnitFacts, user: str = USER) -> str:
+    """Returns the unit of a service of the system, which runs under a user of its own.
+
+    Raises:
+        PancakesError: that is no name for a user.
+    """
+    if not _USER_NAME.fullmatch(user):
+        raise PancakesError(f"{user!r} is no name for a user of this machine: lower-case letters, digits, - and _")
+    own = f"pancakes/{facts.fleet}/{facts.name}"
+    lines = [
+        *_head(facts),
+        f"User={user}",
+        f"StateDirectory={own}",
+        "StateDirectoryMode=0700",
+        "LogsDirectory=pancakes",
+        "WorkingDirectory=%L/pancakes",
+        "RuntimeDirectory=pancakes",
+        f"RuntimeDirectoryMode={'0750' if facts.group else '0700'}",
+        "RuntimeDirectoryPreserve=yes",  # the other agents of this machine are there too
+        "Environment=PANCAKES_RUNTIME_DIR=%t/pancakes",
+        *[f"ReadWritePaths={_quoted(f'-{folder}')}" for folder in facts.writes],
+        f"ProtectHome={_protect_home(facts)}",
+        *_devices(facts),
+        *_SANDBOX.splitlines(),
+    ]
+    return "\n".join([*lines, "", "[Install]", "WantedBy=multi-user.target", ""])
+
+
+def user_unit_of(facts: UnitFacts) -> str:
+    """Returns the unit of a service of one person, which keeps its state where the agent has it at a terminal."""
+    lines = [*_head(facts), "NoNewPrivileges=yes", "LockPersonality=yes", "SystemCallArchitectures=native"]
+    return "\n".join([*lines, "", "[Install]", "WantedBy=default.target", ""])
+
+
+def _head(facts: UnitFacts) -> Sequence[str]:
+    online = ["Wants=network-online.target", "After=network-online.target time-sync.target"] if facts.networked else []
+    return [
+        "[Unit]",
+        f"Description=Pancakes agent {facts.name} of the fleet {facts.fleet}".replace("%", "%%"),
+        *online,
+        "StartLimitIntervalSec=0",
+        "",
+        "[Service]",
+        "Type=notify",
+        f"ExecStart={' '.join(map(_quoted, facts.command))}",
+        f"WatchdogSec={WATCHDOG_S}",
+        "Restart=on-failure",
+        "RestartSec=1",
+        "RestartPreventExitStatus=4",  # its configuration is bad, and will be
+        "TimeoutStartSec=90",
+        "TimeoutStopSec=10",
+    ]
+
+
+def _protect_home(facts: UnitFacts) -> str:
+    needed = [*facts.reads, *facts.writes]
+    return (
+        "read-only" if any(path == home or path.startswith(f"{home}/") for path in needed for home in _HOMES) else "yes"
+    )
+
+
+def _devices(facts: UnitFacts) -> list[str]:
+    groups = sorted({it.group for it in facts.hardware if it.group} | ({facts.group} - {""}))
+    lines = [f"SupplementaryGroups={' '.join(groups)}"] if groups else []
+    if not facts.hardware:
+        return [*lines, "PrivateDevices=yes"]
+    nodes = dict.fromkeys(it.node for it in facts.hardware)
+    return [*lines, "DevicePolicy=closed", *(f"DeviceAllow={_quoted(node)} rw" for node in nodes)]
+
+
+def _quoted(text: str) -> str:
+    """Returns one word of a line of a unit."""
+    text = text.replace("%", "%%").replace("$", "$$")
+    if _PLAIN.fullmatch(text.replace("%%", "").replace("$$", "") or "-"):
+        return text
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
