@@ -174,9 +174,3 @@ def test_bad_usage_is_exit_code_2(rig: Rig):
     assert rig.pancakes("agent", "list", "--timeout", "0").returncode == 2
     assert rig.pancakes("agent", "lisst").returncode == 2
     assert rig.pancakes("agnt").returncode == 2
-
-
-def test_its_version(rig: Rig):
-    from pancakes import __version__
-
-    assert rig.pancakes("--version").stdout == f"pancakes, version {__version__}\n"

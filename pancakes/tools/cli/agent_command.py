@@ -6,8 +6,8 @@ from typing import Final
 
 import click
 
-from pancakes import __version__
 from pancakes.tools.cli.guarded import Guarded
+from pancakes.tools.cli.version import version_option
 
 LOWEST_READY_FD: Final = 3
 """Those below are the standard streams."""
@@ -42,7 +42,7 @@ LOWEST_READY_FD: Final = 3
     type=click.IntRange(min=LOWEST_READY_FD),
     help="Write a line to this file descriptor, and close it, once all that is to run at the start does.",
 )
-@click.version_option(__version__, prog_name="pancakes-agent")
+@version_option("pancakes-agent")
 def agent(
     path: str,
     sets: tuple[str, ...],

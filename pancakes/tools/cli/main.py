@@ -7,9 +7,9 @@ import sys
 
 import click
 
-from pancakes import __version__
 from pancakes.tools.cli.lazy import Later, LazyGroup
 from pancakes.tools.cli.program import PROGRAM, VARIABLE
+from pancakes.tools.cli.version import version_option
 
 COMMANDS = {
     "agent": Later("pancakes.tools.cli.verbs.agent:agent", "Agents that run."),
@@ -40,7 +40,7 @@ COMMANDS = {
 
 
 @click.group(cls=LazyGroup, later=COMMANDS)
-@click.version_option(__version__, prog_name="pancakes")
+@version_option("pancakes")
 def pancakes() -> None:
     """Robots and sensor nodes that work as one.
 

@@ -1,0 +1,83 @@
+"""What is released is looked at before: each fault of a wheel or a source distribution is named."""
+
+from __future__ import annotations
+
+import io
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+METADATA = "Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nLicense: MIT\nRequires-Python: >=3.11\n"
+SOURCES = ("pancakes/__init__.py", "pancakes/task.py")
+SOUND = {"pancakes/__init__.py": "", "pancakes/task.py": "", "pancakes_agents-1.0.dist-info/LICENSE": "MIT"}
+
+
+@pytest.fixture(autouse=True)
+def reachable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [str(ROOT / "scripts" / "lib"), *sys.path])
+
+
+def wheel(folder: Path, files: dict[str, str], name: str = "pancakes-agents", version: str = "1.0") -> Path:
+    """Writes a wheel."""
+    stem = f"{name.replace('-', '_')}-{version}"
+    path = folder / f"{stem}-py3-none-any.whl"
+    metadata = METADATA.format(name=name, version=version)
+    with zipfile.ZipFile(path, "w") as archive:
+        for inside, text in {**files, f"{stem}.dist-info/METADATA": metadata}.items():
+            archive.writestr(inside, text)
+    return path
+
+
+def sdist(folder: Path, names: tuple[str, ...] = ("LICENSE", "README.md", "setup.cfg", "PKG-INFO")) -> Path:
+    """Writes a source distribution."""
+    path = folder / "pancakes_agents-1.0.tar.gz"
+    with tarfile.open(path, "w:gz") as archive:
+        for name in names:
+            archive.addfile(tarfile.TarInfo(f"pancakes_agents-1.0/{name}"), io.BytesIO())
+    return path
+
+
+def faults(wheels: list[Path], sdists: list[Path]) -> list[str]:
+    """Returns what is found."""
+    from release_checks import faults_of
+
+    found: list[str] = faults_of(wheels, sdists, SOURCES)
+    return found
+
+
+def test_a_sound_release_has_no_fault(tmp_path: Path):
+    assert faults([wheel(tmp_path, SOUND)], [sdist(tmp_path)]) == []
+
+
+@pytest.mark.parametrize(
+    ("left_out", "added", "fault"),
+    [
+        ("pancakes/task.py", "", "no wheel has pancakes/task.py"),
+        ("pancakes_agents-1.0.dist-info/LICENSE", "", "it has no LICENSE"),
+        ("", "tests/test_task.py", "it has tests/test_task.py, which is of no package"),
+        ("", "pancakes/__pycache__/task.pyc", "it has pancakes/__pycache__/task.pyc, which is of no package"),
+    ],
+)
+def test_what_a_wheel_lacks_or_has_too_much_is_named(tmp_path: Path, left_out: str, added: str, fault: str):
+    files = {name: text for name, text in SOUND.items() if name != left_out} | ({added: ""} if added else {})
+    (found,) = faults([wheel(tmp_path, files)], [sdist(tmp_path)])
+    assert found.endswith(fault)
+
+
+def test_a_plug_in_has_the_version_of_the_project_and_requires_it(tmp_path: Path):
+    plugin = {"pancakes/more.py": "", "pancakes_field-1.1.dist-info/LICENSE": "MIT"}
+    wheels = [wheel(tmp_path, SOUND), wheel(tmp_path, plugin, "pancakes-field", "1.1")]
+    assert faults(wheels, [sdist(tmp_path)]) == [
+        "there are 2 wheels and 1 source distributions",
+        "the wheels have different versions: 1.0, 1.1",
+        "pancakes_field-1.1-py3-none-any.whl: it does not require pancakes-agents",
+    ]
+
+
+def test_what_a_source_distribution_lacks_is_named(tmp_path: Path):
+    found = faults([wheel(tmp_path, SOUND)], [sdist(tmp_path, ("README.md", "setup.cfg", "PKG-INFO"))])
+    assert found == ["pancakes_agents-1.0.tar.gz: it has no LICENSE"]
