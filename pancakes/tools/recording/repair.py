@@ -71,7 +71,7 @@ def repair(path: Path, into: Path | None = None) -> Repaired:
 def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
     """Copies what is whole; returns how many bytes of the old file that took."""
     damage = Damage()
-    writer = Writer(out, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, index_types=IndexType.ALL)
+    writer = Writer(out, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, index_types=IndexType.ALL)
     writer.start(profile="", library=LIBRARY)
     writer.add_metadata(METADATA, dict(about))
     schemas: dict[int, int] = {0: 0}
