@@ -4,7 +4,7 @@ A task, a service, another agent and a person at a terminal all publish the same
 get a `Reply` whose `cause` is the packet that asked. There is no second way in.
 
 A `target` is read on the agent that the packet reaches: `task`, `service/task` or `service`. Where a task bears the
-name of a service, `service/` means the service.
+name of a service, `service/` means the service. Those for tasks that no file names are in `pancakes.creation`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 
+from pancakes.creation import Create, Remove
 from pancakes.packet import Cause, packet_type
 
 
@@ -211,8 +212,8 @@ class Revive(msgspec.Struct, frozen=True):
 class SetFence(msgspec.Struct, frozen=True):
     """Sets what an actuator has seen of a task to the epoch under which the task runs now, wherever it does.
 
-    For where the actuator obeys the task no more: the agent that it was with is gone, say, or an agent that never had
-    it brought a higher epoch. The actuator goes to its safe hold, and its agent asks all that it is connected to.
+    For where it obeys the task no more: the agent that had the task is gone, or one that never had it brought a higher
+    epoch. The actuator goes to its safe hold, and its agent asks all that it is connected to.
 
     Attributes:
         target: the actuator.
@@ -229,8 +230,7 @@ class SetFence(msgspec.Struct, frozen=True):
 class Migrations(msgspec.Struct, frozen=True):
     """Asks an agent for the newest accounts of moves from it, those of earlier boots too.
 
-    The reply's `result` is a list of plain mappings, oldest first: the fields of `Ledger`, and `number`, `boot`,
-    `mission_s` and `reason`.
+    The `result` is a list of plain mappings, oldest first: those of `Ledger`, `number`, `boot`, `mission_s`, `reason`.
     """
 
 
@@ -291,14 +291,15 @@ class Describe(msgspec.Struct, frozen=True):
         target: a task (the result is a mapping with all that is known about it, its settings and their JSON Schema
             among it), a service (a list with a row for each of its tasks); empty: the agent (a mapping with a row for
             each service and task).
-        state: of a task that runs: its state as well (`state`), as it is between two of its turns, and when that was
-            (`mission_s`, and `host_s` on its agent's own clock).
+        state: of a task that runs: its state too (`state`), between two of its turns, and when (`mission_s`, `host_s`).
         began: of a task that runs: when it began as well, and what it carried then (`began`).
+        config: of the agent: its configuration too (`config`, `config_file`), and the tasks created on it (`created`).
     """
 
     target: str = ""
     state: bool = False
     began: bool = False
+    config: bool = False
 
 
 @packet_type("channels")
@@ -308,8 +309,7 @@ class Channels(msgspec.Struct, frozen=True):
     Each has `agent`, `channel`, `core` (whether it cannot be removed), `subscribers` (a list of mappings: `address`,
     `types` or None for all, `open_types`: those of them that it gets without being addressed, `keep`, `limit`,
     `waiting`, `waiting_bytes`: of the large bodies among these, `dropped`: lost by one that wants more than the
-    newest) and `followers` (agents that it is
-    forwarded to).
+    newest) and `followers` (agents that it is forwarded to).
 
     Attributes:
         channel: only this one; empty: all.
@@ -374,8 +374,8 @@ class Follow(msgspec.Struct, frozen=True):
         channel: the channel.
         types: only packets of these types; empty: all.
         foreign: whether packets count that came to that channel from other agents.
-        most_hz: at most so many packets a second of host time of each source and type, the newest of those that came,
-            for a client that only shows how things stand; they come together. 0.001 or more; 0: all, each at once.
+        most_hz: at most so many packets a second (host time) of each source and type, the newest that came, together;
+            for a client that only shows how things stand. 0.001 or more; 0: all, each at once.
     """
 
     channel: str
@@ -389,18 +389,16 @@ class Traces(msgspec.Struct, frozen=True):
     """Asks an agent what led to the commands that its actuators were given; for a program that watches.
 
     From the first question on the agent notes its newest packets, until ten seconds pass without a question. The
-    `result` has `now_ns` and `until_ns` (what to say as
-    `since_ns` next), `left_out` (how many commands there was no room for), and `rows`: the packets, oldest first, that
-    are commands or led to one, or to one of `packets`, as far as they were seen on this agent. A row is a list: when it
-    was seen, channel, type, source, number, stamp, source and number of its cause (empty and 0 where it has
-    none), and in a few words what it said. Times are the time of day in nanoseconds, as in a recording. Packets on
-    `log` and `sysctrl` are left out.
+    `result` has `now_ns` and `until_ns` (what to say as `since_ns` next), `left_out` (how many commands there was no
+    room for), and `rows`: the packets, oldest first, that are commands or led to one, or to one of `packets`, as far as
+    they were seen on this agent. A row is a list: when it was seen, channel, type, source, number, stamp, source and
+    number of its cause (empty and 0 where it has none), and in a few words what it said. Times are the time of day in
+    nanoseconds, as in a recording. Packets on `log` and `sysctrl` are left out.
 
     Attributes:
         since_ns: only commands that were given after this.
         packets: source and number of packets of this agent that led to commands elsewhere.
-        most: so many commands at most; where there are more, they are thinned out evenly. 0: the asker asks no more,
-            and gets no result.
+        most: so many commands at most, of more an even choice. 0: the asker asks no more, and gets no result.
     """
 
     since_ns: int = 0
@@ -451,6 +449,8 @@ class Hold(msgspec.Struct, frozen=True):
 ControlRight = Literal["look", "change", "adopt", "move", "end"]
 """What a peer needs to be obeyed; docs/security.md has a line for each."""
 CONTROLS: Final[Mapping[type, ControlRight]] = {
+    Create: "change",
+    Remove: "change",
     Start: "change",
     Stop: "change",
     Take: "move",

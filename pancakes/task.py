@@ -86,6 +86,7 @@ class TaskSpec(msgspec.Struct, frozen=True):
         durability: `lazy`: a checkpoint each second where something changed; `each`: before each acknowledgement.
         rule: when it moves to another agent by itself.
         guard: how it is guarded; None: it is not.
+        created: whether no configuration file names it, although it has a type.
         device: of the task of a device its type; else empty.
         arguments: what else its class wants, for tasks that a service makes of its own classes.
     """
@@ -101,6 +102,7 @@ class TaskSpec(msgspec.Struct, frozen=True):
     durability: str = "lazy"
     rule: MigrationRule | None = None
     guard: GuardRule | None = None
+    created: bool = False
     device: str = ""
     arguments: Mapping[str, Any] = _NONE
 

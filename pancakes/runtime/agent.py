@@ -241,12 +241,13 @@ class Agent:
                 "records": self.records,
                 "outbox": self.outbox,
                 "catalogue": installed,
+                "ledgers": self.ledgers,
                 "births": BirthRule(config.agent.peers, config.agent.birth_wait_s, journal.former),
             },
         }
-        composition = Composition(config, self._plugins, installed, shared, arguments, self.skipped)
-        self._specs = composition.services()
-        self.kernel.folders = composition.folders(self._specs)
+        self._composition = Composition(config, self._plugins, installed, shared, arguments, self.skipped)
+        self._specs = self._composition.services()
+        self.kernel.folders = self._composition.folders(self._specs)
 
     # Life ------------------------------------------------------------------------------------------------------
 
@@ -257,10 +258,9 @@ class Agent:
             PancakesError: its port is in use.
         """
         self._tend(Courier, COURIER, outbox=self.outbox, records=self.records, mesh=self.mesh)
-        knows = {"records": self.records, "registers": self._registers, "boots": self._boots}
-        self._tend(Census, CENSUS, **knows, state=self.host_state, mesh=self.mesh)
-        held = {"registers": self._registers, "records": self.records}
-        self._tend(Guardian, GUARDIAN, **held, mesh=self.mesh, state=self.host_state)
+        knows = {"records": self.records, "registers": self._registers, "state": self.host_state, "mesh": self.mesh}
+        self._tend(Census, CENSUS, **knows, boots=self._boots)
+        self._tend(Guardian, GUARDIAN, **knows)
         try:
             self.mesh.start()  # after the actors that peers ask at once
         except PancakesError:
@@ -271,6 +271,7 @@ class Agent:
             join(self.name, "kernel"),
             specs=self._specs,
             identity=self._identity,
+            configuration=lambda: self._composition.configuration(self.records.all().values()),
             migrations=self.ledgers.plain,
             services_in_doubt=self.records.services_in_doubt,
             ready=self._become_ready,

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
-from pancakes.errors import PluginError
-from pancakes.runtime.config import Config, DeviceConfig, ServiceConfig, TaskConfig
+from pancakes.errors import ConfigError, ControlRefused, PluginError
+from pancakes.mesh.migration.record import Record
+from pancakes.runtime.config import Config, DeviceConfig, ServiceConfig, TaskConfig, read_task
+from pancakes.runtime.config.created_tables import created_tables
+from pancakes.runtime.config.effective import effective
 from pancakes.runtime.folders import Folders
+from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.services.device import DeviceService, DeviceSpec
@@ -71,6 +75,19 @@ class Composition:
                 )
         return specs
 
+    def configuration(self, records: Iterable[Record]) -> dict[str, Any]:
+        """Returns what is to be known of the configuration, as plain values.
+
+        Returns:
+            `config`: all of its keys, with the tasks that were created on this agent and are there; `config_file`: its
+            file; `created`: the names of these tasks.
+        """
+        found = effective(self._config, self._plugins)
+        of_records = created_tables(self._config.agent.name, records)
+        created = {name: table for name, table in of_records.items() if name not in found["task"]}
+        tables = {**found, "task": {**found["task"], **created}}
+        return {"config": tables, "config_file": self._config.path, "created": list(created)}
+
     def folders(self, specs: Sequence[ServiceSpec]) -> Folders:
         """Returns the folders that the configuration names, and the files in the settings of these services."""
         agent = self._config.agent
@@ -107,6 +124,8 @@ class Composition:
         for service, shared in self._shared.items():
             if issubclass(cls, service):
                 arguments.update(shared)
+        if issubclass(cls, ClientService):
+            arguments["described"] = self.described
         if issubclass(cls, DeviceService):
             devices = [self._device(device) for device in self._config.devices.values() if device.service == name]
             arguments["devices"] = tuple(device for device in devices if device is not None)
@@ -128,10 +147,34 @@ class Composition:
 
     def _task(self, config: TaskConfig) -> TaskSpec | None:
         try:
-            cls, version = self._installed.find(config.type)
+            return self._spec(config)
         except PluginError as error:
             self._skip(f"the task {config.name}", error)
             return None
+
+    def described(self, name: str, table: Mapping[str, Any]) -> TaskSpec:
+        """Returns how to start a task that the configuration does not name. Any thread.
+
+        Args:
+            name: its name.
+            table: what its table `[task.NAME]` would say.
+
+        Raises:
+            ControlRefused: that is not sound; the sentence names each key at fault.
+        """
+        try:
+            config = read_task(name, table, self._config, self._plugins)
+        except ConfigError as error:
+            raise ControlRefused("; ".join(str(fault).partition(": ")[2] for fault in error.faults)) from None
+        return replace(self._spec(config), created=True, arguments={})
+
+    def _spec(self, config: TaskConfig) -> TaskSpec:
+        """Returns how to start a task.
+
+        Raises:
+            PluginError: its class cannot be had.
+        """
+        cls, version = self._installed.find(config.type)
         return TaskSpec(
             name=config.name,
             cls=cls,

@@ -118,6 +118,7 @@ def test_what_belongs_to_a_task_on_the_line_is_completed(rig: Rig, pair: tuple[R
     assert completed(rig, "task", "rate", "ant/pose", "--timer", "") == ["sample"]
     assert "pose" in completed(rig, "task", "migrate", "ant/load", "--then", "")
     assert completed(rig, "task", "migrate", "ant/load", "--cost", "ba") == ["battery"]
+    assert completed(rig, "task", "create", "ant/New", "--type", "energy.g") == ["energy.governor"]
 
 
 def test_verbs_and_options_are_completed_without_any_agent(rig: Rig):

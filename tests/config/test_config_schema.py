@@ -1,13 +1,22 @@
 """The JSON Schema of a configuration and what a configuration comes to: both follow from the types that read it."""
 
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
-from pancakes.runtime.config import AgentConfig, DeviceConfig, TaskConfig, load, parse
+from pancakes.errors import ConfigError
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.guard_rule import GuardRule
+from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
+from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.mesh.migration.snapshot import Snapshot, TimerPhase
+from pancakes.runtime.config import AgentConfig, DeviceConfig, TaskConfig, load, parse, read_task
 from pancakes.runtime.config.config_schema import config_schema
+from pancakes.runtime.config.created_tables import created_tables, table_of
 from pancakes.runtime.config.effective import effective, origin
 from pancakes.runtime.config.toml_text import document_text
 from pancakes.runtime.plugins import Plugins
@@ -113,3 +122,69 @@ def test_what_is_shown_is_a_configuration_that_comes_to_the_same(path: Path) -> 
     again = parse(document_text(shown), "shown", plugins=plugins)
 
     assert effective(again, plugins) == shown
+
+
+def test_rules_recordings_and_created_tasks_are_shown_as_a_configuration_too() -> None:
+    rules = '[access]\nrefuse = ["end"]\n[[access.allow]]\nwho = ["b"]\nmay = ["look"]\n'
+    config = parse(f'{TEXT}\n{rules}\n[record]\npath = "x.mcap"\n', "a.toml", plugins=PLUGINS)
+    epoch, rule = Epoch(1, "a"), {"when": "battery", "below": 0.2, "above": None, "field": "level", "cost": "tasks"}
+    snapshot = Snapshot(
+        TaskId("a", "Other"),
+        "test.Walk",
+        "1",
+        "client",
+        settings={"speed_mps": 0.25, "name": "other"},
+        timers=(TimerPhase("walk", 0.2, 0.1),),
+        restart={"policy": "temporary"},
+        migrate={**rule, "then": "Walk"},
+        guard={"guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b"], "takeover": "ask"},
+    ).encode()
+    here = Record(TaskId("a", "Other"), Phase.OWNER, epoch, epoch, wanted=Wanted.STOPPED, snapshot=snapshot)
+    others = [
+        Record(TaskId("b", "Guest"), Phase.OWNER, epoch, epoch, snapshot=snapshot),
+        Record(TaskId("a", "Away"), Phase.RELEASED, epoch, epoch, peer="b"),
+        Record(TaskId("a", "Broken"), Phase.OWNER, epoch, epoch, snapshot=b"?"),
+    ]
+    created = created_tables("a", [*others, here])
+    assert list(created) == ["Other"]
+
+    found = effective(config, PLUGINS)
+    tables = {**found, "task": {**found["task"], **created}}
+    again = parse(document_text(tables), "kept", plugins=PLUGINS)
+
+    assert again.access == config.access and again.record == config.record
+    other = again.tasks["Other"]
+    assert (other.rate_hz, other.start, dict(other.settings)) == (5.0, False, {"speed_mps": 0.25, "name": "other"})
+    assert other.migrate == MigrationRule("battery", 0.2, then="Walk") and other.restart.policy == "temporary"
+    assert other.guard_rule == GuardRule(3, 2.0, 0.5, ("b",), "ask")
+
+
+def test_a_paused_task_is_shown_with_the_rate_that_it_was_created_with() -> None:
+    paused = Snapshot(TaskId("a", "Other"), "test.Walk", "1", "client", timers=(TimerPhase("walk", inf, inf),))
+    assert table_of(paused, start=True)["rate_hz"] is None
+    assert table_of(replace(paused, rate_hz=2.0), start=True)["rate_hz"] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("table", "faults"),
+    [
+        ({"type": "test.Walk"}, []),
+        ({}, ["[task.New] type: is missing"]),
+        ({"type": "test.Wakl", "rate_hz": 0}, ["[task.New] rate_hz: ", "[task.New] type: unknown task type"]),
+        ({"type": "test.Walk", "service": "clint"}, ["[task.New] service: there is no service 'clint'"]),
+        ({"type": "test.Walk", "migrate": {"when": "battery"}}, ["[task.New] migrate: needs a bound"]),
+        ({"type": "test.Walk", "settings": {"sped": 1}}, ["[task.New] settings.sped: unknown key"]),
+    ],
+)
+def test_the_table_of_a_task_beside_a_file_is_checked_as_if_that_had_it(
+    table: dict[str, object], faults: list[str]
+) -> None:
+    config = parse(TEXT, "a.toml", plugins=PLUGINS)
+    if not faults:
+        assert read_task("New", table, config, PLUGINS).settings == {}
+        return
+    with pytest.raises(ConfigError) as caught:
+        read_task("New", table, config, PLUGINS)
+    assert len(caught.value.faults) == len(faults)
+    for fault, start in zip(caught.value.faults, faults, strict=True):
+        assert str(fault).startswith(f"New: {start}"), str(fault)

@@ -18,6 +18,7 @@ from pancakes.mesh.guarding.guard_messages import (
 from pancakes.mesh.guarding.guardian_core import (
     AnswerAsker,
     GuardRegister,
+    GuardsForgotten,
     Lease,
     LeaseOver,
     SetLease,
@@ -26,7 +27,7 @@ from pancakes.mesh.guarding.guardian_core import (
     recover,
 )
 from pancakes.mesh.migration.epoch import MOST_STEP, NO_EPOCH, Epoch
-from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards, newest
+from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards, forgotten_guards, newest
 from pancakes.mesh.migration.record import TaskId, Wanted
 
 TASK = TaskId("north", "Scan")
@@ -168,3 +169,35 @@ def test_a_quorum_is_more_than_half_of_each_set():
 
 def replace_journal(member):
     return GuardianId(member.agent, "another")
+
+
+FORGOTTEN = forgotten_guards(OLD)
+FORGET = replace(KEEP, checkpoint=NO_CHECKPOINT, guards=FORGOTTEN)
+EMPTY = replace(HELD, checkpoint=NO_CHECKPOINT, body=None, guards=FORGOTTEN)
+
+
+def test_of_a_task_that_was_removed_it_keeps_the_epoch_alone():
+    assert handle(ME, HELD, RUNS, FORGET) == [WriteRegister(EMPTY)]
+    assert handle(ME, HELD, OVER, GuardsForgotten(FORGOTTEN)) == [WriteRegister(EMPTY)]
+    assert handle(ME, EMPTY, OVER, FORGET) == []
+    assert handle(ME, GuardRegister(TASK), Lease(), FORGET) == []
+    assert recover(EMPTY) == []
+
+
+def test_what_follows_a_later_owner_is_not_forgotten_at_the_word_of_an_earlier_one():
+    for later in (replace(HELD, promised=NEW), replace(HELD, promised=NEW, guards=replace(GUARDS, epoch=NEW))):
+        assert handle(ME, later, OVER, FORGET) == []
+
+
+def test_no_agent_takes_a_task_that_was_removed_nor_keeps_it():
+    assert answer(*handle(ME, EMPTY, OVER, SEIZE)) == DenyLease(TASK, NEW, ME, OLD, "it was removed")
+    assert answer(*handle(ME, EMPTY, OVER, KEEP)) == DenyLease(TASK, OLD, ME, OLD, "it was removed")
+
+
+def test_one_that_was_created_anew_is_guarded_again():
+    guards = replace(GUARDS, epoch=NEW)
+    anew = KeepLease(TASK, "scan", NEW, 1, 2.0, CheckpointId(NEW, 0), guards, BODY)
+    write, *_ = handle(ME, EMPTY, OVER, anew)
+    assert write == WriteRegister(replace(HELD, promised=NEW, checkpoint=CheckpointId(NEW, 0), guards=guards))
+    taken = replace(SEIZE, epoch=NEWEST, guards=guards)
+    assert isinstance(answer(*handle(ME, EMPTY, OVER, taken)), Pledge)

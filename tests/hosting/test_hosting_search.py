@@ -18,7 +18,7 @@ NEVER: dict[State | None, str] = {
     None: "FROZEN",
     State.REFUSED: "COMMITTED",
     State.ASKED: "COMMITTED",
-    State.CALLED_OFF: "COMMITTED PREPARED RELEASED",
+    State.CALLED_OFF: "COMMITTED PREPARED",
     State.STARTING: "ABSENT FROZEN COMMITTED PREPARED RELEASED",
     State.RUNNING: "ABSENT COMMITTED PREPARED RELEASED",
     State.RESTARTING: "ABSENT COMMITTED PREPARED RELEASED",
@@ -26,7 +26,8 @@ NEVER: dict[State | None, str] = {
 """The pairs of a state and a phase that are met in no history.
 
 An actor begins and runs only where its agent owns the task, and only one that runs can stand still. What stands still
-has a place. What was given away is told to end, so that nothing of it is started again, refused or called off.
+has a place. What was given away is told to end, so that nothing of it is started again, refused or called off; what was
+removed may begin anew.
 """
 
 

@@ -84,6 +84,8 @@ CONVICTED_IN: Final[Mapping[str, str]] = {
     "actuators of what is declined are kept": "its record was lost",
     "a start that is declined is waited for": "its disk was wiped, and it comes",
     "a start that is declined is tried again": "its disk was wiped, and it comes",
+    "what cannot be removed is removed": "it is removed, and writes fail",
+    "that RemovalAsked is declined means nothing": "it is removed, and writes fail",
     "what cannot be forgotten is forgotten": "its record was lost, it comes, and writes fail",
     "what is born is recovered": "its disk was wiped, and it comes",
     "anew means as before": "given away, and its service ends",

@@ -238,11 +238,16 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what cannot be forgotten is forgotten",
-        "lambda step, effect: step.do(hosting_effect.Lasts(effect.reason))",
-        "lambda step, effect: step.do(hosting_effect.Lasts())",
+        "ForgettingAsked: lambda step, effect: step.do(hosting_effect.Lasts(effect.reason))",
+        "ForgettingAsked: lambda step, effect: step.do(hosting_effect.Lasts())",
+    ),
+    HostingMutant(
+        "what cannot be removed is removed",
+        "RemovalAsked: lambda step, effect: step.do(hosting_effect.Lasts(effect.reason))",
+        "RemovalAsked: lambda step, effect: step.do(hosting_effect.Lasts())",
     ),
     # The service begins
-    HostingMutant("what is born is recovered", "    if record.unborn or (event.fresh", "    if (event.fresh"),
+    HostingMutant("what is born is recovered", "    if record.may_begin or (event.fresh", "    if (event.fresh"),
     HostingMutant("anew means as before", " or (event.fresh and record.phase is Phase.OWNER):", ":"),
     HostingMutant("what is elsewhere begins anew", "(event.fresh and record.phase is Phase.OWNER)", "event.fresh"),
     HostingMutant(
@@ -276,7 +281,9 @@ MUTANTS: Final = (
         "        step.feed(handoff_event.Born(event.snapshot, event.guardian))\n",
         "        pass\n",
     ),
-    HostingMutant("what is being adopted is born", "record.unborn and step.standing.waits is None:", "record.unborn:"),
+    HostingMutant(
+        "what is being adopted is born", "record.may_begin and step.standing.waits is None:", "record.may_begin:"
+    ),
     HostingMutant(
         "what is on its way here is refused, and tried again",
         "event.reason and record.phase not in DOUBT:",
@@ -330,7 +337,7 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "an adoption is not answered",
-        "    if (standing.record.phase in (*DOUBT, Phase.RELEASED) or adopted) and not",
+        "    if (elsewhere or adopted) and not",
         "    if False and not",
     ),
     HostingMutant(

@@ -137,7 +137,7 @@ def _check_idle(world: World) -> None:
         raise Violation("its service waits for its end, and it has ended")
     if record.phase is Phase.RELEASED and record.sequel and not world.parts and not world.spent.faults:
         raise Violation("what follows its hand-over is done, and that is not written down")
-    if world.asked_for & {"adopt", "forget", "forgotten", "give up"} and settled(standing):
+    if world.asked_for & {"adopt", "forget", "forgotten", "give up", "remove"} and settled(standing):
         raise Violation("a decision of a person is never answered")
     if "follow" in world.asked_for and state not in (*UNDECIDED, *ACTOR):
         raise Violation("what it is to follow waits for ever")

@@ -170,7 +170,7 @@ class Rim:
             return world
         if world.fresh:
             world = replace(world, fresh=False, carried=BIRTH)
-        events.append(event.Room(one, snapshot=world.carried or (BIRTH if record.unborn else b"")))
+        events.append(event.Room(one, snapshot=world.carried or (BIRTH if record.may_begin else b"")))
         return replace(world, reserved=world.reserved or one.keep)
 
     def open_place(self, world: World, one: effect.OpenPlace, events: deque[Any], luck: Luck) -> World:
@@ -289,7 +289,9 @@ class Rim:
             raise Violation("it was said that it is forgotten, and that is not on disk")
         if "give up" in world.asked_for and not one.why_not and world.disk.phase is not Phase.RELEASED:
             raise Violation("it was said that it is given up, and that is not on disk")
-        return replace(world, asked_for=world.asked_for - {"forget", "forgotten", "give up"})
+        if "remove" in world.asked_for and not one.why_not and not world.disk.removed:
+            raise Violation("it was said that it is removed, and that is not on disk")
+        return replace(world, asked_for=world.asked_for - {"forget", "forgotten", "give up", "remove"})
 
     def rested(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
         if world.actor:
@@ -340,6 +342,8 @@ class Rim:
         known = world.standing.record
         if world.unsure and known.unborn and one.record.phase is Phase.OWNER and "adopt" not in world.asked_for:
             raise Violation("it is born before others have told what they know of it")
+        if known.removed and one.record.phase is Phase.OWNER and one.record.epoch.n <= known.seen.n:
+            raise Violation("it was removed, and begins anew under an epoch that actuators know of it")
         goes_on = known.phase is Phase.OWNER and known.wanted is Wanted.RUNNING
         if starts and asked and not world.reserved and not goes_on:
             raise Violation("its record says that it runs, and no actuators are kept for it")

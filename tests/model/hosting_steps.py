@@ -17,6 +17,7 @@ from pancakes.mesh.migration.event import (
     ClaimHeard,
     ForgettingAsked,
     Received,
+    RemovalAsked,
     Resend,
 )
 from pancakes.mesh.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserved, Transfer
@@ -35,7 +36,7 @@ GOING: Final = (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
 DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 MOST_WAIT: Final = 1
 """So many events wait for a record to be written; messages and timers that repeat themselves come later then."""
-MESSAGES: Final = (Received, Award, AdoptionAsked, ForgettingAsked, ClaimHeard)
+MESSAGES: Final = (Received, Award, AdoptionAsked, ForgettingAsked, RemovalAsked, ClaimHeard)
 RESTS: Final = (State.STOPPED, State.REFUSED, State.FAILED)
 Following = Iterator[tuple[str, World]]
 
@@ -212,10 +213,13 @@ class Steps:
         record, spent = world.standing.record, world.spent
         if spent.decisions >= self._bounds.decisions:
             return
-        if world.asked_for & {"adopt", "forget", "forgotten", "give up"}:
+        if world.asked_for & {"adopt", "forget", "forgotten", "give up", "remove"}:
             return
         asked = replace(world, spent=replace(spent, decisions=spent.decisions + 1))
         adopting = replace(asked, asked_for=world.asked_for | {"adopt"})
+        stands = record.phase is Phase.OWNER and world.life is not None and world.life.at_rest
+        if self._bounds.removals and stands and not is_disputed(record) and not world.closing:
+            yield "it is removed", replace(asked, asked_for=world.asked_for | {"remove"}), RemovalAsked()
         if record.phase in DOUBT:
             yield "it is adopted", adopting, AdoptionAsked()
         if is_disputed(record) and world.life is not None and world.life.at_rest and not world.closing:

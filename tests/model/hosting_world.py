@@ -56,6 +56,7 @@ class Bounds(msgspec.Struct, frozen=True):
         follows: whether it is to run because another task has left.
         claims: so often another agent says that it owns it too.
         births: whether it is not born before others have told what they know of it.
+        removals: whether a person may have it removed, where it rests; that is a decision.
         copies: so often others take its agent's disk for an old copy, and it stands still until they told.
     """
 
@@ -81,6 +82,7 @@ class Bounds(msgspec.Struct, frozen=True):
     follows: bool = False
     claims: int = 0
     births: bool = False
+    removals: bool = False
     copies: int = 0
 
 

@@ -86,7 +86,17 @@ class LeaseOver(msgspec.Struct, frozen=True):
     number: int
 
 
-GuardEvent = KeepLease | SeizeTask | YieldLease | LeaseOver
+class GuardsForgotten(msgspec.Struct, frozen=True):
+    """An event: another guardian says that the task was removed.
+
+    Attributes:
+        guards: what it was told.
+    """
+
+    guards: Guards
+
+
+GuardEvent = KeepLease | SeizeTask | YieldLease | LeaseOver | GuardsForgotten
 
 
 class WriteRegister(msgspec.Struct, frozen=True):
@@ -137,6 +147,8 @@ def handle(me: GuardianId, register: GuardRegister, lease: Lease, event: GuardEv
             return [SetLease(replace(lease, epoch=None), 0.0)] if _is_yielded(lease, event) else []
         case LeaseOver():
             return [SetLease(replace(lease, epoch=None), 0.0)] if event.number == lease.number else []
+        case GuardsForgotten():
+            return _forget(register, event.guards)
 
 
 def recover(register: GuardRegister, boot: int = 0) -> list[GuardEffect]:
@@ -151,7 +163,18 @@ def recover(register: GuardRegister, boot: int = 0) -> list[GuardEffect]:
     return [SetLease(Lease(register.promised, 1, boot=boot), register.lease_s)]
 
 
+def _forget(register: GuardRegister, guards: Guards) -> list[GuardEffect]:
+    """Keeps of a task that was removed no more than that no lower epoch is followed."""
+    if register.blank or guards.epoch < register.promised or guards.stamp <= register.guards.stamp:
+        return []
+    return [WriteRegister(replace(register, promised=guards.epoch, guards=guards, checkpoint=NO_CHECKPOINT, body=None))]
+
+
 def _keep(me: GuardianId, register: GuardRegister, lease: Lease, keep: KeepLease) -> list[GuardEffect]:
+    if keep.guards.forgotten:
+        return _forget(register, keep.guards)
+    if register.guards.forgotten and keep.epoch <= register.guards.epoch:
+        return [_deny(me, register, keep.epoch, "it was removed")]
     if me not in keep.guards.members():
         return [_deny(me, register, keep.epoch, f"{me.agent} is none of its guardians")]
     if keep.epoch < register.promised:
@@ -178,6 +201,8 @@ def _keep(me: GuardianId, register: GuardRegister, lease: Lease, keep: KeepLease
 
 
 def _seize(me: GuardianId, register: GuardRegister, lease: Lease, seize: SeizeTask) -> list[GuardEffect]:
+    if register.guards.forgotten and seize.guards.epoch <= register.guards.epoch:
+        return [_deny(me, register, seize.epoch, "it was removed")]
     if not register.guards.sets and me not in seize.guards.members():
         return [_deny(me, register, seize.epoch, f"{me.agent} knows nothing of it")]
     if seize.epoch == register.promised and _nothing_kept(register):

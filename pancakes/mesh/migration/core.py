@@ -36,6 +36,7 @@ from pancakes.mesh.migration.event import (
     PermitGiven,
     PersistFailed,
     Received,
+    RemovalAsked,
     Resend,
     ReservationExpired,
     RunAsked,
@@ -114,6 +115,8 @@ def _decide(me: str, record: Record, volatile: Volatile, event: Event, times: Ti
             return owner.adopt(me, record, event)
         case ForgettingAsked():
             return owner.forget(me, record, volatile, event)
+        case RemovalAsked():
+            return owner.remove(me, record, volatile)
         case ClaimHeard():
             by_person = event.peer and guarded_task.is_by_person(record, event.epoch)
             if record.guarded and not by_person and (event.epoch != record.epoch or not event.peer):
@@ -225,7 +228,7 @@ def _again(record: Record, volatile: Volatile, event: PersistFailed) -> Event | 
         return GiveUp(record.offer, event.reason)
     # Of an adoption the person may have learnt better meanwhile.
     adopted = record.phase is Phase.OWNER and event.record.epoch != record.epoch
-    ours = record.phase in (Phase.ABSENT, Phase.OWNER) and event.record.phase is Phase.OWNER
+    ours = (record.phase in (Phase.ABSENT, Phase.OWNER) or record.removed) and event.record.phase is Phase.OWNER
     if ours and not adopted and not volatile.running:
         return WriteAgain(record, event.record)
     return None

@@ -112,6 +112,10 @@ class ForgettingAsked(msgspec.Struct, frozen=True):
     owner: str = ""
 
 
+class RemovalAsked(msgspec.Struct, frozen=True):
+    """A task that no configuration file names is to be nowhere from now on; it stands still already."""
+
+
 class ClaimHeard(msgspec.Struct, frozen=True):
     """Another agent says that it owns the task, or the guardians of the task follow another owner.
 
@@ -300,6 +304,7 @@ Event = (
     | Arrived
     | AdoptionAsked
     | ForgettingAsked
+    | RemovalAsked
     | ClaimHeard
     | PermitGiven
     | GuardsChosen

@@ -45,6 +45,11 @@ class Guards(msgspec.Struct, frozen=True):
         """Returns whether these are more than half of each set."""
         return bool(self.sets) and all(2 * sum(it in members for it in one) > len(one) for one in self.sets)
 
+    @property
+    def forgotten(self) -> bool:
+        """Whether these are no guardians any more, as the task was removed."""
+        return not self.sets and self.epoch != NO_EPOCH
+
     def members(self) -> list[GuardianId]:
         """Returns all guardians, each once."""
         return list(dict.fromkeys(member for one in self.sets for member in one))
@@ -56,6 +61,13 @@ class Guards(msgspec.Struct, frozen=True):
 
 
 NO_GUARDS: Final = Guards()
+LAST_VERSION: Final = 2**53
+"""Of the guards of a task that was removed: an owner changes them less often under one epoch."""
+
+
+def forgotten_guards(epoch: Epoch) -> Guards:
+    """Returns what its guardians are told of a task that was removed; `epoch`: of its last owner."""
+    return Guards(epoch, LAST_VERSION)
 
 
 def newest(*guards: Guards) -> Guards:

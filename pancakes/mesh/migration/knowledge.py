@@ -22,11 +22,13 @@ class TaskFact(msgspec.Struct, frozen=True):
         task_id: the task.
         owner: the agent that has it, as far as is known; empty: it is not known.
         epoch: the highest epoch that is known of it.
+        removed: whether it was removed, and is nowhere.
     """
 
     task_id: TaskId
     owner: str
     epoch: Epoch
+    removed: bool = False
 
 
 Asked = Annotated[tuple[TaskId, ...], msgspec.Meta(max_length=MOST_ASKED)]
@@ -62,13 +64,14 @@ def fact_of(me: str, record: Record) -> TaskFact | None:
         return None
     ours = record.phase in (Phase.OWNER, Phase.FROZEN)
     offered = record.offer if record.phase in (Phase.COMMITTED, Phase.PREPARED) else NO_EPOCH
-    return TaskFact(record.task_id, me if ours else record.peer, max(record.seen, record.epoch, offered))
+    owner, epoch = me if ours else record.peer, max(record.seen, record.epoch, offered)
+    return TaskFact(record.task_id, owner, epoch, record.removed)
 
 
 def newest_fact(facts: Iterable[TaskFact | None]) -> TaskFact | None:
-    """Returns the fact with the highest epoch; None: there is none."""
+    """Returns the fact with the highest epoch; None: there is none. A task is removed under the epoch that it has."""
     known = [fact for fact in facts if fact is not None]
-    return max(known, key=lambda fact: fact.epoch, default=None)
+    return max(known, key=lambda fact: (fact.epoch, fact.removed), default=None)
 
 
 def questions(task_ids: Sequence[TaskId]) -> list[AskTasks]:

@@ -47,7 +47,8 @@ class Ledger(msgspec.Struct, frozen=True):
         asked_by: what asked for the move: an address, `rule`, or `guardians`.
         cost: the cost function that was used, or several with their weights (`1 tasks + 2 battery`).
         outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`; `fenced` where it did not move, and a
-            person set the fence of an actuator of the source to the epoch that it has.
+            person set the fence of an actuator of the source to the epoch that it has; `created` and `removed` where it
+            began on the source, and where it ended there for good.
         winner: the agent that has it, or (dry run) would get it; empty where none.
         lines: one for each neighbour that was asked, by name.
         duration_s: host time from the first asking to the outcome.
@@ -60,7 +61,7 @@ class Ledger(msgspec.Struct, frozen=True):
     source: str
     asked_by: str
     cost: str
-    outcome: Literal["moved", "stayed", "undecided", "dry run", "fenced"]
+    outcome: Literal["moved", "stayed", "undecided", "dry run", "fenced", "created", "removed"]
     winner: str
     lines: tuple[Line, ...]
     duration_s: float

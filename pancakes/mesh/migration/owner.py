@@ -35,12 +35,13 @@ from pancakes.mesh.migration.volatile import Volatile
 
 
 def born(me: str, record: Record, event: Born) -> list[Effect]:
-    """Makes this agent the owner of a task that never ran before."""
-    if not record.unborn:
+    """Makes this agent the owner of a task that never ran before, or was removed."""
+    if not record.may_begin:
         return [_decline(record)]
     if record.task_id.birthplace != me:
         return [Decline(f"{record.task_id} can be born on {record.task_id.birthplace} alone, this is {me}")]
-    epoch = Epoch(0, me)
+    # An actuator that has obeyed the task which was removed obeys no lower epoch.
+    epoch = Epoch(record.seen.n + 1 if record.removed else 0, me)
     own = Record(
         record.task_id, Phase.OWNER, epoch, epoch, snapshot=event.snapshot, guards=first_guards(epoch, event.guardian)
     )
@@ -153,6 +154,19 @@ def forget(me: str, record: Record, volatile: Volatile, event: ForgettingAsked) 
     return [Remember(Volatile()), Persist(Record(record.task_id, seen=seen))]
 
 
+def remove(me: str, record: Record, volatile: Volatile) -> list[Effect]:
+    """Writes down that a task is nowhere from now on; what was here of it is gone."""
+    if record.phase is not Phase.OWNER or is_disputed(record):
+        return [Decline(dispute_of(me, record)) if is_disputed(record) else _decline(record)]
+    if record.wanted is Wanted.RUNNING or volatile.running:
+        return [Decline(f"{record.task_id} was started since")]
+    if others := sorted({one.agent for one in record.guards.members()} - {me}):
+        return [Decline(f"{record.task_id} is guarded by {', '.join(others)} still")]
+    seen = max(record.seen, record.epoch)
+    tombstone = Record(record.task_id, Phase.RELEASED, record.epoch, seen, wanted=Wanted.REMOVED)
+    return [Remember(Volatile()), Persist(tombstone), Discard()]
+
+
 def is_disputed(record: Record) -> bool:
     """Returns whether the task rests here because another agent owns it too."""
     return record.phase is Phase.OWNER and record.wanted is Wanted.DISPUTED
@@ -203,6 +217,8 @@ def _decline(record: Record) -> Decline:
             return Decline(f"{task_id} was given to {peer}, which has not yet said that it has it", peer)
         case Phase.PREPARED:
             return Decline(f"{task_id} is on its way here from {peer}, which has not yet given it away")
+        case Phase.RELEASED if record.removed:
+            return Decline(f"{task_id} was removed")
         case Phase.RELEASED:
             return Decline(f"{task_id} moved to {peer}", peer)
         case _:

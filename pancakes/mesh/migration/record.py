@@ -73,6 +73,8 @@ class Wanted(Enum):
     """Its service gave up on it."""
     DISPUTED = "disputed"
     """`peer` owns it too: it rests until a person decides which of the two lives."""
+    REMOVED = "removed"
+    """Of a tombstone: it was removed, and is nowhere."""
 
 
 class Record(msgspec.Struct, frozen=True):
@@ -113,6 +115,16 @@ class Record(msgspec.Struct, frozen=True):
     def unborn(self) -> bool:
         """Whether this agent has never heard of the task."""
         return self.phase is Phase.ABSENT and self.seen == NO_EPOCH
+
+    @property
+    def removed(self) -> bool:
+        """Whether the task was removed here, and is nowhere as far as this agent knows."""
+        return self.phase is Phase.RELEASED and self.wanted is Wanted.REMOVED
+
+    @property
+    def may_begin(self) -> bool:
+        """Whether the task may begin here anew: this agent has never heard of it, or it was removed."""
+        return self.unborn or self.removed
 
     @property
     def guarded(self) -> bool:

@@ -18,6 +18,8 @@ OLD_COPY: Final = "old copy"
 
 def rest_of(record: Record, otherwise: str = "") -> str:
     """Returns in a word why a task does not run here; `otherwise` where its record does not speak against it."""
+    if record.removed:
+        return otherwise
     if record.phase in (Phase.COMMITTED, Phase.RELEASED):
         return f"moved → {record.peer}"
     if record.phase is Phase.ABSENT and record.seen != NO_EPOCH:

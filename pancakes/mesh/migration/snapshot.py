@@ -104,6 +104,8 @@ class Snapshot(msgspec.Struct, frozen=True):
         durability: `lazy` or `each`.
         migrate: its rule for moving, as in `[task.NAME] migrate`; None where it has none.
         guard: how it is guarded; None: it is not.
+        rate_hz: the rate that its configuration gave its first timer; None: as its class says.
+        created: whether no configuration file names it.
     """
 
     task_id: TaskId
@@ -122,6 +124,8 @@ class Snapshot(msgspec.Struct, frozen=True):
     durability: str = "lazy"
     migrate: dict[str, Any] | None = None
     guard: dict[str, Any] | None = None
+    rate_hz: float | None = None
+    created: bool = False
 
     def encode(self) -> bytes:
         """Returns the snapshot as msgpack bytes.

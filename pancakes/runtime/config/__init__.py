@@ -1,7 +1,7 @@
 """The configuration of an agent: read from TOML, checked as a whole, given out as frozen structures."""
 
 from pancakes.mesh.address import Address, parse_address
-from pancakes.runtime.config.config_reader import load, parse
+from pancakes.runtime.config.config_reader import load, parse, read_task
 from pancakes.runtime.config.plugin_check import check_plugins
 from pancakes.runtime.config.tables import (
     DEFAULT_SERVICES,
@@ -32,4 +32,5 @@ __all__ = [
     "load",
     "parse",
     "parse_address",
+    "read_task",
 ]

@@ -14,7 +14,7 @@ from pancakes.mesh.address import in_fleet, parse_address
 from pancakes.packet import CORE_CHANNELS
 from pancakes.runtime.config.key_places import NAMED_TABLES, KeyPlaces
 from pancakes.runtime.config.override import apply_set
-from pancakes.runtime.config.plugin_check import check_plugins
+from pancakes.runtime.config.plugin_check import check_plugins, check_task
 from pancakes.runtime.config.rule_check import faults_of_rule
 from pancakes.runtime.config.scanner import KeyPath
 from pancakes.runtime.config.tables import (
@@ -88,6 +88,29 @@ def parse(
     return config
 
 
+def read_task(name: str, table: Mapping[str, Any], config: Config, plugins: Plugins) -> TaskConfig:
+    """Reads the table of a task that the file of an agent does not name, as if that had it.
+
+    Args:
+        name: the task's name.
+        table: what stands in its table `[task.NAME]`.
+        config: the agent's configuration.
+        plugins: where tasks and drivers come from.
+
+    Raises:
+        ConfigError: the table is not sound; it carries every fault.
+    """
+    places = KeyPlaces(name, {})
+    reader = _ConfigReader({"task": {name: dict(table)}}, places)
+    task = reader.task(name, config)
+    faults = reader.faults + check_task(
+        replace(config, tasks={**config.tasks, name: task}, places=places), task, plugins
+    )
+    if faults:
+        raise ConfigError(faults)
+    return task
+
+
 class _ConfigReader:
     """Makes a `Config` and collects faults. What is at fault is left at its default, so that the rest is checked."""
 
@@ -128,6 +151,13 @@ class _ConfigReader:
         for task in config.tasks.values():
             self._check_task(task, config)
         return config
+
+    def task(self, name: str, config: Config) -> TaskConfig:
+        """Makes one task beside those of a configuration."""
+        task = self._tables("task", TaskConfig)[name]
+        self._check_restart(("task", name, "restart"), task.restart)
+        self._check_task(task, replace(config, tasks={**config.tasks, name: task}))
+        return task
 
     def _fault(self, key: KeyPath, problem: str, near: str = "") -> None:
         self.faults.append(self._places.fault(key, problem, near))

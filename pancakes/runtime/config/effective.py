@@ -9,7 +9,7 @@ import msgspec
 from msgspec.structs import asdict
 
 from pancakes.errors import PluginError
-from pancakes.runtime.config.tables import SCHEMA, Config, DeviceConfig
+from pancakes.runtime.config.tables import SCHEMA, AccessConfig, Config, DeviceConfig
 from pancakes.runtime.foundation.arrays import without_arrays
 from pancakes.runtime.plugins import Plugins
 from pancakes.settings import SettingsError, make_settings, plain_settings
@@ -31,7 +31,9 @@ def effective(config: Config, plugins: Plugins) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "agent": asdict(config.agent),
+        **({"access": msgspec.to_builtins(config.access)} if config.access != AccessConfig() else {}),
         "clock": asdict(config.clock),
+        **({"record": asdict(config.record)} if config.record is not None else {}),
         "channel": {name: {} for name in config.channels},
         "device": {
             name: _device(device, _part(device, "pancakes.drivers", device.driver, plugins), plugins)

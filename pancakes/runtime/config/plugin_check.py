@@ -41,6 +41,19 @@ def check_plugins(config: Config, plugins: Plugins, must_load: bool = False) -> 
     return config.places.in_order(check.faults)
 
 
+def check_task(config: Config, task: TaskConfig, plugins: Plugins) -> list[Fault]:
+    """Returns all that one task of a configuration gets wrong about its class, costs and devices.
+
+    Args:
+        config: the configuration that it is in.
+        task: the task; without a type it is passed over.
+        plugins: where the plug-ins come from. One that cannot be imported is a fault.
+    """
+    check = _Check(config, plugins, must_load=True)
+    check.task(task)
+    return check.faults
+
+
 class _Check:
     """One pass over one configuration."""
 
@@ -71,6 +84,20 @@ class _Check:
         for task in config.tasks.values():
             if task.migrate:
                 self._check_rule(task.migrate, ("task", task.name, "migrate"))
+
+    def task(self, task: TaskConfig) -> None:
+        """Checks one task, wherever the rest of the configuration stands."""
+        cls = self._check_part(TASKS, task.type, task.settings, ("task", task.name), "type")
+        self._check_requires(task, cls, self._device_types())
+        if task.migrate:
+            self._check_rule(task.migrate, ("task", task.name, "migrate"))
+
+    def _device_types(self) -> list[str] | None:
+        faults = self.faults
+        self.faults = []
+        found = self._check_devices()
+        self.faults = faults  # what is wrong about devices is said where they are
+        return found
 
     def _fault(self, key: KeyPath, problem: str, near: str = "") -> None:
         self.faults.append(self._places.fault(key, problem, near))

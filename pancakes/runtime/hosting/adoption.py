@@ -137,6 +137,8 @@ def _standing(record: Record) -> str:
             return f"here, and owned by {record.peer} too"
         case Phase.OWNER:
             return "here already"
+        case Phase.RELEASED if record.removed:
+            return "removed"
         case Phase.RELEASED:
             return f"with {record.peer}, which has said so"
         case Phase.FROZEN:

@@ -67,7 +67,7 @@ class Arrivals:
         try:
             snapshot = Snapshot.decode(record.snapshot)
             place.began = began_from(record.epoch, snapshot)
-            specs = [] if task_id.name in host.residents else [spec_of(snapshot, self._catalogue)]
+            specs = [] if task_id.name in host.residents else [self._spec_here(snapshot)]
         except (PancakesError, msgspec.ValidationError) as error:
             host.log("error", f"{task_id} rests in the journal and cannot be started: {error}")
             return []
@@ -179,7 +179,7 @@ class Arrivals:
         if slot.fresh:
             slot.fresh = False
             self._host.drop_state(slot)
-        carries = slot.carried is not None or record.unborn
+        carries = slot.carried is not None or record.may_begin
         snapshot = self._host.snapshot(slot, slot.carried) if carries else b""
         return Room(asked, snapshot=snapshot, guardian=self._host.first_guardian(place))
 
@@ -188,12 +188,23 @@ class Arrivals:
         if place.task_id.name in self._host.slots:
             return  # the actor of a task of the same name that was given away has not ended yet
         try:
-            self._host.open_slot(spec_of(Snapshot.decode(start.snapshot), self._catalogue))
+            self._host.open_slot(self._spec_here(Snapshot.decode(start.snapshot)))
         except PancakesError as error:
             self._host.log("error", f"{place.task_id} is ours, but cannot be started: {error}")
             self._host.feed_place(place, NoPlace(str(error)))
         else:
             self._host.feed_place(place, PlaceFree())
+
+    def _spec_here(self, snapshot: Snapshot) -> TaskSpec:
+        """Returns how to start a task that this agent's configuration does not name.
+
+        Raises:
+            PancakesError: its class is not installed here.
+        """
+        spec = spec_of(snapshot, self._catalogue)
+        # On its birthplace no file names it, or none does any more.
+        born_here = snapshot.task_id.birthplace == self._host.agent
+        return replace(spec, created=True) if born_here else spec
 
     def prepare(self, slot: Slot, place: Place, start: StartTask) -> None:
         """Gives the place of a task what it begins with, and its actuators."""

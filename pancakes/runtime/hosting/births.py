@@ -123,8 +123,8 @@ class Births:
     def _learn(self, peer: str, unborn: _Unborn, facts: Iterable[TaskFact]) -> None:
         place = self._host.places[unborn.task_ids[0]]
         for fact in facts:
-            if fact in unborn.known:
-                continue
+            if fact in unborn.known or fact.epoch <= place.standing.record.seen:
+                continue  # of one that was removed here, others may know what was before
             if fault := self._fault(peer, place):
                 text = f"{peer} says that {fact.task_id} was born before, and is not believed: {fault}"
                 self._host.log("warning", text)
@@ -167,7 +167,7 @@ class Births:
     # Looking ---------------------------------------------------------------------------------------------------
 
     def _may_be_born(self, place: Place) -> bool:
-        return place.standing.record.unborn and place.task_id.birthplace == self._host.agent
+        return place.standing.record.may_begin and place.task_id.birthplace == self._host.agent
 
     def _unborn_of(self, place: Place) -> _Unborn:
         task_id = place.task_id

@@ -11,13 +11,12 @@ from typing import Any, ClassVar, Final, assert_never
 import msgspec
 
 from pancakes import control
-from pancakes.errors import ControlRefused
+from pancakes.creation import Create, Remove
 from pancakes.mesh.guarding.choosing import CanGuard
 from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept, Pledge
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration import effect as handoff_effect
 from pancakes.mesh.migration import messages
-from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.rest import rest_of
 from pancakes.mesh.migration.snapshot import Posted, Snapshot
@@ -31,12 +30,14 @@ from pancakes.runtime.hosting.carrier import Carrier
 from pancakes.runtime.hosting.census_messages import ClaimsCame, CopyNoticed, FactsCame, NeighbourCame
 from pancakes.runtime.hosting.checkpointing import Checkpointing
 from pancakes.runtime.hosting.courier_messages import AskedBegan, CameFor
+from pancakes.runtime.hosting.creations import Creations, Described
 from pancakes.runtime.hosting.decisions import Decisions
 from pancakes.runtime.hosting.deliveries import Deliveries
 from pancakes.runtime.hosting.departures import Departures
 from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.guarded_tasks import GuardedTasks
 from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.machine import AnyEvent, handle
 from pancakes.runtime.hosting.mover import Mover
 from pancakes.runtime.hosting.now import Now
@@ -81,6 +82,8 @@ class ClientService(Service):
         state: what this agent could be to a task from elsewhere.
         mesh: says what neighbours are connected.
         births: what is to be asked before a task is born.
+        ledgers: the account of tasks that are created and removed.
+        described: reads the table of a task that no file names.
 
     Attributes:
         places: all tasks that it has ever had to do with.
@@ -109,6 +112,8 @@ class ClientService(Service):
         state: HostState,
         mesh: Mesh,
         births: BirthRule,
+        ledgers: Ledgers,
+        described: Described,
         **others: Any,
     ) -> None:
         super().__init__(*args, **others)
@@ -124,13 +129,15 @@ class ClientService(Service):
         self._ends = False  # once all records are written
         self._checkpointing = Checkpointing(self)
         self._deliveries = Deliveries(self)
-        self._waiters = Waiters(self, records)
+        self.look_after = Waiters(self, records).look_after
         self._mover = Mover(self)
         self._disputes = Disputes(self, records, mesh, births)
         self._arrivals = Arrivals(self, catalogue, records, state, self._disputes)
         self._departures = Departures(self)
         self._guarded = GuardedTasks(self, records, mesh, self._checkpointing, self._deliveries, self._disputes)
+        self.first_guardian = self._guarded.first_guardian
         self._decisions = Decisions(self, records, self._mover, self._arrivals, self._disputes)
+        self._creations = Creations(self, records, self._arrivals, self._disputes, ledgers, described)
 
     # Its own life ----------------------------------------------------------------------------------------------
 
@@ -167,7 +174,7 @@ class ClientService(Service):
 
     def wants(self, slot: Slot) -> bool:
         record = self.places.at[slot.name].standing.record
-        if record.unborn:
+        if record.may_begin:
             return slot.spec.start
         # The journal wins over `start` in the configuration: a stop that a person asked for outlives a reboot.
         return record.phase is not Phase.OWNER or record.wanted is Wanted.RUNNING
@@ -279,11 +286,15 @@ class ClientService(Service):
             case hosting_effect.Decided():
                 if place.adoption is not None:
                     self._decisions.started(place, place.adoption, effect.reason)
+                if place.creation is not None:
+                    self._creations.begun(place, place.creation, effect.reason)
                 if place.follows is not None:
                     self._mover.followed(place, place.follows)
             case hosting_effect.Lasts():
                 if place.adoption is not None or place.forgetting:
                     self._decisions.written(place, effect.why_not)
+                if place.removal is not None:
+                    self._creations.lasts(place, place.removal, effect.why_not)
             case hosting_effect.Drop():
                 self._departures.drop(place, slot, effect.ends)
             case handoff_effect.Resume():
@@ -328,7 +339,8 @@ class ClientService(Service):
     def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
         """Returns a task as data, encoded."""
         sent, task_id = self.kernel.seq_of(slot.address).value - 1, self.places.at[slot.name].task_id
-        return snapshot_of(slot, task_id, self.name, carried, self.now(), sent, posted).encode()
+        of_slot = {slot.address: sent}
+        return snapshot_of(slot.spec, task_id, self.name, carried, self.now(), of_slot, posted).encode()
 
     def spawn(self, slot: Slot) -> None:
         super().spawn(slot)
@@ -344,6 +356,8 @@ class ClientService(Service):
 
     def answer(self, slot: Slot, effect: Answer) -> None:
         answer, place = super().answer, self.places.at[slot.name]
+        if place.removal is not None and self._creations.has_stopped(place, effect):
+            return  # it is answered once it is removed
         if slot.life.at_rest and not effect.reason:
             self._guarded.stopped(place, lambda fault: answer(slot, Answer(effect.asker, fault)))
         else:
@@ -445,9 +459,6 @@ class ClientService(Service):
         """A guardian of a task says something."""
         self._guarded.heard(packet)
 
-    def first_guardian(self, place: Place, snapshot: bytes = b"") -> GuardianId | None:
-        return self._guarded.first_guardian(place, snapshot)
-
     def connected(self, peer: str) -> bool:
         return self._carrier.connected(peer)
 
@@ -459,35 +470,21 @@ class ClientService(Service):
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
         if isinstance(body, control.Adopt | control.Forget | control.Revive):
             self._decisions.carry_out(body, request)
-            return
-        if slot is not None:
-            self._refuse_elsewhere(body, slot)
-        if isinstance(body, control.Migrate) and slot is not None:
+        elif isinstance(body, Create):
+            self._creations.create(body, request)
+        elif slot is None:
+            super().carry_out_command(body, slot, request)
+        elif isinstance(body, control.Migrate):
             self._mover.negotiate(slot, body, request)
         else:
-            super().carry_out_command(body, slot, request)
-
-    def _refuse_elsewhere(self, body: Any, slot: Slot) -> None:
-        """Refuses what cannot be asked here of a task that is on its way, or has left."""
-        standing = self.places.at[slot.name].standing
-        record, volatile = standing.record, standing.volatile
-        describes = isinstance(body, control.Describe)
-        going = volatile.freezing or record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
-        if going and not describes:
-            peer = volatile.asked or record.peer
-            raise ControlRefused(f"{slot.address} is being handed over between {self.agent} and {peer}")
-        if standing.leaving and not describes:
-            raise ControlRefused(f"{slot.address} was handed over, and has not ended yet")
-        asks_state = describes and (body.state or body.began)
-        changes = asks_state or isinstance(body, control.Stop | control.Reschedule | control.Configure)
-        if record.phase is Phase.RELEASED and changes:
-            raise ControlRefused(f"{slot.name} moved to {record.peer}")
+            self._mover.refuse_elsewhere(slot, body)
+            if isinstance(body, Remove):
+                self._creations.remove(slot, body, request)
+            else:
+                super().carry_out_command(body, slot, request)
 
     def command_waits(self, slot: Slot, request: Request) -> None:
         self.look_after(self.places.at[slot.name], request)
-
-    def look_after(self, place: Place, request: Request) -> None:
-        self._waiters.look_after(place, request)
 
     def refuse_start(self, slot: Slot) -> str:
         return self._arrivals.undecided(slot, self.places.at[slot.name]) or super().refuse_start(slot)

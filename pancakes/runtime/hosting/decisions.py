@@ -25,7 +25,7 @@ from pancakes.runtime.life.request import Request
 
 
 class Decisions:
-    """Carries out `Adopt` and `Forget` for one service. All in that service's actor.
+    """Carries out `Adopt`, `Forget` and `Revive` for one service. All in that service's actor.
 
     Args:
         host: the service.

@@ -24,6 +24,7 @@ from pancakes.runtime.hosting.census_messages import (
 )
 from pancakes.runtime.hosting.copied_tasks import CopiedTasks
 from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.inquiries import Inquiries
 from pancakes.runtime.hosting.place import OtherOwner, Place, Unsure
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.supervision.slot import Slot
@@ -41,6 +42,7 @@ class Disputes:
     Attributes:
         births: the tasks that are new here.
         copied: those that may be elsewhere, as this agent's disk is an old copy.
+        inquiries: those that are to be created.
     """
 
     def __init__(self, host: HostingService, records: Records, mesh: Mesh, rule: BirthRule) -> None:
@@ -48,6 +50,7 @@ class Disputes:
         self._claims = Claims()
         self._told: set[TaskId] = set()  # the tasks that were told not to be born
         self.births = Births(host, records, mesh, rule, self._fault_of_teller)
+        self.inquiries = Inquiries(host, mesh)
         self.copied = CopiedTasks(host, self._fault_of_teller, self._went_on)
 
     def begin(self) -> None:
@@ -65,6 +68,7 @@ class Disputes:
             case FactsCame():
                 self.births.heard(news.peer, news.told)
                 self.copied.heard(news.peer, news.told)
+                self.inquiries.heard(news.peer, news.told)
             case CopyNoticed():
                 self.copied.noticed(news.peer)
 
@@ -81,7 +85,7 @@ class Disputes:
     def _owned_elsewhere(self, place: Place, starts: bool) -> Unsure | None:
         """Returns why a task is not born here that another agent says it owns."""
         host, other, task_id = self._host, place.other, place.task_id
-        if other is None or not place.standing.record.unborn:
+        if other is None or not place.standing.record.may_begin:
             return None
         why = (
             f"{other.peer} owns {task_id} (epoch {other.epoch}), of which {host.agent} knows nothing: its disk was"

@@ -24,6 +24,7 @@ from pancakes.mesh.guarding.guardian_core import (
     GuardEffect,
     GuardEvent,
     GuardRegister,
+    GuardsForgotten,
     Lease,
     LeaseOver,
     SetLease,
@@ -33,7 +34,7 @@ from pancakes.mesh.guarding.guardian_core import (
 )
 from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen
 from pancakes.mesh.migration.epoch import NO_EPOCH
-from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.guards import GuardianId, forgotten_guards
 from pancakes.mesh.migration.messages import is_for
 from pancakes.mesh.migration.record import TaskId, Wanted
 from pancakes.mesh.migration.snapshot import Snapshot
@@ -126,6 +127,9 @@ class Guardian(Component):
             one = self._new(register)
             one.heard_s = one.as_of_s = self._began_s
             one.from_disk = True
+            record = self._records.get(register.task_id)
+            if record is not None and record.removed:  # its guardians may not have been told before this agent ended
+                one.waiting.append(("", GuardsForgotten(forgotten_guards(record.epoch))))
             one.effects.extend(recover(register, self._mesh.identity.boot))
             self._go_on(one)
 
@@ -257,6 +261,9 @@ class Guardian(Component):
         if one is None or not is_for(packet.body, self._mesh.identity.journal):
             return
         peer, register = agent_of(packet.source), one.register
+        if register.guards.forgotten:
+            self._say(packet.source, LeaseSeen(register.task_id, self._me, False, register.promised, register.guards))
+            return
         if peer not in {member.agent for member in register.guards.members()}:
             return
         self._takeovers.put_off(register.task_id)
@@ -270,6 +277,10 @@ class Guardian(Component):
         told = packet.body
         if told.guardian.agent == agent_of(packet.source) and is_for(told, self._mesh.identity.journal):
             self._takeovers.seen(told)
+            one = self._guarded.get(told.task_id)
+            if told.guards.forgotten and one is not None and told.guardian in one.register.guards.members():
+                one.waiting.append(("", GuardsForgotten(told.guards)))
+                self._go_on(one)
 
     @on(NETWORK, MayGuard, keep=KEEP, addressed=True)
     def on_may_guard(self, packet: Packet) -> None:
@@ -326,7 +337,8 @@ class Guardian(Component):
         return self._lacks_room(peer, asked)
 
     def _lacks_room(self, peer: str, asked: KeepLease | SeizeTask) -> str:
-        theirs = [it.register for it in self._guarded.values() if it.register.promised.minter == peer]
+        registers = (it.register for it in self._guarded.values())
+        theirs = [it for it in registers if it.promised.minter == peer and not it.guards.forgotten]
         if asked.task_id not in self._guarded and len(theirs) >= MOST_TASKS:
             return f"{self.agent} guards {MOST_TASKS} tasks of {peer} already"
         body = asked.body if isinstance(asked, KeepLease) else None

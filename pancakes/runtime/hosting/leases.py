@@ -10,7 +10,14 @@ from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
 from pancakes.mesh.guarding.choosing import CanGuard, MayGuard, choose
-from pancakes.mesh.guarding.guard_messages import MOST_AGE_S, CheckpointId, DenyLease, LeaseKept
+from pancakes.mesh.guarding.guard_messages import (
+    MOST_AGE_S,
+    NO_CHECKPOINT,
+    CheckpointId,
+    DenyLease,
+    KeepLease,
+    LeaseKept,
+)
 from pancakes.mesh.guarding.tenure import (
     answered,
     asked_again,
@@ -23,7 +30,7 @@ from pancakes.mesh.guarding.tenure import (
 )
 from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId, PermitGiven
 from pancakes.mesh.migration.guard_rule import PERMIT_SHARE, RENEWED, GuardRule
-from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.guards import GuardianId, forgotten_guards
 from pancakes.mesh.migration.record import Phase
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
@@ -102,6 +109,8 @@ class Leases:
                 self._renew(place)
             return
         if place.tenancy is not None:
+            if record.removed:
+                self._dismiss(place, place.tenancy)
             self._end(place)
         if record.phase is Phase.OWNER:
             permits.free(str(place.task_id))
@@ -136,6 +145,21 @@ class Leases:
         self._held.remove(place)
         self._host.kernel.guard_notes.drop(self._address(place))
         self._host.kernel.permits.revoke(_right(place))
+
+    def _dismiss(self, place: Place, tenancy: Tenancy) -> None:
+        """Tells all guardians that a task was removed, also those that another set has replaced."""
+        epoch, tenure = place.standing.record.epoch, tenancy.tenure
+        keep = KeepLease(
+            place.task_id,
+            tenancy.type,
+            epoch,
+            tenure.beat + 1,
+            tenancy.lease_s,
+            NO_CHECKPOINT,
+            forgotten_guards(epoch),
+        )
+        for guardian in tenancy.heard_s:
+            self._talk.say(guardian, keep)
 
     def _look_at(self, place: Place) -> None:
         tenancy = place.tenancy
@@ -176,6 +200,8 @@ class Leases:
 
     def rule_of(self, place: Place, snapshot: bytes = b"") -> GuardRule | None:
         """Returns how a task is guarded; None: it is not. `snapshot`: where its record has none."""
+        if place.removal is not None:
+            return None  # its guardians are to let go of it
         if place.slot is not None:
             rule: GuardRule | None = place.slot.spec.guard
             return rule

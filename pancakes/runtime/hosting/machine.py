@@ -308,7 +308,7 @@ def _start_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
 
 def _start_configured(step: HostingStep, event: hosting_event.StartConfigured) -> None:
     record = step.standing.record
-    if record.unborn or (event.fresh and record.phase is Phase.OWNER):
+    if record.may_begin or (event.fresh and record.phase is Phase.OWNER):
         step.live(life_event.StartAsked())
     elif record.phase in (Phase.OWNER, Phase.FROZEN):
         step.live(life_event.StartAsked(), Leave.RECOVERED)
@@ -332,7 +332,7 @@ def _room(step: HostingStep, event: hosting_event.Room) -> None:
         return
     if event.reason and record.phase not in DOUBT:  # else its hand-off decides where it runs
         step.live(life_event.LeaveRefused(event.reason, event.for_good))
-    elif record.unborn and step.standing.waits is None:  # else it is being adopted
+    elif record.may_begin and step.standing.waits is None:  # else it is being adopted
         step.feed(handoff_event.Born(event.snapshot, event.guardian))
     elif event.snapshot:
         step.feed(handoff_event.Ended(Wanted.STOPPED, event.snapshot))
@@ -397,7 +397,8 @@ def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None
         step.do(hosting_effect.Lasts(event.reason))
     adopted_later = any(isinstance(later, handoff_event.AdoptionAsked) for later in standing.events)
     adopted = owner and waits.record.epoch != standing.record.epoch
-    if (standing.record.phase in (*DOUBT, Phase.RELEASED) or adopted) and not adopted_later:
+    elsewhere = standing.record.phase in (*DOUBT, Phase.RELEASED) and not standing.record.removed
+    if (elsewhere or adopted) and not adopted_later:
         # An adoption is not tried again by itself: the person may have learnt better meanwhile.
         step.do(hosting_effect.Decided(f"{standing.record.task_id} is not adopted: {event.reason}"))
     step.go_on()
@@ -445,6 +446,7 @@ DECLINED: Final[Mapping[type, Rule]] = {
     handoff_event.RunAsked: _start_declined,
     handoff_event.AdoptionAsked: lambda step, effect: step.do(hosting_effect.Decided(effect.reason)),
     handoff_event.ForgettingAsked: lambda step, effect: step.do(hosting_effect.Lasts(effect.reason)),
+    handoff_event.RemovalAsked: lambda step, effect: step.do(hosting_effect.Lasts(effect.reason)),
     handoff_event.Award: lambda step, effect: step.do(handoff_effect.AttemptFailed("", effect.reason)),
 }
 """What it means that the hand-off declines an event."""

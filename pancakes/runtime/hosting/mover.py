@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from pancakes.control import Migrate
+from typing import Any
+
+from pancakes.control import Configure, Describe, Migrate, Reschedule, Stop
+from pancakes.creation import Remove
 from pancakes.errors import ControlRefused, MigrationError
 from pancakes.mesh.migration.cost import cost_text, fault_of_choice
 from pancakes.mesh.migration.effect import AttemptFailed, HandedOver
@@ -68,6 +71,28 @@ class Mover:
             self._host.log("error", f"what was to follow the hand-over of {record.task_id} is not done: {error}")
             return Sequel()
 
+    def refuse_elsewhere(self, slot: Slot, body: Any) -> None:
+        """Looks whether something can be asked here of a task.
+
+        Raises:
+            ControlRefused: it is on its way, it has left, or it is being removed.
+        """
+        place = self._host.places.at[slot.name]
+        record, volatile = place.standing.record, place.standing.volatile
+        describes = isinstance(body, Describe)
+        going = volatile.freezing or record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
+        if going and not describes:
+            peer = volatile.asked or record.peer
+            raise ControlRefused(f"{slot.address} is being handed over between {self._host.agent} and {peer}")
+        if place.standing.leaving and not describes:
+            raise ControlRefused(f"{slot.address} was handed over, and has not ended yet")
+        if place.removal is not None and not describes:
+            raise ControlRefused(f"{slot.address} is being removed")
+        asks_state = describes and (body.state or body.began)
+        changes = asks_state or isinstance(body, Stop | Reschedule | Configure | Remove)
+        if record.phase is Phase.RELEASED and not record.removed and changes:
+            raise ControlRefused(f"{slot.name} moved to {record.peer}")
+
     # Asking for a move -----------------------------------------------------------------------------------------
 
     def negotiate(self, slot: Slot, body: Migrate, answer: Request | None) -> None:
@@ -81,6 +106,7 @@ class Mover:
         Raises:
             ControlRefused: the task cannot move now.
         """
+        self.refuse_elsewhere(slot, body)
         host = self._host
         place = host.places.at[slot.name]
         if slot.task is None or slot.life.state is not State.RUNNING:

@@ -20,6 +20,7 @@ from pancakes.runtime.hosting.task_letters import TaskLetters
 from pancakes.runtime.hosting.tenancy import Taking, Tenancy
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.slot import Slot
+from pancakes.task import TaskSpec
 
 
 class Move(msgspec.Struct):
@@ -61,6 +62,24 @@ class Adoption(msgspec.Struct, frozen=True):
     reason: str
     ledger: Ledger | None
     as_it_stands: bool = False
+
+
+class Creation(msgspec.Struct, frozen=True):
+    """A task is to be created here.
+
+    Attributes:
+        request: the request to answer.
+        spec: how it is started.
+        snapshot: how it begins, encoded.
+        dry_run: whether it is not to begin.
+        silent: the agents that have not said whether they know it.
+    """
+
+    request: Request
+    spec: TaskSpec
+    snapshot: bytes
+    dry_run: bool
+    silent: tuple[str, ...] = ()
 
 
 class OtherOwner(msgspec.Struct, frozen=True):
@@ -135,6 +154,8 @@ class Place(msgspec.Struct):
         account: the account of its move, which the Task Migrator has not kept yet; None: there is none.
         adoption: the adoption that waits for its start; None: none.
         forgetting: the requests to forget it that wait for the disk.
+        creation: the creation that waits for its start; None: none.
+        removal: the request to remove it that waits for its end, or for the disk; None: none.
         follows: the task that it is started after; None: none.
         permit: of a guarded task: whether it may act, as far as its service has looked; its actor looks at the clock.
         tenancy: of a guarded task that is owned here: what its guardians have said; None: it is none.
@@ -157,6 +178,8 @@ class Place(msgspec.Struct):
     account: HasMoved | None = None
     adoption: Adoption | None = None
     forgetting: tuple[Request, ...] = ()
+    creation: Creation | None = None
+    removal: Request | None = None
     follows: TaskId | None = None
     permit: bool = False
     tenancy: Tenancy | None = None

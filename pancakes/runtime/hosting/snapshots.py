@@ -18,26 +18,30 @@ from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import alike
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.life.restart import RestartSpec
-from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.task import TaskSpec
 
 
 def snapshot_of(
-    slot: Slot, task_id: TaskId, service: str, carried: Carried | None, now_s: float, sent: int, posted: Posted | None
+    spec: TaskSpec,
+    task_id: TaskId,
+    service: str,
+    carried: Carried | None,
+    now_s: float,
+    sent: Mapping[str, int],
+    posted: Posted | None = None,
 ) -> Snapshot:
     """Returns a task as data.
 
     Args:
-        slot: its place.
+        spec: how it is started.
         task_id: its identity for life.
         service: the service that looks after it.
         carried: what it carries; None: it has not begun yet.
         now_s: mission time.
-        sent: the number of the last packet that it has published.
+        sent: the number of the last packet that it has published, by its address.
         posted: what it has sent to other tasks and is not acknowledged; only of one that moves.
     """
-    spec = slot.spec
     carried = carried or Carried(spec.settings, {})
     return Snapshot(
         task_id=task_id,
@@ -53,11 +57,13 @@ def snapshot_of(
         ),
         posted=posted,
         heard={stream: Heard(upto) for stream, upto in carried.heard.items()},
-        sent={slot.address: sent},
+        sent=dict(sent),
         restart=_plain_restart(spec.restart),
         durability=spec.durability,
         migrate=asdict(spec.rule) if spec.rule is not None else None,
         guard=asdict(spec.guard) if spec.guard is not None else None,
+        rate_hz=spec.rate_hz,
+        created=spec.created,
     )
 
 
@@ -80,6 +86,8 @@ def spec_of(snapshot: Snapshot, catalogue: Installed) -> TaskSpec:
         durability=snapshot.durability,
         rule=codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None,
         guard=codecs.convert(snapshot.guard, GuardRule) if snapshot.guard is not None else None,
+        rate_hz=snapshot.rate_hz,
+        created=snapshot.created,
     )
 
 

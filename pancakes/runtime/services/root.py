@@ -41,9 +41,11 @@ from pancakes.control import (
     Traces,
     Unfollow,
 )
+from pancakes.creation import Create, Remove
 from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
 from pancakes.mesh.security.access import right_of
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
+from pancakes.runtime.foundation.names import fault_of_name
 from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.dispatch import defer
@@ -63,6 +65,7 @@ from pancakes.runtime.supervision.task_description import describe_task
 ANSWERED_S = 2.5
 """An asker whose command for a service is not done after so long, in host time, is told what it waits for."""
 NETWORK = "network"
+CLIENT_SERVICE = "client"
 
 
 class Root(Component):
@@ -73,6 +76,7 @@ class Root(Component):
         address: `agent/kernel`.
         specs: the services, in the order in which they start; they stop in reverse.
         identity: what `Describe` says of the agent besides its tasks.
+        configuration: what its configuration comes to.
         migrations: what `Migrations` is answered with.
         services_in_doubt: the services that have something to decide about a task of this name.
         ready: called in this actor once every service has started all that it should.
@@ -86,6 +90,7 @@ class Root(Component):
         *,
         specs: Sequence[ServiceSpec],
         identity: Callable[[], dict[str, Any]] = dict,
+        configuration: Callable[[], dict[str, Any]] = dict,
         migrations: Callable[[], list[dict[str, Any]]] = list,
         services_in_doubt: Callable[[str], Collection[str]] = lambda name: (),
         ready: Callable[[], None] = lambda: None,
@@ -94,6 +99,7 @@ class Root(Component):
         super().__init__(kernel, address)
         self._services = ServiceKeeper(self, self, specs, self._become_ready)
         self._identity = identity
+        self._configuration = configuration
         self._migrations = migrations
         self._services_in_doubt = services_in_doubt
         self._on_ready = ready
@@ -176,9 +182,12 @@ class Root(Component):
 
     def _resolve(self, body: Any, request: Request) -> None:
         target = getattr(body, "target", "")
-        service, task = self.find(target) if target else ("", "")
         if isinstance(body, Revive):  # of a task that need not be known here
             service, task = body.service, body.task_id.rpartition("/")[2]
+        elif isinstance(body, Create):
+            service, task = self._place_of_new(target)
+        else:
+            service, task = self.find(target) if target else ("", "")
         self._must_be_allowed(body, request, service, task)
         if isinstance(body, Revive):
             self._hand(service, "", body, request)
@@ -208,12 +217,12 @@ class Root(Component):
             self.reply(request, result=self._migrations())
             return
         if isinstance(body, Describe) and not target:
-            self._tell_description(request)
+            self._tell_description(body, request)
             return
         if not target:
             self.find(target)
-        if isinstance(body, (Adopt, Forget)) and task:
-            # A task that was given away has no place in its service any more: the service is asked, not the task.
+        if isinstance(body, (Adopt, Create, Forget)) and task:
+            # A task that was given away, or is to begin, has no place in its service: the service is asked.
             self._hand(service, "", replace(body, target=task), request)
         elif task:
             self._hand(service, task, body, request)
@@ -277,6 +286,19 @@ class Root(Component):
             f"{self.agent} has no task or service {name!r}" + (f", did you mean {meant!r}?" if meant else "")
         )
 
+    def _place_of_new(self, target: str) -> tuple[str, str]:
+        """Returns the service and the name that a target means of a task that is to begin.
+
+        Raises:
+            ControlRefused: it is no target of a task.
+        """
+        parts = target.removeprefix(f"{self.agent}/").split("/")
+        if len(parts) > 2 or not all(parts):
+            raise ControlRefused(f"{target!r} is no target: it must read task or service/task")
+        if fault := fault_of_name(parts[-1]):
+            raise ControlRefused(fault)
+        return (parts[0] if len(parts) == 2 else CLIENT_SERVICE), parts[-1]
+
     def _hand(self, service: str, task: str, body: Any, request: Request) -> None:
         place = self.places.get(service)
         if place is None or place.service is None or place.life.state is not State.RUNNING:
@@ -292,7 +314,7 @@ class Root(Component):
                 place.commands = (*place.commands, (body, request))
             else:
                 self._change_service(place, body, request)
-        elif isinstance(body, (Reschedule, Configure, Migrate, Adopt, Forget, SetFence)):
+        elif isinstance(body, (Reschedule, Configure, Migrate, Adopt, Forget, Remove, SetFence)):
             raise ControlRefused(f"{place.address} is a service: name one of its tasks")
         elif place.service is not None:
             self._hand(place.spec.name, "", body, request)
@@ -377,7 +399,7 @@ class Root(Component):
 
     # Describing ------------------------------------------------------------------------------------------------
 
-    def _tell_description(self, request: Request) -> None:
+    def _tell_description(self, body: Describe, request: Request) -> None:
         """Answers `Describe` in three turns: pages ask it each second, and in one it would put off ticks by 1 ms."""
         description: dict[str, Any] = {}
 
@@ -387,6 +409,8 @@ class Root(Component):
 
         def tell_identity() -> None:
             description.update(self._identity())
+            if body.config:
+                description.update(self._configuration())
             self.call(lambda: self.reply(request, result=description))
 
         # What a packet's handler asks for is still done in its turn, what is asked for from there on in the next.

@@ -8,6 +8,7 @@ from typing import Any, Final, Protocol
 from msgspec.structs import replace
 
 from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Restart, SetFence, Start, Stop
+from pancakes.creation import Remove
 from pancakes.errors import ControlRefused
 from pancakes.runtime.kernel.keep import reliable
 from pancakes.runtime.kernel.kernel import Kernel
@@ -133,6 +134,11 @@ def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) ->
         service.reply(request, result=service.describe_in_detail(slot))
 
 
+def refuse_removal(service: Commanded, slot: Slot, body: Any, request: Request) -> None:
+    """Refuses what is about tasks that can be created."""
+    raise ControlRefused(f"{slot.address} cannot be removed: what {service.address} looks after is not created")
+
+
 def refuse_move(service: Commanded, slot: Slot, body: Any, request: Request) -> None:
     """Refuses what is about tasks that can move."""
     raise ControlRefused(f"{slot.address} cannot move: what {service.address} looks after stays with its agent")
@@ -155,5 +161,6 @@ COMMANDS: Final[Mapping[type, Command]] = {
     Migrate: refuse_move,
     Adopt: refuse_move,
     Forget: refuse_move,
+    Remove: refuse_removal,
 }
 """What can be asked of a task."""

@@ -70,6 +70,8 @@ def describe_in_detail(kernel: Kernel, slot: Slot, settings_class: type, carried
     return {
         # No configuration names it: it comes with its service, whose settings are where its own come from.
         "own": not spec.type,
+        # No configuration names it either: it was asked for by `Create`.
+        "created": spec.created,
         "requires": list(spec.cls.requires),
         "timers": [timer.describe() for timer in kernel.task_timers.of(slot.address)],
         "reads": kernel.stream.readings(slot.address),

@@ -3,19 +3,39 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
-from pancakes.errors import ConfigError
+from pancakes.control import Describe
+from pancakes.errors import ConfigError, Unreachable
 from pancakes.runtime.foundation.printable import printable_data
+from pancakes.tools.cli.asking import order
 from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
-from pancakes.tools.cli.options import format_option
+from pancakes.tools.cli.name_types import AGENT_NAME
+from pancakes.tools.cli.options import Ask, asks_agents, format_option
 from pancakes.tools.cli.output import show, show_json, show_text
 
 SCHEMA_COLUMNS = ("table", "key", "type", "default", "bounds", "description")
+
+
+Origin = Callable[[tuple[str, ...]], str]
+"""Returns where the value of a key was said."""
+
+
+class FileOrAgent(click.ParamType):
+    """A file, or the name of an agent where there is no such file and the name could not be one of a configuration."""
+
+    name = "FILE|AGENT"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path | str:
+        path = Path(value)
+        if isinstance(value, Path) or path.exists() or path.suffix:
+            return path
+        name: str = AGENT_NAME.convert(value, param, ctx)
+        return name
 
 
 @click.group()
@@ -66,11 +86,14 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
 
 
 @config.command("show")
-@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+@click.argument("file", metavar="FILE|AGENT", type=FileOrAgent())
 @click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says.")
-@format_option
-def show_(file: Path, sets: tuple[str, ...], format_: str) -> None:
+@asks_agents
+def show_(file: Path | str, sets: tuple[str, ...], ask: Ask) -> None:
     """Show what an agent's configuration comes to: with all defaults, and where each value was said.
+
+    Of an AGENT that runs it is what that has read, with the tasks that were created on it and are there: as they are
+    now, ready to be kept in a file.
 
     It is a configuration itself. As JSON it is a list of keys.
 
@@ -78,23 +101,51 @@ def show_(file: Path, sets: tuple[str, ...], format_: str) -> None:
     Example:
         pancakes config show configs/single.toml
         pancakes config show configs/single.toml --set clock.speed=5 --format json
+        pancakes config show agent1
     """
+    if isinstance(file, str):
+        if sets:
+            raise click.UsageError("--set is for what a file says, and no file of that name is there")
+        _show(*_of_agent(file, ask), ask.format_)
+    else:
+        _show(*_of_file(file, sets), ask.format_)
+
+
+def _of_file(file: Path, sets: tuple[str, ...]) -> tuple[dict[str, Any], Origin]:
     from pancakes.runtime.config import load
     from pancakes.runtime.config.effective import effective, origin
-    from pancakes.runtime.config.toml_text import document_text, key_text, leaves
     from pancakes.runtime.plugins import Plugins
 
     plugins = Plugins()
     found = load(file, sets, plugins)
     for problem in plugins.problems():
         show_text(f"warning: {problem}", err=True)
-    tables = {table: value for table, value in effective(found, plugins).items() if value != {}}
+    return effective(found, plugins), lambda keys: origin(found, keys)
+
+
+def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
+    with ask.client() as client:
+        if not client.is_there(agent):
+            raise Unreachable(f"no agent {agent!r} answers, and there is no file {agent!r}")
+        found = order(client, agent, Describe(config=True))
+
+    def origin(keys: tuple[str, ...]) -> str:
+        of_task = keys[0] == "task" and len(keys) > 1 and keys[1] in found["created"]
+        return f"created on {agent}" if of_task else str(found["config_file"])
+
+    return found["config"], origin
+
+
+def _show(tables: dict[str, Any], origin: Origin, format_: str) -> None:
+    from pancakes.runtime.config.toml_text import document_text, key_text, leaves
+
+    tables = {table: value for table, value in tables.items() if value != {}}
     if format_ == "table":
-        show_text(printable_data(document_text(tables, lambda keys: origin(found, keys))), nl=False)
+        show_text(printable_data(document_text(tables, origin)), nl=False)
         return
     show_json(
         [
-            {"key": key_text(keys), "value": value, "from": origin(found, keys)}
+            {"key": key_text(keys), "value": value, "from": origin(keys)}
             for keys, value in leaves(tables)
             if value is not None
         ]

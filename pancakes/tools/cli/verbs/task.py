@@ -14,6 +14,7 @@ from pancakes.tools.cli.asking import order, placed, show_done, survey
 from pancakes.tools.cli.name_types import TaskName, a_task, agents
 from pancakes.tools.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, keep_state_option, orders_agents
 from pancakes.tools.cli.output import show, show_json, show_sections
+from pancakes.tools.cli.verbs.create import create, remove
 from pancakes.tools.cli.verbs.fence import fence
 from pancakes.tools.cli.verbs.guards import guards, take
 from pancakes.tools.cli.verbs.migration import adopt, forget, migrate, migrations
@@ -34,6 +35,8 @@ def task() -> None:
     """Tasks that agents have; a device is a task too, and bears the device's name."""
 
 
+task.add_command(create)
+task.add_command(remove)
 task.add_command(migrate)
 task.add_command(migrations)
 task.add_command(adopt)
@@ -186,6 +189,7 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: {
             "type": found["type"],
+            **({"in a file": "no: it was created"} if found["created"] else {}),
             "state": found["rest"] or found["state"],
             "reason": found["reason"],
             "tries": tries(found),

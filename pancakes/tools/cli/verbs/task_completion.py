@@ -40,9 +40,18 @@ def tasks_beside(ctx: click.Context, param: click.Parameter, incomplete: str) ->
 
 def costs(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Completes the cost functions that are installed here."""
+    return _installed("pancakes.costs", incomplete)
+
+
+def types(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes the types of tasks that are installed here."""
+    return _installed("pancakes.tasks", incomplete)
+
+
+def _installed(group: str, incomplete: str) -> list[CompletionItem]:
     from pancakes.runtime.plugins import Plugins
 
-    return [CompletionItem(name) for name in Plugins().names("pancakes.costs") if name.startswith(incomplete)]
+    return [CompletionItem(name) for name in Plugins().names(group) if name.startswith(incomplete)]
 
 
 def _task_named(ctx: click.Context) -> TaskName | None:

@@ -6,6 +6,7 @@ const SHOWN = 250;
 const MOVES = new Set([
   "migration_asked", "migration_bid", "migration_refused", "migration", "task_frozen", "task_arrived",
   "task_handed_over", "task_resumed", "task_adopted", "task_forgotten", "handoff_failed", "taken_over",
+  "task_created", "task_removed",
 ]);
 
 /** Says what kind of event it is, for its colour and the filter. */
