@@ -27,8 +27,8 @@ METADATA: Final = "pancakes"
 class RecordingWriter:
     """One file that is being written. In one thread.
 
-    Its chunks are compressed, which leaves a fifth of them. Once writing has failed, the file ends without an index, like
-    the file of an agent that was killed.
+    Its chunks are compressed to a fifth. Once writing has failed, the file ends without an index, like the file of an
+    agent that was killed.
 
     Args:
         path: where; must not be there yet.
