@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
-import sys
 import tarfile
 import zipfile
 from pathlib import Path
@@ -14,11 +14,6 @@ ROOT = Path(__file__).resolve().parents[2]
 METADATA = "Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nLicense: MIT\nRequires-Python: >=3.11\n"
 SOURCES = ("pancakes/__init__.py", "pancakes/task.py")
 SOUND = {"pancakes/__init__.py": "", "pancakes/task.py": "", "pancakes_agents-1.0.dist-info/LICENSE": "MIT"}
-
-
-@pytest.fixture(autouse=True)
-def reachable(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", [str(ROOT / "scripts" / "lib"), *sys.path])
 
 
 def wheel(folder: Path, files: dict[str, str], name: str = "pancakes-agents", version: str = "1.0") -> Path:
@@ -43,9 +38,11 @@ def sdist(folder: Path, names: tuple[str, ...] = ("LICENSE", "README.md", "setup
 
 def faults(wheels: list[Path], sdists: list[Path]) -> list[str]:
     """Returns what is found."""
-    from release_checks import faults_of
-
-    found: list[str] = faults_of(wheels, sdists, SOURCES)
+    spec = importlib.util.spec_from_file_location("release_checks", ROOT / "scripts" / "lib" / "release_checks.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    found: list[str] = module.faults_of(wheels, sdists, SOURCES)
     return found
 
 
