@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 from collections.abc import Iterator
 from itertools import islice
@@ -80,16 +82,12 @@ def test_an_agent_that_starts_later_is_found_and_one_that_ended_is_not_waited_fo
     later = counting.rig.ready("later")
 
     assert "later" in {row.agent for row in client.agents()}
-    later.process.terminate()
-    later.ended()
-    assert client.wait(lambda: "later" not in {row.agent for row in counting_agents(client)}, PATIENCE_S)
-    assert said == []
-
-
-def counting_agents(client: Any) -> list[AgentRow]:
-    """Asks in a client of its own where a condition may not."""
-    with Client(timeout_s=10.0) as other:
-        return other.agents()
+    with client.subscribe("later/system") as heard:
+        later.process.terminate()
+        later.ended()
+        assert client.wait(lambda: heard.away() == ["later"], PATIENCE_S)
+    assert {row.agent for row in client.agents()} == {"a", "b"}
+    assert said == ["later is away: waiting for it to come back"]
 
 
 # What is heard ---------------------------------------------------------------------------------------------------
@@ -278,6 +276,20 @@ def test_at_the_end_of_with_all_has_arrived(connect: Connect):
             for number in range(20):
                 client.publish("a/system", Word(str(number)))
         assert [it.body.text for it in islice(answers, 20)] == [str(number) for number in range(20)]
+
+
+def test_where_it_is_not_known_whether_all_has_arrived_the_end_of_with_says_so(
+    connect: Connect, counting: CountingAgents, said: list[str]
+):
+    with connect(timeout_s=0.5, say=said.append) as client:
+        client.publish("b/system", Word("perhaps"), timeout_s=10.0)
+        os.kill(counting.b.pid, signal.SIGSTOP)
+    os.kill(counting.b.pid, signal.SIGCONT)
+    (sentence,) = said
+    assert sentence == (
+        "whether the last packets that were published have arrived is not known:"
+        " b did not answer: nothing came within 0.5 s"
+    )
 
 
 def test_settings_are_read_and_changed(client: Any):
