@@ -186,7 +186,10 @@ class Subscriber(Generic[Row]):
             self.fail(str(error))
         if self._following.missed and not self._told_slow:
             self._told_slow = True
-            self._say(f"{self._name}: this program is too slow, so that the oldest packets fall out")
+            self._say(
+                f"{self._name}: this program is too slow, so that the oldest packets fall out:"
+                " ask for fewer types, or read faster"
+            )
 
     def fail(self, reason: str) -> None:
         """Ends it for a reason, which its reader is told."""

@@ -164,7 +164,9 @@ def test_a_subscriber_that_is_too_slow_keeps_the_newest_and_is_told(client: Any,
         client.request("a", Describe())
         assert [it.body.number for it in flood.during(0.5)] == [95, 96, 97, 98, 99]
     client.request("a", Reschedule("Flooding", 10.0))
-    assert said == ["a/flood: this program is too slow, so that the oldest packets fall out"]
+    assert said == [
+        "a/flood: this program is too slow, so that the oldest packets fall out: ask for fewer types, or read faster"
+    ]
 
 
 def test_where_nothing_comes_in_time_a_sentence_says_so(client: Any):
