@@ -10,8 +10,10 @@ from pancakes.client.fleet_client import Client
 from pancakes.client.heard_packet import HeardPacket
 from pancakes.client.looks import Looks
 from pancakes.client.subscriber import Subscriber
+from pancakes.client.survey import Replies, Survey
 from pancakes.client.task_row import TaskRow
 from pancakes.client.where import Where
+from pancakes.mesh.migration.ledger import Ledger
 
 if TYPE_CHECKING:
     from pancakes.client.async_client import AsyncClient
@@ -24,8 +26,11 @@ __all__ = [
     "Client",
     "EventRow",
     "HeardPacket",
+    "Ledger",
     "Looks",
+    "Replies",
     "Subscriber",
+    "Survey",
     "TaskRow",
     "Where",
 ]
