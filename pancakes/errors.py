@@ -90,6 +90,10 @@ class NoAnswer(Unreachable):
     """An agent was asked for something, and whether it does it is not known."""
 
 
+class NothingCame(PancakesError, TimeoutError):
+    """Nothing was published in time on a channel that a program listens to."""
+
+
 class MigrationError(PancakesError):
     """A task could not be moved. It goes on where it is."""
 

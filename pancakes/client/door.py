@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import uuid
 from collections.abc import Callable, Sequence
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from pancakes.control import Reply
@@ -53,10 +54,10 @@ class Door:
         self.name = name
         self.fleet = fleet
         self._changed = changed
-        self._seq = 0
+        self._numbers = count(1)
         self._asked: dict[int, str] = {}
         self._answers: dict[int, Answer] = {}
-        self._listeners: tuple[tuple[Listener, Unread], ...] = ()
+        self._listeners: list[tuple[Listener, Unread]] = []
         self._links: dict[str, int] = {}
         self._mesh = Mesh(
             Identity(name, str(uuid.uuid4()), 0, fleet, "client"),
@@ -84,7 +85,11 @@ class Door:
 
     def listen(self, listener: Listener, unread: Unread = lambda agent, packet, reason: None) -> None:
         """Hands on what agents send of themselves, such as what is followed."""
-        self._listeners = (*self._listeners, (listener, unread))
+        self._listeners.append((listener, unread))
+
+    def unlisten(self, listener: Listener) -> None:
+        """Hands on nothing to a listener any more."""
+        self._listeners = [it for it in self._listeners if it[0] != listener]
 
     def agents(self) -> list[Hello]:
         """Returns what the connected agents said about themselves, by name; other clients are none."""
@@ -119,8 +124,7 @@ class Door:
         Returns:
             The number of the request, for `answer`.
         """
-        self._seq += 1
-        number = self._seq
+        number = next(self._numbers)
         self._asked[number] = agent
         try:
             self._mesh.send(Packet(SYSCTRL, type_name(body), self.name, agent, 0.0, number, body))
@@ -150,8 +154,8 @@ class Door:
         Raises:
             PancakesError: it cannot travel, or the agent is not connected any more.
         """
-        self._seq += 1
-        self.send(Packet(channel, type_name(body), self.name, destination or agent, stamp, self._seq, body))
+        number = next(self._numbers)
+        self.send(Packet(channel, type_name(body), self.name, destination or agent, stamp, number, body))
 
     def send(self, packet: Packet) -> None:
         """Sends a packet as it is to the connected agent that its destination names.

@@ -1,18 +1,21 @@
-"""What is published on a channel of agents, as it happens: for verbs that go on until Ctrl-C."""
+"""What is published on a channel of agents, as it happens."""
 
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
-from pancakes.client.door import Door
-from pancakes.client.mesh_client import LOOK_S, Client
+from pancakes.client.door import Door, Listener
+from pancakes.client.heard_packet import HeardPacket
+from pancakes.client.mesh_client import MeshClient
+from pancakes.client.waits import LOOK_S
 from pancakes.control import Follow, Reply
 from pancakes.errors import ControlRefused, Unreachable
-from pancakes.packet import Packet
+from pancakes.packet import Packet, agent_of
 from pancakes.runtime.kernel.backlog import Backlog
 
 SEARCH_S: Final = 0.5
@@ -26,22 +29,7 @@ QUIET_S: Final = 5.0
 MOST_UNREAD: Final = 20
 """Of so many types at most it is said that their packets cannot be read."""
 MOST_WAITING: Final = 100_000
-"""So many packets wait for a terminal that is slow, of large ones fewer; after that the oldest fall out."""
-
-
-@dataclass(frozen=True, slots=True)
-class HeardPacket:
-    """A packet that came.
-
-    Attributes:
-        agent: on whose channel it was published.
-        packet: the packet; its destination is this terminal.
-        at_s: when it came, in host time.
-    """
-
-    agent: str
-    packet: Packet
-    at_s: float
+"""So many packets wait for a reader that is slow, of large ones fewer; after that the oldest fall out."""
 
 
 @dataclass(slots=True)
@@ -76,8 +64,8 @@ class _Followed:
 class Following:
     """The packets of one channel of one agent, of several or of all.
 
-    An agent that goes away is followed again when it comes back, also under another address. Its methods are called in
-    one thread; a client has one of these for each channel.
+    An agent that goes away is followed again when it comes back, also under another address: `tend` sees to that, which
+    `next` calls. A program that does not wait in `next` has one thread call `tend` now and then, and another `take`.
 
         with Following(client, "system", agents=("agent1",), say=print) as following:
             heard = following.next(client.now() + 1.0)
@@ -90,11 +78,14 @@ class Following:
         agents: the agents' names; none: all, those too that come later.
         fleet: only agents of this fleet; empty: of any.
         say: takes a sentence about agents that go and come back, and about packets that cannot be read here.
-        followed_anew: called with the name of an agent that is followed again, or only now, in `next`.
+        followed_anew: called with the name of an agent that is followed again, or only now, in `tend`.
         most_hz: at most so many packets a second of each source and type, the newest ones; 0: all.
+        most_waiting: so many packets wait for the reader, of large ones fewer; after that the oldest fall out.
+        wants: of what comes, only packets for which it returns True wait; called in the transport's thread.
 
     Attributes:
         channel: the channel.
+        arrived: called after a packet came that waits now, in the transport's thread.
 
     Raises:
         Unreachable: there is no such agent, or none at all, or none answers in time.
@@ -103,7 +94,7 @@ class Following:
 
     def __init__(
         self,
-        client: Client,
+        client: MeshClient,
         channel: str,
         types: Sequence[str] = (),
         foreign: bool = False,
@@ -112,42 +103,69 @@ class Following:
         followed_anew: Callable[[str], None] = lambda agent: None,
         fleet: str = "",
         most_hz: float = 0.0,
+        most_waiting: int = MOST_WAITING,
+        wants: Callable[[Packet], bool] = lambda packet: True,
     ) -> None:
         self._client = client
         self.channel = channel
+        self.arrived: Callable[[], None] = lambda: None
+        self._wants = wants
+        self._lock = threading.RLock()  # held while it is tended, or ends; `say` may end it
         self._request = Follow(channel, tuple(types), foreign, most_hz)
         self._names = tuple(agents)
         self._fleet = fleet
         self._say = say
         self._followed: dict[tuple[str, str], _Followed] = {}
-        self._waiting: Backlog[HeardPacket] = Backlog(MOST_WAITING)
+        self._waiting: Backlog[HeardPacket[Any]] = Backlog(most_waiting)
         self._unread: dict[str, str] = {}  # the reasons, by type
         self._unread_said = 0
-        self._listened: list[Door] = []
+        self._listened: list[tuple[Door, Listener]] = []
+        self._ended = False
         self._searched_s = client.now()
         self._tended_s = -math.inf
         self._followed_anew = followed_anew
-        self._begin()
+        try:
+            self._begin()
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> Following:
         return self
 
     def __exit__(self, *error: object) -> None:
-        # The agents forget us when the client leaves; until then nothing is kept any more.
-        self._followed = {}
+        self.close()
+
+    def close(self) -> None:
+        """Tells the agents that it is over, and forgets what waits. Any thread."""
+        with self._lock:
+            self._ended = True
+            followed, self._followed = self._followed, {}
+            for door, listener in self._listened:
+                door.unlisten(listener)
+        for it in followed.values():
+            self._client.wishes.drop(self, it.door, it.agent, self.channel)
         self._waiting.clear()
 
-    def next(self, until_s: float) -> HeardPacket | None:
+    def next(self, until_s: float) -> HeardPacket[Any] | None:
         """Returns the next packet, or None where none has come until then, in host time."""
         while True:
-            self._tend()
-            heard = self._waiting.take()
+            self.tend()
+            heard = self.take()
             if heard is not None:
                 return heard
             now_s = self._client.now()
             if now_s >= until_s:
                 return None
             self._client.wait(min(until_s, now_s + LOOK_S), lambda: len(self._waiting) > 0)
+
+    def take(self) -> HeardPacket[Any] | None:
+        """Returns the next packet that waits, or None where none does. Any thread."""
+        return self._waiting.take()
+
+    def waiting(self) -> int:
+        """Returns how many packets wait for the reader. Any thread."""
+        return len(self._waiting)
 
     @property
     def missed(self) -> int:
@@ -156,11 +174,11 @@ class Following:
 
     def agents(self) -> list[str]:
         """Returns the names of all agents that are followed, those too that are away."""
-        return sorted({*self._names, *(it.agent for it in self._followed.values())})
+        return sorted({*self._names, *(it.agent for it in list(self._followed.values()))})
 
     def away(self) -> list[str]:
         """Returns the names of the agents that are away."""
-        here = {it.agent for it in self._followed.values() if it.follows}
+        here = {it.agent for it in list(self._followed.values()) if it.follows}
         return [name for name in self.agents() if name not in here]
 
     # Beginning -------------------------------------------------------------------------------------------------
@@ -200,18 +218,27 @@ class Following:
                 key = (door.fleet, hello.name)
                 if key in self._followed or (self._names and hello.name not in self._names):
                     continue
-                if door not in self._listened:
-                    self._listened.append(door)
-                    door.listen(partial(self._hear, door.fleet), partial(self._leave_out, door.fleet))
+                if all(known is not door for known, _ in self._listened):
+                    listener = partial(self._hear, door.fleet)
+                    self._listened.append((door, listener))
+                    door.listen(listener, partial(self._leave_out, door.fleet))
                 self._followed[key] = _Followed(door, hello.name)
                 new.append(self._followed[key])
         return new
 
     # Going on --------------------------------------------------------------------------------------------------
 
-    def _tend(self) -> None:
-        """Sees to it that all agents are followed that are there."""
-        now_s = self._client.now()
+    def tend(self) -> None:
+        """Sees to it that all agents are followed that are there, at most every `LOOK_S`.
+
+        Raises:
+            PancakesError: the runtime directory cannot be used.
+        """
+        with self._lock:
+            if not self._ended:
+                self._tend(self._client.now())
+
+    def _tend(self, now_s: float) -> None:
         if now_s - self._tended_s < LOOK_S:
             return
         self._tended_s = now_s
@@ -252,7 +279,7 @@ class Following:
             it.door.forget(it.request)
         it.asked_s = now_s
         it.link = it.door.link(it.agent)
-        it.request = it.door.request(it.agent, self._request)
+        it.request = self._client.wishes.ask(self, it.door, it.agent, self._request)
 
     def _take_answer(self, it: _Followed) -> None:
         answer = it.door.answer(it.request) if it.request is not None else None
@@ -278,7 +305,12 @@ class Following:
         if it is None or packet.channel != self.channel:
             return
         it.heard_s = self._client.now()
-        self._waiting.put(packet, HeardPacket(agent, packet, it.heard_s))
+        wish = self._request
+        # What others in this program wish to hear on the channel comes as well.
+        ours = (not wish.types or packet.type in wish.types) and (wish.foreign or agent_of(packet.source) == agent)
+        if ours and self._wants(packet):
+            self._waiting.put(packet, HeardPacket(agent, packet, it.heard_s))
+            self.arrived()
 
     def _leave_out(self, fleet: str, agent: str, packet: Packet, reason: str) -> None:
         """Notes the first packet of a type that cannot be read. In the transport's thread."""
@@ -286,5 +318,7 @@ class Following:
         if it is None or packet.channel != self.channel:
             return
         it.heard_s = self._client.now()
+        if self._request.types and packet.type not in self._request.types:
+            return
         if len(self._unread) < MOST_UNREAD:
             self._unread.setdefault(packet.type, reason)

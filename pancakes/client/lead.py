@@ -14,12 +14,14 @@ class Lead:
         fleet: its fleet; empty while that is not known.
         name: its name, likewise.
         failed: why it cannot be asked; empty while it can.
+        here: whether the runtime directory of this machine names it.
     """
 
     address: str
     fleet: str = ""
     name: str = ""
     failed: str = ""
+    here: bool = False
 
     def __str__(self) -> str:
         return f"{self.name} ({self.address})" if self.name and self.address else self.name or self.address

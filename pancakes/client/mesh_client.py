@@ -1,6 +1,6 @@
-"""How the command line reaches running agents: it finds them, asks them, and waits for their own answers.
+"""How a program that is no agent reaches running agents: it finds them, asks them, and waits for their own answers.
 
-Threads are only here: the terminal may wait, agents may not.
+Its threads may wait, those of agents may not.
 """
 
 from __future__ import annotations
@@ -8,14 +8,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any
 
 from pancakes.client.door import Door
 from pancakes.client.fleet_way import FleetWay
 from pancakes.client.greeting import Greeting
 from pancakes.client.lead import Lead
 from pancakes.client.survey import Replies, Survey
+from pancakes.client.waits import Waits
 from pancakes.client.where import Where
+from pancakes.client.wishes import Wishes
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
 from pancakes.mesh.address import DEFAULT_FLEET, fleet_in, in_fleet, is_local, reachable_from
@@ -29,22 +31,22 @@ from pancakes.runtime.runtime_dir import entries, runtime_dir
 Answers = dict[tuple[str, str], Reply]
 """Replies by the fleet and the name of the agent."""
 
-LOOK_S: Final = 0.1
-"""How often a wait looks again at facts that come without an event, such as an agent that says it sleeps."""
 
-
-class Client:
+class MeshClient:
     """Speaks to the agents of this machine, or to those at given addresses, and through any of them to their fleets.
 
-    It is used in one thread, as a context manager:
+    Any thread may use it. `pancakes.client.Client` stands on it, and so does what watches a whole fleet:
 
-        with Client(timeout_s=3.0) as client:
+        with MeshClient(timeout_s=3.0) as client:
             reply = client.request("agent1", Stop("client/ScanTarget"))
 
     Args:
         at: an address to begin with (`HOST:PORT`, `tcp://HOST:PORT` or `local://NAME`), or several; none: what runs on
             this machine. A `Where` names a fleet as well.
         timeout_s: the time limit of each call.
+
+    Attributes:
+        wishes: what is followed, on which channels of which agents.
 
     Raises:
         PancakesError: one of them is no address, or the runtime directory cannot be used.
@@ -56,10 +58,8 @@ class Client:
         self._clock = MonotonicClock()
         self._ways: dict[str, FleetWay] = {}
         self._lock = threading.RLock()
-        # Held while there is no news. No `Condition`: Ctrl-C in the middle of its `wait`, which is written in Python,
-        # leaves its lock in disorder, and a program that then ends in good order waits for ever.
-        self._no_news = threading.Lock()
-        self._no_news.acquire()
+        self._waits = Waits(self._clock, self._lock)
+        self.wishes = Wishes()
         self._doors: dict[str, Door] = {}
         self._greeted = 0
         self._leads: list[Lead] = []
@@ -73,14 +73,15 @@ class Client:
             self.close()
             raise
 
-    def __enter__(self) -> Client:
+    def __enter__(self) -> MeshClient:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
-        """Leaves all fleets."""
+        """Leaves all fleets; a thread that still waits is told so by an error."""
+        self._waits.close()
         with self._lock:
             doors = list(self._doors.values())
         for door in doors:
@@ -151,15 +152,14 @@ class Client:
             fleet: only where it is of this fleet; empty: of any.
         """
 
-        def connected() -> bool:
-            return any(door.connected(agent) for door in self._doors.values() if fleet in ("", door.fleet))
+        if not self.is_connected(agent, fleet):
+            self._ask_all(self._until_s(None), lambda answers: self.is_connected(agent, fleet))
+        return self.is_connected(agent, fleet)
 
+    def is_connected(self, agent: str, fleet: str = "") -> bool:
+        """Returns whether an agent can be asked now; waits for nothing. The arguments are those of `is_there`."""
         with self._lock:
-            known = connected()
-        if not known:
-            self._ask_all(self._until_s(None), lambda answers: connected())
-        with self._lock:
-            return connected()
+            return any(door.connected(agent) for door in self._doors.values() if fleet in ("", door.fleet))
 
     def narrow(self, fleet: str) -> None:
         """Speaks to the agents of one fleet alone from now on."""
@@ -181,19 +181,28 @@ class Client:
         """Waits until the condition is true, at most until a host time; returns whether it is.
 
         It is looked at whenever an agent comes, goes, answers or sends something, and now and then.
+
+        Raises:
+            PancakesError: the client is closed, or is closed meanwhile.
         """
-        while True:
-            with self._lock:
-                if condition():
-                    return True
-            left_s = until_s - self._clock.now()
-            if left_s <= 0:
-                return False
-            self._no_news.acquire(timeout=min(left_s, LOOK_S))
+        return self._waits.until(until_s, condition)
 
     def is_own(self, name: str) -> bool:
         """Returns whether a name of the mesh is that of this client in a fleet."""
         return any(way.name == name for way in self._ways.values())
+
+    def door(self, agent: str) -> Door:
+        """Returns the door through which a connected agent is reached.
+
+        Raises:
+            Unreachable: it is not connected now.
+            ControlRefused: agents of two fleets bear this name.
+        """
+        found = [door for door in self.doors() if door.connected(agent)]
+        self._must_be_one(agent, [door.fleet for door in found])
+        if not found:
+            raise Unreachable(f"{agent} is not connected")
+        return found[0]
 
     def doors(self) -> list[Door]:
         """Returns the doors of the fleets that are known by now."""
@@ -203,6 +212,8 @@ class Client:
     def look_again(self) -> None:
         """Finds agents of this machine that were started since (where none was named), and dials those that are away.
 
+        Agents of this machine that have ended since are looked for no more.
+
         Raises:
             PancakesError: the runtime directory cannot be used.
         """
@@ -211,18 +222,33 @@ class Client:
             known = {(lead.fleet, lead.name, lead.address) for lead in self._leads}
             new = [lead for lead in running if (lead.fleet, lead.name, lead.address) not in known]
             moved = {(lead.fleet, lead.name) for lead in new}
-            self._leads = [lead for lead in self._leads if (lead.fleet, lead.name) not in moved]
+            there = {(lead.fleet, lead.name) for lead in running}
+            self._leads = [
+                lead
+                for lead in self._leads
+                if (lead.fleet, lead.name) not in moved
+                and (not lead.here or (lead.fleet, lead.name) in there or self.is_connected(lead.name, lead.fleet))
+            ]
             for lead in new:
                 self._follow(lead)
             for door in self._doors.values():
-                door.dial_again([lead.address for lead in self._leads if lead.fleet == door.fleet and lead.address])
+                ours = [lead for lead in self._leads if lead.fleet == door.fleet and lead.address]
+                if away := [lead.address for lead in ours if not door.connected(lead.name)]:
+                    door.dial_again(away)
+
+    def greet_again(self) -> None:
+        """Asks once more which agents are at the addresses at which none was found."""
+        with self._lock:
+            for lead in [it for it in self._leads if it.failed and it.address and not it.name]:
+                self._leads.remove(lead)
+                self._follow(Lead(lead.address))
 
     # Finding them ----------------------------------------------------------------------------------------------
 
     def _running(self) -> list[Lead]:
         """Returns the agents of this machine that are looked for."""
         there = [entry for entry in entries() if entry.role != "client" and self._fleet in ("", entry.fleet)]
-        return [Lead(next(iter(entry.listen), ""), entry.fleet, entry.name) for entry in there]
+        return [Lead(next(iter(entry.listen), ""), entry.fleet, entry.name, here=True) for entry in there]
 
     def _nowhere(self) -> str:
         """Returns a sentence to say where no agent runs."""
@@ -243,7 +269,7 @@ class Client:
         def told(what: Hello | str) -> None:
             with self._lock:
                 self._met(lead, what)
-            self._changed()
+            self._waits.tell()
 
         self._greeted += 1
         fleet = self._fleet_at(lead)
@@ -285,7 +311,7 @@ class Client:
             door = self._doors.get(what.fleet)
             if door is None:
                 way = self._way(what.fleet)
-                door = Door(way.name, what.fleet, way.transport, self._clock, self._changed, way.keys)
+                door = Door(way.name, what.fleet, way.transport, self._clock, self._waits.tell, way.keys)
                 self._doors[what.fleet] = door
             door.learn(lead.address)
         # One that is not there yet is dialled again and again, as soon as another of its fleet is.
@@ -466,11 +492,6 @@ class Client:
         if not names:
             there = self._nowhere() if not lines else f"no agent knows of an agent {agent!r}"
         return "\n".join([*lines, there])
-
-    def _changed(self) -> None:
-        """There is news. In the transports' threads."""
-        with suppress(RuntimeError):  # there is some already
-            self._no_news.release()
 
     def _until_s(self, timeout_s: float | None) -> float:
         return self._clock.now() + (self.timeout_s if timeout_s is None else timeout_s)

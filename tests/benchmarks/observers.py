@@ -270,7 +270,7 @@ def recorded(demo: Demo) -> Iterator[None]:
 def watched(demo: Demo) -> Iterator[None]:
     """A page is open: what a page shows is followed, whoever looks at it and however fast."""
     begun_s = time.monotonic()
-    addresses = [door.agents()[0].listen[0] for door in demo.client.doors()]
+    addresses = [demo.client.survey().agents[0]["listen"][0]]
     watch = Watch(Feed(lambda: time.monotonic() - begun_s), addresses)
     watch.start()
     time.sleep(PAGE_SETTLE_S)

@@ -9,6 +9,7 @@ from msgspec import Struct
 from pancakes.client import Client
 from pancakes.client.door import Door
 from pancakes.client.following import Following
+from pancakes.client.mesh_client import MeshClient
 from pancakes.control import Describe, Reschedule, Stop
 from pancakes.errors import Unreachable
 from pancakes.packet import packet_type
@@ -67,7 +68,7 @@ def test_a_follower_is_told_once_that_packets_cannot_be_read_here(rig: Rig, agen
     rig.install("soil", SOIL_ENTRY_POINTS, SOIL)
     rig.ready("b", '[task.Dig]\ntype = "soil.Dig"\n')
     said: list[str] = []
-    with Client(timeout_s=10.0) as client, Following(client, "system", agents=("b",), say=said.append) as following:
+    with MeshClient(timeout_s=10.0) as client, Following(client, "system", agents=("b",), say=said.append) as following:
         end_s = client.now() + 10.0
         while not said and client.now() < end_s:
             assert following.next(client.now() + 0.1) is None

@@ -9,7 +9,7 @@ from types import FrameType
 
 import pytest
 
-from pancakes.client import Client
+from pancakes.client.mesh_client import MeshClient
 
 TIMES = 1500
 LONGEST_S = 0.0005
@@ -31,7 +31,7 @@ def interrupting():
 
 def test_ctrl_c_anywhere_in_a_wait_leaves_everything_in_order(interrupting, monkeypatch, tmp_path):
     monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(tmp_path))
-    client = Client()
+    client = MeshClient()
     source = random.Random(1)
     interrupted = 0
     for _ in range(TIMES):

@@ -47,12 +47,19 @@ class Client:
     def now(self):
         return self.time_s
 
-    def wait(self, until_s, condition):
+    def wait(self, condition, timeout_s=timeout_s):
+        until_s = self.time_s + timeout_s
         while self.time_s < until_s and not condition():
             self.time_s += 0.01
 
-    def doors(self):
-        return [self.door]
+    def is_connected(self, agent):
+        return self.door.connected(agent)
+
+    def waiting(self, agent):
+        return self.door.waiting(agent)
+
+    def send(self, packet):
+        self.door.send(packet)
 
     def request(self, agent, body):
         self.asked.append((agent, body))

@@ -125,7 +125,7 @@ class LoadedFleet:
         while not condition():
             took_s = time.monotonic() - began_s
             assert took_s < at_most_s, f"{what}: not within {at_most_s:g} s"
-            self.client.wait(self.client.now() + 0.02, lambda: False)
+            self.client.wait(lambda: False, 0.02)
         return time.monotonic() - began_s
 
     def close(self) -> None:

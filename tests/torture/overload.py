@@ -132,7 +132,7 @@ def overload(directory: Path, case: Case, for_s: float) -> Seen:
         with watching(fleet, list(tasks)) as (control_s, memory):
             began_s = time.monotonic()
             fleet.configure("a", "Flood", per_s=case.bearable_per_s * TIMES)
-            fleet.client.wait(fleet.client.now() + for_s, lambda: False)
+            fleet.client.wait(lambda: False, for_s)
             ended_s = time.monotonic()
         fleet.configure("a", "Flood", per_s=case.bearable_per_s / 2)
         behind_s = fleet.wait(lambda: _behind(fleet, reading, case.reader) < JUST_COME, "catching up")

@@ -69,7 +69,7 @@ def slow_peer(directory: Path, how: str, rounds: int, span_s: float) -> Seen:
         with other as (name, fall_asleep, wake):
             for _ in range(rounds):
                 began_s = time.monotonic()
-                fleet.client.wait(fleet.client.now() + span_s, lambda: False)
+                fleet.client.wait(lambda: False, span_s)
                 asleep_s = time.monotonic()
                 fall_asleep()
                 fleet.running["a"].hear(f"the link to {name} has ended")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import click
 
-from pancakes.client import Client
-from pancakes.client.following import Following, HeardPacket
+from pancakes.client import Client, HeardPacket, Subscriber
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.packet import covers
 from pancakes.runtime.foundation.suggestion import did_you_mean
@@ -19,6 +19,11 @@ from pancakes.tools.cli.streaming import say, until_ended
 
 LOOK_S = 0.2
 """At least that often `listen` gives its caller a turn."""
+MOST_WAITING = 100_000
+"""So many packets wait for a terminal that is slow."""
+
+Heard = Subscriber[HeardPacket[Any]]
+"""What comes on a channel."""
 
 types_option = click.option(
     "--type", "types", metavar="TYPE", multiple=True, help="Only packets of this type. Repeatable."
@@ -32,7 +37,7 @@ from_option = click.option(
 
 
 @contextmanager
-def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[tuple[Client, Following]]:
+def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[tuple[Client, Heard]]:
     """Listens to a channel of an agent, until Ctrl-C at the latest.
 
     Args:
@@ -43,20 +48,20 @@ def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[
     with (
         until_ended(),
         ask.client() as client,
-        Following(client, name.channel, types, True, (name.agent,), say) as following,
-        telling_losses(client, following),
+        client.subscribe(str(name), *types, foreign=True, most=MOST_WAITING) as heard,
+        telling_losses(client, heard, name.channel),
     ):
-        yield client, following
+        yield client, heard
 
 
 def listen(
-    client: Client, following: Following, for_s: float | None = None, bounded: bool = False
-) -> Iterator[HeardPacket | None]:
+    client: Client, subscriber: Heard, for_s: float | None = None, bounded: bool = False
+) -> Iterator[HeardPacket[Any] | None]:
     """Yields the packets as they come, and None now and then where none comes.
 
     Args:
         client: reaches the agents.
-        following: what is listened to.
+        subscriber: what is listened to.
         for_s: ends after this time; None: never.
         bounded: whether the caller will end by itself, so that it should not wait for ever for agents that went away.
 
@@ -67,39 +72,37 @@ def listen(
     end_s = math.inf if for_s is None else now_s + for_s
     heard_s = now_s
     while now_s < end_s:
-        heard = following.next(min(end_s, now_s + LOOK_S))
+        heard = subscriber.take(min(end_s - now_s, LOOK_S))
         yield heard
         now_s = client.now()
-        if heard is not None or following.away() != following.agents():
+        if heard is not None or subscriber.away() != subscriber.agents():
             heard_s = now_s
         elif bounded and now_s - heard_s >= client.timeout_s:
-            raise Unreachable(f"{', '.join(following.away())} did not come back within {client.timeout_s:g} s")
-    if following.away() == following.agents():
-        raise Unreachable(f"{', '.join(following.away())} went away and did not come back")
+            raise Unreachable(f"{', '.join(subscriber.away())} did not come back within {client.timeout_s:g} s")
+    if subscriber.away() == subscriber.agents():
+        raise Unreachable(f"{', '.join(subscriber.away())} went away and did not come back")
 
 
 @contextmanager
-def telling_losses(client: Client, following: Following) -> Iterator[None]:
+def telling_losses(client: Client, subscriber: Heard, channel: str) -> Iterator[None]:
     """Says at the end how many packets were published and did not come to be seen."""
     try:
         yield
     except KeyboardInterrupt:
-        _tell_losses(client, following)
+        _tell_losses(client, subscriber, channel)
         raise
-    _tell_losses(client, following)
+    _tell_losses(client, subscriber, channel)
 
 
-def _tell_losses(client: Client, following: Following) -> None:
-    if following.missed:
-        say(f"{following.missed} packets were missed: this command could not keep up")
+def _tell_losses(client: Client, subscriber: Heard, channel: str) -> None:
+    if subscriber.missed:
+        say(f"{subscriber.missed} packets were missed: this command could not keep up")
     try:
-        agents = client.survey(*following.agents(), timeout_s=1.0).agents
+        agents = client.survey(*subscriber.agents(), timeout_s=1.0).agents
     except PancakesError:
         return  # an agent that is away cannot be asked
     for agent in agents:
-        lost = sum(
-            peer["dropped"].get(following.channel, 0) for peer in agent["mesh"]["peers"] if client.is_own(peer["name"])
-        )
+        lost = sum(peer["dropped"].get(channel, 0) for peer in agent["mesh"]["peers"] if client.is_own(peer["name"]))
         if lost:
             say(f"{lost} packets were given up by {agent['agent']}: the way to this terminal was too slow")
 

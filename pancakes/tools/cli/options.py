@@ -6,13 +6,13 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import click
 
 from pancakes.tools.cli.name_types import the_fleet
-from pancakes.tools.cli.output import show
+from pancakes.tools.cli.output import show, show_text
 
 if TYPE_CHECKING:
     from pancakes.client import Client, Where
@@ -92,7 +92,7 @@ class Ask:
         """Returns a new client."""
         from pancakes.client import Client
 
-        return Client(self.where, self.timeout_s)
+        return Client(self.where, self.timeout_s, partial(show_text, err=True))
 
     def show(self, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
         """Prints rows; see `pancakes.tools.cli.output.show`."""

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable
 
 from msgspec.structs import replace
 
-from pancakes.client.door import Door
-from pancakes.client.mesh_client import Client
+from pancakes.client import Client
 from pancakes.control import Describe
 from pancakes.errors import ControlRefused, PancakesError, Unreachable
 from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
@@ -37,7 +36,7 @@ class Feeder:
         self._selection = selection
         self._say = say
         self._known_s = client.now()
-        self._doors: dict[str, Door] = {}
+        self._fed: set[str] = set()
         self._slow: set[str] = set()
         self.tally = Tally()
 
@@ -65,20 +64,22 @@ class Feeder:
             if fed.topic.left_out:
                 continue
             due_s = begin_s + (fed.time_ns - first_ns) / NANOSECONDS * pace
-            self._client.wait(due_s, lambda: False)
+            if (early_s := due_s - self._client.now()) > 0.0:
+                self._client.wait(lambda: False, early_s)
             agent = self._selection.agents[fed.topic.agent]
             self._make_room(agent.name, due_s)
             packet = replace(fed.packet, stamp=self._stamp(agent))
             try:
-                self._door(agent.name).send(packet)
+                self._client.send(packet)
             except PancakesError as error:
                 raise Unreachable(f"after {self.tally.fed()} packets: {error}") from None
+            self._fed.add(agent.name)
             self.tally.add(fed)
 
     def settle(self) -> None:
         """Waits until all agents have got what was sent to them."""
-        for name in self._doors:
-            self._client.wait(self._client.now() + self._client.timeout_s, lambda: not self._waits(name))  # noqa: B023
+        for name in self._fed:
+            self._client.wait(lambda: not self._waits(name))  # noqa: B023
             self._client.request(name, Describe())
 
     def _stamp(self, agent: Live) -> float:
@@ -86,20 +87,13 @@ class Feeder:
 
     def _make_room(self, name: str, due_s: float) -> None:
         while self._waits(name):
-            self._client.wait(self._client.now() + self._client.timeout_s, lambda: not self._waits(name))
+            self._client.wait(lambda: not self._waits(name))
             late_s = self._client.now() - due_s
             if late_s > LATE_S and name not in self._slow:
                 self._slow.add(name)
                 self._say(f"{name} is too slow: the replay waits for it, and is {late_s:.1f} s late")
 
     def _waits(self, name: str) -> bool:
-        return self._door(name).waiting(name) > 0
-
-    def _door(self, name: str) -> Door:
-        door = self._doors.get(name)
-        if door is None or not door.connected(name):
-            found = next((other for other in self._client.doors() if other.connected(name)), None)
-            if found is None:
-                raise Unreachable(f"after {self.tally.fed()} packets: {name} went away")
-            door = self._doors[name] = found
-        return door
+        if not self._client.is_connected(name):
+            raise Unreachable(f"after {self.tally.fed()} packets: {name} went away")
+        return self._client.waiting(name) > 0

@@ -10,10 +10,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from pancakes.client import Client
 from pancakes.client.door import Door
 from pancakes.client.following import Following
 from pancakes.client.looks import Looks
+from pancakes.client.mesh_client import MeshClient
 from pancakes.control import Describe, History, Reply, Traces
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
 from pancakes.packet import LOG, SYSTEM, Cause
@@ -163,7 +163,7 @@ class Watch:
     def _run(self) -> None:
         while not self._stopping.is_set() and not self._over():
             try:
-                with Client(self._at, self._timeout_s) as client:
+                with MeshClient(self._at, self._timeout_s) as client:
                     self._watch(client)
             except PancakesError as error:
                 self._feed.wait_for(str(error))
@@ -175,7 +175,7 @@ class Watch:
         self._closed = True
         self._refuse_all("no agent can be asked any more")
 
-    def _watch(self, client: Client) -> None:
+    def _watch(self, client: MeshClient) -> None:
         found = client.survey().agents
         self._fleet = fleet_among(found, self._fleet)
         truth = any(row["role"] == "environment" and row["fleet"] == self._fleet for row in found)
@@ -198,7 +198,7 @@ class Watch:
                     if hello.name in self._met:
                         door.request(hello.name, Traces(most=0))
 
-    def _hear(self, client: Client, following: Following) -> None:
+    def _hear(self, client: MeshClient, following: Following) -> None:
         heard = []
         now_s = client.now()
         while (it := following.next(now_s)) is not None:
@@ -227,7 +227,7 @@ class Watch:
         if met is not None:
             met.recalled = 0
 
-    def _tend(self, client: Client) -> None:
+    def _tend(self, client: MeshClient) -> None:
         """Asks what is due, and takes what was answered."""
         now_s = client.now()
         doors = [door for door in client.doors() if door.fleet == self._fleet]
@@ -243,7 +243,7 @@ class Watch:
         self._take_answers(now_s)
         self._take_commands()
 
-    def _look_who_is_there(self, client: Client) -> None:
+    def _look_who_is_there(self, client: MeshClient) -> None:
         """Says that the fleet has ended where it has: until an agent comes back."""
         now_s = client.now()
         doors = [door for door in client.doors() if door.fleet == self._fleet]

@@ -6,15 +6,13 @@ from typing import Any
 
 import click
 
-from pancakes.client.following import Following
 from pancakes.control import Channels
 from pancakes.packet import agent_of
 from pancakes.tools.cli.asking import ask_each, order
-from pancakes.tools.cli.listening import listen
+from pancakes.tools.cli.listening import MOST_WAITING, listen
 from pancakes.tools.cli.name_types import ChannelName, a_channel, an_agent
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
 from pancakes.tools.cli.output import show, show_json, show_text
-from pancakes.tools.cli.streaming import say
 from pancakes.tools.cli.verbs.channel_rates import bw, hz
 from pancakes.tools.cli.verbs.echo import echo
 from pancakes.tools.cli.verbs.publish import pub
@@ -88,8 +86,8 @@ def info(name: ChannelName, for_s: float, ask: Ask) -> None:
     with ask.client() as client:
         (found,) = order(client, name.agent, Channels(name.channel))
         heard = Throughput(client.now())
-        with Following(client, name.channel, foreign=True, agents=(name.agent,), say=say) as following:
-            for packet in listen(client, following, for_s):
+        with client.subscribe(str(name), foreign=True, most=MOST_WAITING) as subscriber:
+            for packet in listen(client, subscriber, for_s):
                 if packet is not None:
                     heard.add(packet.packet, packet.at_s, size_of(packet.packet))
         publishers = [row for row in heard.rows(client.now()) if not client.is_own(agent_of(row["source"]))]

@@ -170,7 +170,7 @@ class _Ending:
                 target.gone = target.gone or _is_gone(client, target)
             return all(target.gone for target in targets)
 
-        client.wait(client.now() + self._timeout_s, all_gone)
+        client.wait(all_gone, self._timeout_s)
         for target in targets:
             if target.gone:
                 self._done(target, "ended")
@@ -206,7 +206,7 @@ def _is_gone(client: Client, target: _Target) -> bool:
     import psutil
 
     if target.process is None:
-        return not any(door.fleet == target.fleet and door.connected(target.name) for door in client.doors())
+        return not client.is_connected(target.name, target.fleet)
     try:
         return not target.process.is_running() or target.process.status() == psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:

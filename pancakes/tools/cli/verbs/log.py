@@ -11,7 +11,6 @@ from typing import Any, Final
 import click
 
 from pancakes.client import Client
-from pancakes.client.following import Following
 from pancakes.control import History
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.events import LEVELS, SAID_IN_A_LINE
@@ -20,7 +19,7 @@ from pancakes.runtime.foundation.printable import printable, printable_line
 from pancakes.runtime.services.log import REMEMBERED
 from pancakes.runtime.services.log_record import line_of, record_of
 from pancakes.tools.cli.asking import order, surveyed
-from pancakes.tools.cli.listening import from_any, from_option, listen, telling_losses
+from pancakes.tools.cli.listening import MOST_WAITING, from_any, from_option, listen, telling_losses
 from pancakes.tools.cli.name_types import agents as some_agents
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
 from pancakes.tools.cli.streaming import Printer, say, until_ended
@@ -186,8 +185,8 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
     known: dict[str, Known] = {}
     began_s = client.now()
     with (
-        Following(client, LOG, agents=agents, say=say, followed_anew=anew.append) as following,
-        telling_losses(client, following),
+        client.subscribe(LOG, agents=agents, most=MOST_WAITING, followed_anew=anew.append) as subscriber,
+        telling_losses(client, subscriber, LOG),
     ):
 
         def remembered(described: Sequence[Mapping[str, Any]]) -> Iterator[Record]:
@@ -200,7 +199,7 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
             return (record for record in records if known[record["agent"]].is_new(record))
 
         yield from remembered(client.survey(*agents).agents)
-        for heard in listen(client, following):
+        for heard in listen(client, subscriber):
             while anew:
                 try:
                     yield from remembered(client.survey(anew.pop()).agents)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from itertools import count
 from typing import Any, Final
@@ -9,8 +10,7 @@ from typing import Any, Final
 import click
 
 from pancakes.client import Client
-from pancakes.control import CONTROLS, Channels, Describe
-from pancakes.errors import PeerLost, Unreachable
+from pancakes.control import CONTROLS, Channels
 from pancakes.packet import NEIGHBOURS, SYSCTRL, TO_TASK, agent_of, covers, join, type_name
 from pancakes.tools.cli.asking import order
 from pancakes.tools.cli.json_bodies import BadBody, body_of
@@ -114,13 +114,6 @@ class Sender:
         self._body = body
         self._destination = destination
         self.subscribers = self._look()
-        described = order(client, name.agent, Describe())
-        self._known_s = client.now()
-        self._mission_s = described["mission_s"]
-        self._speed = 0.0 if described["held"] else described["speed"]
-        self._door = next(
-            door for door in client.doors() if door.fleet == described["fleet"] and door.connected(name.agent)
-        )
 
     def send(self, most: int | None, rate_hz: float) -> Iterator[None]:
         """Publishes so many packets (None: without end) at a rate, and yields after each.
@@ -131,24 +124,21 @@ class Sender:
         """
         began_s = self._client.now()
         for number in count() if most is None else range(most):
-            self._client.wait(began_s + number / rate_hz, lambda: False)
+            time.sleep(max(0.0, began_s + number / rate_hz - self._client.now()))
             self._send_one()
             yield
         self.settle()
 
     def settle(self) -> None:
         """Waits until the agent has got all that was sent."""
-        self._look()  # the link keeps the order, so the answer comes after all else has arrived
+        self._client.settle()
 
     def _send_one(self) -> None:
         if self._name.channel == SYSCTRL and type(self._body) in CONTROLS:
             order(self._client, self._name.agent, self._body)  # it is answered, and the answer is what counts
             return
-        stamp = self._mission_s + (self._client.now() - self._known_s) * self._speed
-        try:
-            self._door.publish(self._name.agent, self._name.channel, self._body, stamp, self._destination)
-        except PeerLost as error:
-            raise Unreachable(str(error)) from None
+        to = self._destination if self._destination != self._name.agent else ""
+        self._client.publish(str(self._name), self._body, to=to)
 
     def _look(self) -> list[str]:
         """Returns the addresses that would get the packets now."""

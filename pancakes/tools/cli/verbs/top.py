@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.client import Client
-from pancakes.client.looks import Looks
+from pancakes.client import Client, Looks
 from pancakes.errors import Unreachable
 from pancakes.runtime.foundation.printable import printable
 from pancakes.tools.cli.asking import surveyed
@@ -117,8 +117,7 @@ def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) ->
         if not once:
             yield rows
         due_s = max(due_s + every_s, client.now())
-        client.wait(due_s, lambda: False)
-        client.look_again()
+        time.sleep(max(0.0, due_s - client.now()))
         try:
             # An agent that does not answer must not delay the next look at the others.
             limit_s = client.timeout_s if once else min(client.timeout_s, max(every_s, SHORTEST_LOOK_S))

@@ -1,0 +1,68 @@
+"""Names that a program writes, and wishes that are put together: as tables."""
+
+from __future__ import annotations
+
+import pytest
+
+from pancakes.client.publisher import destination_on
+from pancakes.client.target import channel_of, task_of
+from pancakes.client.task_row import TaskRow
+from pancakes.client.wishes import together
+from pancakes.control import Follow
+from pancakes.errors import PancakesError
+
+ROW = TaskRow(agent="a", service="client", task="Count", type="count.Count", state="running")
+
+
+@pytest.mark.parametrize(
+    ("task", "meant"),
+    [("a/Count", ("a", "Count")), ("a/client/Count", ("a", "client/Count")), (ROW, ("a", "client/Count"))],
+)
+def test_a_task_is_named_by_agent_service_and_name_or_by_its_row(task: str | TaskRow, meant: tuple[str, str]):
+    assert task_of(task) == meant
+
+
+@pytest.mark.parametrize("task", ["", "a", "/Count", "a/", "a//Count", "a/b/c/d"])
+def test_what_names_no_task_is_refused(task: str):
+    with pytest.raises(PancakesError, match="names no task: write it as AGENT/TASK or AGENT/SERVICE/TASK"):
+        task_of(task)
+
+
+@pytest.mark.parametrize(("channel", "meant"), [("system", ("", "system")), ("a/system", ("a", "system"))])
+def test_a_channel_is_that_of_one_agent_or_of_all(channel: str, meant: tuple[str, str]):
+    assert channel_of(channel) == meant
+
+
+@pytest.mark.parametrize("channel", ["", "/system", "a/", "a/b/system"])
+def test_what_names_no_channel_is_refused(channel: str):
+    with pytest.raises(PancakesError, match="names no channel: write it as AGENT/CHANNEL"):
+        channel_of(channel)
+
+
+@pytest.mark.parametrize(
+    ("to", "address"),
+    [("", "a"), ("client", "a/client"), ("client/Count", "a/client/Count"), ("a/client/Count", "a/client/Count")],
+)
+def test_a_destination_is_on_the_agent(to: str, address: str):
+    assert destination_on("a", to) == address
+
+
+@pytest.mark.parametrize("to", ["*", "task:a/Count", "client/", "b/client/Count/x"])
+def test_what_is_no_destination_on_the_agent_is_refused(to: str):
+    with pytest.raises(PancakesError, match="is no service or task of a: write it as SERVICE/TASK"):
+        destination_on("a", to)
+
+
+@pytest.mark.parametrize(
+    ("wishes", "whole"),
+    [
+        ([Follow("c", ("x",))], Follow("c", ("x",))),
+        ([Follow("c", ("x",)), Follow("c", ("y", "x"))], Follow("c", ("x", "y"))),
+        ([Follow("c", ("x",)), Follow("c")], Follow("c")),
+        ([Follow("c", foreign=True), Follow("c")], Follow("c", foreign=True)),
+        ([Follow("c", most_hz=2.0), Follow("c", most_hz=5.0)], Follow("c", most_hz=5.0)),
+        ([Follow("c", most_hz=2.0), Follow("c")], Follow("c")),
+    ],
+)
+def test_wishes_together_bring_what_each_of_them_brings(wishes: list[Follow], whole: Follow):
+    assert together(wishes) == whole
