@@ -5,6 +5,8 @@ from services.test_durable_fences import Circle, Wheels
 
 from pancakes.bodies.devices.types import Twist
 from pancakes.control import Describe, Migrate, Migrations, SetFence, Start
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.mesh.net.memory import Quality
 from pancakes.packet import Fence, Packet
 from pancakes.runtime.services.fence_rule import Mark
@@ -167,6 +169,47 @@ def test_a_fence_is_not_set_where_no_agent_has_the_task_or_one_does_not_answer(f
     refused = far.ask(SetFence("wheels", "a/Circle"))
     assert refused.reason == "c did not say whether a/Circle is there: ask again, or end it first"
     assert marks(far) == {"a/Circle": (0, "a")}
+
+
+def test_what_another_than_the_asked_agent_says_of_a_task_raises_no_fence(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    for name in "ayz":
+        fleet.start(name)
+    fleet.connect()
+    fleet.network.set_quality("far", "a", Quality(latency_s=0.3))
+    forge(fleet, "z", (5, "z"), for_s=0.05)
+    fleet.agents["y"].publish("network", TaskAt("a/Circle", "z", Epoch(5, "z")), to="far/device/wheels")
+    fleet.run_for(2.0)
+    assert marks(far) == {} and len(far.events("command_refused", by="z/device/wheels")) == 1
+
+
+def test_what_an_agent_says_that_was_not_asked_for_it_sets_no_fence(fleet):
+    """It came only after the others were asked."""
+    far = lost(fleet)
+    questions: list[Packet] = []
+    answers: list[Packet] = []
+    far.kernel.stream.tap_outgoing(lambda packet: questions.append(packet) if packet.type == "task.where" else None)
+    far.kernel.stream.tap("network", answers.append, ("task.at",))
+    fleet.network.set_quality("far", "c", Quality(latency_s=0.4))
+    asked = far.publish("sysctrl", SetFence("wheels", "a/Circle", dry_run=True))
+    assert fleet.run_until(lambda: questions)
+    z = fleet.start("z")
+    assert fleet.run_until(lambda: "far" in z.agent.mesh.neighbours(), 0.5)
+    z.publish("network", TaskAt("a/Circle", "z", Epoch(9, "z")), to="far/device/wheels")
+    assert far.reply_to(asked).result["owner"] == "c"
+    assert [packet.destination for packet in questions] == ["c/kernel/Courier"]
+    assert [packet.source.split("/")[0] for packet in answers] == ["z", "c"]
+
+
+def test_a_command_that_waits_for_the_disk_is_forgotten_where_the_fence_is_set_meanwhile(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
+    fleet.run_for(0.5)
+    fleet.faults.slow_disk("a", 0.1)
+    later = Fence("a/Circle", (9, "z"))
+    a.kernel.stream.publish(Packet("ctrl", "motors", "a/client/Circle", "", 0.0, 1, Twist(9.0, 0.0), fence=later))
+    assert a.ask(SetFence("wheels", "a/Circle")).result["before"] == "9@z"
+    assert ("a", 9.0) not in Wheels.told
+    assert drives(fleet, "a") and marks(a) == {"a/Circle": (0, "a")}
 
 
 def test_only_an_actuator_has_a_fence(fleet):

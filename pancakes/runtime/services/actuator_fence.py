@@ -258,8 +258,6 @@ class ActuatorFence:
             setting.done("", result)
             return
         self._hold("its fence is set")
-        self._pending.clear()
-        self._again_s.clear()
         self._marks.write(
             task.name,
             body.task_id,
