@@ -219,6 +219,28 @@ def test_a_file_of_another_user_is_passed_over(directory: Path, monkeypatch: pyt
     registration.remove()
 
 
+def test_an_entry_that_becomes_a_link_while_it_is_looked_at_is_not_followed(
+    directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd
+):
+    register(ENTRY).remove()
+    entry, elsewhere, lstat = directory / "b.7.json", tmp_path / "elsewhere", os.lstat
+    entry.write_text("{}")
+    elsewhere.write_text("{}")
+
+    def then_a_link(path):
+        status = lstat(path)
+        if path == entry and stat.S_ISREG(status.st_mode):
+            entry.unlink()
+            entry.symlink_to(elsewhere)
+        return status
+
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(os, "lstat", then_a_link)
+        assert entries() == []
+    assert "b.7.json cannot be read: too many levels of symbolic links" in capfd.readouterr().err
+    assert entry.is_symlink(), "it is left as it is"
+
+
 def test_a_name_with_control_characters_is_shown_without_them(directory: Path, capfd):
     register(ENTRY).remove()
     (directory / "\x1b]0;owned\x07.json").mkdir()

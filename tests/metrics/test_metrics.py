@@ -11,6 +11,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from pancakes.bodies.devices.types import Battery, Load, Pose
 from pancakes.control import Reschedule, Restart, Stop
+from pancakes.events import Event
+from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task, every, on, queue
 from pancakes.testing import FleetInTest, threaded_agent
 from pancakes.tools.metrics.metrics_server import MOST_REQUESTS
@@ -94,6 +96,25 @@ def test_the_battery_and_the_process_are_told(agent):
     told = scraped(agent)
     assert told["pancakes_battery_level_ratio",] == 0.75
     assert told["process_resident_memory_bytes",] > 1e6
+
+
+def test_what_other_agents_say_of_themselves_is_not_told_as_its_own(agent):
+    agent.publish("system", Battery(7.4, 0.75))
+    agent.wait_until(lambda: ("pancakes_battery_level_ratio",) in scraped(agent))
+    for channel, kind, body in (("system", "battery", Battery(7.4, 0.1)), ("log", "event", Event("rate_changed"))):
+        agent.kernel.stream.inject(Packet(channel, kind, "b/client/T", NEIGHBOURS, 0.0, 1, body))
+    agent.ask(Reschedule("Tick", 50.0))
+    agent.wait_until(lambda: ("pancakes_control_changes_total", "rate_changed") in scraped(agent))
+    told = scraped(agent)
+    assert told["pancakes_control_changes_total", "rate_changed"] == 1.0
+    assert told["pancakes_battery_level_ratio",] == 0.75
+
+
+def test_they_are_for_this_machine_alone(agent):
+    with socket.create_connection(("127.0.0.1", port(agent)), 20):
+        pass
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.2", port(agent)), 20).close()
 
 
 def test_a_task_that_has_ended_is_forgotten(agent):

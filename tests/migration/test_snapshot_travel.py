@@ -140,6 +140,23 @@ def test_an_impossible_piece_is_refused(changes: dict[str, object]) -> None:
         Assembly().add("agent1", replace(piece, **changes))
 
 
+@pytest.mark.parametrize("size_bytes", [LIMIT_BYTES + 1, 2**60])
+def test_a_snapshot_that_may_not_travel_is_refused_by_what_its_first_piece_says(size_bytes: int) -> None:
+    """Although it fits itself: nothing of it is kept."""
+    (first, *_) = cut(Transfer(SCAN, OFFER, bytes(2 * PIECE_BYTES)))
+    claims = replace(first, size_bytes=size_bytes, count=-(-size_bytes // PIECE_BYTES))
+    with pytest.raises(RemoteProtocolError, match=f"a snapshot of {size_bytes} bytes, {LIMIT_BYTES} may travel"):
+        Assembly().add("agent1", claims)
+
+
+def test_pieces_of_two_peers_are_not_put_together() -> None:
+    first, second = cut(Transfer(SCAN, OFFER, bytes(2 * PIECE_BYTES)))
+    assembly = Assembly()
+    assert assembly.add("agent1", first) is None
+    assert assembly.add("agent2", second) is None
+    assert assembly.add("agent2", first) is not None, "it is whole by what agent2 alone has sent"
+
+
 def test_a_newer_offer_replaces_an_unfinished_one_and_an_older_is_ignored() -> None:
     old = cut(Transfer(SCAN, OFFER, bytes(2 * PIECE_BYTES)))
     new = cut(Transfer(SCAN, Epoch(2, "agent1"), bytes(2 * PIECE_BYTES)))

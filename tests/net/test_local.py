@@ -15,7 +15,10 @@ import pytest
 from net.conftest import LocalRig
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.net.local import LocalTransport
+from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.plugins import Plugins
 
 STRANGER = 65534
@@ -100,6 +103,18 @@ def test_a_closed_socket_is_taken_away_and_that_of_a_dead_agent_is_taken_over(ri
         dead.listen()
     here, there = rig.ear(), rig.ear()
     rig.transport("b").listen("local://a", lambda: there)
+    rig.transport("c").dial("local://a", here)
+    rig.until(lambda: here.connection and there.connection)
+
+
+def test_one_that_ends_takes_no_socket_of_another_away(rig, tmp_path):
+    first = rig.transport("a")
+    first.listen("local://a", rig.ear)
+    (tmp_path / "run" / "local" / "a.sock").unlink()
+    there = rig.ear()
+    rig.transport("b").listen("local://a", lambda: there)
+    first.close()
+    here = rig.ear()
     rig.transport("c").dial("local://a", here)
     rig.until(lambda: here.connection and there.connection)
 
@@ -214,6 +229,19 @@ def test_a_member_of_the_group_is_let_in_and_no_other(rig, tmp_path):
     path = tmp_path / "run" / "local" / "a.sock"
     assert as_another_user(path, group.gr_gid) == "connected"
     assert as_another_user(path) == "Permission denied"
+    for folder in (tmp_path / "run", path.parent):
+        folder.chmod(0o755)
+    path.chmod(0o666)
+    assert as_another_user(path) == "closed", "also where the file system lets it in"
+
+
+def test_where_the_system_does_not_say_whose_process_comes_it_is_not_let_in():
+    loop = Loop(MonotonicClock(), "net-test")
+    with socket.socket(socket.AF_UNIX) as gone:
+        pass
+    reason = LocalTransport(loop, LocalTransport.Settings()).prepare(gone, "")
+    loop.stop(lambda: None)
+    assert reason == "the system does not say whose process is at its other end: Bad file descriptor"
 
 
 @as_root

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import datetime
+import hashlib
 import json
 import socket
 import ssl
+import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -14,11 +19,12 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ed25519
+from cryptography.x509.oid import NameOID
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.security.authority import new_key
+from pancakes.mesh.security.authority import new_key, pem_of_key
 from pancakes.mesh.security.fleet_office import FleetOffice
-from pancakes.mesh.security.joining import TRIES, Desk, JoinCode, join
+from pancakes.mesh.security.joining import MOST_BYTES, TRIES, Desk, JoinCode, join
 from pancakes.mesh.security.keys import Keys
 
 PATIENCE_S = 20.0
@@ -90,21 +96,83 @@ def test_of_two_that_come_at_once_with_one_code_one_joins(office):
     serving.start()
     first.start()
     assert first_came.wait(PATIENCE_S)
-    request = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([])).sign(new_key(), hashes.SHA256())
-    pem = request.public_bytes(serialization.Encoding.PEM).decode()
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    with (
-        socket.create_connection((desk.code.host, desk.code.port), PATIENCE_S) as link,
-        context.wrap_socket(link) as second,
-    ):
-        second.sendall(json.dumps({"secret": desk.code.secret.hex(), "request": pem}).encode() + b"\n")
+    with link_to(desk.code) as second:
+        said = {"secret": desk.code.secret.hex(), "request": request_of(new_key())}
+        second.sendall(json.dumps(said).encode() + b"\n")
         second_came.set()
         answer = json.loads(second.makefile("rb").readline())
     first.join(PATIENCE_S)
     serving.join(PATIENCE_S)
     assert answer == {"error": "that code is not good, or not any more"}
     assert joined == ["r1"] and len(office.entries) == 1
+
+
+def test_of_many_that_come_at_the_same_moment_with_one_code_one_joins():
+    """Each is interrupted wherever it could be, so that two are given something where they may answer at one time."""
+    usual_s = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        for _ in range(15):
+            assert given_to_many(16) == 1
+    finally:
+        sys.setswitchinterval(usual_s)
+
+
+def given_to_many(crowd: int) -> int:
+    """Returns how many certificates a desk gives out to so many that come at once."""
+    desk, ready, given = Desk("127.0.0.1", 0, PATIENCE_S), threading.Barrier(crowd), []
+
+    def certify(key: Any, place: str) -> Any:
+        given.append(place)
+        raise PancakesError("the office is closed")
+
+    def come(link: ssl.SSLSocket, request: str) -> None:
+        ready.wait()
+        link.sendall(json.dumps({"secret": desk.code.secret.hex(), "request": request}).encode() + b"\n")
+        link.makefile("rb").readline()
+
+    def serve() -> None:
+        with contextlib.suppress(PancakesError):
+            desk.serve(certify)
+
+    serving, request = threading.Thread(target=serve, daemon=True), request_of(new_key())
+    serving.start()
+    with contextlib.ExitStack() as links:
+        threads = [
+            threading.Thread(target=come, args=(links.enter_context(link_to(desk.code)), request), daemon=True)
+            for _ in range(crowd)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(PATIENCE_S)
+    serving.join(PATIENCE_S)
+    return len(given)
+
+
+def test_a_request_is_no_longer_than_it_may_be(office, waiting):
+    """Although it would be one, were all of it read."""
+    there = waiting()
+    said = {" " * MOST_BYTES: "", "secret": there.desk.code.secret.hex(), "request": request_of(new_key())}
+    with pytest.raises((ValueError, OSError)):
+        asked(there.desk.code, said)
+    assert office.entries == ()
+    assert join(there.code).name == "r1"
+
+
+def test_a_newcomer_speaks_no_older_tls_and_says_no_secret_in_it(waiting):
+    there = waiting()
+    context, pin = shown_by_another()
+    context.maximum_version = ssl.TLSVersion.TLSv1_2
+    heard: list[bytes] = []
+    with socket.create_server(("127.0.0.1", 0)) as older:
+        code = there.desk.code._replace(port=older.getsockname()[1], pin=pin)
+        taker = threading.Thread(target=lambda: heard.append(_first_words(older, context)), daemon=True)
+        taker.start()
+        with pytest.raises(PancakesError, match="cannot be reached: .*protocol version"):
+            join(str(code))
+        taker.join(PATIENCE_S)
+    assert heard == [b""]
 
 
 def test_a_request_that_its_key_has_not_signed_is_given_nothing(office, waiting):
@@ -125,14 +193,44 @@ def test_a_request_that_its_key_has_not_signed_is_given_nothing(office, waiting)
 
 def asked(code: JoinCode, request: dict[str, str]) -> Any:
     """Returns what a desk answers to a request."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    with (
-        socket.create_connection((code.host, code.port), PATIENCE_S) as link,
-        context.wrap_socket(link) as tls,
-    ):
+    with link_to(code) as tls:
         tls.sendall(json.dumps(request).encode() + b"\n")
         return json.loads(tls.makefile("rb").readline())
+
+
+def link_to(code: JoinCode) -> ssl.SSLSocket:
+    """Returns a link over which nothing has been said."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    return context.wrap_socket(socket.create_connection((code.host, code.port), PATIENCE_S))
+
+
+def request_of(key: Any) -> str:
+    """Returns what a newcomer with this key asks to be signed."""
+    request = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([])).sign(key, hashes.SHA256())
+    return request.public_bytes(serialization.Encoding.PEM).decode()
+
+
+def shown_by_another() -> tuple[ssl.SSLContext, bytes]:
+    """Returns the context of a machine that is no desk, and the pin of the certificate that it shows."""
+    key, name = new_key(), x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "another")])
+    now = datetime.datetime.now(datetime.UTC)
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - datetime.timedelta(days=1))
+        .not_valid_after(now + datetime.timedelta(days=1))
+        .sign(key, hashes.SHA256())
+    )
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(made.public_bytes(serialization.Encoding.PEM) + pem_of_key(key))
+        file.flush()
+        context.load_cert_chain(file.name)
+    return context, hashlib.sha256(made.public_bytes(serialization.Encoding.DER)).digest()[:15]
 
 
 def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(office, waiting):
@@ -147,27 +245,27 @@ def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(office, waiting):
 
 def test_to_a_machine_in_between_the_secret_is_not_said(waiting):
     there = waiting()
-    heard = bytearray()
-    other = Desk("127.0.0.1", 0)  # shows a certificate of its own
-    relayed = str(there.desk.code._replace(port=other.code.port))
-    taker = threading.Thread(target=lambda: heard.extend(_first_words(other)), daemon=True)
-    taker.start()
-    with pytest.raises(PancakesError, match="another one is in between, or the code is old"):
-        join(relayed)
-    taker.join(PATIENCE_S)
-    assert bytes(heard) == b""
+    heard: list[bytes] = []
+    context, _ = shown_by_another()
+    with socket.create_server(("127.0.0.1", 0)) as between:
+        relayed = str(there.desk.code._replace(port=between.getsockname()[1]))
+        taker = threading.Thread(target=lambda: heard.append(_first_words(between, context)), daemon=True)
+        taker.start()
+        with pytest.raises(PancakesError, match="another one is in between, or the code is old"):
+            join(relayed)
+        taker.join(PATIENCE_S)
+    assert heard == [b""]
 
 
-def _first_words(desk: Desk) -> bytes:
+def _first_words(waiting: socket.socket, context: ssl.SSLContext) -> bytes:
     """Returns what a newcomer says to a machine that only listens."""
-    with desk._sock as waiting:  # noqa: SLF001 - in the place of `serve`
-        link, _ = waiting.accept()
+    link, _ = waiting.accept()
     link.settimeout(PATIENCE_S)
-    with link, desk._context.wrap_socket(link, server_side=True) as tls:  # noqa: SLF001
-        try:
+    try:
+        with link, context.wrap_socket(link, server_side=True) as tls:
             return tls.recv(65536)
-        except (OSError, ssl.SSLError):
-            return b""
+    except (OSError, ssl.SSLError):
+        return b""
 
 
 def test_an_older_tls_hears_nothing_of_a_code(waiting):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
@@ -77,10 +78,17 @@ def test_which_roster_is_taken(new, last, now_s, fault):
     assert fault in found and bool(found) is bool(fault)
 
 
-@pytest.mark.parametrize("text", [b"", b"{}", b"[]", b'{"payload": "{}", "signature": ""}', b"x" * (MOST_BYTES + 1)])
+@pytest.mark.parametrize("text", [b"", b"{}", b"[]", b'{"payload": "{}", "signature": ""}'])
 def test_what_is_no_roster(text):
-    with pytest.raises(ValueError, match="it is no roster|131072 are the most"):
+    with pytest.raises(ValueError, match="it is no roster"):
         read_signed(text)
+
+
+def test_a_roster_is_no_larger_than_what_may_travel():
+    sound = json.dumps({"payload": '{"fleet": "garage", "number": 1, "signed_s": 0.0}', "signature": ""}).encode()
+    assert read_signed(sound.ljust(MOST_BYTES))[1].fleet == "garage"
+    with pytest.raises(ValueError, match="it has 131073 bytes, and 131072 are the most"):
+        read_signed(sound.ljust(MOST_BYTES + 1))
 
 
 @pytest.mark.parametrize(

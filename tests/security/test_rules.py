@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+
 import pytest
 
 from pancakes.control import CONTROLS, Describe, Shutdown, Stop
@@ -108,6 +110,23 @@ def test_a_new_roster_counts_at_once():
     assert it.fault("r2", "change", "r1/x")
     rules.append(AccessRule(("r2",), ("change",)))
     assert it.fault("r2", "change", "r1/x") == ""
+
+
+class Name(str):
+    """A name of which one can see that it was forgotten."""
+
+
+def test_a_peer_that_makes_up_names_fills_no_memory():
+    roster = Roster("garage", 7, 0.0, allow=(AccessRule(("r2",), ("look",)),))
+    it = Access("r1", lambda: roster)
+    it.bearer_of = {"r2": (R2, True)}.get
+    first = Name("r1/0")
+    seen = weakref.ref(first)
+    assert it.fault("r2", "look", first) == ""
+    del first
+    for number in range(1, 5000):
+        assert it.fault("r2", "look", f"r1/{number}") == ""
+    assert seen() is None
 
 
 def test_rules_of_the_fleet_are_for_those_with_a_certificate():

@@ -7,6 +7,7 @@ import pytest
 from pancakes.bodies.devices.types import Battery
 from pancakes.control import Migrate
 from pancakes.mesh.migration.cost import Cost
+from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
 
@@ -48,6 +49,16 @@ def lines(reply):
 def test_the_weights_decide(fleet, cost, winner, text):
     reply = fleet.agents["a"].ask(Migrate("Rover", cost=cost, dry_run=True))
     assert (reply.result["winner"], reply.result["cost"]) == (winner, text)
+
+
+def test_a_peer_that_tells_of_its_battery_changes_no_bid_of_another(fleet):
+    heard: list[Packet] = []
+    fleet.agents["b"].kernel.stream.tap("system", heard.append, ("battery",))
+    fleet.agents["c"].publish("system", Battery(12.0, 1.0), to=NEIGHBOURS)
+    fleet.run_for(1.5)
+    assert [packet.source.split("/")[0] for packet in heard] == ["c"]
+    reply = fleet.agents["a"].ask(Migrate("Rover", cost="battery", dry_run=True))
+    assert lines(reply)["b"]["terms"] == {"battery used": 0.5}
 
 
 def test_a_task_that_asks_for_its_own_move_says_what_counts(fleet):

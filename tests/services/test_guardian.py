@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
 from pancakes.mesh.guarding.guard_messages import (
     CheckpointBody,
     CheckpointId,
@@ -176,3 +177,8 @@ def test_it_needs_the_right_to_guard_and_to_host(fleet, right):
     kernel.access = strict
     denied = answered(fleet, "a", keep(fleet))
     assert isinstance(denied, DenyLease) and f"lacks the right {right!r}" in denied.reason
+    a = fleet.agents["a"]
+    a.publish(NETWORK, MayGuard(TASK, "scan", journal(fleet, "b")), f"b/{GUARDIAN}")
+    fleet.run_for(0.2)
+    (told,) = a.probe.packets(CanGuard)
+    assert f"lacks the right {right!r}" in told.body.refusal

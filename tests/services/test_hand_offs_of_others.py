@@ -6,10 +6,22 @@ from services.counting import Count
 
 from pancakes.control import Migrate, Stop
 from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import Commit, Nak, Piece, Transfer, addressed
+from pancakes.mesh.migration.messages import (
+    Bid,
+    Commit,
+    Nak,
+    Piece,
+    Reserve,
+    Reserved,
+    Solicit,
+    Transfer,
+    addressed,
+)
 from pancakes.mesh.migration.pieces import cut
 from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Packet
+from pancakes.runtime.hosting.host_state import MOST_SLOTS
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")
@@ -26,9 +38,23 @@ def fleet():
         yield made
 
 
-def say(fleet, speaker, message, to):
+def say(fleet, speaker, message, to, at="client"):
     journal = fleet.agents[to].agent.mesh.identity.journal
-    fleet.agents[speaker].publish("network", addressed(message, journal), to=f"{to}/client")
+    fleet.agents[speaker].publish("network", addressed(message, journal), to=f"{to}/{at}")
+
+
+def answers_to(fleet, name):
+    """Returns what an agent is told from now on of hand-offs; the list grows."""
+    told = []
+    fleet.agents[name].kernel.stream.tap("network", lambda packet: told.append(packet.body))
+    return told
+
+
+def place_for(fleet, name, of=None):
+    """Returns how c asks for a place for a task that was born there; `of`: the task that it describes."""
+    version = fleet.agents["a"].slot("Count").spec.version
+    offer = Epoch(1, "c")
+    return Reserve(TaskId("c", name), offer, Solicit(TaskId("c", of or name), 1, "test.Count", version, "client"))
 
 
 def test_a_snapshot_that_no_place_was_promised_for_is_declined_and_leaves_nothing(fleet):
@@ -107,3 +133,60 @@ def test_a_third_agent_neither_gives_a_task_away_nor_sends_its_snapshot(fleet):
     fleet.run_for(1.0)
     assert b.agent.records.all()[COUNT] == record
     assert b.running() == []
+
+
+def test_a_request_for_a_place_is_about_one_task(fleet):
+    answers = answers_to(fleet, "c")
+    say(fleet, "c", place_for(fleet, "T1", of="T2"), "b")
+    fleet.run_for(1.0)
+    assert [answer.reason for answer in answers] == ["was asked for a place for c/T1 and told of c/T2"]
+
+
+def test_an_agent_keeps_so_many_places_for_a_peer(fleet):
+    answers = answers_to(fleet, "c")
+    for number in range(MOST_SLOTS + 1):
+        say(fleet, "c", place_for(fleet, f"T{number}"), "b")
+    fleet.run_for(1.0)
+    assert [type(answer) for answer in answers].count(Reserved) == MOST_SLOTS
+    assert answers[-1].reason == "keeps 64 places for tasks of c already"
+
+
+def test_a_snapshot_of_another_task_than_a_place_was_promised_for_is_declined(fleet):
+    answers = answers_to(fleet, "c")
+    asked = place_for(fleet, "T1")
+    say(fleet, "c", asked, "b")
+    fleet.run_for(1.0)
+    other = Snapshot(TaskId("c", "T2"), "test.Count", asked.request.version, "client").encode()
+    for piece in cut(Transfer(asked.task_id, asked.offer, other)):
+        say(fleet, "c", piece, "b")
+    fleet.run_for(1.0)
+    assert [type(answer) for answer in answers] == [Reserved, Nak]
+    assert answers[-1].reason == "the snapshot is of c/T2, not of c/T1"
+    assert fleet.agents["b"].agent.records.all() == {}
+
+
+@pytest.mark.parametrize("at", ["client", "network/TaskMigrator"])
+def test_what_was_meant_for_an_agent_with_another_disk_is_not_answered(fleet, at):
+    answers, asked = answers_to(fleet, "c"), place_for(fleet, "T1")
+    message = asked if at == "client" else asked.request
+    fleet.agents["c"].publish("network", addressed(message, "another"), to=f"b/{at}")
+    fleet.run_for(1.0)
+    assert answers == []
+    say(fleet, "c", message, "b", at)
+    fleet.run_for(1.0)
+    assert len(answers) == 1
+
+
+def test_a_bid_for_a_former_question_does_not_count(fleet):
+    """What c says of the former one is there before its own answer."""
+    a, c = fleet.agents["a"], fleet.agents["c"]
+    assert a.ask(Migrate("Count", dry_run=True)).result["winner"] == "b", "of equal costs the lower name's"
+
+    def bid_for_the_former(packet):
+        former = Bid(packet.body.task_id, packet.body.ask - 1, -100.0, {"tasks: active tasks": -100.0})
+        say(fleet, "c", former, "a", "network/TaskMigrator")
+
+    c.kernel.stream.tap("network", bid_for_the_former, ("migration.solicit",))
+    reply = a.ask(Migrate("Count", dry_run=True))
+    assert reply.result["winner"] == "b"
+    assert {line["peer"]: line["cost"] for line in reply.result["lines"]} == {"b": 0.0, "c": 0.0}

@@ -131,6 +131,13 @@ def test_under_a_foreign_name_nothing_is_there(server: PageServer, host: str):
     assert get(server, "/", host)[0] == 421
 
 
+@pytest.mark.parametrize("hosts", [[], ["127.0.0.1", "evil.example"], ["localhost", "localhost"]])
+def test_under_no_name_or_under_two_nothing_is_there(server: PageServer, hosts: list[str]):
+    with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S) as link:
+        link.sendall("".join(["GET / HTTP/1.1\r\n", *(f"Host: {host}\r\n" for host in hosts), "\r\n"]).encode())
+        assert link.makefile("rb").readline().startswith(b"HTTP/1.1 421 ")
+
+
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "HEAD", "OPTIONS", "TRACE", "PATCH", "get"])
 @pytest.mark.parametrize("path", ["/", "/news"])
 def test_there_is_no_other_method_than_get(server: PageServer, method: str, path: str):
@@ -235,6 +242,14 @@ def test_strangers_that_say_nothing_take_no_place(server: PageServer):
         with page(server) as operator:
             assert json.loads(operator.recv(PATIENCE_S))["all"]
             assert ask(operator, "order", **ORDER)["ok"]
+
+
+def test_of_strangers_that_say_nothing_the_first_gives_its_place_to_the_next(server: PageServer, monkeypatch: Any):
+    monkeypatch.setattr("pancakes.tools.web.page_server.TOKEN_S", 600.0)
+    with ExitStack() as stack:
+        first, *_ = [stack.enter_context(stranger(server)) for _ in range(MOST_ASIDE + 1)]
+        with pytest.raises(ConnectionClosed, match="open the page under the address that was printed"):
+            first.recv(PATIENCE_S)
 
 
 def is_let_in(server: PageServer) -> bool:
