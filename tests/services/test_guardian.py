@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import pytest
 from msgspec.structs import replace
 
@@ -14,6 +16,7 @@ from pancakes.mesh.guarding.guard_messages import (
     LeaseKept,
     Pledge,
     SeizeTask,
+    YieldLease,
 )
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.guards import GuardianId, Guards
@@ -70,6 +73,15 @@ def answered(fleet, by, message, to="b"):
     kinds = (LeaseKept, Pledge, DenyLease)
     said = [it.body for kind in kinds for it in asker.probe.packets(kind) if it.destination == asked.source]
     return said[-1] if said else None
+
+
+def may_guard(fleet, journal):
+    """Asks b whether it would guard a task; returns its refusals, empty: it would."""
+    a = fleet.agents["a"]
+    a.probe.forget()
+    a.publish(NETWORK, MayGuard(TASK, "scan", journal), f"b/{GUARDIAN}")
+    fleet.run_for(0.2)
+    return [packet.body.refusal for packet in a.probe.packets(CanGuard)]
 
 
 def test_it_grants_a_lease_and_pledges_itself_only_after_that(fleet):
@@ -130,6 +142,7 @@ def test_one_that_has_lost_a_register_guards_the_task_no_more(fleet):
     denied = answered(fleet, "a", keep(fleet, 2))
     assert isinstance(denied, DenyLease) and "may have forgotten a pledge" in denied.reason
     assert any("guards 'a/Scan' no more" in line for line in b.lines())
+    assert may_guard(fleet, journal(fleet, "b")) == ["b has lost what it knew of it"]
 
 
 def test_nothing_is_promised_that_could_not_be_written(fleet):
@@ -177,8 +190,24 @@ def test_it_needs_the_right_to_guard_and_to_host(fleet, right):
     kernel.access = strict
     denied = answered(fleet, "a", keep(fleet))
     assert isinstance(denied, DenyLease) and f"lacks the right {right!r}" in denied.reason
-    a = fleet.agents["a"]
-    a.publish(NETWORK, MayGuard(TASK, "scan", journal(fleet, "b")), f"b/{GUARDIAN}")
-    fleet.run_for(0.2)
-    (told,) = a.probe.packets(CanGuard)
-    assert f"lacks the right {right!r}" in told.body.refusal
+    (refusal,) = may_guard(fleet, journal(fleet, "b"))
+    assert f"lacks the right {right!r}" in refusal
+
+
+def test_it_answers_no_question_to_an_agent_with_another_disk(fleet):
+    assert may_guard(fleet, "another") == []
+    assert may_guard(fleet, journal(fleet, "b")) == [""]
+
+
+def test_so_much_waits_for_the_disk_and_no_more(fleet):
+    answered(fleet, "a", keep(fleet))
+    fleet.run_for(LEASE_S)
+    fleet.faults.slow_disk("b", 5.0)
+    c = fleet.agents["c"]
+    for n in range(1002, 1060):
+        c.publish(NETWORK, seize(fleet, n), f"b/{GUARDIAN}")
+        c.publish(NETWORK, YieldLease(TASK, Epoch(n, "c"), 1, 1, journal(fleet, "b")), f"b/{GUARDIAN}")
+    fleet.run_for(1.0)
+    gc.collect()
+    kept = [it for it in gc.get_objects() if isinstance(it, (SeizeTask, YieldLease)) and it.epoch.n > 1000]
+    assert len(kept) <= guardian.MOST_WAIT + 1, "those that wait, and the one that is being written"

@@ -251,8 +251,7 @@ class Guardian(Component):
         one = self._guarded.get(packet.body.task_id)
         speaks = packet.body.epoch.minter == agent_of(packet.source)
         if one is not None and speaks and is_for(packet.body, self._mesh.identity.journal):
-            one.waiting.append((packet.source, packet.body))
-            self._go_on(one)
+            self._handle(one, packet)
 
     @on(NETWORK, AskLease, keep=KEEP, addressed=True)
     def on_ask_lease(self, packet: Packet) -> None:
@@ -316,11 +315,14 @@ class Guardian(Component):
         one = self._guarded.get(asked.task_id) or self._new(GuardRegister(asked.task_id))
         if isinstance(asked, KeepLease):  # a newer one says all that an older one says
             one.waiting = [it for it in one.waiting if it[0] != packet.source or not isinstance(it[1], KeepLease)]
-        if len(one.waiting) < MOST_WAIT:
-            one.waiting.append((packet.source, asked))
-        self._go_on(one)
+        self._handle(one, packet)
         if one.register.blank and one.writing is None:
             del self._guarded[asked.task_id]  # it was refused
+
+    def _handle(self, one: _Guarded, packet: Packet) -> None:
+        if len(one.waiting) < MOST_WAIT:
+            one.waiting.append((packet.source, packet.body))
+        self._go_on(one)
 
     def _fault(self, peer: str, asked: KeepLease | SeizeTask) -> str:
         """Returns why a peer has no right to what it asks for, as a clause; empty: it has."""
