@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +22,7 @@ from pancakes.mesh.security.authority import Authority, new_key, pem_of_key
 from pancakes.mesh.security.fleet_office import FleetOffice
 from pancakes.mesh.security.key_files import KEY, write_private
 from pancakes.mesh.security.keys import Keys
-from pancakes.mesh.security.roster import LATEST_S, Roster, read_signed
+from pancakes.mesh.security.roster import FALSE, LATEST_S, MOST_BYTES, Roster, read_signed
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.link_messages import RosterNumber, RosterText
 from pancakes.runtime.clock import wall_ns
@@ -126,7 +128,7 @@ def test_of_each_peer_one_roster_is_checked_at_a_time_and_of_all_so_many(rig, mo
     for peer, text in zip(peers, texts, strict=False):
         given = [Encoder().link_message(RosterText(it)) for it in (text, texts[-1])]
         peer.send(*given, Encoder().link_message(RosterNumber(1)))
-    rig.until(lambda: all(peer.rosters for peer in peers))  # so all that was given before was looked at
+        rig.until(lambda heard=peer.rosters: heard)  # so all that was given before was looked at
     rig.until(lambda: len(held.begun) >= MOST_CHECKS)
     assert len(held.begun) == MOST_CHECKS and set(held.begun) < set(texts[: MOST_CHECKS + 1])  # links have no order
     held.may.set()
@@ -267,6 +269,20 @@ def test_a_roster_of_another_fleet_is_not_taken_whoever_has_signed_it(rig):
     peer.send(Encoder().link_message(RosterText(signed(rig.directory / "authority", fleet="barn"))))
     rig.until(lambda: "the roster 90 is of the fleet barn, and this is default" in a.log("warning"))
     assert number_of(rig, a) < 90 and peer.over is None
+
+
+def test_what_checks_a_roster_reads_no_more_than_one_may_have(rig):
+    a = rig.agent("a")
+    command = [sys.executable, "-m", "pancakes.mesh.security.check_roster", str(keys_of(rig, a).folder)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as checks:
+        assert checks.stdin is not None and checks.stderr is not None
+        checks.stdin.write(b" " * (MOST_BYTES + 1))
+        checks.stdin.flush()  # and more may come
+        try:
+            assert checks.wait(20.0) == FALSE
+            assert checks.stderr.read() == b"it has 131073 bytes, and 131072 are the most\n"
+        finally:
+            checks.kill()
 
 
 def test_where_a_roster_cannot_be_checked_the_link_stays(rig, monkeypatch):

@@ -1,0 +1,35 @@
+"""An agent that runs finds its new key, and its links are made anew with that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from net.conftest import TlsRig
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[TlsRig]:
+    made = TlsRig(tmp_path)
+    yield made
+    made.close()
+
+
+def test_an_agent_looks_again_and_again_whether_there_is_a_new_key_of_its_own(
+    rig: TlsRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pancakes.mesh.net.rekeying.LOOK_S", 0.05)
+    a = rig.agent("a")
+    b = rig.agent("b", [a.address])
+    rig.until(lambda: a.knows("b") and b.knows("a"))
+    keys = rig.keys_of(a.transport)
+    assert keys is not None
+    first = keys.own
+    rig.office.enrol_with_key("agent", "c").write(keys.folder)
+    rig.until(lambda: "the old one, of a, stays in use" in a.log("warning"))
+    assert a.downs == [] and keys.own == first
+    rig.office.enrol_with_key("agent", "a").write(keys.folder)
+    rig.until(lambda: a.downs and b.downs)
+    rig.until(lambda: a.knows("b") and b.knows("a"))
+    assert keys.own.name == "a" and keys.own.serial != first.serial
