@@ -12,7 +12,8 @@ from pancakes.bodies.devices.types import Battery, Load, Motion
 from pancakes.bodies.energy.governor import EnergyGovernor
 from pancakes.bodies.energy.rate_supervisor import RateSupervisor
 from pancakes.control import Configure, Describe, Reschedule, Restart, Start, Stop
-from pancakes.packet import SYSTEM
+from pancakes.events import Event
+from pancakes.packet import LOG, SYSTEM
 from pancakes.task import Task, Tick, every
 from pancakes.testing import AgentInTest, FleetInTest
 
@@ -243,6 +244,18 @@ def test_a_foreign_battery_is_no_concern():
         assert orders(agent) == 0
 
 
+def test_a_service_of_another_agent_that_stops_is_no_concern():
+    with FleetInTest() as fleet:
+        agent = governed(fleet)
+        other = fleet.start("b")
+        fleet.connect()
+        other.publish(LOG, Event("service_stopped", {"service": "network"}), to="a")
+        fleet.run_for(2.0)
+        Gauge.level = 0.2
+        fleet.run_for(5.0)
+        assert standing(agent) == (1.0, 0.2, 0.04)
+
+
 def test_feedback_lets_a_battery_last_that_pays_for_what_is_done():
     """A closed loop: the governor turns the rate, the rate empties the battery."""
     with FleetInTest() as fleet:
@@ -273,6 +286,19 @@ def test_feedback_gives_way_to_a_busy_processor():
         agent = fleet.start("a", devices=devices, tasks=tasks)
         fleet.run_for(300.0)
         assert standing(agent) == (1.0, 0.2, 0.04)
+
+
+def test_the_load_of_another_agent_is_no_concern():
+    with FleetInTest() as fleet:
+        feedback = {"until_s": 100_000, "period_s": 10, "load_at_most": 0.7}
+        agent = governed(fleet, policy="feedback", feedback=feedback)
+        other = fleet.start("b")
+        fleet.connect()
+        for _ in range(60):
+            other.publish(SYSTEM, Load(0.95), to="a")
+            fleet.run_for(1.0)
+        assert agent.probe.packets(Load), "it has come"
+        assert orders(agent) == 0
 
 
 RULES = {"moves": {"when": "motion", "field": "detected", "above": 0.5, "quiet_after_s": 10}}

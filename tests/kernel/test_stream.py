@@ -2,6 +2,7 @@
 
 import random
 import threading
+import weakref
 
 import pytest
 from hypothesis import settings
@@ -13,7 +14,7 @@ from pancakes.packet import CORE_CHANNELS, Packet
 from pancakes.runtime.kernel.handlers import Subscription
 from pancakes.runtime.kernel.keep import queue, reliable
 from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.kernel.stream import InformationStream
+from pancakes.runtime.kernel.stream import MOST_ROUTES, InformationStream
 
 
 def packet(channel="system", type_name="pose", to="", seq=1, source="a/client/Source"):
@@ -109,6 +110,21 @@ def test_a_packet_to_an_address_without_a_reader_is_counted():
     stream = InformationStream("a")
     assert stream.publish(packet(to="a/client/Nobody")) == 0
     assert stream.undelivered == 1
+
+
+class Name(str):
+    """A name of which one can see that it was forgotten."""
+
+
+def test_a_peer_that_makes_up_destinations_fills_no_memory():
+    stream = InformationStream("a")
+    made_up = Name("a/client/T0")
+    seen = weakref.ref(made_up)
+    stream.publish(packet(to=made_up))
+    del made_up
+    for number in range(1, MOST_ROUTES + 1):
+        stream.publish(packet(to=f"a/client/T{number}"))
+    assert seen() is None and stream.undelivered == MOST_ROUTES + 1
 
 
 def test_a_reader_of_addressed_packets_hears_nothing_else():

@@ -202,6 +202,26 @@ def test_no_certificate_is_no_entrance(rig, listening):
     assert there.closed_for[0].endswith("it showed no certificate") and there.connection is None
 
 
+def test_what_comes_after_a_certificate_was_refused_is_not_looked_at(rig):
+    there, words = rig.ear(), []
+
+    def last_words(fault: str) -> bytes:
+        words.append(fault)
+        return b"no"
+
+    there.last_words = last_words
+    address = rig.transport("a").listen(rig.listen_at, lambda: there)
+    folder = rig.enrol("alice", "operator", days=-1)
+    with raw(address) as link, bare_context(rig, folder).wrap_socket(link) as tls:
+        assert tls.recv(2) == b"no"
+        rig.until(lambda: there.closed_for)
+        tls.sendall(b"all the same")
+        tls.shutdown(socket.SHUT_WR)
+        while tls.recv(4096):
+            pass
+    assert len(words) == 1 and there.connection is None and not there.data
+
+
 def test_no_ticket_is_given_out_with_which_one_could_come_again(rig, listening):
     there, address = listening
     with raw(address) as link, bare_context(rig, rig.enrol("a")).wrap_socket(link) as tls:

@@ -9,7 +9,8 @@ from recording.files import made_files
 
 from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Describe, Migrate, Reschedule, Restart, Start, Stop
-from pancakes.packet import packet_type
+from pancakes.events import Event
+from pancakes.packet import NEIGHBOURS, packet_type
 from pancakes.runtime.kernel.counter import Counter
 from pancakes.runtime.kernel.stream import InformationStream
 from pancakes.task import Task, every, on
@@ -140,6 +141,19 @@ def test_what_tasks_are_is_recorded_at_the_beginning_and_when_they_start(fleet, 
     assert count.reads_packet("system", "pose")
     assert not count.reads_packet("system", "load")
     assert (later.task_id, later.settings) == ("a/Later", {"step": 5})
+
+
+def test_what_another_agent_says_of_its_tasks_is_not_taken_for_its_own(fleet, tmp_path):
+    agent, other = fleet.start("a", tasks={"Count": Count}), fleet.start("b")
+    fleet.connect()
+    record(agent, tmp_path / "r.mcap")
+    fleet.run_for(1.0)
+    other.publish("log", Event("task_started", {"service": "client", "task": "Count"}), to=NEIGHBOURS)
+    fleet.run_for(1.0)
+    entries = finish(agent, tmp_path / "r.mcap")
+    assert any(entry.packet.source.startswith("b/") and entry.packet.type == "event" for entry in entries)
+    (only,) = [entry.packet.body for entry in entries if isinstance(entry.packet.body, TaskDescription)]
+    assert only.task_id == "a/Count"
 
 
 def test_once_a_second_it_is_noted_how_tasks_and_links_fare(fleet, tmp_path):

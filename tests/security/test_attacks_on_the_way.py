@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import stat
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -162,6 +163,23 @@ def test_no_file_is_written_through_a_link(tmp_path):
     with pytest.raises(OSError, match="symbolic links"):
         write_private(tmp_path / "key.pem", b"ours")
     assert target.read_text() == "theirs"
+
+
+def test_what_is_private_is_so_from_its_first_moment(tmp_path, monkeypatch):
+    """One that opens it before it is made private could read what is written later."""
+    before, fchmod = [], os.fchmod
+
+    def make_private(handle, mode):
+        before.append(stat.S_IMODE(os.fstat(handle).st_mode))
+        fchmod(handle, mode)
+
+    monkeypatch.setattr(os, "fchmod", make_private)
+    usual = os.umask(0)
+    try:
+        write_private(tmp_path / "key.pem", b"ours")
+    finally:
+        os.umask(usual)
+    assert before == [0o600]
 
 
 def test_what_is_private_is_so_whatever_was_there_before(tmp_path):

@@ -212,6 +212,16 @@ def test_a_command_that_waits_for_the_disk_is_forgotten_where_the_fence_is_set_m
     assert drives(fleet, "a") and marks(a) == {"a/Circle": (0, "a")}
 
 
+def test_one_that_does_not_hold_an_actuator_raises_no_fence_of_it(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
+    fleet.start("z")
+    fleet.connect()
+    fleet.run_for(0.5)
+    forge(fleet, "z", (0, "z"), task_id="z/Any", to="a/device/wheels")
+    assert a.events("command_refused", by="z/device/wheels")[-1]["reason"] == "it is held by a/client/Circle"
+    assert drives(fleet, "a") and marks(a) == {"a/Circle": (0, "a")}
+
+
 def test_only_an_actuator_has_a_fence(fleet):
     a = fleet.start("a", devices={"wheels": Wheels, "load": {"type": "host.load"}}, tasks={"Circle": Circle})
     assert a.ask(SetFence("load", "a/Circle")).reason == "a/device/load is no actuator: it has no fence"

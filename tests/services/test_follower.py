@@ -6,6 +6,7 @@ import pytest
 
 from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Follow, Unfollow
+from pancakes.packet import NEIGHBOURS
 from pancakes.runtime.services.follower import LEAST_HZ, SOON_S
 from pancakes.testing import FleetInTest
 
@@ -71,6 +72,16 @@ def test_a_rate_that_is_none_is_refused_and_nobody_who_publishes_suffers(fleet, 
     b.publish("system", Load(0.1))
     fleet.run_for(1.0)
     assert loads(a) == []
+
+
+def test_what_came_from_elsewhere_is_not_sent_on(fleet):
+    a = fleet.agents["a"]
+    c = fleet.start("c")
+    fleet.connect()
+    assert a.ask(Follow("system"), to="b").ok
+    c.publish("system", Load(0.5), to=NEIGHBOURS)
+    fleet.run_for(2.0)
+    assert loads(a) == [0.5] and a.lines("warning") == []
 
 
 def test_who_follows_no_more_gets_nothing_of_what_waits(fleet):

@@ -119,6 +119,18 @@ def test_a_stranger_is_not_told_of_leases(fleet):
     assert not d.probe.packets(LeaseSeen)
 
 
+def test_what_was_meant_for_an_agent_with_another_disk_has_no_effect(fleet):
+    c, b = fleet.agents["c"], fleet.agents["b"]
+    call = TakeTask(COUNT, "test.Count", FIRST, record(fleet).guards, CheckpointId(FIRST, 1))
+    for body, to in ((AskLease(COUNT), f"b/{GUARDIAN}"), (call, "b/client")):
+        c.publish("network", addressed(body, "another"), to=to)
+    fleet.run_for(0.5)
+    assert not c.probe.packets(LeaseSeen) and COUNT not in b.component("client").places
+    say(fleet, "c", AskLease(COUNT), f"b/{GUARDIAN}")
+    say(fleet, "c", call, "b/client")
+    assert fleet.run_until(lambda: c.probe.packets(LeaseSeen) and COUNT in b.component("client").places, 1.0)
+
+
 def test_a_peer_without_the_right_to_guard_calls_no_agent(fleet):
     b = fleet.agents["b"]
     others: tuple[Right, ...] = tuple(right for right in RIGHTS if right != "guard")
