@@ -232,12 +232,17 @@ def test_no_ticket_is_given_out_with_which_one_could_come_again(rig, listening):
 
 
 def test_what_a_member_has_signed_is_believed_by_none(rig, listening):
-    """A robot's key makes no operators: its certificate says that it signs none."""
+    """A robot's key makes no operators: its certificate says so twice, and the authority's that none is below it."""
     there, address = listening
     robot, key = rig.enrol("a"), new_key()
     own = (robot / KEY).read_bytes()
     signer = serialization.load_pem_private_key(own, None)
     assert isinstance(signer, ec.EllipticCurvePrivateKey)
+    says = x509.load_pem_x509_certificate(own).extensions
+    assert not says.get_extension_for_class(x509.BasicConstraints).value.ca
+    assert not says.get_extension_for_class(x509.KeyUsage).value.key_cert_sign
+    top = x509.load_pem_x509_certificate((robot / "fleet.pem").read_bytes())
+    assert top.extensions.get_extension_for_class(x509.BasicConstraints).value.path_length == 0
     now = datetime.datetime.now(datetime.UTC)
     uri = x509.UniformResourceIdentifier("pancakes://default/operator/eve")
     forged = (

@@ -243,6 +243,18 @@ def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(office, waiting):
     assert office.entries == ()
 
 
+def test_the_right_code_is_good_no_more_after_so_many_guesses_whenever_it_came(office, waiting):
+    there = waiting()
+    code = there.desk.code
+    said = {"secret": code.secret.hex(), "request": request_of(new_key())}
+    with link_to(code) as came_before:
+        for _ in range(TRIES):
+            assert "error" in asked(code, {**said, "secret": "00"})
+        came_before.sendall(json.dumps(said).encode() + b"\n")
+        answer = json.loads(came_before.makefile("rb").readline())
+    assert answer == {"error": "that code is not good, or not any more"} and office.entries == ()
+
+
 def test_to_a_machine_in_between_the_secret_is_not_said(waiting):
     there = waiting()
     heard: list[bytes] = []

@@ -84,6 +84,16 @@ def test_a_revoked_peer_loses_its_links_and_gets_no_others(rig):
     assert not a.knows("b")
 
 
+def test_an_agent_that_hears_that_it_was_revoked_says_so(rig):
+    a = rig.agent("a")
+    peer = speaks(rig, a)
+    number = newer(rig, "a").number
+    peer.send(Encoder().link_message(RosterText((rig.directory / "authority" / "roster.json").read_bytes())))
+    rig.until(lambda: a.log("error"))
+    why = f"its certificate was revoked (roster {number}): agent/a: lost"
+    assert f"no agent of default believes this one any more: {why}" in a.log("error")
+
+
 def test_what_came_over_a_link_that_has_ended_since_has_no_more_rights(rig, monkeypatch):
     """A command may wait for its turn while its link ends, and be looked at before the link is cleared away."""
     a = rig.agent("a")

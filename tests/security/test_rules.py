@@ -167,6 +167,7 @@ def test_the_file_of_rules_keeps_what_a_person_wrote(tmp_path):
         ("[[access.allow]]\nwho = ['x']\nmay = ['fly']\n", "Invalid enum value 'fly'"),
         ("[[access.allow]]\nwho = ['x']\n", "missing required field `may`"),
         ("[[access.deny]]\nwho = ['x']\n", "unknown field `deny`"),
+        ("[[access.allow]]\nwho = ['x']\nmay = ['look']\nfrom = ['y']\n", "unknown field `from`"),
         ("[[access.allow]]\nwho = 'x'\nmay = ['look']\n", "Expected `array`"),
         ("[access", "not sound"),
     ],
@@ -176,6 +177,9 @@ def test_a_file_that_is_not_sound_is_named(tmp_path, text, why):
     with pytest.raises(PancakesError, match=r"the rules .*rules\.toml are not sound") as raised:
         read_rules(tmp_path)
     assert why in str(raised.value)
+    with pytest.raises(PancakesError, match="are not sound"):
+        add_rule(tmp_path, AccessRule(("r2",), ("look",)))
+    assert (tmp_path / RULES).read_text() == text
 
 
 def test_without_a_roster_an_agent_with_keys_lets_no_peer_do_anything():
