@@ -169,7 +169,7 @@ def test_a_newcomer_speaks_no_older_tls_and_says_no_secret_in_it(waiting):
         code = there.desk.code._replace(port=older.getsockname()[1], pin=pin)
         taker = threading.Thread(target=lambda: heard.append(_first_words(older, context)), daemon=True)
         taker.start()
-        with pytest.raises(PancakesError, match="cannot be reached: .*protocol version"):
+        with pytest.raises(PancakesError, match="cannot be reached"):
             join(str(code))
         taker.join(PATIENCE_S)
     assert heard == [b""]

@@ -72,6 +72,15 @@ def test_a_newcomer_brings_the_roster_and_it_goes_from_peer_to_peer(rig):
     assert f"the roster {new.number} of default: 0 revoked" in a.log("info")
 
 
+def test_an_agent_that_is_given_a_roster_tells_others_of_it_at_once(rig, monkeypatch):
+    monkeypatch.setattr("pancakes.mesh.net.rosters.LOOK_S", 600.0)
+    a, b = two(rig)
+    peer = speaks(rig, a)
+    new = newer(rig)
+    peer.send(Encoder().link_message(RosterText((rig.directory / "authority" / "roster.json").read_bytes())))
+    rig.until(lambda: number_of(rig, b) == new.number)
+
+
 def test_a_revoked_peer_loses_its_links_and_gets_no_others(rig):
     a, b = two(rig)
     number = newer(rig, "b").number
