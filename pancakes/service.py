@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from pancakes.control import Command, Describe, Hold
-from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
+from pancakes.errors import ClassError, ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
@@ -314,9 +314,9 @@ class Service(Component):
             self.feed(slot, Finished("it stopped itself", closing=self.closing))
 
     def _fail(self, slot: Slot, error: BaseException, hopeless: bool = False) -> None:
+        hopeless, blameless = hopeless or isinstance(error, ClassError), isinstance(error, NoPermit)
         slot.failure = Failure(describe(error, self.author_of(slot)), traceback_of(error), self.now())
-        hopeless = hopeless or isinstance(error, ClassError)
-        self.feed(slot, Finished(slot.failure.text, True, hopeless, self.closing))
+        self.feed(slot, Finished(slot.failure.text, True, hopeless, self.closing, blameless))
 
     def _task_changed(self, changed: Changed) -> None:
         slot = self.slots.get(changed.task.name)

@@ -46,6 +46,15 @@ def test_the_policy_decides_what_follows_the_first_end(policy, failed, following
     assert (restarts.due_s is not None) is due
 
 
+@pytest.mark.parametrize("policy", ["permanent", "transient", "temporary"])
+def test_an_end_that_was_no_fault_of_its_own_is_started_again_and_not_counted(policy):
+    restarts = Restarts(RestartSpec(policy, at_most=1, pause_s=0.1)).began(0.0)
+    for time_s in (1.0, 2.0, 3.0):
+        following, restarts = restarts.began(time_s - 0.5).ended(True, time_s, longest, blameless=True)
+        assert (following, restarts.due_s) == (Next.RESTART, time_s + 0.1)
+    assert (restarts.failures, restarts.restarts_s, restarts.ran_s) == (0, (), 1.5)
+
+
 def test_each_pause_is_twice_the_one_before_up_to_the_longest():
     tried = list(fail_at_start(Restarts(RestartSpec(pause_s=0.1, pause_max_s=1.0, at_most=6)), 5.0))
     assert [round(time_s - 5.0, 6) for time_s, _, _ in tried] == [0.0, 0.1, 0.3, 0.7, 1.5, 2.5, 3.5]

@@ -4,12 +4,13 @@ from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 
 from pancakes.bodies.devices.driver import Actuator
-from pancakes.control import Reply, Stop, Take
+from pancakes.control import Describe, Reply, Stop, Take
 from pancakes.mesh.guarding.guard_messages import KeepLease, SeizeTask
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import addressed
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.task import every
 from pancakes.testing import FleetInTest
 
 GUARD = {"guard": 3, "lease_s": 2.0, "guardians": ["b", "c"]}
@@ -32,6 +33,22 @@ class Drive(Count):
     """Needs the wheels."""
 
     requires = ("motors",)
+
+
+class Late(Count):
+    """Its permit ends once between the beginning of a turn and what it publishes."""
+
+    in_time = False
+
+    def publishes(self):
+        if not Late.in_time:
+            Late.in_time = True
+            self.kernel.permits.revoke(self.fence)
+        self.publish("system", Numbered(1))
+
+    @every(hz=2)
+    def say(self, tick):
+        self.publishes()
 
 
 def guarded(name, cls, **others):
@@ -105,6 +122,15 @@ def test_a_stop_that_no_guardian_hears_of_is_said_to_hold_here_alone():
         stopped = a.ask(Stop("Count"))
         assert not stopped.ok and a.running() == []
         assert "a/Count is stopped on a, but too few of its guardians (b, c) have confirmed that" in stopped.reason
+
+
+def test_a_turn_that_outlasts_its_permit_is_no_failure_of_the_task():
+    Late.in_time = True
+    with guarded("Late", Late, restart={"policy": "temporary"}) as fleet:
+        Late.in_time = False
+        fleet.run_for(5.0)
+        described = fleet.agents["a"].ask(Describe("Late")).result
+        assert Late.in_time and (described["state"], described["failures"]) == ("running", 0)
 
 
 def test_where_the_guardians_follow_an_agent_that_never_came_the_owner_gives_it_up():

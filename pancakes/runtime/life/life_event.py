@@ -75,12 +75,14 @@ class Finished(msgspec.Struct, frozen=True):
         failed: whether by an error.
         hopeless: whether each further try would end in the same way.
         closing: whether its keeper ends, so that nothing is started again.
+        blameless: whether that was no fault of its own, as where the guardians of a task do not answer.
     """
 
     text: str = ""
     failed: bool = False
     hopeless: bool = False
     closing: bool = False
+    blameless: bool = False
 
 
 class Overdue(msgspec.Struct, frozen=True):

@@ -87,7 +87,9 @@ class Restarts(msgspec.Struct, frozen=True):
         """Returns the memory after a start has succeeded."""
         return replace(self, since_s=now_s)
 
-    def ended(self, failed: bool, now_s: float, draw: Draw, hopeless: bool = False) -> tuple[Next, Restarts]:
+    def ended(
+        self, failed: bool, now_s: float, draw: Draw, hopeless: bool = False, blameless: bool = False
+    ) -> tuple[Next, Restarts]:
         """Decides what follows an end that was not asked for; `due_s` says when there is a next try.
 
         Args:
@@ -95,9 +97,12 @@ class Restarts(msgspec.Struct, frozen=True):
             now_s: host time.
             draw: draws the length of the pause.
             hopeless: whether each further try would end in the same way, as with settings that are wrong.
+            blameless: whether that was no fault of its own; it is started again, whatever the policy.
         """
         spec = self.spec
         ran_s = self.ran_s + (now_s - self.since_s if self.since_s is not None else 0.0)
+        if blameless:
+            return Next.RESTART, replace(self, ran_s=ran_s, since_s=None, due_s=_due_s(now_s, spec.pause_s, draw))
         earliest_s = ran_s - spec.within_s
         failures = self.failures if self.failed_s > earliest_s else 0
         after = Restarts(

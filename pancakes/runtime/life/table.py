@@ -142,7 +142,7 @@ def _began(life: Life, event: Began, at: Moment) -> Outcome:
 
 def _ended(life: Life, event: Finished, at: Moment) -> Outcome:
     """It ended unasked: it is started again, rests, or is given up."""
-    following, restarts = life.restarts.ended(event.failed, at.now_s, at.draw, event.hopeless)
+    following, restarts = life.restarts.ended(event.failed, at.now_s, at.draw, event.hopeless, event.blameless)
     if event.closing:
         restarts = restarts.forgotten()
     effects: list[Effect] = []
