@@ -37,7 +37,7 @@ from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.task_table import SettingsNote
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.restart import RestartSpec
-from pancakes.runtime.supervision.saved_types import check_saved
+from pancakes.runtime.supervision.saved_types import check_offers, check_saved
 from pancakes.runtime.supervision.task_messages import (
     Carried,
     Changed,
@@ -113,21 +113,24 @@ class Task(Component):
     Attributes:
         requires: the device types that the agent must have. A task that requires an actuator is its only holder
             while it runs.
+        offers: the fields of its state that agents are told that bid for it, for cost functions that know the task.
         settings: an instance of the class's `Settings`; replaced as a whole when they are changed, before
             `on_settings` is called.
         state: an instance of the class's `State`; it moves with the task.
     """
 
     requires: ClassVar[tuple[str, ...]] = ()
+    offers: ClassVar[tuple[str, ...]] = ()
     Settings: ClassVar[type] = Nothing
     State: ClassVar[type] = Nothing
 
     state: Any
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, `Settings` or `State`."""
+        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, what it saves and offers."""
         super().__init_subclass__(**others)
         check_saved(cls, "Settings", "State")
+        check_offers(cls.__qualname__, cls.State, cls.offers)
 
     def __init__(
         self,

@@ -153,7 +153,7 @@ class Costly(Cost):
 
     name = "costly"
 
-    def terms(self, load):
+    def terms(self, asked):
         return {"costly": 7.0}
 
 

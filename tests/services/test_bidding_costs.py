@@ -135,7 +135,7 @@ def test_a_function_that_fails_refuses_and_harms_nobody():
     class Broken(Cost):
         name = "broken"
 
-        def terms(self, load):
+        def terms(self, asked):
             raise ZeroDivisionError("by nought")
 
     with FleetInTest(4, classes={"test.Rover": Rover, "broken": Broken}) as fleet:

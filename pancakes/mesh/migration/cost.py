@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import msgspec
 
@@ -43,14 +43,52 @@ class HostLoad(msgspec.Struct, frozen=True):
     rtt_s: float | None = None
 
 
+class Asked(msgspec.Struct, frozen=True):
+    """All that a cost function may know.
+
+    Attributes:
+        load: how busy the agent is that is asked.
+        readings: the newest reading of each device type that the function `reads`, as far as this agent has one.
+        settings: the settings of the task, as plain values.
+        state: of the task's state the fields that its class `offers`, as plain values; as of its last checkpoint.
+    """
+
+    load: HostLoad
+    readings: Mapping[str, Any] = {}
+    settings: Mapping[str, Any] = {}
+    state: Mapping[str, Any] = {}
+
+    def reading(self, type: str) -> Any:
+        """Returns the newest reading of a device type.
+
+        Raises:
+            MigrationError: there has been none yet; the agent then refuses.
+        """
+        if type not in self.readings:
+            raise MigrationError(f"its {type} has not been read yet")
+        return self.readings[type]
+
+    def offered(self, field: str) -> Any:
+        """Returns a field of the task's state.
+
+        Raises:
+            MigrationError: the task does not tell it, or has none yet; the agent then refuses.
+        """
+        if self.state.get(field) is None:
+            raise MigrationError(f"the task does not tell its {field}")
+        return self.state[field]
+
+
 class Cost(ABC):
     """A cost function. The entry point names the class, which is called without arguments.
 
     Attributes:
         name: its name in `migrate = { cost = "NAME" }`.
+        reads: the device types whose readings it needs.
     """
 
     name: ClassVar[str]
+    reads: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raises `ClassError` where `terms` cannot be called as Pancakes calls it."""
@@ -58,18 +96,19 @@ class Cost(ABC):
         check_overrides(cls)
 
     @abstractmethod
-    def terms(self, load: HostLoad) -> Mapping[str, float]:
+    def terms(self, asked: Asked) -> Mapping[str, float]:
         """Returns what the cost is made of, by a name for people; their sum is the cost.
 
-        Each must be finite and not negative, else the answer counts as a refusal.
+        Each must be finite and not negative, else the agent refuses, as it does where the function takes longer than
+        0.4 s. It is called in a thread of its own; those of the core in the Task Migrator's.
 
         Raises:
             MigrationError: the cost cannot be told, for the reason that it says; the agent then refuses.
         """
 
-    def __call__(self, load: HostLoad) -> float:
+    def __call__(self, asked: Asked) -> float:
         """Returns the cost."""
-        return math.fsum(self.terms(load).values())
+        return math.fsum(self.terms(asked).values())
 
 
 class ActiveTasks(Cost):
@@ -77,8 +116,8 @@ class ActiveTasks(Cost):
 
     name = "tasks"
 
-    def terms(self, load: HostLoad) -> Mapping[str, float]:
-        return {"active tasks": float(load.active_tasks)}
+    def terms(self, asked: Asked) -> Mapping[str, float]:
+        return {"active tasks": float(asked.load.active_tasks)}
 
 
 class EmptyBattery(Cost):
@@ -86,12 +125,13 @@ class EmptyBattery(Cost):
 
     name = "battery"
 
-    def terms(self, load: HostLoad) -> Mapping[str, float]:
-        if load.battery_level is None:
+    def terms(self, asked: Asked) -> Mapping[str, float]:
+        level = asked.load.battery_level
+        if level is None:
             return {"battery used": 0.0}
-        if math.isnan(load.battery_level):
+        if math.isnan(level):
             raise MigrationError("its battery has not been read yet")
-        return {"battery used": 1.0 - load.battery_level}
+        return {"battery used": 1.0 - level}
 
 
 class BusyHost(Cost):
@@ -99,7 +139,8 @@ class BusyHost(Cost):
 
     name = "load"
 
-    def terms(self, load: HostLoad) -> Mapping[str, float]:
+    def terms(self, asked: Asked) -> Mapping[str, float]:
+        load = asked.load
         if load.agent_share is None or load.host_share is None or load.lateness_share is None:
             raise MigrationError("its load has not been measured yet")
         return {"agent": load.agent_share, "host": load.host_share, "lateness": load.lateness_share}
@@ -110,10 +151,10 @@ class RoundTrip(Cost):
 
     name = "link"
 
-    def terms(self, load: HostLoad) -> Mapping[str, float]:
-        if load.rtt_s is None:
+    def terms(self, asked: Asked) -> Mapping[str, float]:
+        if asked.load.rtt_s is None:
             raise MigrationError("its round trip to the source has not been measured yet")
-        return {"round trip": load.rtt_s}
+        return {"round trip": asked.load.rtt_s}
 
 
 class Weighted(Cost):
@@ -129,12 +170,16 @@ class Weighted(Cost):
         core = (ActiveTasks(), EmptyBattery(), BusyHost(), RoundTrip())
         self._parts = dict(parts) if parts is not None else {cost.name: (cost, 1.0) for cost in core}
 
-    def terms(self, load: HostLoad) -> Mapping[str, float]:
+    def terms(self, asked: Asked) -> Mapping[str, float]:
         return {
             f"{name}: {term}": weight * value
             for name, (cost, weight) in self._parts.items()
-            for term, value in cost.terms(load).items()
+            for term, value in cost.terms(asked).items()
         }
+
+
+CORE: Final = tuple(cost.name for cost in (ActiveTasks, EmptyBattery, BusyHost, RoundTrip, Weighted))
+"""The names of the core's own cost functions; they know nothing of the task, and read no device."""
 
 
 def cost_of(choice: CostChoice, known: Mapping[str, Cost]) -> Cost:
@@ -152,6 +197,11 @@ def cost_of(choice: CostChoice, known: Mapping[str, Cost]) -> Cost:
     if isinstance(choice, str):
         return known[choice]
     return Weighted({name: (known[name], weight) for name, weight in choice.items()})
+
+
+def is_of_core(choice: CostChoice) -> bool:
+    """Returns whether all cost functions that are chosen are the core's: these wait for nothing."""
+    return all(name in CORE for name in names_of(choice))
 
 
 def names_of(choice: CostChoice) -> tuple[str, ...]:

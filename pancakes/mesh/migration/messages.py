@@ -38,6 +38,7 @@ class Solicit(msgspec.Struct, frozen=True):
         cost: name of the cost function to use, or the weight of each of several.
         moves_on_below: battery level below which the task would have to move on at once; None where it has
             no such rule.
+        offer: what bidders are told of the task (`Snapshot.offer`), where the cost function is none of the core's.
         journal: see the module's text.
     """
 
@@ -50,6 +51,7 @@ class Solicit(msgspec.Struct, frozen=True):
     size_bytes: int = 0
     cost: CostChoice = "tasks"
     moves_on_below: float | None = None
+    offer: bytes = b""
     journal: str = ""
 
 

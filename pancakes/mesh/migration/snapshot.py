@@ -22,6 +22,8 @@ from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
 
 LIMIT_BYTES: Final = 16 * 1024 * 1024
 """The largest snapshot that travels."""
+OFFER_BYTES: Final = 4096
+"""So much of its settings and its state a task may tell bidders: each of them gets it."""
 
 
 class TimerPhase(msgspec.Struct, frozen=True):
@@ -106,6 +108,7 @@ class Snapshot(msgspec.Struct, frozen=True):
         guard: how it is guarded; None: it is not.
         rate_hz: the rate that its configuration gave its first timer; None: as its class says.
         created: whether no configuration file names it.
+        offers: the fields of its state that bidders are told.
     """
 
     task_id: TaskId
@@ -126,6 +129,21 @@ class Snapshot(msgspec.Struct, frozen=True):
     guard: dict[str, Any] | None = None
     rate_hz: float | None = None
     created: bool = False
+    offers: tuple[str, ...] = ()
+
+    def offer(self) -> bytes:
+        """Returns what bidders are told of it: its settings, and what it offers of its state; see `offer_of`.
+
+        Raises:
+            MigrationError: that is more than may be told.
+        """
+        data = _ENCODE((self.settings, {name: self.state[name] for name in self.offers if name in self.state}))
+        if len(data) > OFFER_BYTES:
+            raise MigrationError(
+                f"the settings of {self.task_id} and what it offers of its state have {len(data)} bytes, and bidders"
+                f" are told {OFFER_BYTES} at most"
+            )
+        return data
 
     def encode(self) -> bytes:
         """Returns the snapshot as msgpack bytes.
@@ -157,7 +175,22 @@ class Snapshot(msgspec.Struct, frozen=True):
 
 
 _ENCODE: Callable[[Any], bytes] = codecs.encoder(saved_array)
+_DECODE_OFFER: Callable[[bytes], tuple[dict[str, Any], dict[str, Any]]] = codecs.decoder(
+    tuple[dict[str, Any], dict[str, Any]], array_from_extension
+)
 _DECODE: Callable[[bytes], Snapshot] = codecs.decoder(Snapshot, array_from_extension)
+
+
+def offer_of(data: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns what bidders are told of a task: its settings, and of its state what it offers.
+
+    Raises:
+        MigrationError: the bytes are no offer.
+    """
+    try:
+        return _DECODE_OFFER(data) if data else ({}, {})
+    except (*MALFORMED, RemoteProtocolError) as error:
+        raise MigrationError(f"what is told of the task cannot be read: {why_malformed(error)}") from None
 
 
 def begins_alike(one: bytes, other: bytes) -> bool:

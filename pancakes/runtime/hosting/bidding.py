@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, PancakesError
-from pancakes.mesh.migration.cost import cost_of, cost_text
+from pancakes.mesh.migration.cost import Asked, cost_text, is_of_core
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import (
     Bid,
@@ -21,9 +21,11 @@ from pancakes.mesh.migration.messages import (
 )
 from pancakes.mesh.migration.negotiation import Awarded, Exhausted, Negotiation, Outcome
 from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.snapshot import offer_of
 from pancakes.mesh.migration.times import Times
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
+from pancakes.runtime.hosting.appraiser import APPRAISER, Appraise, Appraised, Appraiser, appraised
 from pancakes.runtime.hosting.bidding_messages import (
     MIGRATOR,
     Accounted,
@@ -40,12 +42,16 @@ from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.load import IDLE, LoadMeter
 from pancakes.runtime.kernel.handlers import on
-from pancakes.runtime.kernel.keep import reliable
+from pancakes.runtime.kernel.keep import LATEST, reliable
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 from pancakes.task import Task
 
 KEEP = reliable(1024)
+APPRAISED_S = 0.4
+"""So long, in host time, the cost functions of others have; the window for bids is a little longer."""
+MOST_APPRAISED = 64
+"""So many tasks may wait for their costs."""
 FIRST_LOOK_S = 0.5
 LOOK_S = 2.0
 """How often, in host time, the load of this agent is measured. A bid tells the last measurement, and waits for none."""
@@ -70,6 +76,9 @@ class TaskMigrator(Task):
         self._times = Times()
         self._negotiations: dict[TaskId, tuple[Negotiation, Reference]] = {}
         self._meter = LoadMeter()
+        self._readings: dict[str, Any] = {}  # the newest of each device type that a cost function reads
+        self._appraising: dict[int, tuple[str, Solicit]] = {}  # the agents that are to have the answers, by number
+        self._questions = 0
 
     def on_start(self) -> None:
         if self.kernel.virtual is None:
@@ -78,12 +87,17 @@ class TaskMigrator(Task):
         else:
             # In virtual time nothing of the wall may enter.
             self._state.measured = IDLE
+        for device_type in sorted({it for cost in self._state.costs().values() for it in cost.reads}):
+            self.subscribe(SYSTEM, device_type, self._on_reading, keep=LATEST)
         for service in self._state.services():
             tell(service, MigratorBegan())
 
     def on_stop(self) -> None:
         self._state.measured = self._state.battery_level = None
         self._state.negotiated = ()
+        appraiser = self.kernel.registry.get(join(self.agent, APPRAISER))
+        if appraiser is not None:
+            appraiser.stop()
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         self.on_stop()
@@ -102,6 +116,8 @@ class TaskMigrator(Task):
                 self._account(message.service, message.task_id, message.ledger, message.reason, message.reason)
             case ServiceBegan():
                 self._service_began(message.service)
+            case Appraised():
+                self._appraised(message)
             case _:
                 return super().on_receive(message)
         return None
@@ -237,6 +253,10 @@ class TaskMigrator(Task):
         if agent_of(packet.source) == self.agent:
             self._state.battery_level = packet.body.level
 
+    def _on_reading(self, packet: Packet) -> None:
+        if agent_of(packet.source) == self.agent:
+            self._readings[packet.type] = packet.body
+
     @on(NETWORK, Solicit, keep=KEEP)
     def on_solicit(self, packet: Packet) -> None:
         """Answers whether this agent would take a task, and at what cost."""
@@ -246,20 +266,55 @@ class TaskMigrator(Task):
         peer = agent_of(packet.source)
         refusal = self._state.refusal_of(peer, request)
         if not refusal:
-            try:
-                terms = dict(cost_of(request.cost, self._state.costs()).terms(self._state.load(self._mesh.rtt_s(peer))))
-            except MigrationError as error:
-                refusal = f"cannot tell its cost: {error}"
-            except Exception as error:  # a cost function is a plug-in, and may raise anything
-                name = cost_text(request.cost)
-                refusal = f"its cost function {name!r} failed: {type(error).__name__}: {error}"
+            self._appraise(peer, request)
+            return
+        self._answer(peer, request, {}, refusal)
+
+    def _appraise(self, peer: str, request: Solicit) -> None:
+        """Has the cost of a task worked out: those of the core at once, others in a thread of their own."""
+        load = self._state.load(self._mesh.rtt_s(peer))
+        if is_of_core(request.cost):
+            found = appraised(0, request.cost, Asked(load), self._state.costs())
+            self._answer(peer, request, found.terms, found.refusal)
+            return
+        if len(self._appraising) >= MOST_APPRAISED:
+            self._answer(peer, request, {}, f"works out the costs of {MOST_APPRAISED} tasks already")
+            return
+        try:
+            settings, state = offer_of(request.offer)
+        except MigrationError as error:
+            self._answer(peer, request, {}, f"cannot tell its cost: {error}")
+            return
+        self._questions += 1
+        number = self._questions
+        self._appraising[number] = (peer, request)
+        asked = Asked(load, dict(self._readings), settings, state)
+        tell(self._appraiser(), Appraise(self, number, request.cost, asked))
+        self.after_host(APPRAISED_S, lambda: self._not_appraised(number))
+
+    def _appraiser(self) -> Reference:
+        path = join(self.agent, APPRAISER)
+        return self.kernel.registry.get(path) or self.kernel.spawn(Appraiser, path, costs=self._state.costs)
+
+    def _appraised(self, found: Appraised) -> None:
+        peer, request = self._appraising.pop(found.number, ("", None))
+        if request is not None:
+            self._answer(peer, request, found.terms, found.refusal)
+
+    def _not_appraised(self, number: int) -> None:
+        peer, request = self._appraising.pop(number, ("", None))
+        if request is not None:
+            refusal = f"its cost function {cost_text(request.cost)!r} did not answer within {APPRAISED_S:g} s"
+            self._answer(peer, request, {}, refusal)
+
+    def _answer(self, peer: str, request: Solicit, terms: Mapping[str, float], refusal: str) -> None:
         if refusal:
             self._say(peer, Refuse(request.task_id, request.ask, refusal))
             self.event("migration_refused", task=request.task_id.name, source_agent=peer, reason=refusal)
         else:
             cost = sum(terms.values())
-            self._say(peer, Bid(request.task_id, request.ask, cost, terms))
-            self.event("migration_bid", task=request.task_id.name, source_agent=peer, cost=cost, terms=terms)
+            self._say(peer, Bid(request.task_id, request.ask, cost, dict(terms)))
+            self.event("migration_bid", task=request.task_id.name, source_agent=peer, cost=cost, terms=dict(terms))
 
     def _measure(self) -> None:
         self._state.measured = self._meter.look(self.kernel.host.now(), self.kernel.task_timers.all())

@@ -7,7 +7,7 @@ from typing import Any
 from pancakes.control import Configure, Describe, Migrate, Reschedule, Stop
 from pancakes.creation import Remove
 from pancakes.errors import ControlRefused, MigrationError
-from pancakes.mesh.migration.cost import cost_text, fault_of_choice
+from pancakes.mesh.migration.cost import CostChoice, cost_text, fault_of_choice, is_of_core
 from pancakes.mesh.migration.effect import AttemptFailed, HandedOver
 from pancakes.mesh.migration.event import Award
 from pancakes.mesh.migration.ledger import Ledger
@@ -15,6 +15,7 @@ from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.rule import ASK_AGAIN_S
 from pancakes.mesh.migration.sequel import Sequel
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import SYSTEM, Packet, agent_of
 from pancakes.runtime.hosting.bidding_messages import (
     MIGRATOR,
@@ -122,6 +123,7 @@ class Mover:
             raise ControlRefused(f"{host.address} has no task {body.then!r} that could follow {slot.name}")
         if not host.has_migrator():
             raise ControlRefused(f"{slot.address} cannot move: the Network Service of {host.agent} is stopped")
+        offer = self._offer(place, body.cost)
         self._asks += 1
         rule = slot.spec.rule
         request = Solicit(
@@ -134,11 +136,24 @@ class Mover:
             len(place.standing.record.snapshot),
             body.cost,
             rule.below if rule is not None and rule.when == "battery" else None,
+            offer,
         )
         place.move = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
         host.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
         host.tell_actor(MIGRATOR, Negotiate(self._host, request, asked_by, body.to, body.dry_run))
+
+    def _offer(self, place: Place, cost: CostChoice) -> bytes:
+        """Returns what bidders are told of a task.
+
+        Raises:
+            ControlRefused: that is too much.
+        """
+        record = place.standing.record
+        try:
+            return Snapshot.decode(record.snapshot).offer() if record.snapshot and not is_of_core(cost) else b""
+        except MigrationError as error:
+            raise ControlRefused(f"{place.task_id} cannot move for the cost {cost_text(cost)}: {error}") from None
 
     def watch(self, slot: Slot) -> None:
         """A task runs: watches what its rule for moving is about."""

@@ -64,6 +64,7 @@ def snapshot_of(
         guard=asdict(spec.guard) if spec.guard is not None else None,
         rate_hz=spec.rate_hz,
         created=spec.created,
+        offers=spec.cls.offers,
     )
 
 

@@ -10,6 +10,7 @@ import msgspec
 from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.mesh.guarding.guardian_core import GuardRegister
 from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen, TakeTask
+from pancakes.mesh.migration.cost import CostChoice, is_of_core
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId, Guards, newest
@@ -231,6 +232,7 @@ class Takeovers:
         snapshot, task_id = orphan.snapshot, orphan.register.task_id
         rule = orphan.move
         self._asks += 1
+        cost = rule.cost if rule is not None else "tasks"
         request = Solicit(
             task_id,
             self._asks,
@@ -239,8 +241,9 @@ class Takeovers:
             snapshot.service,
             snapshot.requires,
             len(orphan.register.body.snapshot) if orphan.register.body is not None else 0,
-            rule.cost if rule is not None else "tasks",
+            cost,
             rule.below if rule is not None and rule.when == "battery" else None,
+            self._offer(snapshot, cost),
         )
         now_s = self._guardian.kernel.host.now()
         orphan.negotiating_s = now_s
@@ -249,6 +252,13 @@ class Takeovers:
         asked_by = asked.request.by if asked is not None else "guardians"
         dry_run = asked is not None and asked.dry_run
         self._tell_migrator(Negotiate(self._guardian, request, asked_by, "", dry_run, owner, cause))
+
+    def _offer(self, snapshot: Snapshot, cost: CostChoice) -> bytes:
+        try:
+            return b"" if is_of_core(cost) else snapshot.offer()
+        except MigrationError as error:
+            self._guardian.log("warning", f"bidders for {snapshot.task_id} are told nothing of it: {error}")
+            return b""
 
     def awarded(self, awarded: BidAwarded) -> None:
         """The bids are compared: calls the cheapest bidder."""

@@ -56,6 +56,18 @@ def check_saved(owner: type, *names: str) -> None:
         raise ClassError("\n".join(faults))
 
 
+def check_offers(owner: str, state: type, offers: tuple[str, ...]) -> None:
+    """Refuses a class of tasks that offers bidders what its state has not.
+
+    Raises:
+        ClassError: says which field is none.
+    """
+    unknown = [name for name in offers if name not in field_names(state)]
+    if unknown:
+        known = ", ".join(field_names(state)) or "none"
+        raise ClassError(f"{owner}.offers: {unknown[0]!r} is no field of its State, which has {known}")
+
+
 def _faults_of(owner: type, name: str, cls: Any) -> Iterator[str]:
     head = f"{owner.__qualname__.rpartition('<locals>.')[2]}.{name}"
     if not isinstance(cls, type):

@@ -29,7 +29,7 @@ COMMANDS = {
     "launch": Later("pancakes.tools.cli.verbs.launch:launch", "Run a fleet from its files."),
     "down": Later("pancakes.tools.cli.verbs.down:down", "End agents in order."),
     "demo": Later("pancakes.tools.cli.verbs.demo:demo", "Run a whole mission, and judge it."),
-    "new": Later("pancakes.tools.cli.verbs.new:new", "Begin a task, driver, service or plug-in of one's own."),
+    "new": Later("pancakes.tools.cli.verbs.new:new", "Begin a task, driver, service, cost or plug-in of one's own."),
     "config": Later("pancakes.tools.cli.verbs.config:config", "Check and show configuration files."),
     "plugin": Later("pancakes.tools.cli.verbs.plugin:plugin", "What is installed for agents to use."),
     "doctor": Later(

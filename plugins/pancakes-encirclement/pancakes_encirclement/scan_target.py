@@ -27,6 +27,8 @@ class ScanTarget(DrivingTask):
     tell their poses. Events: `new_centre`, `on_circle` (once on each host), `revolution`.
     """
 
+    offers = ("centre_m",)
+
     @dataclass
     class Settings(DrivingTask.Settings):
         """The circle, and how to drive on it.

@@ -21,7 +21,7 @@ from pancakes.packet import CORE_CHANNELS, body_class
 from pancakes.runtime.config import DEFAULT_SERVICES
 from pancakes.runtime.plugins import Plugins
 
-KINDS: Final = ("task", "driver", "service", "plugin")
+KINDS: Final = ("task", "driver", "service", "cost", "plugin")
 LONGEST: Final = 30
 """With longer names the lines of the templates would be too long."""
 
@@ -44,6 +44,7 @@ PURPOSES: Final = {
     "package/task.py": "the task",
     "package/watch.py": "the task",
     "package/service.py": "the service",
+    "package/cost.py": "the cost function",
     "package/desk.py": "the service, and the task that it brings",
     "package/tally.py": "the task that the service brings",
     "configs/package.toml": "an agent that runs it",

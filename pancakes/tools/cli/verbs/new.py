@@ -32,6 +32,11 @@ _ABOUT: Final = {
         "Begin a service.",
         "pancakes new service bookkeeping",
     ),
+    "cost": (
+        "Begin a cost function: the agent whose computer has least to do takes the task.",
+        "Begin a cost function for moves.",
+        "pancakes new cost calm",
+    ),
     "plugin": (
         "Begin a plug-in: a driver, a task, a service and packet types that work together, and two agents.",
         "Begin a plug-in with a task, a driver, a service and packets.",
@@ -59,7 +64,7 @@ class DistributionName(click.ParamType):
 
 @click.group()
 def new() -> None:
-    """Begin a task, driver, service or plug-in of one's own.
+    """Begin a task, driver, service, cost function or plug-in of one's own.
 
     Each command writes a distribution that works: with its entry points, tests that pass, a configuration that runs
     it, and a README. Change it from there.
