@@ -43,6 +43,7 @@ class Late(Count):
     def publishes(self):
         if not Late.in_time:
             Late.in_time = True
+            assert self.fence is not None
             self.kernel.permits.revoke(self.fence)
         self.publish("system", Numbered(1))
 
