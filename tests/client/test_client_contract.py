@@ -272,6 +272,28 @@ def test_what_is_published_comes_in_the_mission_time_of_its_agent(client: Any):
     assert all(before_s <= it.stamp_s <= after_s for it in heard)
 
 
+def test_a_loop_ends_where_the_client_is_closed_while_it_waits(connect: Connect):
+    ended: list[object] = []
+
+    def read(subscriber: Any) -> None:
+        try:
+            ended.append(list(subscriber))
+        except PancakesError as error:
+            ended.append(error)
+
+    with connect(timeout_s=10.0) as client:
+        threads = [
+            threading.Thread(target=read, args=(client.subscribe("a/log", "nothing.Such"),), daemon=True)
+            for _ in range(3)
+        ]
+        for thread in threads:
+            thread.start()
+        client.settings("a/Counting")
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    assert ended == [[], [], []]
+
+
 def test_at_the_end_of_with_all_has_arrived(connect: Connect):
     with Client(timeout_s=10.0) as listener, listener.subscribe("a/system", Answer, timeout_s=PATIENCE_S) as answers:
         with connect() as client:
