@@ -9,7 +9,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from pancakes.control import Reply
-from pancakes.errors import PancakesError
+from pancakes.errors import LocalProtocolError, PancakesError
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.transport import Transport
 from pancakes.mesh.wire.link_messages import Hello, Identity
@@ -123,11 +123,18 @@ class Door:
 
         Returns:
             The number of the request, for `answer`.
+
+        Raises:
+            LocalProtocolError: the body cannot travel, so nobody was asked.
         """
         number = next(self._numbers)
+        packet = Packet(SYSCTRL, type_name(body), self.name, agent, 0.0, number, body)
         self._asked[number] = agent
         try:
-            self._mesh.send(Packet(SYSCTRL, type_name(body), self.name, agent, 0.0, number, body))
+            self._mesh.send(packet)
+        except LocalProtocolError:
+            self.forget(number)
+            raise
         except PancakesError as error:
             self._settle(number, str(error))
         return number

@@ -335,6 +335,7 @@ class Client:
             Unreachable: there is no such agent.
             NoAnswer: it was asked, and does not answer in time.
             ControlRefused: agents of two fleets bear this name.
+            LocalProtocolError: the body cannot travel, so it was not asked.
         """
         limit_s = limit(timeout_s)
         self._look_for(agent)
@@ -427,7 +428,7 @@ class Client:
             raise PancakesError(f"{channel!r} names its agent: name others as well with the channel alone, {name!r}")
         if most < 1:
             raise PancakesError(f"at least one packet has to be able to wait: most is a number from 1, not {most}")
-        names = (agent,) if agent else tuple(agents)
+        names = (agent,) if agent else (agents,) if isinstance(agents, str) else tuple(agents)
         limit_s = limit(timeout_s)
         self._look()
         following = Following(

@@ -117,7 +117,11 @@ class Subscriber(Generic[Row]):
             now_s = self._client.now()
             if self._closed or now_s >= until_s:
                 return None
-            self._client.wait(min(until_s, now_s + TURN_S), self._has_news)
+            try:
+                self._client.wait(min(until_s, now_s + TURN_S), self._has_news)
+            except PancakesError:  # the client is closed, and so is this
+                if not self._closed:
+                    raise
 
     def during(self, for_s: float) -> Iterator[Row]:
         """Yields the rows that come within a time from now, and ends then."""

@@ -82,3 +82,18 @@ def test_what_is_neither_a_file_nor_an_agent_is_said(rig: Rig):
     refused = rig.pancakes("config", "show", "b")
     assert refused.returncode == 3 and "there is no file 'b'" in refused.stderr
     assert "--set is for what a file says" in rig.pancakes("config", "show", "a", "--set", "clock.speed=2").stderr
+
+
+def test_a_folder_may_bear_the_name_of_an_agent(rig: Rig):
+    rig.ready("a")
+    for name in ("a", "b"):
+        (rig.directory / name).mkdir(exist_ok=True)
+    shown = rig.pancakes("config", "show", "a")
+    assert shown.returncode == 0 and 'name = "a"' in shown.stdout, shown.stderr
+    refused = rig.pancakes("config", "show", "b")
+    assert (refused.returncode, refused.stderr) == (3, "no agent 'b' answers, and that is a folder\n")
+
+
+def test_a_key_that_has_an_option_is_said_once(rig: Rig):
+    refused = rig.pancakes("task", "create", "a/Count", "--type", "count.Count", "--guard", "5", "--key", "guard=3")
+    assert refused.returncode == 2 and "--guard and --key guard say the same: give one of them" in refused.stderr

@@ -75,6 +75,14 @@ def test_its_folders_are_its_own_and_those_that_the_configuration_names():
     assert values(unit_of(replace(FACTS, reads=("/homes",))), "ProtectHome") == ["yes"]
 
 
+def test_a_dollar_is_doubled_where_systemd_takes_it_for_a_variable_and_nowhere_else():
+    unit = unit_of(
+        replace(FACTS, command=("/opt/$x/agent", "--config", "/etc/a b$.toml"), writes=("/srv/$y", "/srv/$ 2"))
+    )
+    assert values(unit, "ExecStart") == ['/opt/$$x/agent --config "/etc/a b$$.toml"']
+    assert values(unit, "ReadWritePaths") == ["-/srv/$y", '"-/srv/$ 2"']
+
+
 def test_a_group_may_look_where_the_configuration_says_so():
     assert values(unit_of(FACTS), "RuntimeDirectoryMode") == ["0700"]
     unit = unit_of(replace(FACTS, group="robots"))
@@ -123,3 +131,5 @@ def test_what_cannot_be_a_service_is_refused_with_a_reason(rig: Rig):
     assert done.returncode == 4 and "no.such" in done.stderr and done.stdout == ""
     both = rig.pancakes("agent", "unit", str(config), "--user", "--run-as", "robot")
     assert both.returncode == 2 and "one of --user runs as you" in both.stderr
+    nobody = rig.pancakes("agent", "unit", str(rig.config("b")), "--run-as", "")
+    assert nobody.returncode == 1 and "'' is no name for a user of this machine" in nobody.stderr

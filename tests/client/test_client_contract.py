@@ -15,7 +15,7 @@ from client.twins import PATIENCE_S, TWINS, Connect
 
 from pancakes.client import AgentRow, AsyncClient, AsyncSubscriber, Client, Subscriber, TaskRow
 from pancakes.control import Describe, Reschedule, Stop
-from pancakes.errors import NoAnswer, NothingCame, PancakesError, Unreachable
+from pancakes.errors import LocalProtocolError, NoAnswer, NothingCame, PancakesError, Unreachable
 
 pytestmark = pytest.mark.usefixtures("counting")
 
@@ -272,6 +272,28 @@ def test_what_is_published_comes_in_the_mission_time_of_its_agent(client: Any):
     assert all(before_s <= it.stamp_s <= after_s for it in heard)
 
 
+def test_a_loop_ends_where_the_client_is_closed_while_it_waits(connect: Connect):
+    ended: list[object] = []
+
+    def read(subscriber: Any) -> None:
+        try:
+            ended.append(list(subscriber))
+        except PancakesError as error:
+            ended.append(error)
+
+    with connect(timeout_s=10.0) as client:
+        threads = [
+            threading.Thread(target=read, args=(client.subscribe("a/log", "nothing.Such"),), daemon=True)
+            for _ in range(3)
+        ]
+        for thread in threads:
+            thread.start()
+        client.settings("a/Counting")
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    assert ended == [[], [], []]
+
+
 def test_at_the_end_of_with_all_has_arrived(connect: Connect):
     with Client(timeout_s=10.0) as listener, listener.subscribe("a/system", Answer, timeout_s=PATIENCE_S) as answers:
         with connect() as client:
@@ -324,6 +346,23 @@ def test_an_agent_that_does_not_answer_in_time_is_a_sentence(client: Any, counti
     with counting.frozen(counting.b), pytest.raises(NoAnswer, match=r"b did not answer: nothing came within 0\.2 s"):
         client.request("b", Describe(), timeout_s=0.2)
     assert client.request("b", Describe()).ok
+
+
+def test_what_cannot_travel_is_not_asked_and_that_is_no_missing_answer(client: Any):
+    for attempt, why in (
+        (lambda: client.configure("a/Counting", {"step": object()}), "body.settings.step is of the type object"),
+        (lambda: client.configure("a/Counting", {1: 2}), "keys must be strings"),
+        (lambda: client.request("a", 5), "builtins.int is no packet type"),
+        (lambda: client.ask_each(5), "builtins.int is no packet type"),
+    ):
+        with pytest.raises(LocalProtocolError, match=why):
+            attempt()
+    assert client.request("a", Describe()).ok
+
+
+def test_one_name_of_an_agent_is_one_agent(client: Any):
+    with pytest.raises(Unreachable, match="there is no agent 'ab'"):
+        client.subscribe("system", agents="ab").next(0.1)
 
 
 def test_an_agent_that_is_silent_is_said_beside_the_rows_of_the_others(

@@ -9,7 +9,7 @@ import pytest
 from services.created import COUNT, Count, Drive, count_of
 from services.numbered import Sink
 
-from pancakes.control import Describe, Migrate, Migrations, Start, Stop
+from pancakes.control import Configure, Describe, Migrate, Migrations, Start, Stop
 from pancakes.creation import Create, Remove
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.task import Task, Tick, every
@@ -112,6 +112,10 @@ def test_what_was_done_is_an_event_and_an_account(fleet: FleetInTest) -> None:
         (Create("Count", "test.Count", {"stepp": 1}), "[task.Count] settings.stepp: unknown key, did you mean 'step'?"),
         (Create("Count", "test.Count", {"step": "x"}), "[task.Count] settings.step: expected"),
         (Create("Count", "test.Count", rate_hz=-1.0), "[task.Count] rate_hz: expected"),
+        (
+            Create("Count", "test.Count", rate_hz=10_001.0),
+            "[task.Count] rate_hz: expected a number <= 10000, not 10001",
+        ),
         (Create("Count", "test.Count", keys={"guard": 4}), "[task.Count] guard: expected"),
         (Create("Count", "test.Count", keys={"lease_s": 9.0}), "[task.Count] lease_s: is for guarded tasks"),
         (Create("Count", "test.Count", keys={"restart": {"pause_s": -1.0}}), "[task.Count] restart.pause_s: expected"),
@@ -286,6 +290,23 @@ def test_a_created_task_that_a_file_names_later_goes_on_with_its_state(fleet: Fl
     assert count_of(a) >= before
     assert a.ask(Describe("Count")).result["settings"] == {"step": 3}
     assert "is in the configuration of a" in a.ask(Remove("Count")).reason
+
+
+@pytest.mark.parametrize("said", [{}, {"step": 1}], ids=["no settings", "all settings"])
+def test_a_created_task_keeps_what_was_set_where_a_file_that_names_it_says_what_it_began_with(
+    fleet: FleetInTest, said: dict[str, int]
+) -> None:
+    a = fleet.start("a")
+    assert a.ask(Create("Count", "test.Count")).ok
+    assert a.ask(Configure("Count", {"step": 7})).ok
+    fleet.run_for(2.0)
+    fleet.stop("a")
+    a = fleet.start("a", tasks={"Count": {"type": "test.Count", "settings": said}})
+    assert a.ask(Describe("Count")).result["settings"] == {"step": 7}
+    fleet.run_for(2.0)
+    fleet.stop("a")
+    a = fleet.start("a", tasks={"Count": {"type": "test.Count", "settings": {"step": 3}}})
+    assert a.ask(Describe("Count")).result["settings"] == {"step": 3}
 
 
 def test_devices_and_services_are_not_removed(fleet: FleetInTest) -> None:

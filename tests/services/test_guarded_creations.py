@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 from services.created import COUNT, Count, count_of
 
-from pancakes.control import Guarding, Start
+from pancakes.control import Configure, Guarding, Start, Stop
 from pancakes.creation import Create, Remove
 from pancakes.mesh.migration.record import TaskId
 from pancakes.testing import AgentInTest, FleetInTest
@@ -94,6 +94,27 @@ def test_a_removal_that_waits_for_guardians_says_so_and_is_done_once_they_are_ba
     waits = a.ask(Remove("Count"), at_most_s=60.0)
     assert not waits.ok and "removed once more than half of its guardians let go of it (b and c)" in waits.reason
     assert a.ask(Start("Count")).reason == "a/client/Count is being removed"
+    fleet.restart("b")
+    fleet.restart("c")
+    assert a.wait_for_event("task_removed", at_most_s=60.0)["task"] == "Count"
+    fleet.run_for(20.0)
+    assert not any(it.running() for it in fleet.agents.values())
+
+
+def test_what_is_asked_of_one_that_cannot_start_without_its_guardians_is_answered_and_done_once_they_are_back(
+    fleet: FleetInTest,
+) -> None:
+    a, _, _ = guarded(fleet)
+    assert a.ask(Stop("Count"), at_most_s=30.0).ok
+    fleet.crash("b")
+    fleet.crash("c")
+    fleet.run_for(5.0)
+    for body in (Start("Count"), Configure("Count", {"step": 5}), Remove("Count")):
+        reason = a.ask(body, at_most_s=6.0).reason
+        assert reason == (
+            "a/client/Count is starting; what was asked for waits for its guardians (b, c)."
+            " It is done once more than half of them answer"
+        )
     fleet.restart("b")
     fleet.restart("c")
     assert a.wait_for_event("task_removed", at_most_s=60.0)["task"] == "Count"

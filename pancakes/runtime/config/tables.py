@@ -18,6 +18,7 @@ from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.mesh.security.rules import AccessRule, Right
 from pancakes.mesh.wire.link_messages import MOST_LISTEN
 from pancakes.runtime.config.key_places import KeyPlaces
+from pancakes.runtime.kernel.handlers import MOST_HZ
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.tools.recording.settings import RecordingSettings
 
@@ -29,6 +30,9 @@ DEFAULT_SERVICES: Final = ("device", "network", "log", "client")
 
 Positive = Annotated[float, Meta(gt=0, le=1e9)]
 """A number above 0. The upper end keeps out infinity."""
+
+Rate = Annotated[float, Meta(gt=0, le=MOST_HZ)]
+"""How often a timer ticks, in Hz."""
 
 
 class AgentConfig(Struct, frozen=True):
@@ -133,7 +137,7 @@ class DeviceConfig(Struct, frozen=True):
     name: str
     driver: str
     service: str = "device"
-    rate_hz: Positive | None = None
+    rate_hz: Rate | None = None
     settings: Mapping[str, Any] = {}
     restart: DeviceRestartSpec = field(default_factory=DeviceRestartSpec)
     hold_after_s: Positive = 0.5
@@ -181,7 +185,7 @@ class TaskConfig(Struct, frozen=True):
     type: str
     service: str = "client"
     start: bool = True
-    rate_hz: Positive | None = None
+    rate_hz: Rate | None = None
     settings: Mapping[str, Any] = {}
     restart: RestartSpec = field(default_factory=RestartSpec)
     durability: Literal["lazy", "each"] = "lazy"

@@ -32,8 +32,8 @@ from pancakes.runtime.life.life import CLOSES
 from pancakes.runtime.life.life_event import Admitted, LeaveRefused
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.weight import in_brief
-from pancakes.settings import make_settings
-from pancakes.task import TaskSpec
+from pancakes.settings import SettingsError, make_settings, plain_settings
+from pancakes.task import Task, TaskSpec
 
 SETTLE_S: Final = 10.0
 """How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
@@ -233,7 +233,20 @@ class Arrivals:
         """Returns the settings that a task goes on with: its own, and what its configuration has changed since."""
         if slot.name not in self._host.residents or alike(snapshot.configured, slot.spec.settings):
             return snapshot.settings
-        settings, names = settings_now(snapshot, slot.spec.settings)
+        configured = slot.spec.settings
+        if snapshot.created:
+            # The file names it for the first time, and may say all of its settings, as `config show` does.
+            cls = slot.spec.cls
+            snapshot = replace(snapshot, configured=_with_defaults(cls, snapshot.configured))
+            configured = _with_defaults(cls, configured)
+        settings, names = settings_now(snapshot, configured)
         if names:
             self._host.log("info", f"{slot.address} takes what has changed in its configuration: {', '.join(names)}")
+        return settings
+
+
+def _with_defaults(cls: type[Task], settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    try:
+        return plain_settings(make_settings(cls.Settings, settings))
+    except SettingsError:  # it is of another version
         return settings

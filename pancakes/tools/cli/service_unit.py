@@ -158,7 +158,7 @@ def _head(facts: UnitFacts) -> Sequence[str]:
         "",
         "[Service]",
         "Type=notify",
-        f"ExecStart={' '.join(map(_quoted, facts.command))}",
+        f"ExecStart={' '.join(_quoted(word).replace('$', '$$') for word in facts.command)}",  # where $ is a variable
         f"WatchdogSec={WATCHDOG_S}",
         "Restart=on-failure",
         "RestartSec=1",
@@ -186,7 +186,7 @@ def _devices(facts: UnitFacts) -> list[str]:
 
 def _quoted(text: str) -> str:
     """Returns one word of a line of a unit."""
-    text = text.replace("%", "%%").replace("$", "$$")
-    if _PLAIN.fullmatch(text.replace("%%", "").replace("$$", "") or "-"):
+    text = text.replace("%", "%%")
+    if _PLAIN.fullmatch(re.sub(r"%%|\$", "", text) or "-"):
         return text
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

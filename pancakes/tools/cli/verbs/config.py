@@ -26,13 +26,16 @@ Origin = Callable[[tuple[str, ...]], str]
 
 
 class FileOrAgent(click.ParamType):
-    """A file, or the name of an agent where there is no such file and the name could not be one of a configuration."""
+    """A file, or the name of an agent where there is no such file and the name could not be one of a configuration.
+
+    A folder may bear the name of an agent, as that of its distribution does.
+    """
 
     name = "FILE|AGENT"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path | str:
         path = Path(value)
-        if isinstance(value, Path) or path.exists() or path.suffix:
+        if isinstance(value, Path) or path.suffix or (path.exists() and not path.is_dir()):
             return path
         name: str = AGENT_NAME.convert(value, param, ctx)
         return name
@@ -126,7 +129,8 @@ def _of_file(file: Path, sets: tuple[str, ...]) -> tuple[dict[str, Any], Origin]
 def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
     with ask.client() as client:
         if not client.is_there(agent):
-            raise Unreachable(f"no agent {agent!r} answers, and there is no file {agent!r}")
+            no_file = "that is a folder" if Path(agent).is_dir() else f"there is no file {agent!r}"
+            raise Unreachable(f"no agent {agent!r} answers, and {no_file}")
         found = order(client, agent, Describe(config=True))
 
     def origin(keys: tuple[str, ...]) -> str:

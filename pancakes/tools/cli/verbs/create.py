@@ -65,8 +65,12 @@ def create(
     """
     from pancakes.tools.cli.verbs.param_file import changes_of
 
-    given = {"guard": int(guard) if guard else None, "lease_s": lease_s}
-    table = {**{key: value for key, value in given.items() if value is not None}, **changes_of({}, dict(keys))}
+    table = changes_of({}, dict(keys))
+    for option, key, value in (("--guard", "guard", int(guard) if guard else None), ("--lease", "lease_s", lease_s)):
+        if value is not None and key in table:
+            raise click.UsageError(f"{option} and --key {key} say the same: give one of them")
+        if value is not None:
+            table[key] = value
     with ask.client() as client:
         name = meant(client, name)
         body = Create(name.target, type_, changes_of({}, dict(sets)), rate_hz, table, dry_run)
