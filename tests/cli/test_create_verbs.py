@@ -97,3 +97,6 @@ def test_a_folder_may_bear_the_name_of_an_agent(rig: Rig):
 def test_a_key_that_has_an_option_is_said_once(rig: Rig):
     refused = rig.pancakes("task", "create", "a/Count", "--type", "count.Count", "--guard", "5", "--key", "guard=3")
     assert refused.returncode == 2 and "--guard and --key guard say the same: give one of them" in refused.stderr
+    made = rig.pancakes("task", "create", "a/Alone", "--type", "count.Count", "--guard", "3")
+    assert made.returncode == 0, made.stderr
+    assert "a alone guards it until other agents have agreed to: see pancakes task guards" in made.stderr

@@ -77,6 +77,9 @@ def create(
         reply = accepted(client, name.agent, body)
     if reply.result["silent"]:
         show_text(f"not asked whether they know it: {', '.join(reply.result['silent'])}", err=True)
+    if table.get("guard") and not dry_run:
+        text = f"{name.agent} alone guards it until other agents have agreed to: see pancakes task guards"
+        show_text(text, err=True)
     done = DRY_RUN if dry_run else "created"
     row: dict[str, Any] = {"agent": name.agent, **reply.result, "done": done, "number": reply.number}
     ask.show([row], ("agent", "task_id", "epoch", "done", "number"))
