@@ -97,6 +97,11 @@ def test_a_folder_may_bear_the_name_of_an_agent(rig: Rig):
 def test_a_key_that_has_an_option_is_said_once(rig: Rig):
     refused = rig.pancakes("task", "create", "a/Count", "--type", "count.Count", "--guard", "5", "--key", "guard=3")
     assert refused.returncode == 2 and "--guard and --key guard say the same: give one of them" in refused.stderr
+
+
+def test_a_guarded_task_is_said_to_be_guarded_by_its_agent_alone_at_first(rig: Rig):
+    rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
+    rig.ready("a")
     made = rig.pancakes("task", "create", "a/Alone", "--type", "count.Count", "--guard", "3")
     assert made.returncode == 0, made.stderr
     assert "a alone guards it until other agents have agreed to: see pancakes task guards" in made.stderr
