@@ -100,7 +100,7 @@ def test_a_key_that_has_an_option_is_said_once(rig: Rig):
 
 
 def test_a_guarded_task_is_said_to_be_guarded_by_its_agent_alone_at_first(rig: Rig):
-    rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
+    rig.install("count", ENTRY_POINTS, SOURCE)
     rig.ready("a")
     made = rig.pancakes("task", "create", "a/Alone", "--type", "count.Count", "--guard", "3")
     assert made.returncode == 0, made.stderr
