@@ -12,7 +12,7 @@ from torture.takeover_tally import TakeoverTally
 UNGATED = """
 from pancakes.runtime.kernel.permits import Permits
 
-Permits.holds = lambda permits, address: True
+Permits.may_act = lambda permits, fence: True
 """
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -10,7 +9,6 @@ from typing import Any, Final, TypeVar
 import click
 
 import pancakes
-from pancakes.tools.cli.output import show_text
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _PACKAGE: Final = Path(pancakes.__file__).parent
@@ -43,6 +41,8 @@ def _commit_of_clone(root: Path) -> str:
 
 
 def _git(root: Path, *arguments: str) -> str:
+    import subprocess  # only now: each start of an agent would take as much longer
+
     try:
         found = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, timeout=10.0)
     except (OSError, subprocess.TimeoutExpired):  # there is no git here
@@ -55,6 +55,8 @@ def version_option(program: str) -> Callable[[_Command], _Command]:
 
     def show(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
         if wanted and not context.resilient_parsing:
+            from pancakes.tools.cli.output import show_text
+
             show_text(f"{program}, version {version_text()}")
             context.exit()
 
