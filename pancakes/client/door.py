@@ -125,7 +125,7 @@ class Door:
             The number of the request, for `answer`.
 
         Raises:
-            LocalProtocolError: the body cannot travel, so nobody was asked.
+            LocalProtocolError: the body cannot travel, so the agent was not asked.
         """
         number = next(self._numbers)
         packet = Packet(SYSCTRL, type_name(body), self.name, agent, 0.0, number, body)

@@ -103,8 +103,7 @@ class MeshClient:
         Raises:
             Unreachable: there is no such agent.
             NoAnswer: it was asked, and does not answer in time.
-            ControlRefused: agents of two fleets bear this name.
-            LocalProtocolError: the body cannot travel, so it was not asked.
+            PancakesError: agents of two fleets bear this name, or the body cannot travel, so it was not asked.
         """
         until_s = self._until_s(timeout_s)
         door = self._door_of(agent, until_s)

@@ -65,10 +65,16 @@ def acquaint(rig: Rig) -> None:
         path.write_text(text.replace("[agent]", f'[agent]\npeers = ["{places[other]}"]'))
 
 
+def heard(fleet: Running, text: str) -> None:
+    """Waits for a line that contains a text, where none has been said yet."""
+    if not any(text in line for line in fleet.said):
+        fleet.hear(text)
+
+
 def test_where_a_task_has_gone_is_told_until_the_fleet_begins_afresh(rig: Rig, field: Path):
     acquaint(rig)
     fleet = rig.launch(field)
-    fleet.hear("node is ready")
+    heard(fleet, "task_started task=Walk")
     moved = rig.pancakes("task", "migrate", "gate/Walk", "--to", "node")
     assert moved.returncode == 0, moved.stderr
     assert not [line for line in down(fleet) if "does not start" in line]
@@ -85,7 +91,7 @@ def test_where_a_task_has_gone_is_told_until_the_fleet_begins_afresh(rig: Rig, f
 
     fleet = rig.launch(field, "--fresh")
     fleet.hear("gate begins afresh")
-    fleet.hear("node is ready")
+    heard(fleet, "task_started task=Walk")
     assert tasks(rig, "gate") == {"Walk": ("running", "")}
     assert tasks(rig, "node") == {}
     assert not [line for line in down(fleet) if "does not start" in line]

@@ -241,3 +241,24 @@ def fault_of(cost: float, terms: Mapping[str, float]) -> str:
         if value < 0:
             return f"its {name} is negative ({value:g})"
     return ""
+
+
+def appraise(choice: CostChoice, asked: Asked, known: Mapping[str, Cost]) -> tuple[Mapping[str, float], str]:
+    """Works out what a task would cost.
+
+    Returns:
+        What the cost is made of, and why it cannot be told, as a phrase; empty: it can.
+    """
+    function = f"its cost function {cost_text(choice)!r}"
+    try:
+        terms = dict(cost_of(choice, known).terms(asked))
+        cost = sum(terms.values())
+    except MigrationError as error:
+        return {}, f"cannot tell its cost: {error}"
+    except Exception as error:  # a cost function is a plug-in, and may raise anything
+        return {}, f"{function} failed: {type(error).__name__}: {error}"
+    if not all(isinstance(name, str) and type(value) in (int, float) for name, value in terms.items()):
+        return {}, f"{function} told no numbers by name, but {terms!r:.80}"
+    if fault := fault_of(cost, terms):
+        return {}, f"{function} is of no use: {fault}"
+    return terms, ""

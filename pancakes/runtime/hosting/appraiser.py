@@ -7,8 +7,7 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.errors import MigrationError
-from pancakes.mesh.migration.cost import Asked, Cost, CostChoice, cost_of, cost_text, fault_of
+from pancakes.mesh.migration.cost import Asked, Cost, CostChoice, appraise
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
@@ -62,22 +61,6 @@ class Appraiser(Component):
     def on_receive(self, message: Any) -> Any:
         if not isinstance(message, Appraise):
             return super().on_receive(message)
-        tell(message.asker, appraised(message.number, message.choice, message.asked, self._costs()))
+        terms, refusal = appraise(message.choice, message.asked, self._costs())
+        tell(message.asker, Appraised(message.number, terms, refusal))
         return None
-
-
-def appraised(number: int, choice: CostChoice, asked: Asked, costs: Mapping[str, Cost]) -> Appraised:
-    """Works out what a task would cost."""
-    function = f"its cost function {cost_text(choice)!r}"
-    try:
-        terms = dict(cost_of(choice, costs).terms(asked))
-        cost = sum(terms.values())
-    except MigrationError as error:
-        return Appraised(number, refusal=f"cannot tell its cost: {error}")
-    except Exception as error:  # a cost function is a plug-in, and may raise anything
-        return Appraised(number, refusal=f"{function} failed: {type(error).__name__}: {error}")
-    if not all(isinstance(name, str) and type(value) in (int, float) for name, value in terms.items()):
-        return Appraised(number, refusal=f"{function} told no numbers by name, but {terms!r:.80}")
-    if fault := fault_of(cost, terms):
-        return Appraised(number, refusal=f"{function} is of no use: {fault}")
-    return Appraised(number, terms)

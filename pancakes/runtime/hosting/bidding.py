@@ -9,7 +9,7 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, PancakesError
-from pancakes.mesh.migration.cost import Asked, cost_text, is_of_core
+from pancakes.mesh.migration.cost import CORE, Asked, appraise, cost_text
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import (
     Bid,
@@ -25,7 +25,7 @@ from pancakes.mesh.migration.snapshot import offer_of
 from pancakes.mesh.migration.times import Times
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
-from pancakes.runtime.hosting.appraiser import APPRAISER, Appraise, Appraised, Appraiser, appraised
+from pancakes.runtime.hosting.appraiser import APPRAISER, Appraise, Appraised, Appraiser
 from pancakes.runtime.hosting.bidding_messages import (
     MIGRATOR,
     Accounted,
@@ -273,9 +273,8 @@ class TaskMigrator(Task):
     def _appraise(self, peer: str, request: Solicit) -> None:
         """Has the cost of a task worked out: those of the core at once, others in a thread of their own."""
         load = self._state.load(self._mesh.rtt_s(peer))
-        if is_of_core(request.cost):
-            found = appraised(0, request.cost, Asked(load), self._state.costs())
-            self._answer(peer, request, found.terms, found.refusal)
+        if request.cost in CORE:
+            self._answer(peer, request, *appraise(request.cost, Asked(load), self._state.costs()))
             return
         if len(self._appraising) >= MOST_APPRAISED:
             self._answer(peer, request, {}, f"works out the costs of {MOST_APPRAISED} tasks already")
