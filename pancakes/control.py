@@ -293,7 +293,7 @@ class Describe(msgspec.Struct, frozen=True):
             each service and task).
         state: of a task that runs: its state too (`state`), between two of its turns, and when (`mission_s`, `host_s`).
         began: of a task that runs: when it began as well, and what it carried then (`began`).
-        config: of the agent: its configuration too (`config`, `config_file`), and the tasks created on it (`created`).
+        config: of the agent: its configuration (`config`), where values were said (`said`), the tasks `created` on it.
     """
 
     target: str = ""

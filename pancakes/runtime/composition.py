@@ -11,7 +11,8 @@ from pancakes.errors import ConfigError, ControlRefused, PluginError
 from pancakes.mesh.migration.record import Record
 from pancakes.runtime.config import Config, DeviceConfig, ServiceConfig, TaskConfig, read_task
 from pancakes.runtime.config.created_tables import created_tables
-from pancakes.runtime.config.effective import effective
+from pancakes.runtime.config.effective import DEFAULT, effective, origin
+from pancakes.runtime.config.toml_text import key_text, leaves
 from pancakes.runtime.folders import Folders
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.installed import Installed
@@ -79,14 +80,19 @@ class Composition:
         """Returns what is to be known of the configuration, as plain values.
 
         Returns:
-            `config`: all of its keys, with the tasks that were created on this agent and are there; `config_file`: its
-            file; `created`: the names of these tasks.
+            `config`: all of its keys, with the tasks that were created on this agent and are there; `said`: where the
+            value of each key was said that has not its default; `created`: the names of these tasks.
         """
         found = effective(self._config, self._plugins)
         of_records = created_tables(self._config.agent.name, records)
         created = {name: table for name, table in of_records.items() if name not in found["task"]}
         tables = {**found, "task": {**found["task"], **created}}
-        return {"config": tables, "config_file": self._config.path, "created": list(created)}
+        said = {
+            key_text(keys): origin(self._config, keys)
+            for keys, _ in leaves(found)
+            if origin(self._config, keys) != DEFAULT
+        }
+        return {"config": tables, "said": said, "created": list(created)}
 
     def folders(self, specs: Sequence[ServiceSpec]) -> Folders:
         """Returns the folders that the configuration names, and the files in the settings of these services."""

@@ -59,6 +59,7 @@ def test_a_task_is_created_outlives_its_agent_is_kept_in_a_file_and_removed(rig:
     assert info["created"] and " in a file no: it was created " in told
 
     shown = rig.pancakes("config", "show", "a")
+    assert f'name = "a" # {rig.directory}/a.toml:' in shown.stdout and "again_s = 0.0 # default" in shown.stdout
     assert '[task.Count]\ntype = "count.Count" # created on a\n' in shown.stdout, shown.stderr
     kept = rig.directory / "kept.toml"
     kept.write_text(shown.stdout)

@@ -101,9 +101,11 @@ def test_a_user_needs_a_name_that_the_machine_can_have():
 
 
 def test_the_unit_of_a_person_keeps_the_usual_folders():
-    unit = user_unit_of(FACTS)
+    unit = user_unit_of(FACTS, "/home/me/100% mine", {"PANCAKES_RUNTIME_DIR": "/run/my agents", "SHELL": "/bin/sh"})
     assert values(unit, "User") == values(unit, "StateDirectory") == values(unit, "ProtectSystem") == []
     assert values(unit, "WantedBy") == ["default.target"] and values(unit, "Type") == ["notify"]
+    assert values(unit, "WorkingDirectory") == ["/home/me/100%% mine"]
+    assert values(unit, "Environment") == ['"PANCAKES_RUNTIME_DIR=/run/my agents"']
 
 
 def test_the_command_prints_the_unit_of_a_configuration(rig: Rig):

@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.mesh.migration.capability import Capability, compatible
-from pancakes.mesh.migration.cost import ActiveTasks, Asked, HostLoad
+from pancakes.mesh.migration.cost import ActiveTasks, CostFacts, HostLoad
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import TaskId
@@ -93,5 +93,5 @@ def test_a_slot_is_kept_until_it_expires_or_is_freed() -> None:
 
 def test_the_paper_s_cost_is_the_number_of_active_tasks() -> None:
     cost = ActiveTasks()
-    assert cost.terms(Asked(HostLoad(active_tasks=3))) == {"active tasks": 3.0}
-    assert cost(Asked(HostLoad(active_tasks=3))) == 3.0
+    assert cost.terms(CostFacts(HostLoad(active_tasks=3))) == {"active tasks": 3.0}
+    assert cost(CostFacts(HostLoad(active_tasks=3))) == 3.0

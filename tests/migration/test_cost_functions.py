@@ -8,13 +8,13 @@ from importlib.metadata import entry_points
 import pytest
 from msgspec.structs import replace
 
-from pancakes.errors import MigrationError
+from pancakes.errors import ClassError, MigrationError
 from pancakes.mesh.migration.capability import Capability
 from pancakes.mesh.migration.cost import (
     ActiveTasks,
-    Asked,
     BusyHost,
     Cost,
+    CostFacts,
     EmptyBattery,
     HostLoad,
     RoundTrip,
@@ -42,14 +42,14 @@ KNOWN: dict[str, Cost] = {cost.name: cost for cost in (ActiveTasks(), EmptyBatte
     ],
 )
 def test_each_function_states_its_terms(name: str, terms: dict[str, float]) -> None:
-    assert KNOWN[name].terms(Asked(ROBOT)) == terms
+    assert KNOWN[name].terms(CostFacts(ROBOT)) == terms
 
 
 def test_the_emptier_the_dearer_and_the_mains_are_free() -> None:
     levels = [1.0, 0.7, 0.1, 0.0]
-    costs = [EmptyBattery()(Asked(replace(ROBOT, battery_level=level))) for level in levels]
+    costs = [EmptyBattery()(CostFacts(replace(ROBOT, battery_level=level))) for level in levels]
     assert costs == sorted(costs) and costs[0] == 0.0 and costs[-1] == 1.0
-    assert EmptyBattery()(Asked(replace(ROBOT, battery_level=None))) == 0.0
+    assert EmptyBattery()(CostFacts(replace(ROBOT, battery_level=None))) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -62,33 +62,45 @@ def test_the_emptier_the_dearer_and_the_mains_are_free() -> None:
 )
 def test_what_is_not_known_is_not_guessed(name: str, load: HostLoad, why: str) -> None:
     with pytest.raises(MigrationError, match=why):
-        KNOWN[name].terms(Asked(load))
+        KNOWN[name].terms(CostFacts(load))
     with pytest.raises(MigrationError, match=why):
-        cost_of({"tasks": 1.0, name: 2.0}, KNOWN).terms(Asked(load))
+        cost_of({"tasks": 1.0, name: 2.0}, KNOWN).terms(CostFacts(load))
 
 
 def test_weights_multiply_each_term_and_the_sum_is_the_cost() -> None:
     cost = cost_of({"tasks": 1.0, "battery": 2.0, "link": 50.0}, KNOWN)
-    assert cost.terms(Asked(ROBOT)) == {
+    assert cost.terms(CostFacts(ROBOT)) == {
         "tasks: active tasks": 3.0,
         "battery: battery used": pytest.approx(0.8),
         "link: round trip": pytest.approx(1.0),
     }
-    assert cost(Asked(ROBOT)) == pytest.approx(4.8)
+    assert cost(CostFacts(ROBOT)) == pytest.approx(4.8)
 
 
 def test_weighted_without_weights_takes_all_four_once() -> None:
-    assert Weighted()(Asked(ROBOT)) == pytest.approx(3.0 + 0.4 + 0.76 + 0.02)
+    assert Weighted()(CostFacts(ROBOT)) == pytest.approx(3.0 + 0.4 + 0.76 + 0.02)
+
+
+def test_what_a_cost_reads_is_a_tuple_of_device_types() -> None:
+    # A string would be read as one device type for each of its letters.
+    with pytest.raises(ClassError, match=r"Far\.reads is 'pose': write a tuple of device types"):
+
+        class Far(Cost):
+            name = "far"
+            reads = "pose"  # type: ignore[assignment]
+
+            def terms(self, facts: CostFacts) -> dict[str, float]:
+                return {"metres": facts.reading("pose").x_m}
 
 
 def test_a_part_that_lies_makes_the_whole_no_bid() -> None:
     class Lying(Cost):
         name = "lying"
 
-        def terms(self, asked: Asked) -> dict[str, float]:
+        def terms(self, facts: CostFacts) -> dict[str, float]:
             return {"charm": -5.0}
 
-    terms = cost_of({"tasks": 2.0, "lying": 1.0}, {**KNOWN, "lying": Lying()}).terms(Asked(ROBOT))
+    terms = cost_of({"tasks": 2.0, "lying": 1.0}, {**KNOWN, "lying": Lying()}).terms(CostFacts(ROBOT))
     # Its sum is positive all the same, so each term is looked at.
     assert fault_of(sum(terms.values()), terms) == "its lying: charm is negative (-5)"
 

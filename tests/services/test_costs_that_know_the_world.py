@@ -13,7 +13,7 @@ import pytest
 from pancakes.bodies.devices.types import Pose, Temperature, Twist
 from pancakes.control import Migrate
 from pancakes.errors import ClassError
-from pancakes.mesh.migration.cost import Asked, Cost
+from pancakes.mesh.migration.cost import Cost, CostFacts
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import OFFER_BYTES
@@ -54,9 +54,9 @@ class Nearest(Cost):
     name = "nearest"
     reads = ("pose",)
 
-    def terms(self, asked: Asked) -> Mapping[str, float]:
-        pose, (x_m, y_m) = asked.reading("pose"), asked.offered("place_m")
-        return {"metres": asked.settings.get("weight", 1.0) * math.hypot(pose.x_m - x_m, pose.y_m - y_m)}
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
+        pose, (x_m, y_m) = facts.reading("pose"), facts.offered("place_m")
+        return {"metres": facts.settings.get("weight", 1.0) * math.hypot(pose.x_m - x_m, pose.y_m - y_m)}
 
 
 class Roam(Task):
@@ -164,7 +164,7 @@ def test_a_function_that_tells_nonsense_is_a_refusal_with_the_reason(told: Any, 
     class Odd(Cost):
         name = "odd"
 
-        def terms(self, asked: Asked) -> Mapping[str, float]:
+        def terms(self, facts: CostFacts) -> Mapping[str, float]:
             return told
 
     assert reason in one(Odd)
@@ -175,14 +175,14 @@ def test_what_has_not_been_read_or_is_not_offered_is_a_refusal_with_the_reason()
         name = "odd"
         reads = ("temperature",)
 
-        def terms(self, asked: Asked) -> Mapping[str, float]:
-            return {"degrees": asked.reading("temperature").degrees_c}
+        def terms(self, facts: CostFacts) -> Mapping[str, float]:
+            return {"degrees": facts.reading("temperature").degrees_c}
 
     class Hidden(Cost):
         name = "odd"
 
-        def terms(self, asked: Asked) -> Mapping[str, float]:
-            return {"secrets": float(len(asked.offered("secret")))}
+        def terms(self, facts: CostFacts) -> Mapping[str, float]:
+            return {"secrets": float(len(facts.offered("secret")))}
 
     assert "cannot tell its cost: its temperature has not been read yet" in one(Warm)
     assert "cannot tell its cost: the task does not tell its secret" in one(Hidden)
@@ -193,8 +193,8 @@ def test_a_reading_of_another_agent_counts_for_nothing():
         name = "odd"
         reads = ("temperature",)
 
-        def terms(self, asked: Asked) -> Mapping[str, float]:
-            return {"degrees": asked.reading("temperature").celsius}
+        def terms(self, facts: CostFacts) -> Mapping[str, float]:
+            return {"degrees": facts.reading("temperature").celsius}
 
     with FleetInTest(4, classes={"test.Patrol": Patrol, "odd": Warm}) as fleet:
         a = fleet.start("a", tasks={"Patrol": {"type": "test.Patrol"}})
@@ -273,7 +273,7 @@ class Waits(Cost):
 
     name = "waits"
 
-    def terms(self, asked: Asked) -> Mapping[str, float]:
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
         GO_ON.wait(20.0)
         return {"patience": 1.0}
 

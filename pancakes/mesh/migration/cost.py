@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final
 
 import msgspec
 
-from pancakes.errors import MigrationError
+from pancakes.errors import ClassError, MigrationError
 from pancakes.runtime.foundation.signatures import check_overrides
 
 CostChoice = str | dict[str, float]
@@ -43,7 +43,7 @@ class HostLoad(msgspec.Struct, frozen=True):
     rtt_s: float | None = None
 
 
-class Asked(msgspec.Struct, frozen=True):
+class CostFacts(msgspec.Struct, frozen=True):
     """All that a cost function may know.
 
     Attributes:
@@ -91,12 +91,16 @@ class Cost(ABC):
     reads: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` where `terms` cannot be called as Pancakes calls it."""
+        """Raises `ClassError` where `terms` cannot be called as Pancakes calls it, or `reads` is no tuple of names."""
         super().__init_subclass__(**others)
         check_overrides(cls)
+        if not isinstance(cls.reads, tuple) or not all(isinstance(it, str) for it in cls.reads):
+            raise ClassError(
+                f"{cls.__qualname__}.reads is {cls.reads!r}: write a tuple of device types, as `reads = ('pose',)`"
+            )
 
     @abstractmethod
-    def terms(self, asked: Asked) -> Mapping[str, float]:
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
         """Returns what the cost is made of, by a name for people; their sum is the cost.
 
         Each must be finite and not negative, else the agent refuses, as it does where the function takes longer than
@@ -106,9 +110,9 @@ class Cost(ABC):
             MigrationError: the cost cannot be told, for the reason that it says; the agent then refuses.
         """
 
-    def __call__(self, asked: Asked) -> float:
+    def __call__(self, facts: CostFacts) -> float:
         """Returns the cost."""
-        return math.fsum(self.terms(asked).values())
+        return math.fsum(self.terms(facts).values())
 
 
 class ActiveTasks(Cost):
@@ -116,8 +120,8 @@ class ActiveTasks(Cost):
 
     name = "tasks"
 
-    def terms(self, asked: Asked) -> Mapping[str, float]:
-        return {"active tasks": float(asked.load.active_tasks)}
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
+        return {"active tasks": float(facts.load.active_tasks)}
 
 
 class EmptyBattery(Cost):
@@ -125,8 +129,8 @@ class EmptyBattery(Cost):
 
     name = "battery"
 
-    def terms(self, asked: Asked) -> Mapping[str, float]:
-        level = asked.load.battery_level
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
+        level = facts.load.battery_level
         if level is None:
             return {"battery used": 0.0}
         if math.isnan(level):
@@ -139,8 +143,8 @@ class BusyHost(Cost):
 
     name = "load"
 
-    def terms(self, asked: Asked) -> Mapping[str, float]:
-        load = asked.load
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
+        load = facts.load
         if load.agent_share is None or load.host_share is None or load.lateness_share is None:
             raise MigrationError("its load has not been measured yet")
         return {"agent": load.agent_share, "host": load.host_share, "lateness": load.lateness_share}
@@ -151,10 +155,10 @@ class RoundTrip(Cost):
 
     name = "link"
 
-    def terms(self, asked: Asked) -> Mapping[str, float]:
-        if asked.load.rtt_s is None:
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
+        if facts.load.rtt_s is None:
             raise MigrationError("its round trip to the source has not been measured yet")
-        return {"round trip": asked.load.rtt_s}
+        return {"round trip": facts.load.rtt_s}
 
 
 class Weighted(Cost):
@@ -170,11 +174,11 @@ class Weighted(Cost):
         core = (ActiveTasks(), EmptyBattery(), BusyHost(), RoundTrip())
         self._parts = dict(parts) if parts is not None else {cost.name: (cost, 1.0) for cost in core}
 
-    def terms(self, asked: Asked) -> Mapping[str, float]:
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
         return {
             f"{name}: {term}": weight * value
             for name, (cost, weight) in self._parts.items()
-            for term, value in cost.terms(asked).items()
+            for term, value in cost.terms(facts).items()
         }
 
 
@@ -243,7 +247,7 @@ def fault_of(cost: float, terms: Mapping[str, float]) -> str:
     return ""
 
 
-def appraise(choice: CostChoice, asked: Asked, known: Mapping[str, Cost]) -> tuple[Mapping[str, float], str]:
+def appraise(choice: CostChoice, facts: CostFacts, known: Mapping[str, Cost]) -> tuple[Mapping[str, float], str]:
     """Works out what a task would cost.
 
     Returns:
@@ -251,7 +255,7 @@ def appraise(choice: CostChoice, asked: Asked, known: Mapping[str, Cost]) -> tup
     """
     function = f"its cost function {cost_text(choice)!r}"
     try:
-        terms = dict(cost_of(choice, known).terms(asked))
+        terms = dict(cost_of(choice, known).terms(facts))
         cost = sum(terms.values())
     except MigrationError as error:
         return {}, f"cannot tell its cost: {error}"

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.mesh.migration.cost import Asked, Cost, CostChoice, appraise
+from pancakes.mesh.migration.cost import Cost, CostChoice, CostFacts, appraise
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
@@ -22,13 +22,13 @@ class Appraise(msgspec.Struct, frozen=True):
         asker: the actor that gets the answer, `Appraised`.
         number: the number of the question.
         choice: the cost function, or the weight of each of several.
-        asked: what they may know.
+        facts: what they may know.
     """
 
     asker: Reference
     number: int
     choice: CostChoice
-    asked: Asked
+    facts: CostFacts
 
 
 class Appraised(msgspec.Struct, frozen=True):
@@ -61,6 +61,6 @@ class Appraiser(Component):
     def on_receive(self, message: Any) -> Any:
         if not isinstance(message, Appraise):
             return super().on_receive(message)
-        terms, refusal = appraise(message.choice, message.asked, self._costs())
+        terms, refusal = appraise(message.choice, message.facts, self._costs())
         tell(message.asker, Appraised(message.number, terms, refusal))
         return None

@@ -9,7 +9,7 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, PancakesError
-from pancakes.mesh.migration.cost import CORE, Asked, appraise, cost_text
+from pancakes.mesh.migration.cost import CostFacts, appraise, cost_text, is_of_core
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import (
     Bid,
@@ -273,8 +273,8 @@ class TaskMigrator(Task):
     def _appraise(self, peer: str, request: Solicit) -> None:
         """Has the cost of a task worked out: those of the core at once, others in a thread of their own."""
         load = self._state.load(self._mesh.rtt_s(peer))
-        if request.cost in CORE:
-            self._answer(peer, request, *appraise(request.cost, Asked(load), self._state.costs()))
+        if is_of_core(request.cost):
+            self._answer(peer, request, *appraise(request.cost, CostFacts(load), self._state.costs()))
             return
         if len(self._appraising) >= MOST_APPRAISED:
             self._answer(peer, request, {}, f"works out the costs of {MOST_APPRAISED} tasks already")
@@ -287,8 +287,8 @@ class TaskMigrator(Task):
         self._questions += 1
         number = self._questions
         self._appraising[number] = (peer, request)
-        asked = Asked(load, dict(self._readings), settings, state)
-        tell(self._appraiser(), Appraise(self, number, request.cost, asked))
+        facts = CostFacts(load, dict(self._readings), settings, state)
+        tell(self._appraiser(), Appraise(self, number, request.cost, facts))
         self.after_host(APPRAISED_S, lambda: self._not_appraised(number))
 
     def _appraiser(self) -> Reference:

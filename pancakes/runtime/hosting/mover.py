@@ -7,7 +7,7 @@ from typing import Any
 from pancakes.control import Configure, Describe, Migrate, Reschedule, Stop
 from pancakes.creation import Remove
 from pancakes.errors import ControlRefused, MigrationError
-from pancakes.mesh.migration.cost import CORE, CostChoice, cost_text, fault_of_choice, is_of_core
+from pancakes.mesh.migration.cost import CostChoice, cost_text, fault_of_choice, is_of_core
 from pancakes.mesh.migration.effect import AttemptFailed, HandedOver
 from pancakes.mesh.migration.event import Award
 from pancakes.mesh.migration.ledger import Ledger
@@ -123,7 +123,7 @@ class Mover:
             raise ControlRefused(f"{host.address} has no task {body.then!r} that could follow {slot.name}")
         if not host.has_migrator():
             raise ControlRefused(f"{slot.address} cannot move: the Network Service of {host.agent} is stopped")
-        offer = b"" if body.cost in CORE else self._offer(place, body.cost)
+        offer = self._offer(place, body.cost)
         self._asks += 1
         rule = slot.spec.rule
         request = Solicit(

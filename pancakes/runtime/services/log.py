@@ -26,9 +26,9 @@ from pancakes.runtime.life.life_effect import Answer
 from pancakes.runtime.life.life_event import Written
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.life.restart import RestartSpec
-from pancakes.runtime.services.journal_levels import for_standard_error
 from pancakes.runtime.services.log_record import line_of, record_of
 from pancakes.runtime.services.log_writer import LogWriter
+from pancakes.runtime.services.syslog_levels import for_standard_error
 from pancakes.runtime.services.wanted_recordings import NOTHING, WantedRecording
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried

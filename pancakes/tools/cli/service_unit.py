@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -23,6 +23,8 @@ from pancakes.settings import SettingsError, make_settings
 USER: Final = "pancakes"
 """The user of the machine as which its agents run, where no other is named."""
 WATCHDOG_S: Final = 10
+OF_TERMINAL: Final = ("PANCAKES_RUNTIME_DIR", "PYTHONPATH", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME")
+"""The variables of the environment that a service of one person has from the terminal where its unit is printed."""
 _USER_NAME: Final = re.compile(r"[a-z_][a-z0-9_-]{0,30}")
 _PLAIN: Final = re.compile(r"[\w@+=:,./-]+")
 _HOMES: Final = ("/home", "/root", "/run/user")
@@ -142,9 +144,22 @@ def unit_of(facts: UnitFacts, user: str = USER) -> str:
     return "\n".join([*lines, "", "[Install]", "WantedBy=multi-user.target", ""])
 
 
-def user_unit_of(facts: UnitFacts) -> str:
-    """Returns the unit of a service of one person, which keeps its state where the agent has it at a terminal."""
-    lines = [*_head(facts), "NoNewPrivileges=yes", "LockPersonality=yes", "SystemCallArchitectures=native"]
+def user_unit_of(facts: UnitFacts, folder: str, environment: Mapping[str, str]) -> str:
+    """Returns the unit of a service of one person, which keeps its state where the agent has it at a terminal.
+
+    Args:
+        facts: what the unit rests on.
+        folder: the working folder of the terminal: relative paths of the configuration begin there.
+        environment: of the terminal; the unit has those of its variables that say where an agent keeps its files.
+    """
+    lines = [
+        *_head(facts),
+        f"WorkingDirectory={folder.replace('%', '%%')}",
+        *(f"Environment={_quoted(f'{name}={environment[name]}')}" for name in OF_TERMINAL if name in environment),
+        "NoNewPrivileges=yes",
+        "LockPersonality=yes",
+        "SystemCallArchitectures=native",
+    ]
     return "\n".join([*lines, "", "[Install]", "WantedBy=default.target", ""])
 
 

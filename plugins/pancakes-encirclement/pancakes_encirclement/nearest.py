@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from pancakes.mesh.migration.cost import Asked, Cost
+from pancakes.mesh.migration.cost import Cost, CostFacts
 
 
 class Nearest(Cost):
@@ -14,7 +14,7 @@ class Nearest(Cost):
     name = "encirclement.nearest"
     reads = ("pose",)
 
-    def terms(self, asked: Asked) -> Mapping[str, float]:
-        pose = asked.reading("pose")
-        x_m, y_m = asked.offered("centre_m")
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
+        pose = facts.reading("pose")
+        x_m, y_m = facts.offered("centre_m")
         return {"metres": math.hypot(pose.x_m - x_m, pose.y_m - y_m)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -110,7 +111,10 @@ def unit(path: str, of_person: bool, user: str | None) -> None:
         raise click.UsageError("--run-as is for a service of the system: one of --user runs as you")
     plugins = Plugins()
     facts = facts_of(load(path, (), plugins, must_load=True), plugins)
-    show_text(user_unit_of(facts) if of_person else unit_of(facts, USER if user is None else user), nl=False)
+    if of_person:
+        show_text(user_unit_of(facts, os.getcwd(), os.environ), nl=False)
+    else:
+        show_text(unit_of(facts, USER if user is None else user), nl=False)
 
 
 def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str, Any]:

@@ -127,6 +127,9 @@ def _of_file(file: Path, sets: tuple[str, ...]) -> tuple[dict[str, Any], Origin]
 
 
 def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
+    from pancakes.runtime.config.effective import DEFAULT
+    from pancakes.runtime.config.toml_text import key_text
+
     with ask.client() as client:
         if not client.is_there(agent):
             no_file = "that is a folder" if Path(agent).is_dir() else f"there is no file {agent!r}"
@@ -135,7 +138,7 @@ def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
 
     def origin(keys: tuple[str, ...]) -> str:
         of_task = keys[0] == "task" and len(keys) > 1 and keys[1] in found["created"]
-        return f"created on {agent}" if of_task else str(found["config_file"])
+        return f"created on {agent}" if of_task else str(found["said"].get(key_text(keys), DEFAULT))
 
     return found["config"], origin
 
