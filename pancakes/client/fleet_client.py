@@ -13,7 +13,7 @@ from pancakes.client.event_row import EventRow
 from pancakes.client.following import Following
 from pancakes.client.heard_packet import HeardPacket
 from pancakes.client.mesh_client import MeshClient
-from pancakes.client.publisher import Publisher
+from pancakes.client.publisher import Publisher, check_body
 from pancakes.client.subscriber import Subscriber
 from pancakes.client.survey import Replies, Survey
 from pancakes.client.target import channel_of, task_of
@@ -232,7 +232,7 @@ class Client:
             Unreachable: the agent is not there.
             NoAnswer: it is too slow, and takes no packet in time.
             ControlRefused: it has no such channel.
-            PancakesError: the body is none that can travel.
+            PancakesError: a value in the body does not fit its type, or cannot travel.
         """
         agent, name = channel_of(channel)
         if not agent:
@@ -335,9 +335,10 @@ class Client:
             Unreachable: there is no such agent.
             NoAnswer: it was asked, and does not answer in time.
             ControlRefused: agents of two fleets bear this name.
-            LocalProtocolError: the body cannot travel, so it was not asked.
+            PancakesError: a value in the body does not fit its type, or cannot travel, so it was not asked.
         """
         limit_s = limit(timeout_s)
+        check_body(body)
         self._look_for(agent)
         return self._mesh.request(agent, body, limit_s)
 

@@ -8,9 +8,11 @@ from typing import Any, Final
 from pancakes.client.door import Door
 from pancakes.client.mesh_client import MeshClient
 from pancakes.control import CONTROLS, Channels, Describe
-from pancakes.errors import ControlRefused, NoAnswer, PancakesError, PeerLost, Unreachable
+from pancakes.errors import ControlRefused, NoAnswer, PancakesError, PeerLost, RemoteProtocolError, Unreachable
 from pancakes.mesh.net.send_buffer import PeerBusy
-from pancakes.packet import LOG, NEIGHBOURS, SYSCTRL, TO_TASK, Packet, agent_of, join
+from pancakes.mesh.wire.codec import Encoder, packet_from_row, rows_from_payload
+from pancakes.mesh.wire.framing import array_head
+from pancakes.packet import LOG, NEIGHBOURS, SYSCTRL, TO_TASK, Packet, agent_of, join, type_name
 from pancakes.runtime.foundation.suggestion import hint_of
 
 ANEW_S: Final = 1.0
@@ -56,6 +58,7 @@ class Publisher:
             raise PancakesError(
                 f"{type(body).__name__} is a control packet, whose answer counts: client.request({agent!r}, ...)"
             )
+        check_body(body)
         known = self._of(agent, timeout_s)
         if channel not in known.channels:
             raise ControlRefused(f"{agent} has no channel {channel!r}{hint_of(channel, known.channels)}")
@@ -104,6 +107,19 @@ class Publisher:
                 if self._client.now() >= until_s:
                     raise NoAnswer(f"{agent} is too slow, and found no room within {limit_s:g} s: {error}") from None
                 self._client.wait(self._client.now() + AGAIN_S, lambda: False)
+
+
+def check_body(body: Any) -> None:
+    """Takes a body apart as the agent will that gets it; pure.
+
+    Raises:
+        PancakesError: a value in it does not fit its type, or cannot travel.
+    """
+    message = Encoder().packet(Packet(SYSCTRL, type_name(body), "a", "a", 0.0, 1, body))
+    try:
+        packet_from_row(rows_from_payload(array_head(1) + message)[0])
+    except RemoteProtocolError as error:
+        raise PancakesError(f"{type(body).__name__} cannot be sent: {error}") from None
 
 
 def destination_on(agent: str, to: str) -> str:
