@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
 import signal
 import socket
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from itertools import chain, count
 from pathlib import Path
 
 from harness.debian_packages import need
 
 PATIENCE_S = 10.0
+_NUMBERS = count(1)
 
 
 def free_port() -> int:
@@ -62,14 +64,35 @@ class Mosquitto:
         path.write_text("\n".join(config) + "\n")
         with open(self._folder / "log.txt", "ab") as log:
             self._process = subprocess.Popen([self._program, "-v", "-c", str(path)], stdout=log, stderr=log)
-        wait = subprocess.run(["sh", "-c", f"i=0; until {self._probe()} || [ $i -gt 200 ]; do i=$((i+1)); sleep 0.05; done"])
-        assert wait.returncode == 0 and self._process.poll() is None, self.log()
+        until_s = time.monotonic() + PATIENCE_S
+        while not self._listens():
+            assert time.monotonic() < until_s and self._process.poll() is None, self.log()
+            time.sleep(0.02)
 
-    def _probe(self) -> str:
-        return f"python3 -c 'import socket; socket.create_connection((\"127.0.0.1\", {self.port}), 1).close()' 2>/dev/null"
+    def _listens(self) -> bool:
+        try:
+            socket.create_connection(("127.0.0.1", self.port), 1.0).close()
+        except OSError:
+            return False
+        return True
 
-    def kill(self) -> None:
-        """Kills it with SIGKILL."""
+    def settle(self) -> None:
+        """Waits until all that it has heard is on its disk."""
+        token = f"settled-{next(_NUMBERS)}"
+        self.pub("settled", token, "-q", "1", "-r")
+        until_s = time.monotonic() + PATIENCE_S
+        while token.encode() not in self._on_disk():
+            assert time.monotonic() < until_s, self.log()
+            time.sleep(0.02)
+
+    def _on_disk(self) -> bytes:
+        path = self._folder / "mosquitto.db"
+        return path.read_bytes() if path.exists() else b""
+
+    def kill(self, settled: bool = True) -> None:
+        """Kills it with SIGKILL; `settled`: once all that it has heard is on its disk."""
+        if settled:
+            self.settle()
         self.end(signal.SIGKILL)
 
     def end(self, number: int = signal.SIGTERM) -> None:
@@ -101,28 +124,45 @@ class Mosquitto:
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout.rstrip("\n")
 
     @contextmanager
-    def listening(self, topic: str, *more: str) -> Iterator[subprocess.Popen[str]]:
-        """Runs mosquitto's own client; each message is a line of its output: topic, a space, payload."""
-        command = [self._sub, "-p", str(self.port), "-t", topic, "-F", "%t %p", "-d", *more]
-        command = [shutil.which("stdbuf") or "stdbuf", "-oL", *command]
+    def listening(self, topic: str, *more: str) -> Iterator[Iterator[tuple[str, str]]]:
+        """Runs mosquitto's own client once it has subscribed; yields the topic and payload of each message."""
+        command = ["stdbuf", "-oL", self._sub, "-p", str(self.port), "-t", topic, "-F", "%t %p", "-d", *more]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert process.stdout is not None
+        early: list[str] = []  # what came before the broker had confirmed the subscription
         try:
             for line in process.stdout:
                 if "SUBACK" in line:
                     break
-            yield process
+                early.append(line)
+            yield messages(chain(early, process.stdout))
         finally:
             process.kill()
             process.stdout.close()
             process.wait()
 
+    def remember(self, topic: str, client: str) -> None:
+        """Has the broker keep from now on what comes on a topic (QoS 1) for a client that is not there."""
+        with self.listening(topic, "-c", "-i", client, "-q", "1"):
+            pass
 
-def messages(process: subprocess.Popen[str]) -> Iterator[tuple[str, str]]:
-    """Yields the topic and payload of each message that comes."""
-    assert process.stdout is not None
-    for line in process.stdout:
-        if not line.startswith("Client "):
-            topic, _, payload = line.rstrip("\n").partition(" ")
-            if topic and topic != "Subscribed":
-                yield topic, payload
+    def remembered(self, topic: str, client: str) -> AbstractContextManager[Iterator[tuple[str, str]]]:
+        """Lets the client that it keeps messages for have them; see `listening`."""
+        return self.listening(topic, "-c", "-i", client, "-q", "1")
+
+
+def messages(lines: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """Yields the topic and payload of each line that tells of a message."""
+    for line in lines:
+        topic, _, payload = line.rstrip("\n").partition(" ")
+        if topic not in ("Client", "Subscribed", ""):
+            yield topic, payload
+
+
+def passwords(folder: Path, **users: str) -> Path:
+    """Returns a file of users and passwords, as mosquitto reads it."""
+    path = folder / "users"
+    path.touch(mode=0o600)
+    for user, password in users.items():
+        subprocess.run([need("mosquitto_passwd", "mosquitto"), "-b", str(path), user, password], check=True)
+    return path

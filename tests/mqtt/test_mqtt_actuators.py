@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from mqtt.brokers import Mosquitto, messages
+from mqtt.brokers import Mosquitto
 from pancakes_mqtt.actuators import MqttLight, MqttMotors, MqttSwitch
 from pancakes_mqtt.packets import Light, Switch
 
@@ -99,9 +99,8 @@ def test_a_command_and_the_safe_hold_reach_the_device(
 ) -> None:
     with threaded_agent("a", devices=device(cls, broker, **settings), tasks={"Task": task}) as agent:
         is_connected(agent)
-        with broker.listening(topic) as heard:
+        with broker.listening(topic) as told:
             agent.task("Task").publish(CTRL, body)
-            told = messages(heard)
             assert next(told) == (topic, command)
             assert agent.ask(Stop("Task")).ok
             assert next(told) == (topic, hold)
@@ -111,14 +110,14 @@ def test_no_command_waits_for_a_broker_but_the_safe_hold_does(broker: Mosquitto)
     plug = device(MqttSwitch, broker, 0.3, topic="plug")
     with threaded_agent("a", devices=plug, tasks={"Hand": Hand}) as agent:
         is_connected(agent)
+        broker.remember("plug", "plug")
         broker.kill()
         agent.wait_until(lambda: any("is gone" in line for line in agent.lines("warning")))
         agent.task("Hand").publish(CTRL, Switch(True))
         agent.wait_for_event("safe_hold", reason="no fresh command")
         assert "device: commands are lost: there is no broker that takes them" in agent.lines("warning")
         broker.start()
-        with broker.listening("plug") as heard:
-            told = messages(heard)
+        with broker.remembered("plug", "plug") as told:
             assert next(told) == ("plug", "OFF"), "and no ON, whose time is over"
             agent.task("Hand").publish(CTRL, Switch(True))
             assert next(told) == ("plug", "ON")
@@ -126,11 +125,10 @@ def test_no_command_waits_for_a_broker_but_the_safe_hold_does(broker: Mosquitto)
 
 
 def test_what_an_agent_holds_when_it_ends_reaches_the_device_before_the_connection_ends(broker: Mosquitto) -> None:
-    with broker.listening("plug") as heard:
+    with broker.listening("plug") as told:
         with threaded_agent("a", devices=device(MqttSwitch, broker, topic="plug"), tasks={"Hand": Hand}) as agent:
             is_connected(agent)
             agent.task("Hand").publish(CTRL, Switch(True))
-        told = messages(heard)
         assert [next(told), next(told)] == [("plug", "ON"), ("plug", "OFF")]
 
 

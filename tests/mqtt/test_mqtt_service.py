@@ -7,11 +7,12 @@ import math
 from typing import Any
 
 import pytest
-from mqtt.brokers import Mosquitto, messages
+from mqtt.brokers import Mosquitto
 from pancakes_mqtt.bridge import MqttBridge
 from pancakes_mqtt.packets import BrokerTraffic, Number
 
 from pancakes.bodies.devices.types import Battery, Pose, Temperature
+from pancakes.events import Event
 from pancakes.packet import NETWORK, SYSTEM
 from pancakes.settings import check_settings
 from pancakes.testing import AgentInTest, threaded_agent
@@ -37,7 +38,7 @@ def test_packets_become_messages_as_the_table_says(broker: Mosquitto) -> None:
         is_connected(agent)
         agent.publish(SYSTEM, Temperature(1.0))
         agent.publish(SYSTEM, Pose(1.0, 2.0, 0.5))
-        assert next(messages(heard)) == ("robots/a/Probe/pose", '{"x_m":1.0,"y_m":2.0,"theta_rad":0.5}')
+        assert next(heard) == ("robots/a/Probe/pose", '{"x_m":1.0,"y_m":2.0,"theta_rad":0.5}')
         sent = agent.publish("own", Temperature(2.0))
         told = json.loads(broker.read("all/own/a/test/Probe"))
         assert told == {
@@ -102,7 +103,7 @@ def test_what_the_service_takes_it_does_not_send_back(broker: Mosquitto) -> None
             broker.pub("pose/in", '{"x_m": 1, "y_m": 2, "theta_rad": 0}')
             agent.wait_for(Pose)
             agent.publish(SYSTEM, Pose(9.0, 9.0, 0.0))
-            assert next(messages(heard))[0] == "robots/a/Probe/pose"
+            assert next(heard)[0] == "robots/a/Probe/pose"
 
 
 def test_its_status_is_kept_by_the_broker(broker: Mosquitto) -> None:
@@ -110,8 +111,7 @@ def test_its_status_is_kept_by_the_broker(broker: Mosquitto) -> None:
         is_connected(agent)
         assert broker.read("pancakes/a/status") == "online"
     with broker.listening("pancakes/a/status") as heard:
-        said = messages(heard)
-        assert next(status for _, status in said if status == "offline") == "offline"
+        assert next(status for _, status in heard if status == "offline") == "offline"
 
 
 def test_rates_are_bounded_for_each_publisher(broker: Mosquitto) -> None:
@@ -120,7 +120,7 @@ def test_rates_are_bounded_for_each_publisher(broker: Mosquitto) -> None:
         is_connected(agent)
         for number in range(50):
             agent.publish(SYSTEM, Pose(float(number), 0.0, 0.0))
-        assert next(messages(heard))[1].startswith('{"x_m":0.0')
+        assert next(heard)[1].startswith('{"x_m":0.0')
         agent.wait_for(BrokerTraffic, lambda body: body.published >= 2)
         assert agent.probe.packets(BrokerTraffic)[-1].body.published == 2, "its status and one pose"
 
@@ -150,9 +150,11 @@ def test_tables_that_make_no_sense_are_named(settings: dict[str, Any], problem: 
 )
 def test_a_type_that_is_not_there_is_named(broker: Mosquitto, row: dict[str, Any], problem: str) -> None:
     with threaded_agent("a", services=service(broker, take=[row])) as agent:
-        agent.wait_until(lambda: any(problem in line for line in agent.lines("error")))
+        failed = agent.wait_for(Event, lambda body: body.kind == "service_failed")
+        assert problem in failed.body.fields["error"]
 
 
 def test_it_refuses_virtual_time_with_a_sentence(virtual_agent: Any) -> None:
     agent = virtual_agent("a", services={"mqtt": MqttBridge})
-    agent.wait_until(lambda: any("knows no virtual time: leave it out there" in it for it in agent.lines("error")))
+    failed = agent.wait_for_event("service_failed", service="mqtt")
+    assert "a/mqtt speaks to a broker, which knows no virtual time: leave it out there" in failed["error"]

@@ -95,7 +95,7 @@ class MqttBridge(Service):
                 self.open_channel(row.channel)
         status = filled(settings.status, {"agent": self.agent})
         self._connection = BrokerConnection(
-            settings, f"pancakes-{self.agent}-{self.name}", self.log, status, fresh=False
+            settings, f"pancakes-{self.agent}-{self.name}", self.log, status, lasting=True
         )
         for number, row in enumerate(settings.publish):
             kind = None if row.type == "*" else row.type

@@ -65,7 +65,7 @@ class TakeRow:
         channel: the channel on which they are published.
         to: the destination of the packets; empty: all subscribers of this agent.
         fields: the path in the JSON for each field of the body; those that are not named are taken by their own name.
-            A body of one field may also be the payload itself.
+            Where a body needs one field, its value may also be the payload itself.
         qos: the quality of service that the broker is asked for.
         retained: whether a message that the broker has kept, and that may be old, is taken.
     """

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from pancakes.errors import PancakesError
 from pancakes.runtime.clock import MonotonicClock
 from pancakes_mqtt.broker_settings import BrokerSettings, check_files, password_of
 from pancakes_mqtt.message import Message
 from pancakes_mqtt.refusals import TAKEN_OVER, why_refused, why_unreachable
 from pancakes_mqtt.spool import Spool
 from pancakes_mqtt.subscriptions import Subscriptions, Taker
+from pancakes_mqtt.tls_context import tls_context
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -26,12 +26,17 @@ if TYPE_CHECKING:
 FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 10.0
 """How long, in host time, a broker that is not there is left alone before it is tried again."""
+STEADY_S: Final = 5.0
+"""A connection that stood for less is no good sign: the pause before the next grows on."""
 CONNECT_S: Final = 3.0
 """So long a connection may take."""
 LAST_WORDS_S: Final = 1.0
 """So long what waits may take to leave once the connection is to end."""
 IN_FLIGHT: Final = 20
 """So many messages (QoS 1 and 2) are under way to the broker at a time."""
+MANY: Final = 3
+"""So many connections in a row that stood for a moment only are one too many."""
+UNSPECIFIED: Final = 0x80
 ONLINE: Final = b"online"
 OFFLINE: Final = b"offline"
 GROUND_S: Final = 0.5
@@ -61,17 +66,17 @@ class BrokerConnection:
         client_id: its name where the settings say none.
         say: says lines on `log`.
         status: the topic of the status, with a last will; empty: none.
-        fresh: whether a session that an earlier process of this agent had is of no use.
+        lasting: whether the broker shall keep what comes also once this connection was closed, for the next one.
 
     Raises:
         PancakesError: a file that the settings name cannot be used.
     """
 
-    def __init__(self, settings: BrokerSettings, client_id: str, say: Say, status: str = "", fresh: bool = True):
+    def __init__(self, settings: BrokerSettings, client_id: str, say: Say, status: str = "", lasting: bool = False):
         self._settings = settings
         self._say = say
         self._status = status
-        self._fresh = fresh
+        self._lasting = lasting
         self._client_id = settings.client_id or client_id
         self._spool = Spool(settings.queue)
         self._lock = threading.Lock()
@@ -90,6 +95,8 @@ class BrokerConnection:
         self._why = ""
         self._said: set[str] = set()
         self._pause_s = FIRST_PAUSE_S
+        self._since_s = 0.0
+        self._brief = 0
         self._random = random.Random(self._client_id)  # agents that lost one broker do not return together
         self._clock = MonotonicClock()
         try:
@@ -109,8 +116,10 @@ class BrokerConnection:
         """Sends a message, as soon as there is a broker where it is promised; returns False where it is lost."""
         with self._lock:
             connected = self._counts.connected
-        if (not connected and not message.promised) or not self._spool.put(message):
+        if not connected and not message.promised:
             self._count(unsent=1)
+            return False
+        if not self._spool.put(message):
             return False
         self._wake()
         return True
@@ -173,11 +182,7 @@ class BrokerConnection:
             client.username_pw_set(settings.user, password_of(settings) or None)
         if settings.encrypted:
             check_files(settings)
-            try:
-                client.tls_set(settings.ca or None, settings.certificate or None, settings.key or None)
-            except (OSError, ValueError) as error:
-                named = ", ".join(it for it in (settings.ca, settings.certificate, settings.key) if it)
-                raise PancakesError(f"TLS cannot use {named or 'the certificates of this system'}: {error}") from None
+            client.tls_set_context(tls_context(settings))
         if self._status:
             client.will_set(self._status, OFFLINE, qos=1, retain=True)
         # From here on `reconnect` connects: `connect` would begin a new session each time.
@@ -191,7 +196,6 @@ class BrokerConnection:
 
     def _session(self) -> dict[str, Any]:
         """Returns what MQTT 5.0 wants to know of the session; 3.1.1 knows whether there is to be one."""
-        from paho.mqtt.client import MQTT_CLEAN_START_FIRST_ONLY
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
@@ -200,10 +204,8 @@ class BrokerConnection:
             return {}
         properties = Properties(PacketTypes.CONNECT)
         properties.SessionExpiryInterval = settings.session_s
-        clean_start: bool | int = True
-        if settings.session_s:
-            clean_start = MQTT_CLEAN_START_FIRST_ONLY if self._fresh else False
-        return {"properties": properties, "clean_start": clean_start}
+        # Never a clean start: mosquitto 2.0 does not write the session of one that began so to its disk.
+        return {"properties": properties, "clean_start": settings.session_s == 0}
 
     def _run(self) -> None:
         try:
@@ -314,7 +316,7 @@ class BrokerConnection:
         from paho.mqtt.properties import Properties
 
         properties = None
-        if self._settings.protocol == "5" and self._fresh:
+        if self._settings.protocol == "5" and not self._lasting:
             properties = Properties(PacketTypes.DISCONNECT)
             properties.SessionExpiryInterval = 0
         self._client.disconnect(properties=properties)
@@ -335,7 +337,9 @@ class BrokerConnection:
         self._spool.forget_unpromised()
         if self._ending.is_set():
             return
-        where, reason = self._settings.broker, self._refused or self._why or "the connection was ended"
+        if was:
+            self._note_how_long()
+        where, reason = self._settings.broker, self._refused or self._why or "it ended the connection"
         if self._refused:
             self._say_once("error", f"the broker {where} refuses {self._client_id}: {reason}")
         elif was:
@@ -351,6 +355,14 @@ class BrokerConnection:
             if poll.poll(1000 * left_s + 1):
                 self._sleep_on()
 
+    def _note_how_long(self) -> None:
+        if self._clock.now() - self._since_s >= STEADY_S:
+            self._pause_s, self._brief = FIRST_PAUSE_S, 0
+            return
+        self._brief += 1
+        if self._brief >= MANY and not self._why:
+            self._why = f"it ends one connection after the other: is another one called {self._client_id}, too?"
+
     def _say_once(self, level: str, text: str) -> None:
         """Says a line, until the next connection once."""
         if text not in self._said:
@@ -364,7 +376,7 @@ class BrokerConnection:
             self._refused = why_refused(reason.value, reason.getName())
             return
         self._said.clear()
-        self._pause_s = FIRST_PAUSE_S
+        self._since_s = self._clock.now()
         self._window = min(IN_FLIGHT, getattr(properties, "ReceiveMaximum", IN_FLIGHT))
         self._best_qos = getattr(properties, "MaximumQoS", 2)
         self._largest = getattr(properties, "MaximumPacketSize", None)
@@ -381,7 +393,7 @@ class BrokerConnection:
             self._why = why_refused(reason.value, reason.getName())
             if reason.value == TAKEN_OVER:
                 self._pause_s = LONGEST_PAUSE_S  # else the two would take it from each other without end
-        elif reason.is_failure and not self._why:
+        elif reason.is_failure and reason.value != UNSPECIFIED and not self._why:
             self._why = reason.getName().lower()
 
     def _subscribed(self, client: Client, data: Any, mid: int, reasons: Any, properties: Any) -> None:

@@ -32,7 +32,7 @@ class BrokerSettings:
         client_id: the name of the connection, of which a broker has one at a time; empty: made of the agent's name.
         keepalive_s: a broker that is silent for so long, in seconds of the host, is asked whether it is there.
         session_s: for how long, in seconds of the host, the broker keeps what comes for this agent (QoS 1 and 2) while
-            it is away; 0: not at all. With 3.1.1 it keeps it for as long as the broker's own configuration says.
+            it is away; 0: not at all; 4294967295: for ever. With 3.1.1 the broker's own configuration says how long.
         queue: so many messages wait at the most, each way.
     """
 
@@ -45,7 +45,7 @@ class BrokerSettings:
     protocol: Literal["5", "3.1.1"] = "5"
     client_id: str = ""
     keepalive_s: Annotated[int, msgspec.Meta(ge=2, le=3600)] = 15
-    session_s: Annotated[int, msgspec.Meta(ge=0, le=0xFFFFFFFE)] = 300
+    session_s: Annotated[int, msgspec.Meta(ge=0, le=0xFFFFFFFF)] = 300
     queue: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1000
 
     def __post_init__(self) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.packet import Packet, body_class, body_from_plain, body_to_plain, field_names
+from pancakes.settings import required_keys
 from pancakes_mqtt.payloads import BadPayload, plain_json, value_at
 
 
@@ -47,8 +48,8 @@ def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> Any:
     if isinstance(value, Mapping):
         plain = {name: value[name] for name in names if name in value and name not in paths}
         plain.update({name: value_at(payload, path) for name, path in paths.items()})
-    elif len(names) == 1:
-        plain = {names[0]: value}
+    elif cls is not None and len(needed := required_keys(cls) or names) == 1:
+        plain = {next(iter(needed)): value}
     else:
         raise BadPayload(f"{kind} has the fields {', '.join(names) or 'none'}, and the payload is no JSON object")
     try:
