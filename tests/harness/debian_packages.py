@@ -1,4 +1,4 @@
-"""Programs of Debian that tests use: a machine of its own gets them, elsewhere a person decides, and the test is skipped."""
+"""Programs of Debian that tests use: a machine of its own gets them, elsewhere a test without them is skipped."""
 
 from __future__ import annotations
 
@@ -38,9 +38,7 @@ def need(program: str, package: str) -> str:
             if not installs(package):
                 failed.touch()
     found = shutil.which(program, path=PLACES)
-    if found is None:
-        pytest.skip(f"there is no {program} here, and apt-get could not install {package}")
-    return found
+    return found or pytest.skip(f"there is no {program} here, and apt-get could not install {package}")
 
 
 def may_install() -> bool:

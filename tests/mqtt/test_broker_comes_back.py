@@ -15,7 +15,7 @@ from pancakes_mqtt.sensors import MqttTemperature
 
 from pancakes.bodies.devices.types import Temperature
 from pancakes.control import Start, Stop
-from pancakes.packet import SYSTEM, Packet
+from pancakes.packet import Packet
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import reliable
 from pancakes.task import Task
@@ -171,7 +171,7 @@ def stubborn() -> Any:
 
 
 def test_a_topic_that_floods_a_slow_reader_is_bounded_and_counted_and_the_agent_goes_on(
-    broker: Mosquitto, stubborn: type
+    broker: Mosquitto, stubborn: type[Stubborn]
 ) -> None:
     tasks = {"Stubborn": stubborn}
     with threaded_agent("a", services=service(broker, queue=100), tasks=tasks) as agent:
@@ -187,7 +187,7 @@ def test_a_topic_that_floods_a_slow_reader_is_bounded_and_counted_and_the_agent_
 
 
 def test_what_is_promised_waits_at_the_broker_for_a_slow_reader_and_none_is_lost(
-    broker: Mosquitto, stubborn: type
+    broker: Mosquitto, stubborn: type[Stubborn]
 ) -> None:
     tasks = {"Stubborn": stubborn}
     with threaded_agent("a", services=service(broker, queue=20), tasks=tasks) as agent:

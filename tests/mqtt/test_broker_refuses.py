@@ -65,7 +65,9 @@ def service(address: str, **settings: Any) -> dict[str, Any]:
         {"channel": "one", "type": "mqtt.number", "topic": "out", "qos": 1},
         {"channel": "two", "type": "mqtt.number", "topic": "out", "qos": 2},
     ]
-    return {"mqtt": {"type": MqttBridge, "settings": {"broker": address, "report_s": 0.1, "publish": publish, **settings}}}
+    return {
+        "mqtt": {"type": MqttBridge, "settings": {"broker": address, "report_s": 0.1, "publish": publish, **settings}}
+    }
 
 
 def says(agent: AgentInTest, text: str, level: str = "error") -> None:
@@ -156,7 +158,9 @@ def test_tls_at_a_port_without_it_is_named(broker: Mosquitto) -> None:
         (None, "", "cannot be read: No such file or directory"),
     ],
 )
-def test_a_password_file_that_cannot_be_used_is_named(tmp_path: Path, mode: int | None, text: str, problem: str) -> None:
+def test_a_password_file_that_cannot_be_used_is_named(
+    tmp_path: Path, mode: int | None, text: str, problem: str
+) -> None:
     path = tmp_path / "password"
     if mode is not None:
         path.write_text(text)

@@ -129,7 +129,8 @@ def test_what_an_agent_holds_when_it_ends_reaches_the_device_before_the_connecti
         with threaded_agent("a", devices=device(MqttSwitch, broker, topic="plug"), tasks={"Hand": Hand}) as agent:
             is_connected(agent)
             agent.task("Hand").publish(CTRL, Switch(True))
-        assert [next(told), next(told)] == [("plug", "ON"), ("plug", "OFF")]
+            assert next(told) == ("plug", "ON")
+        assert next(told) == ("plug", "OFF")
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,13 @@ SR04 = '{"Time":"2026-11-25T10:00:00","SR04":{"Distance":123.5}}'
             ZIGBEE,
             Number(41.5, "%"),
         ),
-        (MqttTemperature, {"form": "esphome", "device": "yard/air"}, "yard/sensor/air/state", "-3.25", Temperature(-3.25)),
+        (
+            MqttTemperature,
+            {"form": "esphome", "device": "yard/air"},
+            "yard/sensor/air/state",
+            "-3.25",
+            Temperature(-3.25),
+        ),
         (MqttMotion, {"form": "esphome", "device": "yard/pir"}, "yard/binary_sensor/pir/state", "OFF", Motion(False)),
         (
             MqttDistance,

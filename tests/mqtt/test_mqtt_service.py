@@ -131,7 +131,10 @@ def test_rates_are_bounded_for_each_publisher(broker: Mosquitto) -> None:
         ({"take": [{"topic": "t", "type": "pose", "channel": "sysctrl"}]}, "no message becomes a packet on sysctrl"),
         ({"take": [{"topic": "t", "type": "pose", "channel": "log"}]}, "no message becomes a packet on log"),
         ({"take": [{"topic": "a/#b", "type": "pose"}]}, "# stands alone"),
-        ({"publish": [{"channel": "system", "topic": "x/{robot}"}]}, "has the place {robot}; there are {agent}, {source}"),
+        (
+            {"publish": [{"channel": "system", "topic": "x/{robot}"}]},
+            "has the place {robot}; there are {agent}, {source}",
+        ),
         ({"publish": [{"channel": "system", "topic": "x/+"}]}, "+ stands only in what is subscribed to"),
         ({"publish": [{"channel": "a b", "topic": "x"}]}, "a b"),
         ({"status": "a/#"}, "status: "),

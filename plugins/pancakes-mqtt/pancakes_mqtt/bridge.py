@@ -129,7 +129,9 @@ class MqttBridge(Service):
         cls = body_class(row.type)
         if cls is None:
             hint = hint_of(row.type, known_types())
-            raise PancakesError(f"{self.address} takes {row.topic}: no packet type {row.type!r} is installed here{hint}")
+            raise PancakesError(
+                f"{self.address} takes {row.topic}: no packet type {row.type!r} is installed here{hint}"
+            )
         if unknown := next((name for name in row.fields if name not in field_names(cls)), None):
             hint = hint_of(unknown, field_names(cls))
             raise PancakesError(f"{self.address} takes {row.topic}: {row.type} has no field {unknown!r}{hint}")

@@ -169,13 +169,12 @@ class BrokerConnection:
 
         settings = self._settings
         five = settings.protocol == "5"
-        clean = {} if five else {"clean_session": settings.session_s == 0}
         client = paho.Client(
             paho.CallbackAPIVersion.VERSION2,
             self._client_id,
             protocol=paho.MQTTv5 if five else paho.MQTTv311,
             reconnect_on_failure=False,
-            **clean,
+            clean_session=None if five else settings.session_s == 0,
         )
         client.connect_timeout = CONNECT_S
         if settings.user:
@@ -298,7 +297,9 @@ class BrokerConnection:
 
         wanted, given_up = self._subscriptions.changes()
         for filter_, qos in wanted.items():
-            more: dict[str, Any] = {"options": SubscribeOptions(qos=qos)} if self._settings.protocol == "5" else {"qos": qos}
+            more: dict[str, Any] = (
+                {"options": SubscribeOptions(qos=qos)} if self._settings.protocol == "5" else {"qos": qos}
+            )
             _, mid = self._client.subscribe(filter_, **more)
             if mid is not None:
                 self._subscriptions.asked(filter_, mid)
@@ -403,7 +404,9 @@ class BrokerConnection:
             return
         filter_, qos = found
         if granted >= 0x80:
-            self._say_once("error", f"the broker does not let this agent hear {filter_}: {reasons[0].getName().lower()}")
+            self._say_once(
+                "error", f"the broker does not let this agent hear {filter_}: {reasons[0].getName().lower()}"
+            )
         elif granted < qos:
             self._say_once("warning", f"the broker sends {filter_} with QoS {granted} at the most, not {qos}")
 

@@ -97,7 +97,9 @@ class MqttSensor(Sensor):
     def open(self) -> None:
         refuse_virtual_time(self.context)
         if not self._saying.topic:
-            raise PancakesError(f"devices of {self.settings.form} tell no {self.kind or self.type}: set topic and field")
+            raise PancakesError(
+                f"devices of {self.settings.form} tell no {self.kind or self.type}: set topic and field"
+            )
         self._broker = shared_broker(self.context, self.settings)
         self._broker.join(self.context.device, self.context.log)
         self._broker.listen(self._saying.topic, self.settings.qos, self._came)
