@@ -198,9 +198,7 @@ def test_what_it_cannot_do_is_said_in_a_sentence(hearts, tmp_path: Path):
 def test_agents_that_cannot_meet_are_named(no_leaks):
     with Simulation() as simulation:
         simulation.add("a").add("b", peers=())
-        with pytest.raises(
-            SimulationError, match="cannot begin after 30 s of virtual time: a has not met b"
-        ):
+        with pytest.raises(SimulationError, match="cannot begin after 30 s of virtual time: a has not met b"):
             simulation.reset()
         with pytest.raises(SimulationError, match="call `reset` first"):
             simulation.step(1.0)
