@@ -109,6 +109,7 @@ class PeerLost(MigrationError):
 EXTRAS: Final = {
     "cryptography": "keys",
     "foxglove": "foxglove",
+    "gymnasium": "gym",
     "mcap": "record",
     "matplotlib": "demo",
     "websockets": "web",
