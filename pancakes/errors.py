@@ -108,6 +108,7 @@ class PeerLost(MigrationError):
 
 EXTRAS: Final = {
     "cryptography": "keys",
+    "foxglove": "foxglove",
     "mcap": "record",
     "matplotlib": "demo",
     "websockets": "web",
