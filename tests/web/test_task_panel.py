@@ -135,6 +135,9 @@ def test_settings_and_rates_are_checked_and_changed_and_the_task_goes_by_them(
     route.fill("[1, 2")
     change.click()
     expect(form.locator("[data-setting=route] .refusal")).to_contain_text("this is no JSON")
+    route.fill("[9007199254740993]")
+    change.click()
+    expect(form.locator("[data-setting=route] .refusal")).to_contain_text("a browser has no integers of this size")
     route.fill("[3, 4.5]")
     change.click()
     expect(said).to_have_text("set: step_m, gait, careful, most_steps, route, legs.count")
@@ -178,8 +181,8 @@ def test_without_control_all_is_shown_and_the_past_has_its_states(strolling: Rig
     form = dialog.get_by_role("form", name="Settings")
 
     expect(form.locator("[data-setting=step_m]")).to_contain_text("number, ≥ 0.1, ≤ 2 · default 0.5")
-    expect(form.locator("[data-setting='legs.count'] output")).to_have_text("4")
-    expect(dialog.get_by_role("form", name="Rates").locator("[data-setting=step] output")).to_have_text("20")
+    expect(form.locator("[data-setting='legs.count'] .value")).to_have_text("4")
+    expect(dialog.get_by_role("form", name="Rates").locator("[data-setting=step] .value")).to_have_text("20")
     assert dialog.locator("input, select, textarea").count() == 0
     expect(dialog.get_by_role("button")).to_have_text(["Close"])
     expect(shown(state, "grid")).to_have_text(re.compile(r"^\[\[0, 0, .*… \(float64, 40 x 25\)$"))
@@ -189,7 +192,7 @@ def test_without_control_all_is_shown_and_the_past_has_its_states(strolling: Rig
     # A task that does not run has settings, and no state.
     assert strolling.pancakes("task", "stop", "a/Stroll").returncode == 0
     expect(state).to_contain_text("a/client/Stroll is stopped, not running")
-    expect(form.locator("[data-setting=gait] output")).to_have_text("trot")
+    expect(form.locator("[data-setting=gait] .value")).to_have_text("trot")
     page.keyboard.press("Escape")
 
     # What was seen of it is in the past.

@@ -18,14 +18,16 @@ export class SettingField {
     const id = `field-${++made}`;
     this.help = h("p.help.dim", { id: `${id}-help` });
     this.refusal = h("p.refusal.warn", { id: `${id}-refusal`, hidden: true });
-    this.control = this.editable ? this.#control(id) : h("output.figure.value", { id });
+    this.control = this.editable ? this.#control(id) : h("span.figure.value");
+    this.touched = false;
+    this.control.addEventListener("input", () => (this.touched = true));
     const name = [field.name, ...(field.unit ? [h("span.dim", {}, ` ${field.unit}`)] : [])];
     // A slider does the same as the number beside it, which a keyboard and a listener need alone.
     this.slider = this.editable && this.#slides() ? this.#slider() : null;
     this.root = h(
       "div.field",
       { "data-setting": field.name, "data-kind": field.kind },
-      h("label", { for: id }, ...name),
+      this.editable ? h("label", { for: id }, ...name) : h("span.label", {}, ...name),
       h("div.inputs", {}, ...(this.slider ? [this.slider] : []), this.control),
       this.help,
       this.refusal,
@@ -37,7 +39,7 @@ export class SettingField {
 
   /** Returns whether the person has changed it. */
   get changed() {
-    if (!this.editable) return false;
+    if (!this.editable || !this.touched) return false;
     try {
       return JSON.stringify(this.value()) !== JSON.stringify(this.field.value);
     } catch {
@@ -54,13 +56,11 @@ export class SettingField {
     const isNumber = kind === "number" || kind === "integer";
     if (isNumber && (this.control.validity.badInput || (text === "" && !nullable))) throw "a number is wanted";
     if (text === "" && nullable) return null;
-    if (isNumber) return Number(text);
+    if (kind === "number") return Number(text);
     if (kind === "text") return text;
-    try {
-      return JSON.parse(text);
-    } catch (error) {
-      throw `this is no JSON: ${error.message}`;
-    }
+    const value = kind === "integer" ? Number(text) : parsed(text);
+    if (inexact(value)) throw "a browser has no integers of this size: use pancakes param set";
+    return value;
   }
 
   /** Takes what the agent says of it now; what the person has changed stays. */
@@ -75,6 +75,7 @@ export class SettingField {
   reset() {
     const { kind, value, choices } = this.field;
     this.refuse("");
+    this.touched = false;
     if (!this.editable) say(this.control, this.field.fixed ? value : words(value));
     else if (kind === "boolean") this.control.checked = value;
     else if (kind === "choice") this.control.value = String(choices.findIndex((it) => it === value));
@@ -117,6 +118,7 @@ export class SettingField {
     const digits = Math.max(0, Math.ceil(-Math.log10((max - min) / STEPS)));
     const slider = h("input", { type: "range", min, max, step: kind === "integer" ? 1 : "any", tabindex: -1, "aria-hidden": "true" });
     slider.addEventListener("input", () => {
+      this.touched = true;
       this.control.value = String(Number(Number(slider.value).toFixed(kind === "integer" ? 0 : digits)));
     });
     return slider;
@@ -134,6 +136,20 @@ export class SettingField {
     const stays = fixed ? `not changed here: ${fixed}` : "";
     say(this.help, [description.replace(/\.$/, ""), what, usual, stays].filter(Boolean).join(" · "));
   }
+}
+
+function parsed(text) {
+  try {
+    return JSON.parse(text);
+  } catch (error) {
+    throw `this is no JSON: ${error.message}`;
+  }
+}
+
+/** Returns whether there is an integer in it that may be another than was written. */
+function inexact(value) {
+  if (typeof value === "number") return Number.isInteger(value) && !Number.isSafeInteger(value);
+  return value !== null && typeof value === "object" && Object.values(value).some(inexact);
 }
 
 function put(control, text) {

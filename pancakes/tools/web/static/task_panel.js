@@ -31,13 +31,14 @@ export class TaskPanel {
   open(agent, key) {
     [this.agent, this.key] = [agent, key];
     this.told = null;
-    this.facts = new Rows("dl.facts");
+    this.facts = new Rows();
     this.actions = h("div");
     this.did = "";
     this.age = h("small.dim");
     this.missing = h("p.dim.missing");
-    this.rows = new Rows("dl.facts.state", { tabindex: 0, role: "region", "aria-label": "Fields of the state" });
-    this.state = h("section", { "aria-label": "State" }, h("h3", {}, "State ", this.age), this.rows.root, this.missing);
+    this.rows = new Rows();
+    this.kept = h("div.state", { tabindex: 0, role: "group", "aria-label": "Fields of the state" }, this.rows.root);
+    this.state = h("section", { "aria-label": "State" }, h("h3", {}, "State ", this.age), this.kept, this.missing);
     this.rates = new FieldForm("Rates", (fields, dry) => this.#setRates(fields, dry));
     this.settings = new FieldForm("Settings", (fields, dry) => this.#configure(fields, dry));
     this.said = h("p.said", { role: "status" });
@@ -73,7 +74,7 @@ export class TaskPanel {
     this.told = ok ? result : { state: null, no_state: reason };
     const { state, no_state, settings, timers, left_out } = this.told;
     this.rows.show(state ? state.rows : []);
-    show(this.rows.root, Boolean(state && state.rows.length));
+    show(this.kept, Boolean(state && state.rows.length));
     const nothing = state && !state.rows.length ? "It keeps nothing in its state." : "";
     const cut = state && state.cut ? `What is cut: pancakes task info ${this.agent}/${this.key} --state --format json` : "";
     say(this.missing, [no_state, nothing, cut].filter(Boolean).join(" "));
@@ -143,8 +144,8 @@ export class TaskPanel {
 
 /** Names with texts, of which those alone are laid out again that change. */
 class Rows {
-  constructor(what, attributes = {}) {
-    this.root = h(what, attributes);
+  constructor() {
+    this.root = h("dl.facts");
     this.names = "";
   }
 
