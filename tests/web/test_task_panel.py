@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from typing import Any
 
@@ -67,9 +66,13 @@ def strolling(rig: Rig) -> Rig:
     return rig
 
 
+def described(rig: Rig) -> dict[str, Any]:
+    (row,) = rig.listed("task", "info", "a/Stroll")
+    return row
+
+
 def settings_of(rig: Rig) -> dict[str, Any]:
-    (row,) = json.loads(rig.pancakes("task", "info", "a/Stroll", "--format", "json").stdout)
-    settings: dict[str, Any] = row["settings"]
+    settings: dict[str, Any] = described(rig)["settings"]
     return settings
 
 
@@ -167,7 +170,7 @@ def test_settings_and_rates_are_checked_and_changed_and_the_task_goes_by_them(
     look.fill("5")
     rates.get_by_role("button", name="Check").click()
     expect(rates.get_by_role("status")).to_have_text("the agent would take look; nothing has changed yet")
-    expect(shown(state, "looks")).to_have_text("0")
+    assert [timer["rate_hz"] for timer in described(strolling)["timers"]] == [20.0, 0.0]
     look.press("Enter")
     expect(rates.get_by_role("status")).to_have_text("set: look")
     expect(shown(state, "looks")).not_to_have_text("0")
