@@ -87,7 +87,7 @@ class Configure(msgspec.Struct, frozen=True):
 
     Attributes:
         target: the task.
-        settings: the new values, by name.
+        settings: the new values, by name. Of bad ones the reply's `result` has `problems`: of each `path` and `text`.
         dry_run: only says whether it would be done, and changes nothing.
     """
 

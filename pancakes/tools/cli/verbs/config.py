@@ -201,7 +201,7 @@ def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
 def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """A row for each key, with the table that it stands in."""
     from pancakes.runtime.config.toml_text import value_text
-    from pancakes.tools.cli.verbs.schema_rows import rows_of
+    from pancakes.tools.schema_rows import rows_of
 
     for table, part in schema["properties"].items():
         inner = part.get("additionalProperties")

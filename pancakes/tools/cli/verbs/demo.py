@@ -78,7 +78,7 @@ class DemoNames(click.ParamType):
 @click.option("--headless", is_flag=True, help="Plain lines instead of the live view, or of the bar of many missions.")
 @click.option("--record", is_flag=True, help="Record what all agents say, into the folder for the results.")
 @click.option("--view", "view_", is_flag=True, help="Show it on a page in the browser, which stays until Ctrl-C.")
-@click.option("--control", is_flag=True, help="Let that page move and stop tasks and change rates (live).")
+@click.option("--control", is_flag=True, help="Let that page move and stop tasks and change settings (live).")
 @port_option
 @click.option("--local", is_flag=True, help="The agents speak within this machine alone, and take no port (live).")
 @click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")

@@ -21,7 +21,7 @@ port_option = click.option(
 
 @click.command()
 @click.option(
-    "--control", is_flag=True, help="Let the page move, stop and start tasks and change rates; else it only looks."
+    "--control", is_flag=True, help="Let the page move, stop and start tasks and change settings; else it looks."
 )
 @click.option("--foxglove", is_flag=True, help="Serve the fleet's packets to Foxglove in place of the page.")
 @port_option
@@ -62,7 +62,7 @@ def view(control: bool, foxglove: bool, port: int | None, open_: bool, ask: Ask)
     began_s = time.monotonic()
     feed = Feed(lambda: time.monotonic() - began_s)
     watch = Watch(feed, ask.where.addresses, fleet, ask.timeout_s)
-    server = open_page(Shown(feed, watch.explain, watch.order if control else None), port)
+    server = open_page(Shown(feed, watch.explain, watch.order, watch.order if control else None), port)
     try:
         watch.start()
         tell_address(server.address, control, ask.format_)

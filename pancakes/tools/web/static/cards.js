@@ -225,7 +225,7 @@ class Chip {
     this.rate = h("span.figure.dim");
     this.notes = h("span.notes.warn");
     this.name = h("span.name", {}, this.task);
-    this.button = h("button.task", { type: "button", onclick: () => cards.asks.act(agent, key, this.row) }, h("i.state"), this.name, this.notes, this.rate, h("span.grip", { "aria-hidden": "true" }, "⠿"));
+    this.button = h("button.task", { type: "button", onclick: () => cards.asks.act(agent, key) }, h("i.state"), this.name, this.notes, this.rate, h("span.grip", { "aria-hidden": "true" }, "⠿"));
     this.guards = h("p.guards.dim");
     this.root = h("li", { "data-task": this.task, "data-key": key }, this.button, this.guards);
     this.allow(cards.control);
