@@ -59,7 +59,7 @@ class FleetInTest:
         self.agents: dict[str, AgentInTest] = {}
         self.started: list[AgentInTest] = []
         self._configs: dict[str, Config] = {}
-        self._rates: dict[str, float] = {}
+        self._clocks: dict[str, tuple[float, float]] = {}
 
     def __enter__(self) -> FleetInTest:
         return self
@@ -82,6 +82,7 @@ class FleetInTest:
         classes: Mapping[str, type] | None = None,
         settle: bool = True,
         clock_rate: float = 1.0,
+        clock_ahead_s: float = 0.0,
         **agent: Any,
     ) -> AgentInTest:
         """Starts an agent, and waits until all that should run at its start does.
@@ -99,6 +100,7 @@ class FleetInTest:
             classes: classes that `text` names, by name.
             settle: whether to wait until it is ready.
             clock_rate: how fast its clock runs, now and when it is started again: its seconds for each virtual second.
+            clock_ahead_s: what its clock says at 0 of virtual time.
             agent: keys of `[agent]`, and `speed` and `hold` of `[clock]`. Without `folders` a command may have files
                 written below the system's temporary directory, where pytest's `tmp_path` lies.
         """
@@ -107,7 +109,7 @@ class FleetInTest:
         made = parts(name, text, tasks, devices, services, agent)
         self._classes.update({**(classes or {}), **made.classes})
         self._configs[name] = made.config
-        self._rates[name] = clock_rate
+        self._clocks[name] = clock_rate, clock_ahead_s
         return self._start(made.config, settle)
 
     def load(
@@ -151,7 +153,7 @@ class FleetInTest:
             self.fleet.dispatcher.settle()  # it listens before the agent says anything
             return made[0].agent
 
-        self.fleet.add(config.agent.name, make, self._rates.get(config.agent.name, 1.0))
+        self.fleet.add(config.agent.name, make, *self._clocks.get(config.agent.name, (1.0, 0.0)))
         (found,) = made
         self.agents[found.name] = found
         self.started.append(found)
