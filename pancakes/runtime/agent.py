@@ -59,6 +59,7 @@ from pancakes.runtime.services.closer import Closer
 from pancakes.runtime.services.device import DeviceService
 from pancakes.runtime.services.fences import Fences
 from pancakes.runtime.services.log import LogService
+from pancakes.runtime.services.mission_start import MissionStart
 from pancakes.runtime.services.network import NetworkService
 from pancakes.runtime.services.root import Root
 from pancakes.runtime.services.wanted_recordings import wanted_recordings
@@ -142,7 +143,7 @@ class Agent:
             self.name,
             seed=seed,
             speed=config.clock.speed,
-            hold=config.clock.hold,
+            hold=True,  # `MissionStart` lets it begin
             virtual=virtual.dispatcher if virtual is not None else None,
             skewed=virtual.clock if virtual is not None else None,
         )
@@ -269,6 +270,7 @@ class Agent:
         except PancakesError:
             self._release()
             raise
+        clock, comes_back = self.config.clock, self._boots.knows_any()
         root = self.kernel.spawn(
             Root,
             join(self.name, "kernel"),
@@ -278,6 +280,7 @@ class Agent:
             migrations=self.ledgers.plain,
             services_in_doubt=self.records.services_in_doubt,
             ready=self._become_ready,
+            mission_start=MissionStart(self.kernel, self.mesh, clock.hold, clock.join_s, comes_back),
             shutdown=self._shut_down,
             exited=self._root_ended,
         )

@@ -88,7 +88,7 @@ class FleetInTest:
         """Starts an agent, and waits until all that should run at its start does.
 
         It listens at `tcp://NAME:7400` and knows all agents that the fleet ever had. Its tasks begin at once, whatever
-        these know of them, unless `birth_wait_s` is given.
+        these know of them, unless `birth_wait_s` is given, and its mission at 0, unless `join_s` is.
 
         Args:
             name: its name.
@@ -101,11 +101,11 @@ class FleetInTest:
             settle: whether to wait until it is ready.
             clock_rate: how fast its clock runs, now and when it is started again: its seconds for each virtual second.
             clock_ahead_s: what its clock says at 0 of virtual time.
-            agent: keys of `[agent]`, and `speed` and `hold` of `[clock]`. Without `folders` a command may have files
+            agent: keys of `[agent]` and `[clock]`. Without `folders` a command may have files
                 written below the system's temporary directory, where pytest's `tmp_path` lies.
         """
         addresses = [config.agent.addresses[-1] for other, config in self._configs.items() if other != name]
-        agent = {"listen": f"tcp://{name}:7400", "peers": tuple(addresses), "birth_wait_s": 0.0, **agent}
+        agent = {"listen": f"tcp://{name}:7400", "peers": tuple(addresses), "birth_wait_s": 0.0, "join_s": 0.0, **agent}
         made = parts(name, text, tasks, devices, services, agent)
         self._classes.update({**(classes or {}), **made.classes})
         self._configs[name] = made.config
@@ -122,7 +122,8 @@ class FleetInTest:
     ) -> AgentInTest:
         """Starts the agent of a configuration file as `pancakes-agent` would, with its own address and its own peers.
 
-        As with `start`, its tasks begin at once, unless `sets` give `agent.birth_wait_s`.
+        As with `start`, its tasks and its mission begin at once, unless `sets` give `agent.birth_wait_s` and
+        `clock.join_s`.
 
         Args:
             path: the file.
@@ -134,7 +135,7 @@ class FleetInTest:
             ConfigError: the file is not sound; the message names every fault.
         """
         self._classes.update(classes or {})
-        config = silent(load(path, ["agent.birth_wait_s=0", *sets], registered(self._classes)))
+        config = silent(load(path, ["agent.birth_wait_s=0", "clock.join_s=0", *sets], registered(self._classes)))
         self._configs[config.agent.name] = config
         return self._start(config, settle)
 

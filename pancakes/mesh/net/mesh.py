@@ -243,6 +243,10 @@ class Mesh:
         """Returns the state of the links that stand, by the names of the peers. Any thread."""
         return [{**row, "clock": self.clocks.describe(row["name"])} for row in self._links.describe()]
 
+    def awaits_peers(self) -> bool:
+        """See `AddressBook.are_awaited`. Any thread."""
+        return self._peers.are_awaited() if self._peers is not None else bool(self._static)
+
     def _lost(self, packet: Packet) -> PancakesError:
         """Returns why a packet cannot go to its agent."""
         asleep = self._peers.asleep(self._now()) if self._peers is not None else {}

@@ -10,6 +10,7 @@ import msgspec
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.session import Session
 from pancakes.mesh.wire.clock_estimate import ClockEstimate
+from pancakes.mesh.wire.fleet_mission import PeerMission
 from pancakes.mesh.wire.link import Measured, TimebaseHeard
 from pancakes.mesh.wire.link_messages import Timebase
 from pancakes.mesh.wire.peer_clock import PeerClock
@@ -45,9 +46,6 @@ class Timekeeping:
         now: the host clock.
         links: the links of the agent.
         tell: sends a message over a link.
-
-    Attributes:
-        on_news: called when the clocks of a peer have become known, or were set.
     """
 
     def __init__(
@@ -63,7 +61,6 @@ class Timekeeping:
         self._tell = tell
         self._known: dict[str, _PeerKnown] = {}
         self._clocks: dict[str, PeerClock] = {}
-        self.on_news: Callable[[], None] = lambda: None
 
     def clock_of(self, peer: str) -> PeerClock | None:
         """Returns what is known of a peer's clocks; None: nothing. Any thread."""
@@ -87,6 +84,23 @@ class Timekeeping:
             "mission_ahead_s": ahead_s,
             "day_ahead_s": clock.day_ahead_s(base, now_s),
         }
+
+    def missions(self, may_say: Callable[[str], bool]) -> tuple[tuple[PeerMission, ...], bool]:
+        """Returns the missions that run on linked agents that may say so, and whether of one it is not known yet.
+
+        Any thread. Terminals have no mission of the fleet's.
+        """
+        found, unknown, now_s = [], False, self._now()
+        for session in self._links:
+            if session.role == "client" or not may_say(session.peer):
+                continue
+            clock = self._clocks.get(session.peer)
+            if clock is None:
+                unknown = True
+            elif (mission_s := clock.mission_at(now_s)) is not None and mission_s >= 0.0:
+                zero_s, speed = now_s - mission_s / clock.timebase.speed, clock.timebase.speed
+                found.append(PeerMission(session.peer, zero_s, clock.offset.bound_at(now_s), speed))
+        return tuple(found), unknown
 
     def stood_up(self, session: Session) -> None:
         """A link stands."""
@@ -118,18 +132,13 @@ class Timekeeping:
         if known is None or not session.is_up:  # before the link stands it is not known whose clock that is
             return
         if isinstance(what, TimebaseHeard):
-            is_news = known.timebase != what.timebase
             known.timebase = what.timebase
         else:
-            is_news = known.estimate.found is None
             if not known.estimate.take(what.sent_s, what.peer_s, what.back_s) and session.link is not None:
                 session.link.hurry()
-                is_news = True
             self._tell_own(session)
         if known.estimate.found is not None and known.timebase is not None:
             self._clocks[session.peer] = PeerClock(known.estimate.found, known.timebase)
-            if is_news:
-                self.on_news()
 
     def _tell_own(self, session: Session) -> None:
         """Tells a peer of one's own clocks, where it does not know them as they are."""
