@@ -47,6 +47,12 @@ def day_s(host: Clock) -> float | None:
     return best[1] if best[1] + host.now() >= SET_SINCE_S else None
 
 
+def utc_text(utc_s: float) -> str:
+    """Returns a time of day for people, as `2026-03-01 12:00:00.250`."""
+    moment = time.gmtime(math.floor(utc_s))
+    return f"{time.strftime('%Y-%m-%d %H:%M:%S', moment)}.{int(utc_s % 1.0 * 1000):03d}"
+
+
 def wall_ns() -> int:
     """Returns the time of day in nanoseconds since 1970: only for what people and other machines shall compare."""
     return time.time_ns()

@@ -209,6 +209,21 @@ class Kernel:
         # In virtual time there is none: a run must not depend on the day.
         return base if self.virtual is not None else replace(base, day_s=day_s(self.host))
 
+    def utc_s(self, stamp_s: float | None = None) -> float | None:
+        """Returns the time of day, in seconds since 1970 (UTC). Any thread.
+
+        Args:
+            stamp_s: that at this mission time; None: the present one.
+
+        Returns:
+            None where the machine's clock was never set, in virtual time, and while the mission is held and 0.
+        """
+        base = self.timebase()
+        if base.day_s is None or stamp_s is None:
+            return None if base.day_s is None else base.day_s + self.host.now()
+        zero_s = base.zero_s()
+        return base.day_s + zero_s + stamp_s / base.speed if zero_s is not None else None
+
     def local_time(self, packet: Packet) -> LocalTime | None:
         """See `Component.local_time`. Any thread."""
         agent = agent_of(packet.source)

@@ -434,6 +434,7 @@ class Root(Component):
             "agent": self.agent,
             "ready": self.ready,
             "mission_s": self.kernel.mission.now(),
+            "utc_s": self.kernel.utc_s(),
             "held": self.kernel.mission.held,
             "channels": self.kernel.stream.channels(),
             "devices": self.kernel.registry.device_types(),
