@@ -19,6 +19,8 @@ SHARE: Final = 0.1
 """Ways that are longer than the shortest by no more than this share of it count about as much."""
 STEADY_S: Final = 1e-5
 """And by no more than this."""
+SOON_S: Final = 0.5
+"""Answers must be further apart than this to tell much about the drift."""
 MOST_KEPT: Final = 32
 LONGEST_SLOT_S: Final = 5.0
 """Of the answers in so long a time one is kept at least."""
@@ -111,13 +113,16 @@ class ClockEstimate:
             last = kept[-1]
             slot_s = min(LONGEST_SLOT_S, (at_s - kept[0].slot_s) / SLOTS)
             if at_s - last.slot_s < slot_s:
-                growth = self.found.drift_bound if self.found is not None else MOST_DRIFT
-                if error_s <= last.error_s + growth * (at_s - last.at_s):
+                if error_s <= last.error_s + self._growth() * (at_s - last.at_s):
                     kept[-1] = PingAnswer(last.slot_s, at_s, offset_s, error_s)
                 return
         kept.append(PingAnswer(at_s, at_s, offset_s, error_s))
         if len(kept) > MOST_KEPT:
             del kept[0]
+
+    def _growth(self) -> float:
+        """Returns by how much an answer gets worse in each second."""
+        return self.found.drift_bound if self.found is not None else MOST_DRIFT
 
     def _believed(self, at_s: float) -> ClockOffset:
         """Returns what is likely among what all answers allow; the oldest are given up until they allow something."""
@@ -136,7 +141,8 @@ class ClockEstimate:
 
     def _allowed_drifts(self, at_s: float) -> tuple[float, float]:
         """Returns the least and the greatest drift that the answers allow: none, where the first is the greater."""
-        newest = min(self.kept, key=lambda it: it.error_s + MOST_DRIFT * abs(at_s - it.at_s))
+        growth = self._growth()
+        newest = min(self.kept, key=lambda it: it.error_s + growth * abs(at_s - it.at_s))
         low, high = -MOST_DRIFT, MOST_DRIFT
         for other in self.kept:
             between_s = newest.at_s - other.at_s
@@ -159,7 +165,9 @@ class ClockEstimate:
         offset_s = sum(row[0] * row[2] for row in rows) / weight
         spread = sum(row[0] * (row[1] - middle_s) ** 2 for row in rows)
         common = sum(row[0] * (row[1] - middle_s) * (row[2] - offset_s) for row in rows)
-        drift = _within(common / spread if spread > 0.0 else 0.0, least, most)
+        # Answers of one moment tell little of the drift but the noise of their ways; and most clocks have next to none.
+        usual, firm = (0.0 if least <= 0.0 <= most else (least + most) / 2), weight * SOON_S * SOON_S
+        drift = _within((common + firm * usual) / (spread + firm), least, most)
         return offset_s - drift * middle_s, drift
 
 
