@@ -231,6 +231,7 @@ class Agent:
         self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         self.kernel.links = self.mesh.links
+        self.kernel.life = f"{journal.uuid}/{journal.boot}"
         self.kernel.peer_clock = self.mesh.clocks.clock_of
         self.kernel.mission_changed = self.mesh.mission_changed
         for channel in config.channels:

@@ -156,6 +156,7 @@ class Session(ConnectionHandler):
             "remote": self.remote,
             "certificate": f"{bearer.role} {bearer.name}" if (bearer := self.certified) is not None else "",
             "boot": hello.boot if hello is not None else 0,
+            "life": f"{hello.journal}/{hello.boot}" if hello is not None else "",
             "rtt_s": self.link.rtt_s if self.link is not None else None,
             "packets_out": counters.packets_out,
             "packets_in": counters.packets_in,

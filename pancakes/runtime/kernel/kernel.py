@@ -69,6 +69,7 @@ class Kernel:
         folders: where files may be written at the word of another; the agent sets it.
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the agent sets it.
+        life: names this life of the agent: its journal, and how often that was opened; the agent sets it.
         links: says what is to be known about each link to another agent, as plain values; the agent sets it.
         peer_clock: says what is known of the clocks of another agent; the agent sets it.
         mission_changed: called once the mission has begun, or is known to begin; the agent sets it.
@@ -103,6 +104,7 @@ class Kernel:
         self.access = Access(agent)
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
+        self.life = agent
         self.links: Callable[[], Sequence[dict[str, Any]]] = tuple
         self.peer_clock: Callable[[str], PeerClock | None] = lambda agent: None
         self.mission_changed: Callable[[], None] = lambda: None
