@@ -67,6 +67,20 @@ def test_a_packet_whose_time_cannot_be_known_has_none():
         assert of("a", 1.0).age_s is None  # nobody reads it: this is no turn
 
 
+def test_a_packet_that_came_along_with_its_task_gets_a_stamp_of_the_agent_that_the_task_is_on_now():
+    with FleetInTest() as fleet:
+        fleet.start("a", clock_ahead_s=30.0)
+        fleet.run_for(10.0)
+        b = fleet.start("b")
+        fleet.connect()
+        fleet.run_for(1.0)
+        a_s, b_s = fleet.agents["a"].kernel.now(), b.kernel.now()
+        assert a_s - b_s > 9.0 and b.kernel.restamped("a", a_s) == pytest.approx(b_s, abs=1e-6)
+        assert b.kernel.restamped("a", 1.0) == 0.0  # before the mission began here
+        assert b.kernel.restamped("stranger", 5.0) == 0.0
+        assert b.kernel.restamped("b", 5.0) == 5.0
+
+
 def test_what_is_known_of_a_clock_outlasts_its_link_and_gets_worse():
     with FleetInTest() as fleet:
         fleet.start("a", tasks={"Teller": PulseTeller})

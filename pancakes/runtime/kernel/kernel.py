@@ -234,6 +234,14 @@ class Kernel:
         clock = self.peer_clock(agent)
         return clock.local_time(packet.stamp, self._mission_base()) if clock is not None else None
 
+    def restamped(self, agent: str, stamp_s: float) -> float:
+        """Returns a stamp of an agent on this one's mission clock; 0, which says nothing, where that is not known."""
+        if agent == self.agent:
+            return stamp_s
+        clock = self.peer_clock(agent)
+        found = clock.local_time(stamp_s, self._mission_base()) if clock is not None else None
+        return max(0.0, found.time_s) if found is not None else 0.0
+
     def _mission_base(self) -> Timebase:
         mission = self.mission
         began_s = None if mission.held else mission.host_time(mission.start_s)
