@@ -94,7 +94,7 @@ class LinkLog:
             self._say("warning", f"{fault}; packets refused so far: {session.refused}")
             session.refused_said_s = now_s
 
-    def call(self, function: Callable[..., None], *arguments: Any) -> None:
+    def attempt(self, function: Callable[..., None], *arguments: Any) -> None:
         """Calls what the mesh was given; its failure is told, and must not cost a link."""
         try:
             function(*arguments)

@@ -126,7 +126,7 @@ class Mesh:
         self._gossip = Gossiper(identity.role, self._links, self._tell)
         later, now = transport.call_later, host_clock.now
         self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
-        self._receiving = Receiving(self._trust, self._log, now, self._log.call, on_packets, on_unfit)
+        self._receiving = Receiving(self._trust, self._log, now, self._log.attempt, on_packets, on_unfit)
         self.clocks = Timekeeping(timebase, now, self._links, self._tell)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
@@ -443,7 +443,7 @@ class Mesh:
         self.clocks.stood_up(session)
         self._watch(session)
         self._log.stood_up(session, hello)
-        self._log.call(self._on_peer_up, hello)
+        self._log.attempt(self._on_peer_up, hello)
         self._gossip.stood_up(session, self._peers)
         self._trust.rosters.stood_up(session)
 
@@ -462,7 +462,7 @@ class Mesh:
                 asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
             self.clocks.ended(session)
             self._log.ended(session, over)
-            self._log.call(self._on_peer_down, session.peer, over.reason, asleep_s)
+            self._log.attempt(self._on_peer_down, session.peer, over.reason, asleep_s)
         elif self._state == "running":
             self._log.not_made(session, over, self._now())
         if self._state == "running":
