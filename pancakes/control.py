@@ -360,7 +360,7 @@ class Begin(msgspec.Struct, frozen=True):
     """Lets a mission that is held at 0 begin.
 
     Attributes:
-        in_s: in how many seconds of host time; a duration, because no two agents share a clock.
+        in_s: in how many seconds of host time; a duration, because the clocks of two agents differ.
     """
 
     in_s: float = 0.0

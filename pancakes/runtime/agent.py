@@ -6,7 +6,6 @@ import math
 import random
 import threading
 import uuid
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -60,6 +59,7 @@ from pancakes.runtime.services.closer import Closer
 from pancakes.runtime.services.device import DeviceService
 from pancakes.runtime.services.fences import Fences
 from pancakes.runtime.services.log import LogService
+from pancakes.runtime.services.mission_start import MissionStart
 from pancakes.runtime.services.network import NetworkService
 from pancakes.runtime.services.root import Root
 from pancakes.runtime.services.wanted_recordings import wanted_recordings
@@ -73,6 +73,7 @@ from pancakes.runtime.transport_settings import (
     tcp_addresses,
     transport_settings,
 )
+from pancakes.runtime.unsaid import Unsaid
 from pancakes.service import Service
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ class Agent:
             self.name,
             seed=seed,
             speed=config.clock.speed,
-            hold=config.clock.hold,
+            hold=True,  # `MissionStart` lets it begin
             virtual=virtual.dispatcher if virtual is not None else None,
             skewed=virtual.clock if virtual is not None else None,
         )
@@ -158,7 +159,7 @@ class Agent:
         self._closed = threading.Event()  # once all services have ended
         self._clients: set[str] = set()
         self._drop_said_s = -math.inf
-        self._unsaid: deque[Callable[[], None]] = deque(maxlen=1024)
+        self._unsaid = Unsaid(self.ready)
         self.skipped: list[str] = []
         self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
         journal = virtual.journal if virtual is not None else self._open_journal()
@@ -218,17 +219,21 @@ class Agent:
             on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
-            on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
+            on_log=lambda level, text: self._unsaid.say(lambda: self.kernel.log(level, text)),
             defer=defer,
             gate=Gate(permits.may_act, lambda fence, packets: permits.hold_back(fence, "packets", packets)),
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
             access=self.kernel.access,
             keys=self._keys,
+            timebase=self.kernel.timebase,
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
         self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         self.kernel.links = self.mesh.links
+        self.kernel.life = f"{journal.uuid}/{journal.boot}"
+        self.kernel.peer_clock = self.mesh.clocks.clock_of
+        self.kernel.mission_changed = self.mesh.mission_changed
         for channel in config.channels:
             self.kernel.stream.open(channel)
         shared: dict[type[Service], dict[str, Any]] = {
@@ -266,6 +271,7 @@ class Agent:
         except PancakesError:
             self._release()
             raise
+        clock, comes_back = self.config.clock, self._boots.knows_any()
         root = self.kernel.spawn(
             Root,
             join(self.name, "kernel"),
@@ -275,6 +281,7 @@ class Agent:
             migrations=self.ledgers.plain,
             services_in_doubt=self.records.services_in_doubt,
             ready=self._become_ready,
+            mission_start=MissionStart(self.kernel, self.mesh, clock.hold, clock.join_s, comes_back),
             shutdown=self._shut_down,
             exited=self._root_ended,
         )
@@ -323,7 +330,7 @@ class Agent:
             text = f"{self.name} speaks over tcp:// without keys: nothing is encrypted, and no peer is checked"
             self.kernel.log("warning", text)
         self.ready.set()
-        self._say_unsaid()
+        self._unsaid.say_all()
 
     def stop(self) -> None:
         """Stops everything in reverse, and waits for it. Not from one of its own threads."""
@@ -419,21 +426,6 @@ class Agent:
 
     # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
 
-    def _say(self, say: Callable[[], None]) -> None:
-        """Says something on `log`, once there is a Log Service to hear it: links may stand before that."""
-        self._unsaid.append(say)
-        if self.ready.is_set():
-            self._say_unsaid()
-
-    def _say_unsaid(self) -> None:
-        # In the transport's thread, and once in the root's: each takes what it finds.
-        while self._unsaid:
-            try:
-                say = self._unsaid.popleft()
-            except IndexError:
-                return
-            say()
-
     def receive(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         """Hands packets of a peer to the stream; they had `size` bytes on the link. In the transport's thread."""
         self.kernel.stream.inject_all(packets, partial(self._refused, peer), size)
@@ -462,7 +454,7 @@ class Agent:
             # Each command at a terminal is one: what it asks for is news, that it comes and goes is not.
             self._clients.add(hello.name)
         else:
-            self._say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
+            self._unsaid.say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
         census = self.kernel.registry.get(join(self.name, CENSUS))
         if hello.role == "agent" and census is not None:
             tell(census, NeighbourUp(hello.name, Boot(hello.journal, hello.boot, hello.life)))
@@ -471,7 +463,7 @@ class Agent:
         if name in self._clients:
             self._clients.discard(name)
         else:
-            self._say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
+            self._unsaid.say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
         for spec in self._specs:
             service = self.kernel.registry.get(join(self.name, spec.name))
             if service is not None and issubclass(spec.cls, (NetworkService, ClientService)):

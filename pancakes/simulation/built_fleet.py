@@ -76,7 +76,7 @@ class BuiltFleet(Generic[HandleT]):
         self.started: list[HandleT] = []
         self._channels = channels
         self._configs: dict[str, Config] = {}
-        self._rates: dict[str, float] = {}
+        self._clocks: dict[str, tuple[float, float]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -99,12 +99,13 @@ class BuiltFleet(Generic[HandleT]):
         classes: Mapping[str, type] | None = None,
         settle: bool = True,
         clock_rate: float = 1.0,
+        clock_ahead_s: float = 0.0,
         **agent: Any,
     ) -> HandleT:
         """Starts an agent, and waits until all that should run at its start does.
 
         It listens at `tcp://NAME:7400` and knows all agents that the fleet ever had. Its tasks begin at once, whatever
-        these know of them, unless `birth_wait_s` is given.
+        these know of them, unless `birth_wait_s` is given, and its mission at 0, unless `join_s` is.
 
         Args:
             name: its name.
@@ -116,12 +117,13 @@ class BuiltFleet(Generic[HandleT]):
             classes: classes that `text` names, by name.
             settle: whether to wait until it is ready.
             clock_rate: how fast its clock runs, now and when it is started again: its seconds for each virtual second.
-            agent: keys of `[agent]`, and `speed` and `hold` of `[clock]`. Without `folders` a command may have files
+            clock_ahead_s: what its clock says at 0 of virtual time.
+            agent: keys of `[agent]` and `[clock]`. Without `folders` a command may have files
                 written below the system's temporary directory, where pytest's `tmp_path` lies.
         """
-        agent = {**meeting(name, self._configs.values()), **agent}
+        agent = {**meeting(name, self._configs.values()), "join_s": 0.0, **agent}
         made = parts(name, text, tasks, devices, services, agent)
-        self._rates[name] = clock_rate
+        self._clocks[name] = clock_rate, clock_ahead_s
         return self.start_as(made.config, {**(classes or {}), **made.classes}, settle)
 
     def load(
@@ -134,7 +136,8 @@ class BuiltFleet(Generic[HandleT]):
     ) -> HandleT:
         """Starts the agent of a configuration file as `pancakes-agent` would, with its own address and its own peers.
 
-        As with `start`, its tasks begin at once, unless `sets` give `agent.birth_wait_s`.
+        As with `start`, its tasks and its mission begin at once, unless `sets` give `agent.birth_wait_s` and
+        `clock.join_s`.
 
         Args:
             path: the file.
@@ -146,7 +149,7 @@ class BuiltFleet(Generic[HandleT]):
             ConfigError: the file is not sound; the message names every fault.
         """
         self._classes.update(classes or {})
-        config = silent(load(path, ["agent.birth_wait_s=0", *sets], registered(self._classes)))
+        config = silent(load(path, ["agent.birth_wait_s=0", "clock.join_s=0", *sets], registered(self._classes)))
         return self.start_as(config, settle=settle)
 
     def start_as(self, config: Config, classes: Mapping[str, type] | None = None, settle: bool = True) -> HandleT:
@@ -176,7 +179,7 @@ class BuiltFleet(Generic[HandleT]):
             self.fleet.dispatcher.settle()  # it listens before the agent says anything
             return made[0].agent
 
-        self.fleet.add(config.agent.name, make, self._rates.get(config.agent.name, 1.0))
+        self.fleet.add(config.agent.name, make, *self._clocks.get(config.agent.name, (1.0, 0.0)))
         (found,) = made
         self.agents[found.name] = found
         self.started.append(found)

@@ -116,7 +116,7 @@ def test_the_table_of_an_agent_has_its_sections(rig: Rig, agent: Running):
     assert "neighbours b" in lines
     assert "devices pose" in lines
     assert f"pid {agent.pid}" in lines
-    assert any(line.endswith("s of the mission, at speed 1") for line in lines)
+    assert any("s of the mission, at speed 1; 20" in line and line.endswith(" UTC") for line in lines)
     assert any(line.startswith("client ClientService running Steer, Broken") for line in lines)
     (link,) = (line for line in lines if line.startswith("b agent tcp://127.0.0.1:"))
     assert "alice." not in table, "the command shows its own link"

@@ -22,8 +22,10 @@ from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.newcomers import MAX_HANDSHAKES, makes_room
 from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
+from pancakes.mesh.net.receiving import Receiving
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
+from pancakes.mesh.net.timekeeping import Timekeeping
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
 from pancakes.mesh.net.trust import Trust
 from pancakes.mesh.net.why_lost import why_lost
@@ -33,13 +35,15 @@ from pancakes.mesh.wire.link import (
     Learnt,
     Link,
     LinkTimes,
+    Measured,
     Over,
     PacketsReceived,
     RosterHeard,
     SendMessage,
+    TimebaseHeard,
     Up,
 )
-from pancakes.mesh.wire.link_messages import Goodbye, Gossip, Hello, Identity, Refusal, RosterNumber, RosterText
+from pancakes.mesh.wire.link_messages import Goodbye, Hello, Identity, LinkNews, Refusal, Timebase
 from pancakes.mesh.wire.runs import Unfit
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock
@@ -78,6 +82,10 @@ class Mesh:
         times: the times of links and membership.
         access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
         keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
+        timebase: returns what its mission time and time of day are; None: it is a terminal, which tells none.
+
+    Attributes:
+        clocks: the clocks of its peers.
     """
 
     def __init__(
@@ -98,6 +106,7 @@ class Mesh:
         times: LinkTimes | None = None,
         access: Access | None = None,
         keys: Keys | None = None,
+        timebase: Callable[[], Timebase] | None = None,
     ) -> None:
         self.identity = identity
         self._gate = gate
@@ -105,7 +114,6 @@ class Mesh:
         self._listen_at, self._static = tuple(listen), tuple(peers)
         self._random = source
         self._now = host_clock.now
-        self._on_packets, self._on_unfit = on_packets, on_unfit
         self._on_peer_up, self._on_peer_down = on_peer_up, on_peer_down
         self._times = times or LinkTimes()
         self._own = identity.hello()
@@ -118,6 +126,8 @@ class Mesh:
         self._gossip = Gossiper(identity.role, self._links, self._tell)
         later, now = transport.call_later, host_clock.now
         self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
+        self._receiving = Receiving(self._trust, self._log, now, self._log.attempt, on_packets, on_unfit)
+        self.clocks = Timekeeping(timebase, now, self._links, self._tell)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -161,6 +171,10 @@ class Mesh:
     def announce(self) -> None:
         """Tells all peers the addresses that are known here: the beacon of discovery. A mission packet to each."""
         self._transport.call_later(0.0, self._beacon)
+
+    def mission_changed(self) -> None:
+        """Tells all peers that the mission of this agent has begun."""
+        self._transport.call_later(0.0, self.clocks.changed)
 
     def learn(self, addresses: Sequence[str]) -> None:
         """Dials these addresses as well, as if a peer had named them."""
@@ -227,7 +241,11 @@ class Mesh:
 
     def links(self) -> list[dict[str, Any]]:
         """Returns the state of the links that stand, by the names of the peers. Any thread."""
-        return self._links.describe()
+        return [{**row, "clock": self.clocks.describe(row["name"])} for row in self._links.describe()]
+
+    def awaits_peers(self) -> bool:
+        """See `AddressBook.are_awaited`. Any thread."""
+        return self._peers.are_awaited() if self._peers is not None else bool(self._static)
 
     def _lost(self, packet: Packet) -> PancakesError:
         """Returns why a packet cannot go to its agent."""
@@ -373,21 +391,14 @@ class Mesh:
             if session.number not in self._sessions or self._peers is None:
                 return  # an action before ended it
             if isinstance(action, PacketsReceived):
-                first, number = action.packets[0], len(action.packets)
-                session.counters.packets_in += number
-                if not self._may_send(session, first, number):
-                    continue
-                if too_much := self._trust.asks_too_much(session, first, number):
-                    for packet in action.packets:
-                        self._call(self._on_unfit, session.peer, packet, too_much)
-                else:
-                    self._call(self._on_packets, session.peer, action.packets, action.size)
+                self._receiving.packets(session, action)
             elif isinstance(action, SendMessage):
                 session.send_link(action.message)
             elif isinstance(action, Unfit):
-                session.counters.packets_in += 1
-                if self._may_send(session, action.packet, 1):
-                    self._call(self._on_unfit, session.peer, action.packet, action.reason)
+                self._receiving.unfit(session, action)
+            elif isinstance(action, (Measured, TimebaseHeard)):
+                self.clocks.heard(session, action)
+                self._watch(session)
             elif isinstance(action, Greeted):
                 self._met(session, action.hello)
             elif isinstance(action, Up):
@@ -398,13 +409,6 @@ class Mesh:
                 self._trust.rosters.heard(session, action.message)
             else:
                 self._over(session, action)
-
-    def _may_send(self, session: Session, first: Packet, number: int) -> bool:
-        """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
-        if not (fault := self._trust.fault_of_packet(session, first)):
-            return True
-        self._log.false_source(session, fault, number, self._now())
-        return False
 
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
@@ -436,8 +440,10 @@ class Mesh:
         hello = next(peer for peer in self._peers.connected() if peer.name == session.link.peer.name)
         self._links.add(session, hello)
         self._sending.change(self._links.by_name(), self._links.neighbours())
+        self.clocks.stood_up(session)
+        self._watch(session)
         self._log.stood_up(session, hello)
-        self._call(self._on_peer_up, hello)
+        self._log.attempt(self._on_peer_up, hello)
         self._gossip.stood_up(session, self._peers)
         self._trust.rosters.stood_up(session)
 
@@ -454,8 +460,9 @@ class Mesh:
             asleep_s = None
             if over.goodbye is not None and over.goodbye.why == "sleep":
                 asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
+            self.clocks.ended(session)
             self._log.ended(session, over)
-            self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
+            self._log.attempt(self._on_peer_down, session.peer, over.reason, asleep_s)
         elif self._state == "running":
             self._log.not_made(session, over, self._now())
         if self._state == "running":
@@ -487,13 +494,6 @@ class Mesh:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.tick(self._now()))
 
-    def _tell(self, session: Session, message: Gossip | RosterNumber | RosterText) -> None:
+    def _tell(self, session: Session, message: LinkNews) -> None:
         if session.link is not None:
             self._act(session, session.link.tell(message, self._now()))
-
-    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Calls what was given to us; its failure must not cost a link."""
-        try:
-            function(*arguments)
-        except Exception as error:  # whatever it is, it belongs in the log
-            self._log.failed(function, error)

@@ -143,6 +143,10 @@ class Peers:
         self._beacons += 1
         return ((own,) if own else ()) + others
 
+    def are_awaited(self) -> bool:
+        """Returns whether an agent that is always dialled may be reached yet: no dial has failed so far. Any thread."""
+        return self._book.are_awaited()
+
     def describe(self) -> list[dict[str, Any]]:
         """Returns each known address with what is known of it."""
         return self._book.describe()

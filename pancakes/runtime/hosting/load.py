@@ -46,6 +46,7 @@ def describe_process(uptime_s: float) -> dict[str, Any]:
 
     process = _process(os.getpid())
     return {
+        "host": platform.node(),
         "pid": process.pid,
         "version": __version__,
         "python": platform.python_version(),
