@@ -6,6 +6,7 @@ import math
 import random
 from collections.abc import Callable
 from functools import cached_property, partial
+from time import thread_time
 from typing import TYPE_CHECKING, Any
 
 import pykka
@@ -280,6 +281,8 @@ class Component(PykkaActor):
         mailbox = self.actor_inbox
         deferred: list[Callable[[], None]] = []
         TURN.deferred = deferred
+        meter = self.kernel.meter
+        begun_s = thread_time() if meter is not None else 0.0
         try:
             if not self.__started:
                 self.__begin()
@@ -295,6 +298,8 @@ class Component(PykkaActor):
         for function in deferred:  # which may put off more
             self.__do_deferred(function)
         TURN.deferred = None
+        if meter is not None:
+            meter.turn(self.address, thread_time() - begun_s)
         # A component that has ended keeps the token, so that what is put from now on waits for the successor.
         if mailbox.component is self:
             mailbox.end_turn()

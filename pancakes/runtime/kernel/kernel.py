@@ -31,6 +31,7 @@ from pancakes.runtime.kernel.task_table import TaskTable
 from pancakes.runtime.kernel.task_timer import TaskTimer
 from pancakes.runtime.kernel.timer import Timer, VirtualTimer
 from pancakes.runtime.kernel.timer_table import TimerTable
+from pancakes.runtime.kernel.turn_meter import TurnMeter
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 _Made = TypeVar("_Made", bound=Component)
@@ -65,6 +66,7 @@ class Kernel:
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the agent sets it.
         links: says what is to be known about each link to another agent, as plain values; the agent sets it.
+        meter: times all turns; None: nothing measures, and none is timed.
         lateness_heard: told of each tick of a task how late it was, in the task's turn; see `hear_lateness`.
     """
 
@@ -97,6 +99,7 @@ class Kernel:
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
         self.links: Callable[[], Sequence[dict[str, Any]]] = tuple
+        self.meter: TurnMeter | None = None
         self.lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...] = ()
         self._seqs: dict[str, Counter] = {}
         self._lock = threading.Lock()
