@@ -6,6 +6,7 @@ import math
 import random
 from collections.abc import Callable
 from functools import cached_property, partial
+from time import thread_time
 from typing import TYPE_CHECKING, Any
 
 import pykka
@@ -295,6 +296,8 @@ class Component(PykkaActor):
         deferred: list[Callable[[], None]] = []
         TURN.deferred = deferred
         READER.set(self)
+        meter = self.kernel.meter
+        begun_s = thread_time() if meter is not None else 0.0
         try:
             if not self.__started:
                 self.__begin()
@@ -311,6 +314,8 @@ class Component(PykkaActor):
             self.__do_deferred(function)
         TURN.deferred = None
         READER.set(None)
+        if meter is not None:
+            meter.turn(self.address, thread_time() - begun_s)
         # A component that has ended keeps the token, so that what is put from now on waits for the successor.
         if mailbox.component is self:
             mailbox.end_turn()

@@ -36,6 +36,7 @@ from pancakes.runtime.kernel.task_table import TaskTable
 from pancakes.runtime.kernel.task_timer import TaskTimer
 from pancakes.runtime.kernel.timer import Timer, VirtualTimer
 from pancakes.runtime.kernel.timer_table import TimerTable
+from pancakes.runtime.kernel.turn_meter import TurnMeter
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 _Made = TypeVar("_Made", bound=Component)
@@ -73,6 +74,7 @@ class Kernel:
         links: says what is to be known about each link to another agent, as plain values; the agent sets it.
         peer_clock: says what is known of the clocks of another agent; the agent sets it.
         mission_changed: called once the mission has begun, or is known to begin; the agent sets it.
+        meter: times all turns; None: nothing measures, and none is timed.
         lateness_heard: told of each tick of a task how late it was, in the task's turn; see `hear_lateness`.
     """
 
@@ -108,6 +110,7 @@ class Kernel:
         self.links: Callable[[], Sequence[dict[str, Any]]] = tuple
         self.peer_clock: Callable[[str], PeerClock | None] = lambda agent: None
         self.mission_changed: Callable[[], None] = lambda: None
+        self.meter: TurnMeter | None = None
         self.lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...] = ()
         self._seqs: dict[str, Counter] = {}
         self._lock = threading.Lock()

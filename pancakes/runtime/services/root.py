@@ -43,6 +43,7 @@ from pancakes.control import (
 )
 from pancakes.creation import Create, Remove
 from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
+from pancakes.measurement import Measure
 from pancakes.mesh.security.access import right_of
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.runtime.foundation.names import fault_of_name
@@ -54,6 +55,7 @@ from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.life.life_event import StartAsked, StopAsked
 from pancakes.runtime.life.request import Request
+from pancakes.runtime.services.measuring import Measuring
 from pancakes.runtime.services.mission_start import MissionStart
 from pancakes.runtime.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
 from pancakes.runtime.services.service_spec import ServiceSpec
@@ -109,6 +111,7 @@ class Root(Component):
         self._mission_start = mission_start
         self._shutdown = shutdown
         self._answers = Answers(self)
+        self._measuring = Measuring(self, lambda: self._identity().get("battery_level"))
         self._number = 0
         self.ready = False
 
@@ -215,6 +218,9 @@ class Root(Component):
             return
         if isinstance(body, Channels):
             self.reply(request, result=self.describe_channels(body.channel))
+            return
+        if isinstance(body, Measure):
+            self._measuring.begin(body.for_s, lambda result: self.reply(request, result=result))
             return
         if isinstance(body, Shutdown):
             self._end_agent(body, request)

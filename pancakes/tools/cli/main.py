@@ -26,6 +26,7 @@ COMMANDS = {
     "view": Later("pancakes.tools.cli.verbs.view:view", "A page that shows what a fleet does."),
     "report": Later("pancakes.tools.cli.verbs.report:report", "A recording as a page, and as pictures for a paper."),
     "top": Later("pancakes.tools.cli.verbs.top:top", "Watch agents and tasks: rates, lateness, load."),
+    "what-if": Later("pancakes.tools.cli.verbs.what_if:what_if", "What a change would do, before it is done."),
     "launch": Later("pancakes.tools.cli.verbs.launch:launch", "Run a fleet from its files."),
     "down": Later("pancakes.tools.cli.verbs.down:down", "End agents in order."),
     "demo": Later("pancakes.tools.cli.verbs.demo:demo", "Run a whole mission, and judge it."),
