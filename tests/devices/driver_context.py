@@ -35,6 +35,7 @@ class DriverContext:
         later: (mission time, function) of each call that is still to come.
         packets: how many mission packets the agent has sent.
         awake: whether the Network Service is awake.
+        virtual: whether the agent lives in virtual time.
     """
 
     def __init__(
@@ -54,6 +55,7 @@ class DriverContext:
         self.later: list[tuple[float, Callable[[], None]]] = []
         self.packets = 0
         self.awake = True
+        self.virtual = False
         self.transport = transport or _alone(agent)
         self._shared = {} if shared is None else shared
 

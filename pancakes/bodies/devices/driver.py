@@ -30,12 +30,14 @@ class DeviceContext(Protocol):
         device: the device's name, as in `[device.NAME]`.
         random: a source of random numbers, seeded from the agent's seed and the device's address.
         transport: how this agent reaches others; for drivers whose hardware is at the end of a connection.
+        virtual: whether the agent lives in virtual time, where no real hardware can follow it.
     """
 
     agent: str
     device: str
     random: random.Random
     transport: Transport
+    virtual: bool
 
     def now(self) -> float:
         """Returns the mission time in seconds."""

@@ -100,6 +100,7 @@ class TaskContext:
         self.device = task.name
         self.random: random.Random = task.random
         self.transport: Transport = task.kernel.transport
+        self.virtual = task.kernel.virtual is not None
 
     def now(self) -> float:
         return self._task.now()
