@@ -23,6 +23,8 @@ AGENTS = "kilted"
 ROBOTS = "jazzy"
 """The release of the robots that they drive."""
 WHEELS = ("rclpy", "rmw-fastrtps-cpp", "geometry-msgs", "sensor-msgs", "nav-msgs", "std-msgs", "lifecycle-msgs")
+DEMO = ("cryptography>=43", "matplotlib>=3.8")
+"""What a demo needs too, which runs there."""
 MAKING_S = 900
 
 
@@ -39,6 +41,8 @@ def python_of(release: str) -> Path:
     The test is skipped where it cannot be made.
     """
     wanted = [*(f"ros-{release}-{wheel}" for wheel in WHEELS), *requirements()]
+    if release == AGENTS:
+        wanted += DEMO
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     key = hashlib.sha256("\n".join([version, *wanted]).encode()).hexdigest()[:12]
     place = CACHE / f"{release}-{key}"

@@ -15,17 +15,48 @@ DESK = """
 type = "ros2"
 [service.ros2.settings]
 tasks = true
-topics = [
-    { topic = "pose", message = "geometry_msgs/PoseStamped", packet = "pose", frame = "map", foreign = true, max_hz = 1000 },
-    { topic = "ir", message = "sensor_msgs/Range", packet = "ir", foreign = true },
-    { topic = "/force", message = "geometry_msgs/Wrench", channel = "ros", foreign = true },
-    { topic = "words", message = "std_msgs/String", channel = "ros", direction = "in" },
-    { topic = "oven", message = "std_msgs/Float64", packet = "temperature", fields = { data = "celsius" }, direction = "in" },
-    { topic = "lost", message = "no_such_msgs/Thing" },
-    { topic = "wrong", message = "std_msgs/String", packet = "posse" },
-]
+[[service.ros2.settings.topics]]
+topic = "pose"
+message = "geometry_msgs/PoseStamped"
+packet = "pose"
+frame = "map"
+foreign = true
+max_hz = 1000
+[[service.ros2.settings.topics]]
+topic = "ir"
+message = "sensor_msgs/Range"
+packet = "ir"
+foreign = true
+[[service.ros2.settings.topics]]
+topic = "/force"
+message = "geometry_msgs/Wrench"
+channel = "ros"
+foreign = true
+[[service.ros2.settings.topics]]
+topic = "words"
+message = "std_msgs/String"
+channel = "ros"
+direction = "in"
+[[service.ros2.settings.topics]]
+topic = "oven"
+message = "std_msgs/Float64"
+packet = "temperature"
+direction = "in"
+fields = { data = "celsius" }
+[[service.ros2.settings.topics]]
+topic = "lost"
+message = "no_such_msgs/Thing"
+[[service.ros2.settings.topics]]
+topic = "wrong"
+message = "std_msgs/String"
+packet = "posse"
 [task.PoseSharing]
 type = "encirclement.PoseSharing"
+[task.BatteryWatchdog]
+type = "encirclement.BatteryWatchdog"
+settings = { below = 0.9, slow = { "client/PoseSharing" = 1.0 } }
+[device.battery]
+driver = "null.battery"
 [device.pose]
 driver = "static.pose"
 rate_hz = 10
@@ -54,9 +85,11 @@ def test_channels_are_topics_and_topics_are_packets(start_agent, peer):
             assert header["frame_id"] == "map"
             peer.order("serialise", type=POSE, fields={"header": header, "pose": wanted})
             assert peer.told.wait(lambda line: "serialised" in line)["serialised"] == heard["bytes"]
-        client.publish("desk/system", Infrared((0.0, 0.5), (0.1, 0.5), 0.5))
-        client.publish("desk/system", Infrared((0.0, 0.5), (0.1, 0.25), 0.5))
-        seen = peer.heard("/desk/ir_1")["message"]
+        # Its topics are there with the first packet: what is said before the peer has found them, it does not hear.
+        seen = None
+        while seen is None:
+            client.publish("desk/system", Infrared((0.0, 0.5), (0.1, 0.25), 0.5))
+            seen = peer.heard_soon("/desk/ir_1")
         assert (seen["radiation_type"], seen["max_range"], seen["header"]["frame_id"]) == (1, 0.5, "desk/ir_1")
         client.publish("desk/ros", RosMessage("geometry_msgs/Wrench", {"force": {"x": 3}}))
         assert peer.heard("/force")["message"]["force"] == {"x": 3.0, "y": 0.0, "z": 0.0}
@@ -78,7 +111,7 @@ def test_channels_are_topics_and_topics_are_packets(start_agent, peer):
 
 def test_a_task_has_parameters_and_a_life_cycle(start_agent, peer):
     start_agent("desk", DESK)
-    task = "/desk/PoseSharing"
+    task = "/desk/BatteryWatchdog"
 
     def asked(service, kind, **request):
         peer.order("call", service=f"{task}/{service}", type=f"lifecycle_msgs/srv/{kind}", request=request)
@@ -91,7 +124,13 @@ def test_a_task_has_parameters_and_a_life_cycle(start_agent, peer):
     assert asked("get_state", "GetState")["current_state"]["label"] == "active"
     peer.order("graph")
     assert task in peer.told.wait(lambda line: "nodes" in line)["nodes"]
-    assert parameters()["result"]["names"] == []
+    assert parameters()["result"]["names"] == ["below", "slow.client/PoseSharing"]
+    changed = parameters(set={"below": 0.5, "slow.client/PoseSharing": 2.0})["results"]
+    assert [(it["successful"], it["reason"]) for it in changed] == [(True, ""), (True, "")]
+    values = parameters(get=["below", "slow.client/PoseSharing", "none"])["values"]
+    assert [(it["type"], it["double_value"]) for it in values] == [(3, 0.5), (3, 2.0), (0, 0.0)]
+    (refused,) = parameters(set={"below": "half"})["results"]
+    assert not refused["successful"] and "below: expected a number" in refused["reason"]
     peer.listen(f"{task}/transition_event", "lifecycle_msgs/msg/TransitionEvent")
     assert asked("change_state", "ChangeState", transition={"id": 4})["success"]
     event = peer.heard(f"{task}/transition_event", lambda it: it["goal_state"]["label"] == "inactive")

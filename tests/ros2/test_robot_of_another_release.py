@@ -2,7 +2,10 @@
 
 import time
 
+from ros2.environments import ROBOTS, python_of
+
 from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Sonar, Temperature
+from pancakes.bodies.sim.state import WorldState
 from pancakes.client import Client
 from pancakes.control import Migrate, Stop
 from pancakes_encirclement.packets import MotionDetected
@@ -29,6 +32,13 @@ driver = "ros2.temperature"
 SCAN = """
 [task.ScanTarget]
 type = "encirclement.ScanTarget"
+"""
+WORLD = """
+[task.World]
+type = "ros2.arena"
+[task.World.settings]
+python = "{python}"
+robots = {{ agent1 = {{ x_m = 1.0, y_m = 0.0 }} }}
 """
 ODOMETRY, TWIST = "nav_msgs/msg/Odometry", "geometry_msgs/msg/Twist"
 
@@ -121,6 +131,25 @@ def test_an_agent_that_ends_lets_the_robot_stand(start_agent, peer):
     assert peer.heard("/agent1/cmd_vel", stands)["at_s"] - began_s < 0.5
 
 
+def test_an_agent_that_is_killed_leaves_a_robot_that_stops_by_itself(start_agent, domain):
+    start_agent("world", WORLD.format(python=python_of(ROBOTS)))
+    agent = start_agent("agent1", 'peers = ["local://world"]\n' + ROBOT + SCAN)
+    with Client() as client, client.subscribe("world/system", WorldState, timeout_s=20.0) as states:
+
+        def robot():
+            return next(iter(states)).body.bodies[0]
+
+        while robot().v_mps == 0.0:
+            client.publish("agent1/system", MotionDetected(0.0, 0.0))
+        assert robot().driven_by == "ScanTarget"
+        agent.kill()
+        began_s = time.monotonic()
+        while robot().driven_by:
+            pass
+        assert time.monotonic() - began_s < 0.4 + 0.5, "its time-out, and what this machine takes to tell of it"
+        assert robot().v_mps == 0.0
+
+
 def test_what_is_wrong_with_a_topic_is_one_sentence_and_the_agent_goes_on(start_agent, peer):
     other_qos = 'settings = { qos = { reliability = "reliable", depth = 5 } }'
     agent = start_agent("agent1", ROBOT.replace('"ros2.battery"', f'"ros2.battery"\n{other_qos}'))
@@ -135,7 +164,7 @@ def test_what_is_wrong_with_a_topic_is_one_sentence_and_the_agent_goes_on(start_
     agent.wait_for_line("a message of odom was dropped: the pose is not finite (nan, 0, 0, 0, 0, 1)")
     agent.wait_for_line("/agent1/temperature is listened to as sensor_msgs/msg/Temperature, but /peer publishes")
     agent.wait_for_line("a node that publishes /agent1/battery_state has another QoS (reliability)")
-    agent.wait_for_line("more than 100 readings a second come on motion: those in between are left out")
+    agent.wait_for_line("more readings come on motion than the 100 a second that are published")
     agent.wait_for_line("no node publishes /agent1/sonar: start the robot's nodes")
     with Client() as client, client.subscribe("agent1/system", "motion", timeout_s=20.0) as packets:
         assert next(iter(packets)).body.detected

@@ -30,6 +30,8 @@ from pancakes_ros2.ros_node import Inlet, RosNode
 
 MOST_HZ = 100.0
 """No body of a robot needs more readings of one sensor a second, and a topic may be flooded."""
+FLOOD = 20
+"""The log is told where more than so many readings are left out in a second of mission time; once."""
 Hz = Annotated[float, Meta(gt=0)]
 
 
@@ -69,6 +71,8 @@ class RosSensor(NetworkSensor):
         self._came: Newest[Any] = Newest(1, lambda: context.call(self._take))
         self._told: set[str] = set()
         self._left_out = 0
+        self._counted_since_s = 0.0
+        self._flood_told = False
 
     def open(self) -> None:
         self._node = NODES.take(self.context.agent, self.context.virtual)
@@ -102,19 +106,20 @@ class RosSensor(NetworkSensor):
         if self._node is None:
             return
         bodies, lost = self._came.take()
-        self._left_out += lost
-        for body in bodies:
-            if not self.take(body, self.settings.topic):
-                self._left_out += 1
-        if self._left_out and not self._flooded:
-            self._flooded = True
+        left_out = lost + sum(not self.take(body, self.settings.topic) for body in bodies)
+        if not left_out or self._flood_told:
+            return
+        now_s = self.context.now()
+        if now_s - self._counted_since_s > 1.0:
+            self._counted_since_s, self._left_out = now_s, 0
+        self._left_out += left_out
+        if self._left_out > FLOOD:
+            self._flood_told = True
             self.context.log(
                 "warning",
-                f"more than {self.settings.max_hz:g} readings a second come on {self.settings.topic}:"
-                " those in between are left out",
+                f"more readings come on {self.settings.topic} than the {self.settings.max_hz or MOST_HZ:g} a second that"
+                " are published: those in between are left out",
             )
-
-    _flooded = False
 
     def _warn(self, text: str) -> None:
         """Logs a sentence, once. In the node's thread."""

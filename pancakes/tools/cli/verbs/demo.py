@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -116,7 +116,10 @@ def demo(
         raise click.UsageError("--control and --port are about the page: they need --view")
     if control and virtual:
         raise click.UsageError("--control does not go with --virtual: such a run repeats, and takes no orders")
-    fastest = found.mission.fastest if isinstance(found, Comparison) else found.fastest
+    mission = found.mission if isinstance(found, Comparison) else found
+    if virtual and mission.live_only:
+        raise click.UsageError(f"the demo {name!r} runs live alone: {mission.live_only}")
+    fastest = mission.fastest
     if not virtual and speed > fastest:
         raise click.UsageError(
             f"live, the demo {name!r} runs at {fastest:g} mission seconds a second at most, not at {speed:g}: what it"
@@ -147,9 +150,15 @@ def demo(
     sys.exit(code)
 
 
+LIVE_ONLY: Final = " (live only)"
+"""What the list of demos says of one that does not run in virtual time."""
+
+
 def _list(plugins: Plugins) -> None:
     for name in plugins.names("pancakes.demos"):
-        show_text(f"{name:16} {plugins.get('pancakes.demos', name).title}")
+        found: Demo | Comparison = plugins.get("pancakes.demos", name)
+        mission = getattr(found, "mission", found)
+        show_text(f"{name:16} {found.title}{LIVE_ONLY if mission.live_only else ''}")
 
 
 @dataclass(frozen=True)
