@@ -84,6 +84,14 @@ class RosPeer:
         """Returns the next message of a topic that fits."""
         return self.told.wait(lambda line: line.get("heard") == topic and fits(line["message"]), at_most_s=at_most_s)
 
+    def ever_heard(self, topic: str, fits: Callable[[Any], Any]) -> Any:
+        """Returns a message of a topic that fits: one that came before, or the next."""
+
+        def is_it(line: dict[str, Any]) -> Any:
+            return line.get("heard") == topic and fits(line["message"])
+
+        return next(filter(is_it, self.told.all), None) or self.told.wait(is_it)
+
     def heard_soon(self, topic: str) -> Any:
         """Returns the next message of a topic; None: there was none for a moment."""
         try:

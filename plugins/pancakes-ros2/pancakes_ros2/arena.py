@@ -136,7 +136,7 @@ class Arena(Task):
 
 
 def environment_for(present: Mapping[str, str], python: str) -> dict[str, str]:
-    """Returns the environment of the robots' process: without what this process's ROS 2 put there, if theirs is another.
+    """Returns the environment of the robots' process: without what this one's ROS 2 put there, where theirs is another.
 
     Args:
         present: that of this process.

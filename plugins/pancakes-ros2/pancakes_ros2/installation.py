@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from importlib import import_module
 from importlib.util import find_spec
@@ -14,6 +15,14 @@ NEXT_STEP: Final = (
     "source the setup file of a ROS 2 whose Python is this one (`source /opt/ros/jazzy/setup.bash`),"
     " or install a ROS 2 into this environment; see docs/ros2.md"
 )
+
+
+def have_fields_checked() -> None:
+    """Has messages check what is put into their fields: else ROS 2 sends something else where a value does not fit.
+
+    To be called before any message is imported.
+    """
+    os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 
 
 def check_installed() -> None:
@@ -45,6 +54,7 @@ def message_class(name: str) -> Any:
         PancakesError: it is not installed, or cannot be loaded; the sentence says what to do.
     """
     package, _, kind = checked_type(name).split("/")
+    have_fields_checked()
     try:
         module = import_module(f"{package}.msg")
     except ImportError as error:

@@ -11,10 +11,11 @@ packet = "pose"
 
 from __future__ import annotations
 
+from collections import deque
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 from pancakes.control import Reply
 from pancakes.errors import PancakesError
@@ -45,8 +46,6 @@ PATIENCE_S: Final = 3.0
 class Ros2Service(Service):
     """Shows an agent in ROS 2. Its node is `/AGENT/pancakes`, which the drivers `ros2.*` share."""
 
-    only_name: ClassVar[str] = ""
-
     @dataclass
     class Settings:
         """What is shown.
@@ -72,6 +71,7 @@ class Ros2Service(Service):
         self._bridges: list[TopicBridge] = []
         self._rosout: Outlet | None = None
         self._nodes: TaskNodes | None = None
+        self._unsaid: deque[Packet] = deque(maxlen=LOG_QUALITY.depth)
         self._asked: dict[int, Future[Reply]] = {}
         self._shown: list[TaskView] = []
 
@@ -149,27 +149,34 @@ class Ros2Service(Service):
     @on(LOG, None, keep=queue(1000))
     def said(self, packet: Packet) -> None:
         """Publishes a line or an event on /rosout."""
+        if self._rosout is None or agent_of(packet.source) != self.agent:
+            return
+        self._unsaid.append(packet)  # what was said before there is a /rosout is said once there is
+        self._say()
+
+    def _say(self) -> None:
         out = self._rosout
-        if out is None or not out.ready or agent_of(packet.source) != self.agent:
-            return
-        body = packet.body
-        if isinstance(body, LogLine):
-            text = body.text
-        elif isinstance(body, Event):
-            text = " ".join([body.kind, *(f"{key}={value}" for key, value in body.fields.items())])
-        else:
-            return
-        message = out.new()
-        message.stamp.sec, message.stamp.nanosec, _ = out.moment("")
-        message.level = LOG_LEVELS[level_of(body)]
-        message.name, message.msg = packet.source, text
-        out.publish(message)
+        while out is not None and out.ready and self._unsaid:
+            packet = self._unsaid.popleft()
+            body = packet.body
+            if isinstance(body, LogLine):
+                text = body.text
+            elif isinstance(body, Event):
+                text = " ".join([body.kind, *(f"{key}={value}" for key, value in body.fields.items())])
+            else:
+                continue
+            message = out.new()
+            message.stamp.sec, message.stamp.nanosec, _ = out.moment("")
+            message.level = LOG_LEVELS[level_of(body)]
+            message.name, message.msg = packet.source, text
+            out.publish(message)
 
     # Tasks as nodes --------------------------------------------------------------------------------------------
 
     @every(hz=5)
     def look(self, tick: Tick) -> None:
         """Shows what has become of the tasks."""
+        self._say()
         if self._nodes is None:
             return
         views = [

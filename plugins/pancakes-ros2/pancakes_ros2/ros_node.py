@@ -13,7 +13,7 @@ from typing import Any
 
 from pancakes.errors import PancakesError
 from pancakes_ros2.conversion import Moment
-from pancakes_ros2.installation import message_class, ros_name
+from pancakes_ros2.installation import have_fields_checked, message_class, ros_name
 from pancakes_ros2.quality import Quality, profile_of
 
 Failed = Callable[[str], None]
@@ -256,6 +256,7 @@ class RosNode:
             self._context.try_shutdown()
 
     def _open(self) -> Any:
+        have_fields_checked()
         import rclpy
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor

@@ -115,11 +115,9 @@ class RosSensor(NetworkSensor):
         self._left_out += left_out
         if self._left_out > FLOOD:
             self._flood_told = True
-            self.context.log(
-                "warning",
-                f"more readings come on {self.settings.topic} than the {self.settings.max_hz or MOST_HZ:g} a second that"
-                " are published: those in between are left out",
-            )
+            most = f"the {self.settings.max_hz or MOST_HZ:g} a second that are published"
+            text = f"more readings come on {self.settings.topic} than {most}: those in between are left out"
+            self.context.log("warning", text)
 
     def _warn(self, text: str) -> None:
         """Logs a sentence, once. In the node's thread."""
