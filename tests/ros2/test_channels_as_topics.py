@@ -140,6 +140,13 @@ def test_a_task_has_parameters_and_a_life_cycle(start_agent, peer):
     peer.heard(f"{task}/transition_event", lambda it: it["goal_state"]["label"] == "active")
 
 
+def test_messages_bear_the_time_of_a_simulation_where_that_is_asked_for(start_agent, peer):
+    start_agent("desk", DESK.replace("tasks = true", "use_sim_time = true"))
+    peer.listen("/desk/pose", POSE)
+    peer.order("publish", topic="/clock", type="rosgraph_msgs/msg/Clock", fields={"clock": {"sec": 42}}, every_s=0.1)
+    peer.heard("/desk/pose", lambda it: it["header"]["stamp"] == {"sec": 42, "nanosec": 0})
+
+
 CLOSES = """
 import os, socket, threading
 from pancakes_ros2.node_table import NODES
@@ -161,8 +168,8 @@ def sockets():
 before = sockets()
 for turn in range(3):
     node = NODES.take("agent1", False)
-    outlet = Outlet(node, "geometry_msgs/msg/Twist", "cmd_vel", COMMAND, print)
-    inlet = Inlet(node, "geometry_msgs/msg/Twist", "cmd_vel", COMMAND, print, print)
+    outlet = Outlet(node, "geometry_msgs/msg/Twist", "cmd_vel", COMMAND, print, print)
+    inlet = Inlet(node, "geometry_msgs/msg/Twist", "cmd_vel", COMMAND, print, print, print)
     there = threading.Event()
     node.do(lambda made: there.set())
     assert there.wait(10) and outlet.ready and sockets()[0]

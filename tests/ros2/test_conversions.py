@@ -19,6 +19,7 @@ from pancakes_ros2.conversion import (
     Moment,
     Unusable,
     messages_of,
+    not_read,
     read_range,
 )
 
@@ -66,7 +67,7 @@ BODIES = {
 }
 
 
-@pytest.mark.parametrize(("packet", "kind"), [key for key, it in CONVERSIONS.items() if it.read is not None])
+@pytest.mark.parametrize(("packet", "kind"), [key for key, it in CONVERSIONS.items() if it.read is not not_read])
 def test_what_is_written_is_read_again(packet, kind):
     conversion, message = CONVERSIONS[packet, kind], EMPTY[kind]()
     conversion.write(message, BODIES[packet], NOW, 0)
@@ -107,6 +108,7 @@ def test_where_a_ring_sees_nothing_the_message_says_infinity_and_the_packet_the_
 
 def test_each_sensor_of_a_ring_is_a_range_with_its_radiation():
     conversion = CONVERSIONS["sonar", RANGE]
+    assert conversion.parts is not None
     assert conversion.parts(BODIES["sonar"]) == 3
     message = EMPTY[RANGE]()
     conversion.write(message, BODIES["sonar"], NOW, 1)

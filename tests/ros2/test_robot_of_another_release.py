@@ -152,7 +152,8 @@ def test_an_agent_that_is_killed_leaves_a_robot_that_stops_by_itself(start_agent
 
 def test_what_is_wrong_with_a_topic_is_one_sentence_and_the_agent_goes_on(start_agent, peer):
     other_qos = 'settings = { qos = { reliability = "reliable", depth = 5 } }'
-    agent = start_agent("agent1", ROBOT.replace('"ros2.battery"', f'"ros2.battery"\n{other_qos}'))
+    attic = '[device.attic]\ndriver = "ros2.temperature"\nsettings = { topic = "9attic" }\n'
+    agent = start_agent("agent1", ROBOT.replace('"ros2.battery"', f'"ros2.battery"\n{other_qos}') + attic)
     nan = {"pose": {"pose": {"position": {"x": float("nan")}, "orientation": {"w": 1.0}}}}
     for topic, kind, fields, order in (
         ("odom", ODOMETRY, nan, {}),
@@ -165,6 +166,7 @@ def test_what_is_wrong_with_a_topic_is_one_sentence_and_the_agent_goes_on(start_
     agent.wait_for_line("/agent1/temperature is listened to as sensor_msgs/msg/Temperature, but /peer publishes")
     agent.wait_for_line("a node that publishes /agent1/battery_state has another QoS (reliability)")
     agent.wait_for_line("more readings come on motion than the 100 a second that are published")
+    agent.wait_for_line("ROS 2 refuses it: Invalid topic name: topic name token must not start with a number")
     agent.wait_for_line("no node publishes /agent1/sonar: start the robot's nodes")
     with Client() as client, client.subscribe("agent1/system", "motion", timeout_s=20.0) as packets:
         assert next(iter(packets)).body.detected

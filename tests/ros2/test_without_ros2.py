@@ -1,9 +1,14 @@
 """What needs no ROS 2: settings, the table of topics, parameters, life cycles; and what is said where there is none."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
+from click.testing import CliRunner
 from devices.driver_context import DriverContext
 from pancakes_ros2.arena import environment_for
 from pancakes_ros2.arena_clock import Beginning
+from pancakes_ros2.demos import as_simulated
 from pancakes_ros2.installation import checked_type, ros_name
 from pancakes_ros2.lifecycle_states import ACTIVATING, ACTIVE, INACTIVE, request_for, state_of
 from pancakes_ros2.newest import Newest
@@ -14,11 +19,14 @@ from pancakes_ros2.ros_node import silence_of
 from pancakes_ros2.ros_sensors import RosInfrared, RosPose
 from pancakes_ros2.topic_row import TopicRow
 
+from pancakes.bodies.devices.types import Motion
 from pancakes.control import Start, Stop
 from pancakes.errors import PancakesError
 from pancakes.packet import body_class
 from pancakes.runtime.life.life import State
 from pancakes.settings import SettingsError, check_settings, make_settings
+from pancakes.tools.cli.main import pancakes as program
+from pancakes.tools.demo import Run
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 
@@ -100,7 +108,7 @@ def test_fields_of_other_names_are_mapped_both_ways():
     mapped = row(packet="temperature", fields={"count": "celsius"})
     assert mapped.read(Text(count=21)).celsius == 21.0
     made = Text()
-    row(packet="motion", fields={"data": "detected"}).write(made, body_class("motion")(True), (0, 0, ""), 0)
+    row(packet="motion", fields={"data": "detected"}).write(made, Motion(True), (0, 0, ""), 0)
     assert made.data is True
 
 
@@ -117,8 +125,8 @@ def test_a_message_without_a_packet_type_is_a_packet_with_its_fields():
 
 
 def test_what_waits_is_bounded_counted_and_wakes_its_taker_once():
-    woken = []
-    newest = Newest(2, lambda: woken.append(1))
+    woken: list[int] = []
+    newest: Newest[int] = Newest(2, lambda: woken.append(1))
     for number in range(5):
         newest.put(number)
     assert newest.take() == ([3, 4], 3)
@@ -127,7 +135,14 @@ def test_what_waits_is_bounded_counted_and_wakes_its_taker_once():
     assert (newest.take(), woken) == (([5], 0), [1, 1])
 
 
-SETTINGS = {"below": 0.9, "slow": {"a": 1.0, "b": 2}, "places": [1, 2.5], "names": ["x"], "odd": [1, "x"], "none": None}
+SETTINGS: dict[str, Any] = {
+    "below": 0.9,
+    "slow": {"a": 1.0, "b": 2},
+    "places": [1, 2.5],
+    "names": ["x"],
+    "odd": [1, "x"],
+    "none": None,
+}
 
 
 def test_settings_are_parameters_with_flat_names():
@@ -138,17 +153,8 @@ def test_settings_are_parameters_with_flat_names():
         "places": [1, 2.5],
         "names": ["x"],
     }
-    assert [type_of(value) for value in (True, 1, 1.0, "", [True], [1], [1, 2.0], [""], {})] == [
-        1,
-        2,
-        3,
-        4,
-        6,
-        7,
-        8,
-        9,
-        0,
-    ]
+    values: tuple[Any, ...] = (True, 1, 1.0, "", [True], [1], [1, 2.0], [""], {})
+    assert list(map(type_of, values)) == [1, 2, 3, 4, 6, 7, 8, 9, 0]
 
 
 def test_a_parameter_in_a_table_changes_the_table_as_a_whole():
@@ -196,3 +202,20 @@ def test_another_release_does_not_get_what_this_one_put_into_the_environment():
 def test_the_arena_knows_the_mission_time():
     beginning = Beginning(2.0, 100.0, 4.0)
     assert [beginning.mission_at(host_s) for host_s in (0.0, 100.0, 101.0)] == [0.0, 2.0, 6.0]
+
+
+def test_the_demo_runs_live_alone_and_the_list_says_so():
+    there = CliRunner().invoke(program, ["demo", "--list"])
+    assert any(line.startswith("ros2 ") and line.endswith("(live only)") for line in there.output.splitlines())
+    refused = CliRunner().invoke(program, ["demo", "ros2", "--virtual"])
+    assert refused.exit_code == 2
+    assert "the demo 'ros2' runs live alone: robots of ROS 2 do not live in virtual time" in refused.output
+
+
+def test_the_verdict_knows_the_arena_as_a_world():
+    configs = {"world": {"tasks": {"World": {"type": "ros2.arena"}, "Other": {"type": "x"}}}, "agent1": {}}
+    seen = as_simulated(Run(Path(), 1, 1.0, 1.0, "", configs)).configs
+    assert seen == {
+        "world": {"tasks": {"World": {"type": "sim.world"}, "Other": {"type": "x"}}},
+        "agent1": {"tasks": {}},
+    }

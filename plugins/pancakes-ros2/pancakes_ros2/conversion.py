@@ -32,18 +32,27 @@ class Moment(NamedTuple):
     frame: str
 
 
+def not_read(message: Any) -> Any:
+    """Stands for a message that no packet is read from.
+
+    Raises:
+        Unusable: always.
+    """
+    raise Unusable("no packet is read from such a message")
+
+
 @dataclass(frozen=True)
 class Conversion:
     """How packets of a type and messages of a type become each other.
 
     Attributes:
-        read: makes the body of a packet of a message; raises `Unusable`. None: it cannot.
-        write: fills a message from the body of a packet; its last argument is the number of the part. None: it cannot.
+        read: makes the body of a packet of a message; raises `Unusable`. `not_read`: there is no way.
+        write: fills a message from the body of a packet; its last argument is the number of the part.
         parts: how many messages one body becomes, each on a topic of its own; None: one, on the topic itself.
     """
 
-    read: Callable[[Any], Any] | None = None
-    write: Callable[[Any, Any, Moment, int], None] | None = None
+    read: Callable[[Any], Any]
+    write: Callable[[Any, Any, Moment, int], None]
     parts: Callable[[Any], int] | None = None
 
 
@@ -216,8 +225,8 @@ CONVERSIONS: Final = {
     ("battery", BATTERY): Conversion(read_battery, _write_battery),
     ("ir", SCAN): Conversion(_read_scan(Infrared), _write_scan),
     ("sonar", SCAN): Conversion(_read_scan(Sonar), _write_scan),
-    ("ir", RANGE): Conversion(None, _write_range(INFRARED), _count),
-    ("sonar", RANGE): Conversion(None, _write_range(ULTRASOUND), _count),
+    ("ir", RANGE): Conversion(not_read, _write_range(INFRARED), _count),
+    ("sonar", RANGE): Conversion(not_read, _write_range(ULTRASOUND), _count),
     ("motion", BOOL): Conversion(lambda message: Motion(message.data), _write_motion),
     ("temperature", TEMPERATURE): Conversion(_read_temperature, _write_temperature),
 }
@@ -226,4 +235,6 @@ CONVERSIONS: Final = {
 
 def messages_of(packet: str) -> Sequence[str]:
     """Returns the message types that packets of a type are read from."""
-    return [kind for (name, kind), conversion in CONVERSIONS.items() if name == packet and conversion.read is not None]
+    return [
+        kind for (name, kind), conversion in CONVERSIONS.items() if name == packet and conversion.read is not not_read
+    ]

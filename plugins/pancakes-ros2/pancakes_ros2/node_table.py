@@ -61,3 +61,12 @@ class NodeTable:
 
 NODES = NodeTable()
 """Those of this process."""
+
+
+def fail(reason: str) -> None:
+    """Fails the actor that calls it.
+
+    Raises:
+        PancakesError: always, with the reason.
+    """
+    raise PancakesError(reason)

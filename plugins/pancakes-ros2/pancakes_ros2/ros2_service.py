@@ -80,7 +80,7 @@ class Ros2Service(Service):
         if self.settings.use_sim_time:
             node.do(_use_sim_time, self._warn)
         if self.settings.rosout:
-            self._rosout = Outlet(node, LOG_MESSAGE, "/rosout", LOG_QUALITY, self._warn)
+            self._rosout = Outlet(node, LOG_MESSAGE, "/rosout", LOG_QUALITY, self._warn, self._warn)
         for row in self.settings.topics:
             try:
                 row.check_packet()

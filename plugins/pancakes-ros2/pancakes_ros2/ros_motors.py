@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 from msgspec import Meta
@@ -10,7 +11,7 @@ from msgspec import Meta
 from pancakes.bodies.devices.driver import Actuator
 from pancakes.bodies.devices.types import Twist
 from pancakes_ros2.conversion import CONVERSIONS, TWIST, TWIST_STAMPED, Unusable
-from pancakes_ros2.node_table import NODES
+from pancakes_ros2.node_table import NODES, fail
 from pancakes_ros2.quality import COMMAND, Quality
 from pancakes_ros2.ros_node import Outlet, RosNode
 
@@ -62,10 +63,10 @@ class RosMotors(Actuator):
         self._kind = TWIST_STAMPED if settings.stamped else TWIST
         self._node = node = NODES.take(self.context.agent, self.context.virtual)
         quality = Quality(COMMAND.reliability, COMMAND.durability, COMMAND.depth, settings.lifespan_s)
-        self._out = Outlet(node, self._kind, settings.topic, quality, self._warn)
+        self._out = Outlet(node, self._kind, settings.topic, quality, self._fail, self._warn)
         if settings.tell_task:
             newest = Quality("reliable", "transient_local", 1)
-            self._telling = Outlet(node, TEXT, settings.tell_task, newest, self._warn)
+            self._telling = Outlet(node, TEXT, settings.tell_task, newest, self._fail, self._warn)
 
     def close(self) -> None:
         for outlet in (self._out, self._telling):
@@ -100,7 +101,6 @@ class RosMotors(Actuator):
             return  # so nothing has moved yet
         message = out.new()
         write = CONVERSIONS[self.type, self._kind].write
-        assert write is not None
         write(message, command, out.moment(self.settings.frame), 0)
         out.publish(message)
 
@@ -110,6 +110,10 @@ class RosMotors(Actuator):
             message = self._telling.new()
             message.data = task
             self._telling.publish(message)
+
+    def _fail(self, text: str) -> None:
+        """Fails the device, which its service then restarts. In the node's thread."""
+        self.context.call(partial(fail, text))
 
     def _warn(self, text: str) -> None:
         """Logs a sentence, once. Any thread."""

@@ -30,23 +30,24 @@ class Outlet:
         kind: the name of its message type.
         topic: its topic; a relative name is below the agent's namespace.
         quality: its QoS.
-        failed: is told where it cannot be made, or no reader of the topic can hear it.
+        failed: is told where it cannot be made.
+        warn: is told where a reader of the topic cannot hear it.
     """
 
-    def __init__(self, node: RosNode, kind: str, topic: str, quality: Quality, failed: Failed) -> None:
+    def __init__(self, node: RosNode, kind: str, topic: str, quality: Quality, failed: Failed, warn: Failed) -> None:
         self._node = node
         self._quality = quality
         self._publisher: Any = None
         self._closed = False
-        node.do(lambda made: self._make(made, kind, topic, failed), failed)
+        node.do(lambda made: self._make(made, kind, topic, warn), failed)
 
-    def _make(self, node: Any, kind: str, topic: str, failed: Failed) -> None:
+    def _make(self, node: Any, kind: str, topic: str, warn: Failed) -> None:
         if self._closed:
             return
         from rclpy.event_handler import PublisherEventCallbacks
 
         def incompatible(event: Any) -> None:
-            failed(f"a reader of {publisher.topic_name} wants another QoS ({_policy(event)}), so it hears nothing")
+            warn(f"a reader of {publisher.topic_name} wants another QoS ({_policy(event)}), so it hears nothing")
 
         callbacks = PublisherEventCallbacks(incompatible_qos=incompatible)
         publisher = node.create_publisher(
@@ -104,18 +105,26 @@ class Inlet:
         kind: the name of its message type.
         topic: its topic; a relative name is below the agent's namespace.
         quality: its QoS.
-        heard: takes each message, in the node's thread; what it raises goes to `failed`.
-        failed: is told where it cannot be made, or what is said there cannot be heard.
+        heard: takes each message, in the node's thread; what it raises goes to `warn`.
+        failed: is told where it cannot be made.
+        warn: is told where what is said there cannot be heard.
     """
 
     def __init__(
-        self, node: RosNode, kind: str, topic: str, quality: Quality, heard: Callable[[Any], None], failed: Failed
+        self,
+        node: RosNode,
+        kind: str,
+        topic: str,
+        quality: Quality,
+        heard: Callable[[Any], None],
+        failed: Failed,
+        warn: Failed,
     ) -> None:
         self._node = node
         self._kind = kind
         self._topic = topic
         self._heard = heard
-        self._failed = failed
+        self._warn = warn
         self._subscription: Any = None
         self._closed = False
         node.do(lambda made: self._make(made, quality), failed)
@@ -127,7 +136,7 @@ class Inlet:
 
         def incompatible(event: Any) -> None:
             name = self._subscription.topic_name if self._subscription is not None else self._topic
-            self._failed(f"a node that publishes {name} has another QoS ({_policy(event)}), so it is not heard")
+            self._warn(f"a node that publishes {name} has another QoS ({_policy(event)}), so it is not heard")
 
         self._subscription = node.create_subscription(
             message_class(self._kind),
@@ -141,7 +150,7 @@ class Inlet:
         try:
             self._heard(message)
         except Exception as error:  # the node's thread outlives whatever a message leads to
-            self._failed(f"a message of {self._topic} was dropped: {error}")
+            self._warn(f"a message of {self._topic} was dropped: {error}")
 
     def explain(self, tell: Callable[[str], None]) -> None:
         """Has `tell` called, in the node's thread, with a sentence on why nothing may be heard."""

@@ -24,7 +24,7 @@ from pancakes_ros2.conversion import (
 )
 from pancakes_ros2.installation import checked_type
 from pancakes_ros2.newest import Newest
-from pancakes_ros2.node_table import NODES
+from pancakes_ros2.node_table import NODES, fail
 from pancakes_ros2.quality import READING, Quality
 from pancakes_ros2.ros_node import Inlet, RosNode
 
@@ -83,12 +83,11 @@ class RosSensor(NetworkSensor):
         """Begins to listen."""
         kind = self.settings.message or self.usual
         read = CONVERSIONS[self.type, kind].read
-        assert read is not None
         self._inlets = [self.inlet(node, kind, self.settings.topic, lambda message: self._came.put(read(message)))]
 
     def inlet(self, node: RosNode, kind: str, topic: str, heard: Any) -> Inlet:
         """Returns a subscription with the settings of this sensor."""
-        return Inlet(node, kind, topic, self.settings.qos, heard, self._warn)
+        return Inlet(node, kind, topic, self.settings.qos, heard, self._fail, self._warn)
 
     def close(self) -> None:
         super().close()
@@ -118,6 +117,10 @@ class RosSensor(NetworkSensor):
             most = f"the {self.settings.max_hz or MOST_HZ:g} a second that are published"
             text = f"more readings come on {self.settings.topic} than {most}: those in between are left out"
             self.context.log("warning", text)
+
+    def _fail(self, text: str) -> None:
+        """Fails the device, which its service then restarts. In the node's thread."""
+        self.context.call(partial(fail, text))
 
     def _warn(self, text: str) -> None:
         """Logs a sentence, once. In the node's thread."""

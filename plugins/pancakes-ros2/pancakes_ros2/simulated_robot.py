@@ -16,6 +16,7 @@ from pancakes_ros2.conversion import (
     POSE,
     POSE_COVARIANCE,
     RANGE,
+    SCAN,
     TWIST,
     Moment,
     read_twist,
@@ -26,8 +27,8 @@ from pancakes_ros2.ros_motors import TEXT
 
 TIMES_OUT_S: Final = 0.4
 """After so long without a command the robot stands still, in mission seconds: its firmware's own time-out."""
-POSE_HZ: Final = 20.0
-RANGE_HZ: Final = 5.0
+POSE_HZ: Final = 10.0
+RANGE_HZ: Final = 2.5
 BATTERY_HZ: Final = 1.0
 MOTION_HZ: Final = 5.0
 POSES: Final = (("odom", ODOMETRY), ("pose", POSE), ("amcl_pose", POSE_COVARIANCE))
@@ -83,7 +84,9 @@ class SimulatedRobot:
             if kind == "pose":
                 for topic, message in POSES:
                     self._say("pose", message, topic, body, 0)
-            elif kind in ("ir", "sonar"):
+            elif kind == "sonar":
+                self._say(kind, SCAN, kind, body, 0)
+            elif kind == "ir":
                 for number in range(len(body.ranges_m)):
                     self._say(kind, RANGE, f"{kind}_{number}", body, number)
             elif kind == "battery":
@@ -103,7 +106,6 @@ class SimulatedRobot:
         if not publisher.get_subscription_count():
             return
         write = CONVERSIONS[packet, kind].write
-        assert write is not None
         seconds, nanoseconds = divmod(self._node.get_clock().now().nanoseconds, 1_000_000_000)
         frame = "map" if packet == "pose" else f"{self._name}/{topic}"
         message = publisher.msg_type()

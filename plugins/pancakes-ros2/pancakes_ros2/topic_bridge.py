@@ -58,7 +58,9 @@ class TopicBridge:
         """Begins."""
         self._node = node
         if self.row.direction == "in":
-            self._inlet = Inlet(node, self.row.message, self.row.topic, self.row.qos, self._came.put, self.complain)
+            self._inlet = Inlet(
+                node, self.row.message, self.row.topic, self.row.qos, self._came.put, self.complain, self.complain
+            )
         elif self.row.conversion is None or self.row.conversion.parts is None:
             self._outlet(None)  # else it is known with the first packet how many there are
 
@@ -109,7 +111,7 @@ class TopicBridge:
             assert self._node is not None
             row = self.row
             topic = row.topic if part is None else f"{row.topic}_{part}"
-            outlet = self._outlets[part] = Outlet(self._node, row.message, topic, row.qos, self.complain)
+            outlet = self._outlets[part] = Outlet(self._node, row.message, topic, row.qos, self.complain, self.complain)
         return outlet
 
     def _take(self) -> None:

@@ -11,7 +11,7 @@ from msgspec import Meta
 from pancakes.errors import PancakesError
 from pancakes.packet import body_class, body_from_plain, body_to_plain, known_types
 from pancakes.runtime.foundation.suggestion import suggestion
-from pancakes_ros2.conversion import CONVERSIONS, Conversion, Moment, Unusable
+from pancakes_ros2.conversion import CONVERSIONS, Conversion, Moment, Unusable, not_read
 from pancakes_ros2.installation import checked_type
 from pancakes_ros2.quality import Quality
 from pancakes_ros2.ros_message import RosMessage, fill, plain_of, put_at, value_at
@@ -53,7 +53,7 @@ class TopicRow:
         object.__setattr__(self, "message", checked_type(self.message))
         if self.fields and self.packet == ANY:
             raise ValueError(f"fields: a packet of the type {ANY!r} has those of the message; name another type")
-        if self.direction == "in" and self.conversion is not None and self.conversion.read is None:
+        if self.direction == "in" and self.conversion is not None and self.conversion.read is not_read:
             raise ValueError(
                 f"direction = 'in': {self.packet} is not read from {self.message} here; a device with the driver"
                 f" ros2.{self.packet} does so, from a topic for each sensor"
@@ -83,7 +83,6 @@ class TopicRow:
         """
         conversion = self.conversion
         if conversion is not None:
-            assert conversion.read is not None
             return conversion.read(message)
         plain = plain_of(message)
         if self.packet == ANY:
@@ -105,8 +104,6 @@ class TopicRow:
         """
         conversion = self.conversion
         if conversion is not None:
-            if conversion.write is None:
-                raise Unusable(f"no {self.message} is made of {self.packet}")
             conversion.write(message, body, moment, part)
             return
         if isinstance(body, RosMessage):

@@ -99,8 +99,6 @@ def demo(
         pancakes demo encirclement --virtual --seed 7 --out runs/seven
         pancakes demo encirclement --view
     """
-    from pancakes.tools.demo import Comparison
-
     plugins = Plugins()
     if list_ or name is None:
         _list(plugins)
@@ -116,7 +114,7 @@ def demo(
         raise click.UsageError("--control and --port are about the page: they need --view")
     if control and virtual:
         raise click.UsageError("--control does not go with --virtual: such a run repeats, and takes no orders")
-    mission = found.mission if isinstance(found, Comparison) else found
+    mission = _mission(found)
     if virtual and mission.live_only:
         raise click.UsageError(f"the demo {name!r} runs live alone: {mission.live_only}")
     fastest = mission.fastest
@@ -150,6 +148,12 @@ def demo(
     sys.exit(code)
 
 
+def _mission(found: Demo | Comparison) -> Demo:
+    from pancakes.tools.demo import Comparison
+
+    return found.mission if isinstance(found, Comparison) else found
+
+
 LIVE_ONLY: Final = " (live only)"
 """What the list of demos says of one that does not run in virtual time."""
 
@@ -157,8 +161,8 @@ LIVE_ONLY: Final = " (live only)"
 def _list(plugins: Plugins) -> None:
     for name in plugins.names("pancakes.demos"):
         found: Demo | Comparison = plugins.get("pancakes.demos", name)
-        mission = getattr(found, "mission", found)
-        show_text(f"{name:16} {found.title}{LIVE_ONLY if mission.live_only else ''}")
+        live_only = _mission(found).live_only
+        show_text(f"{name:16} {found.title}{LIVE_ONLY if live_only else ''}")
 
 
 @dataclass(frozen=True)
