@@ -1,5 +1,7 @@
 """What needs no ROS 2: settings, the table of topics, parameters, life cycles; and what is said where there is none."""
 
+import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,9 @@ from pancakes.bodies.devices.types import Motion
 from pancakes.control import Start, Stop
 from pancakes.errors import PancakesError
 from pancakes.packet import body_class
+from pancakes.runtime.config import load
 from pancakes.runtime.life.life import State
+from pancakes.runtime.plugins import Plugins
 from pancakes.settings import SettingsError, check_settings, make_settings
 from pancakes.tools.cli.main import pancakes as program
 from pancakes.tools.demo import Run
@@ -107,6 +111,8 @@ class Text:
 def test_fields_of_other_names_are_mapped_both_ways():
     mapped = row(packet="temperature", fields={"count": "celsius"})
     assert mapped.read(Text(count=21)).celsius == 21.0
+    with pytest.raises(PancakesError, match=r"celsius is not finite \(nan\)"):
+        mapped.read(Text(count=math.nan))
     made = Text()
     row(packet="motion", fields={"data": "detected"}).write(made, Motion(True), (0, 0, ""), 0)
     assert made.data is True
@@ -219,3 +225,19 @@ def test_the_verdict_knows_the_arena_as_a_world():
         "world": {"tasks": {"World": {"type": "sim.world"}, "Other": {"type": "x"}}},
         "agent1": {"tasks": {}},
     }
+
+
+def test_the_configurations_of_the_guide_are_good(tmp_path):
+    guide = (Path(__file__).parents[2] / "docs" / "ros2.md").read_text()
+    blocks = re.findall(r"```toml\n(.*?)```", guide, re.DOTALL)
+    assert len(blocks) == 2
+    file = tmp_path / "agent1.toml"
+    file.write_text("\n".join(blocks))
+    config = load(str(file), (), Plugins())
+    assert set(config.devices) == {"pose", "motors", "battery", "ir"}
+    rows = make_settings(Ros2Service.Settings, config.services["ros2"].settings).topics
+    assert [(it.direction, it.message) for it in rows] == [
+        ("out", "geometry_msgs/msg/PoseStamped"),
+        ("in", "geometry_msgs/msg/Point"),
+        ("in", "diagnostic_msgs/msg/DiagnosticArray"),
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal
@@ -89,6 +90,7 @@ class TopicRow:
             return RosMessage(self.message, plain)
         if self.fields:
             plain = _renamed(plain, self.fields.items())
+        _check_finite(plain, "")
         return body_from_plain(self.packet, plain)
 
     def parts(self, body: Any) -> int | None:
@@ -114,6 +116,7 @@ class TopicRow:
         plain = body_to_plain(body)
         if self.fields:
             plain = _renamed(plain, ((theirs, ours) for ours, theirs in self.fields.items()))
+        _check_finite(plain, "")
         if hasattr(message, "header") and "header" not in plain:
             message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id = moment
         fill(message, plain)
@@ -124,3 +127,15 @@ def _renamed(plain: Mapping[str, Any], names: Iterable[tuple[str, str]]) -> dict
     for source, target in names:
         put_at(made, target, value_at(plain, source))
     return made
+
+
+def _check_finite(plain: Any, path: str) -> None:
+    """Refuses NaN and infinity, of which no packet type says what they mean; a packet `ros2.message` may have them."""
+    if isinstance(plain, Mapping):
+        for key, value in plain.items():
+            _check_finite(value, f"{path}.{key}" if path else key)
+    elif isinstance(plain, (list, tuple)):
+        for number, value in enumerate(plain):
+            _check_finite(value, f"{path}[{number}]")
+    elif isinstance(plain, float) and not math.isfinite(plain):
+        raise Unusable(f"{path} is not finite ({plain:g})")
