@@ -32,6 +32,8 @@ HAND_TO_THEIR_OWN = {
     "runtime/services/traces.py": "a part of the Log Service",
     "runtime/supervision/startup.py": "a part of its service",
     "tools/replay/rerun.py": "it is no actor: it leads the one task that it runs again",
+    "pancakes_ros2/ros_motors.py": "a driver, which is a part of its task",
+    "pancakes_ros2/ros_sensors.py": "a driver, which is a part of its task",
     "pancakes_sensor_field/drivers.py": "a driver, which is a part of its task",
     "pancakes_sensor_field/tiny_nodes.py": "a part of the task that simulates the nodes",
 }

@@ -72,13 +72,22 @@ class NetworkSensor(Sensor):
                     f"this device takes packets of the type {self.type!r}; {packet.source} sent {packet.type!r}",
                 )
             return
+        self.take(packet.body, packet.source)
+
+    def take(self, body: Any, source: str) -> bool:
+        """Publishes a reading that came from `source`; returns False where it is left out, as too many come."""
         now_s = self.context.now()
         self._last_s = now_s
         if self._stale:
             self._stale = False
-            self.context.log("info", f"readings come again, from {packet.source}")
-        if self._pace is None or self._pace.due(now_s):
-            self.context.deliver(packet.body)
+            self.context.log("info", f"readings come again, from {source}")
+        if self._pace is not None and not self._pace.due(now_s):
+            return False
+        self.context.deliver(body)
+        return True
+
+    def stale(self) -> None:
+        """Called each `stale_after_s` in which no reading has come, after the log was told; for subclasses."""
 
     def _watch(self) -> None:
         """Looks whether readings still come, each time that the newest may have grown too old."""
@@ -91,6 +100,7 @@ class NetworkSensor(Sensor):
             if not self._stale:
                 self._stale = True
                 self.context.log("warning", f"no reading has come for {now_s - self._last_s:.1f} s of mission time")
+            self.stale()
             left_s = stale_after_s
         self.context.after(left_s, self._watch)
 

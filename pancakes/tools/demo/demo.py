@@ -75,6 +75,7 @@ class Demo:
         loss: the agent that is killed on the way; None: none is, and one that ends by itself ends the mission.
         fastest: the most mission seconds a second that it can run with live, where something that it shows takes its
             time on the host's clock, as leases do.
+        live_only: why it cannot run in virtual time, as a clause; empty: it can.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Demo:
     virtual: bool = False
     loss: Loss | None = None
     fastest: float = math.inf
+    live_only: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 from click.core import ParameterSource
@@ -111,8 +111,6 @@ def demo(
         pancakes demo encirclement --view
         pancakes demo encirclement --virtual --seeds 1-200
     """
-    from pancakes.tools.demo import Comparison
-
     plugins = Plugins()
     if list_ or name is None:
         _list(plugins)
@@ -128,12 +126,15 @@ def demo(
         raise click.UsageError("--control and --port are about the page: they need --view")
     if control and virtual:
         raise click.UsageError("--control does not go with --virtual: such a run repeats, and takes no orders")
+    mission = _mission(found)
+    if virtual and mission.live_only:
+        raise click.UsageError(f"the demo {name!r} runs live alone: {mission.live_only}")
     if seeds is None and (jobs is not None or format_ != "table"):
         raise click.UsageError("--jobs and --format are about many missions: they need --seeds")
     if seeds is not None:
         _refuse_beside_seeds(ctx, virtual, view_)
         sys.exit(_many(found, seeds, jobs, format_, out, faults, plugins, **asked))
-    fastest = found.mission.fastest if isinstance(found, Comparison) else found.fastest
+    fastest = mission.fastest
     if not virtual and speed > fastest:
         raise click.UsageError(
             f"live, the demo {name!r} runs at {fastest:g} mission seconds a second at most, not at {speed:g}: what it"
@@ -199,9 +200,21 @@ def _many(
     return INTERRUPTED if not whole else FAILED if failed else PASSED
 
 
+def _mission(found: Demo | Comparison) -> Demo:
+    from pancakes.tools.demo import Comparison
+
+    return found.mission if isinstance(found, Comparison) else found
+
+
+LIVE_ONLY: Final = " (live only)"
+"""What the list of demos says of one that does not run in virtual time."""
+
+
 def _list(plugins: Plugins) -> None:
     for name in plugins.names("pancakes.demos"):
-        show_text(f"{name:16} {plugins.get('pancakes.demos', name).title}")
+        found: Demo | Comparison = plugins.get("pancakes.demos", name)
+        live_only = _mission(found).live_only
+        show_text(f"{name:16} {found.title}{LIVE_ONLY if live_only else ''}")
 
 
 @dataclass(frozen=True)

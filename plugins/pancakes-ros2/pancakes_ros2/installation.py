@@ -1,0 +1,76 @@
+"""The ROS 2 of this Python environment: imported when it is used, and named where it is not there."""
+
+from __future__ import annotations
+
+import os
+import re
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, Final
+
+from pancakes.errors import PancakesError
+
+_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(?:msg/)?([A-Z][A-Za-z0-9]*)")
+NEXT_STEP: Final = (
+    "source the setup file of a ROS 2 whose Python is this one (`source /opt/ros/jazzy/setup.bash`),"
+    " or install a ROS 2 into this environment; see docs/ros2.md"
+)
+
+
+def have_fields_checked() -> None:
+    """Has messages check what is put into their fields: else ROS 2 sends something else where a value does not fit.
+
+    To be called before any message is imported.
+    """
+    os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+
+
+def check_installed() -> None:
+    """Makes sure that this Python finds a ROS 2, without importing it.
+
+    Raises:
+        PancakesError: it does not.
+    """
+    if find_spec("rclpy") is None:
+        raise PancakesError(f"this Python has no ROS 2, as there is no rclpy: {NEXT_STEP}")
+
+
+def checked_type(name: str) -> str:
+    """Returns the full name of a message type, such as `geometry_msgs/msg/PoseStamped`; `msg/` may be left out.
+
+    Raises:
+        ValueError: it is no such name.
+    """
+    found = _TYPE.fullmatch(name)
+    if found is None:
+        raise ValueError(f"{name!r} is no message type of ROS 2, such as 'geometry_msgs/msg/PoseStamped'")
+    return f"{found[1]}/msg/{found[2]}"
+
+
+def message_class(name: str) -> Any:
+    """Returns the class of a message type that is installed.
+
+    Raises:
+        PancakesError: it is not installed, or cannot be loaded; the sentence says what to do.
+    """
+    package, _, kind = checked_type(name).split("/")
+    have_fields_checked()
+    try:
+        module = import_module(f"{package}.msg")
+    except ImportError as error:
+        if error.name == package:
+            reason = f"the package {package} is not installed: install it, or source the workspace that has it"
+        else:
+            reason = f"{package} cannot be loaded: {error}"
+        raise PancakesError(f"there is no message type {name}: {reason}") from None
+    found = getattr(module, kind, None)
+    if found is None:
+        raise PancakesError(f"there is no message type {name}: {package} of this ROS 2 has no message {kind}")
+    return found
+
+
+def ros_name(name: str) -> str:
+    """Returns a name of Pancakes as a part of a name in ROS 2, which has letters, digits and underscores alone."""
+    plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    plain = re.sub(r"__+", "_", plain)
+    return plain if plain[:1].isalpha() else f"a_{plain.lstrip('_')}"

@@ -1,0 +1,269 @@
+"""Sensors of a robot that speaks ROS 2 (`ros2.*`): each listens to a topic, or a topic for each ray."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any, ClassVar
+
+from msgspec import Meta
+
+from pancakes.bodies.devices.driver import DeviceContext
+from pancakes.bodies.devices.network_devices import NetworkSensor
+from pancakes.bodies.devices.types import Infrared, Sonar
+from pancakes_ros2.conversion import (
+    BATTERY,
+    BOOL,
+    CONVERSIONS,
+    ODOMETRY,
+    RANGE,
+    SCAN,
+    TEMPERATURE,
+    messages_of,
+    read_range,
+)
+from pancakes_ros2.installation import checked_type
+from pancakes_ros2.newest import Newest
+from pancakes_ros2.node_table import NODES, fail
+from pancakes_ros2.quality import READING, Quality
+from pancakes_ros2.ros_node import Inlet, RosNode
+
+MOST_HZ = 100.0
+"""No body of a robot needs more readings of one sensor a second, and a topic may be flooded."""
+FLOOD = 20
+"""The log is told where more than so many readings are left out in a second of mission time; once."""
+Hz = Annotated[float, Meta(gt=0)]
+
+
+class RosSensor(NetworkSensor):
+    """A sensor whose readings are the messages of a topic; a type of device is a subclass."""
+
+    networked = False
+    usual: ClassVar[str] = ""
+    """The message type that it has where the settings name none."""
+
+    @dataclass
+    class Settings(NetworkSensor.Settings):
+        """What it listens to.
+
+        Attributes:
+            topic: its topic; one that does not begin with a slash is below `/AGENT`.
+            message: its message type.
+            max_hz: how many readings a second are published, where more come; the others are left out.
+            qos: how its messages are delivered.
+        """
+
+        topic: str = ""
+        message: str = ""
+        max_hz: Hz | None = MOST_HZ
+        qos: Quality = READING
+
+        def __post_init__(self) -> None:
+            if self.message:
+                self.message = checked_type(self.message)
+
+    settings: Settings
+
+    def __init__(self, context: DeviceContext, settings: Any) -> None:
+        super().__init__(context, settings)
+        self._node: RosNode | None = None
+        self._inlets: list[Inlet] = []
+        self._came: Newest[Any] = Newest(1, lambda: context.call(self._take))
+        self._told: set[str] = set()
+        self._left_out = 0
+        self._counted_since_s = 0.0
+        self._flood_told = False
+
+    def open(self) -> None:
+        self._node = NODES.take(self.context.agent, self.context.virtual)
+        super().open()
+        self.listen(self._node)
+
+    def listen(self, node: RosNode) -> None:
+        """Begins to listen."""
+        kind = self.settings.message or self.usual
+        read = CONVERSIONS[self.type, kind].read
+        self._inlets = [self.inlet(node, kind, self.settings.topic, lambda message: self._came.put(read(message)))]
+
+    def inlet(self, node: RosNode, kind: str, topic: str, heard: Any) -> Inlet:
+        """Returns a subscription with the settings of this sensor."""
+        return Inlet(node, kind, topic, self.settings.qos, heard, self._fail, self._warn)
+
+    def close(self) -> None:
+        super().close()
+        for inlet in self._inlets:
+            inlet.close()
+        if self._node is not None:
+            self._node = None
+            NODES.give_back(self.context.agent)
+
+    def stale(self) -> None:
+        for inlet in self._inlets[:1]:
+            inlet.explain(self._warn)
+
+    def _take(self) -> None:
+        if self._node is None:
+            return
+        bodies, lost = self._came.take()
+        left_out = lost + sum(not self.take(body, self.settings.topic) for body in bodies)
+        if not left_out or self._flood_told:
+            return
+        now_s = self.context.now()
+        if now_s - self._counted_since_s > 1.0:
+            self._counted_since_s, self._left_out = now_s, 0
+        self._left_out += left_out
+        if self._left_out > FLOOD:
+            self._flood_told = True
+            most = f"the {self.settings.max_hz or MOST_HZ:g} a second that are published"
+            text = f"more readings come on {self.settings.topic} than {most}: those in between are left out"
+            self.context.log("warning", text)
+
+    def _fail(self, text: str) -> None:
+        """Fails the device, which its service then restarts. In the node's thread."""
+        self.context.call(partial(fail, text))
+
+    def _warn(self, text: str) -> None:
+        """Logs a sentence, once. In the node's thread."""
+        if text not in self._told and len(self._told) < 100:
+            self._told.add(text)
+            self.context.log("warning", text)
+
+
+def _refuse_message(settings: RosSensor.Settings, packet: str) -> None:
+    known = messages_of(packet)
+    if settings.message and settings.message not in known:
+        raise ValueError(f"message = {settings.message!r}: no {packet} is read from that, but from {', '.join(known)}")
+
+
+class RosPose(RosSensor):
+    """Where a robot is: by its odometry, by amcl, or by whatever publishes its pose (`ros2.pose`)."""
+
+    type = "pose"
+    usual = ODOMETRY
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        topic: str = "odom"
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            _refuse_message(self, "pose")
+
+
+class RosBattery(RosSensor):
+    """A robot's battery (`ros2.battery`)."""
+
+    type = "battery"
+    usual = BATTERY
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        topic: str = "battery_state"
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            _refuse_message(self, "battery")
+
+
+class RosMotion(RosSensor):
+    """A motion sensor (`ros2.motion`)."""
+
+    type = "motion"
+    usual = BOOL
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        topic: str = "motion"
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            _refuse_message(self, "motion")
+
+
+class RosTemperature(RosSensor):
+    """A thermometer (`ros2.temperature`)."""
+
+    type = "temperature"
+    usual = TEMPERATURE
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        topic: str = "temperature"
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            _refuse_message(self, "temperature")
+
+
+class RosRing(RosSensor):
+    """A ring of range sensors: a LaserScan, or a Range for each sensor on a topic of its own."""
+
+    usual = SCAN
+    body: ClassVar[type[Infrared] | type[Sonar]]
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        """What it listens to.
+
+        Attributes:
+            bearings_rad: of sensors that each have a topic, `TOPIC_0` and so on, where each of them looks, in the
+                frame of the body. Empty: the topic is a LaserScan.
+        """
+
+        bearings_rad: list[float] = field(default_factory=list)
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            wanted = RANGE if self.bearings_rad else SCAN
+            if self.message not in ("", wanted):
+                raise ValueError(
+                    f"message = {self.message!r}: a topic for each of `bearings_rad` is a {RANGE}; without these"
+                    f" it is a {SCAN}"
+                )
+
+    settings: Settings
+
+    def listen(self, node: RosNode) -> None:
+        bearings = tuple(self.settings.bearings_rad)
+        if not bearings:
+            super().listen(node)
+            return
+        # The node's thread alone fills it.
+        sweep: dict[int, tuple[float, float]] = {}
+
+        def heard(number: int, message: Any) -> None:
+            measured = read_range(message)
+            if measured is None:
+                return
+            sweep[number] = measured
+            if len(sweep) == len(bearings):
+                ranges = tuple(sweep[index][0] for index in range(len(bearings)))
+                self._came.put(self.body(bearings, ranges, max(most for _, most in sweep.values())))
+                sweep.clear()
+
+        topic = self.settings.topic
+        self._inlets = [
+            self.inlet(node, RANGE, f"{topic}_{number}", partial(heard, number)) for number in range(len(bearings))
+        ]
+
+
+class RosInfrared(RosRing):
+    """A ring of infrared sensors (`ros2.ir`)."""
+
+    type = "ir"
+    body = Infrared
+
+    @dataclass
+    class Settings(RosRing.Settings):
+        topic: str = "ir"
+
+
+class RosSonar(RosRing):
+    """A ring of sonars (`ros2.sonar`)."""
+
+    type = "sonar"
+    body = Sonar
+
+    @dataclass
+    class Settings(RosRing.Settings):
+        topic: str = "sonar"
