@@ -54,6 +54,7 @@ def test_a_batch_costs_one_round_of_the_disk_however_many_entries_it_has(
     journal: FileJournal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal.write([entry("a", "1")])
+    before, length = journal.use, (journal.directory / WRITE_AHEAD).stat().st_size
     synced: list[str] = []
     fsync = os.fsync
 
@@ -65,6 +66,8 @@ def test_a_batch_costs_one_round_of_the_disk_however_many_entries_it_has(
     journal.write([entry(str(number), "2") for number in range(50)])
 
     assert synced == [WRITE_AHEAD]
+    grown = (journal.directory / WRITE_AHEAD).stat().st_size - length
+    assert journal.use == (before.syncs + 1, before.written_bytes + grown)
 
 
 def test_a_batch_that_was_not_finished_is_as_if_it_had_never_been(journal: FileJournal) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.runtime.journal.directory import StateDirectory
-from pancakes.runtime.journal.journal import BAD, SUFFIX, Journal, name_of
+from pancakes.runtime.journal.journal import BAD, SUFFIX, DiskUse, Journal, name_of
 from pancakes.runtime.journal.seal import JournalEntry, JournalError, seal
 from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead, seal_batch
 
@@ -135,10 +135,10 @@ class FileJournal(Journal):
         with os.fdopen(self._open_file(WRITE_AHEAD, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "wb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            self._sync(file.fileno(), len(data))
             length = os.fstat(file.fileno()).st_size
         if length == len(data):
-            os.fsync(self._handle)  # it is new, and so is its name
+            self._sync(self._handle)  # it is new, and so is its name
         return length
 
     def _put_in_place(self) -> None:
@@ -153,7 +153,7 @@ class FileJournal(Journal):
     def _remove_ahead(self) -> None:
         with suppress(FileNotFoundError):
             os.unlink(WRITE_AHEAD, dir_fd=self._handle)
-        os.fsync(self._handle)
+        self._sync(self._handle)
 
     def _cannot_write(self, error: OSError) -> JournalError:
         # Of a directory that is gone the operating system says the same as of a file that is not there.
@@ -188,7 +188,7 @@ class FileJournal(Journal):
                 self._write_temporary(name, data)
             for name in contents:
                 os.replace(name + _TEMPORARY, name, src_dir_fd=handle, dst_dir_fd=handle)
-            os.fsync(handle)
+            self._sync(handle)
         except OSError as error:
             raise self._cannot_write(error) from None
         # What is on disk where the next start does not look for it is not on disk.
@@ -199,12 +199,16 @@ class FileJournal(Journal):
         with os.fdopen(handle, "wb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            self._sync(file.fileno(), len(data))
 
     def _rename(self, name: str, new: str) -> None:
         handle = self._handle
         os.rename(name, new, src_dir_fd=handle, dst_dir_fd=handle)
+        self._sync(handle)
+
+    def _sync(self, handle: int, written_bytes: int = 0) -> None:
         os.fsync(handle)
+        self.use = DiskUse(self.use.syncs + 1, self.use.written_bytes + written_bytes)
 
 
 def empty(directory: Path) -> bool:

@@ -24,6 +24,18 @@ _IDENTITY: Final = "identity"
 _LONGEST_NAME: Final = 200
 
 
+class DiskUse(NamedTuple):
+    """What a journal has asked of its disk since it was opened: flash wears out by both.
+
+    Attributes:
+        syncs: how often it has waited until all was on the disk (`fsync`).
+        written_bytes: how much it has written.
+    """
+
+    syncs: int = 0
+    written_bytes: int = 0
+
+
 class Journal(ABC):
     """The durable entries of one agent.
 
@@ -40,6 +52,7 @@ class Journal(ABC):
         place: where it is kept, for people.
         remarks: what people should know about that place, each a sentence.
         check_s: how often, in seconds, `check` should be called; None: there is nothing to check.
+        use: what it has asked of the disk so far.
     """
 
     uuid: str
@@ -51,6 +64,7 @@ class Journal(ABC):
     place: str
     remarks: tuple[str, ...] = ()
     check_s: float | None = None
+    use: DiskUse = DiskUse()
 
     def entries(self, kind: str) -> list[JournalEntry]:
         """Returns all entries of a kind, in the order of their keys."""

@@ -64,6 +64,7 @@ class Kernel:
         folders: where files may be written at the word of another; the agent sets it.
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the agent sets it.
+        disk_use: says how often this agent has waited for its disk, and what it has written; the agent sets it.
         links: says what is to be known about each link to another agent, as plain values; the agent sets it.
         lateness_heard: told of each tick of a task how late it was, in the task's turn; see `hear_lateness`.
     """
@@ -96,6 +97,7 @@ class Kernel:
         self.access = Access(agent)
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
+        self.disk_use: Callable[[], tuple[int, int]] = lambda: (0, 0)
         self.links: Callable[[], Sequence[dict[str, Any]]] = tuple
         self.lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...] = ()
         self._seqs: dict[str, Counter] = {}
