@@ -384,10 +384,12 @@ class Leases:
                 answer("")
 
     def _acknowledge(self, place: Place, tenancy: Tenancy) -> None:
-        kept, tenancy.owed = kept_packets(tenancy.tenure, place.standing.record, tenancy.owed)
-        for packet in kept:
-            self._on_disk(place, packet)
-        self._tell_stops(place, tenancy)
+        if tenancy.owed:
+            kept, tenancy.owed = kept_packets(tenancy.tenure, place.standing.record, tenancy.owed)
+            for packet in kept:
+                self._on_disk(place, packet)
+        if tenancy.stops:
+            self._tell_stops(place, tenancy)
 
     # Choosing guardians ----------------------------------------------------------------------------------------
 
