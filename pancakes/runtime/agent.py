@@ -192,7 +192,7 @@ class Agent:
                 journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, lost=self._journal_lost
             )
         self.store = store
-        self._remarks = journal.remarks
+        self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use
         disk = Disk(journal, store, self.skipped)
         self.records = Records(disk)
         self.resting = self._resting()

@@ -14,6 +14,7 @@ from cli.processes import Rig, Running
 
 from pancakes import __version__
 from pancakes.runtime.journal import FileJournal, JournalEntry
+from pancakes.runtime.journal.write_ahead import WRITE_AHEAD
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.runtime_dir import VARIABLE, RunningAgent
 from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
@@ -206,10 +207,17 @@ def test_directories_of_sockets_that_others_can_reach(tmp_path: Path, monkeypatc
     assert levels(check_sockets()) == [("error", "local sockets")] * 2
 
 
+def written(tmp_path: Path, entry: JournalEntry) -> FileJournal:
+    """Returns a journal that has an entry with a file of its own."""
+    journal = FileJournal(tmp_path / "state" / "fleet" / "a")
+    journal.write([entry])
+    journal.close()
+    return FileJournal(journal.directory)
+
+
 @pytest.fixture
 def journal(tmp_path: Path) -> Iterator[FileJournal]:
-    journal = FileJournal(tmp_path / "state" / "fleet" / "a")
-    journal.write([JournalEntry("task", "a/Scan", b"state")])
+    journal = written(tmp_path, JournalEntry("task", "a/Scan", b"state"))
     yield journal
     journal.close()
 
@@ -242,8 +250,19 @@ def test_what_was_set_aside_is_named(tmp_path: Path, journal: FileJournal):
     assert (finding.level, torn.name + ".bad" in finding.text) == ("warning", True)
 
 
-def test_a_record_that_was_lost_is_to_be_decided_about_until_there_is_another(tmp_path: Path, journal: FileJournal):
-    journal.write([JournalEntry("record", "a/Scan", b"")])
+def test_what_was_written_ahead_and_is_damaged_is_found(tmp_path: Path, journal: FileJournal):
+    for data in (b"1", b"2"):
+        journal.write([JournalEntry("record", "a/Scan", data)])
+    ahead = journal.directory / WRITE_AHEAD
+    ahead.write_bytes(b"?" + ahead.read_bytes()[1:])
+
+    _, finding = check_state_dirs(tmp_path / "state")
+
+    assert finding.level == "error" and f"{WRITE_AHEAD} is damaged" in finding.text
+
+
+def test_a_record_that_was_lost_is_to_be_decided_about_until_there_is_another(tmp_path: Path):
+    journal = written(tmp_path, JournalEntry("record", "a/Scan", b""))
     (record,) = journal.directory.glob("record.*")
     record.rename(record.with_name(record.name + ".2.bad"))
 
@@ -253,6 +272,7 @@ def test_a_record_that_was_lost_is_to_be_decided_about_until_there_is_another(tm
     journal.write([JournalEntry("record", "a/Scan", b"")])
     _, finding = check_state_dirs(tmp_path / "state")
     assert finding.advice == "none is needed any more: remove them"
+    journal.close()
 
 
 def test_a_state_directory_that_others_can_write(tmp_path: Path, journal: FileJournal):

@@ -71,6 +71,7 @@ class Kernel:
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the agent sets it.
         life: names this life of the agent: its journal, and how often that was opened; the agent sets it.
+        disk_use: says how often this agent has waited for its disk, and what it has written; the agent sets it.
         links: says what is to be known about each link to another agent, as plain values; the agent sets it.
         peer_clock: says what is known of the clocks of another agent; the agent sets it.
         mission_changed: called once the mission has begun, or is known to begin; the agent sets it.
@@ -107,6 +108,7 @@ class Kernel:
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
         self.life = agent
+        self.disk_use: Callable[[], tuple[int, int]] = lambda: (0, 0)
         self.links: Callable[[], Sequence[dict[str, Any]]] = tuple
         self.peer_clock: Callable[[str], PeerClock | None] = lambda agent: None
         self.mission_changed: Callable[[], None] = lambda: None

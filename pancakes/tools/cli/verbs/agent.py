@@ -141,7 +141,7 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
             "dead letters": found["dead_letters"],
             "packets for agents that were away": found["undelivered"],
         },
-        "process": found["process"] or {},
+        "process": {**(found["process"] or {}), **_disk(found)},
         "services": [
             {key: row[key] for key in ("service", "type", "state", "tasks", "reason")} for row in found["services"]
         ],
@@ -153,6 +153,14 @@ def _clock(found: dict[str, Any]) -> str:
     state = ", held until Begin" if found["held"] else ""
     day = f"{utc_text(found['utc_s'])} UTC" if found["utc_s"] is not None else "no time of day"
     return f"{found['mission_s']:.3f} s of the mission, at speed {found['speed']:g}{state}; {day}"
+
+
+def _disk(found: dict[str, Any]) -> dict[str, str]:
+    disk, hours = found.get("disk"), ((found["process"] or {}).get("uptime_s") or 0.0) / 3600.0
+    if disk is None or not hours:
+        return {}
+    syncs, written_mb = disk["syncs"] / hours, disk["written_bytes"] / 1e6 / hours
+    return {"disk, an hour": f"{syncs:.0f} fsyncs, {written_mb:.1f} MB written"}
 
 
 def _link(peer: dict[str, Any]) -> dict[str, Any]:
