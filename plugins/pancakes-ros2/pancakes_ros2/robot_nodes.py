@@ -93,11 +93,11 @@ def _serve(
         executor.add_node(node)
         robot = settings.robots.get(name)
         if robot is None:
-            robots.append(SimulatedRobot(node, name, simulation, None, ("motion",)))
+            robots.append(SimulatedRobot(node, name, physics, None, ("motion",)))
             continue
         model = robot_model(robot.model)
         rings = (*("ir",) * (model.ir is not None), *("sonar",) * (model.sonar is not None))
-        robots.append(SimulatedRobot(node, name, simulation, model.drive, ("battery", *rings)))
+        robots.append(SimulatedRobot(node, name, physics, model.drive, ("battery", *rings)))
     host = MonotonicClock().now
     steps, state_step = round(1.0 / (state_hz * STEP_S)), 0
     beginning: Beginning | None = None

@@ -41,7 +41,7 @@ class SimulatedRobot:
     Args:
         node: its rclpy node.
         name: its name in the world.
-        simulation: the world.
+        physics: the world.
         wheels: what its wheels are like; None: it has none.
         types: the types of its sensors, as the world knows them.
     """
