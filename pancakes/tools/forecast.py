@@ -40,7 +40,7 @@ class NotKnown(PancakesError):
     """What was measured does not say what a change would do; the message says what to do about that."""
 
 
-class TimerFigures(msgspec.Struct, frozen=True):
+class MeasuredTimer(msgspec.Struct, frozen=True):
     """What was measured of a time-driven method; see `pancakes.measurement.Measure`, as for all figures."""
 
     timer: str
@@ -51,7 +51,7 @@ class TimerFigures(msgspec.Struct, frozen=True):
     tick_s2: float
 
 
-class TaskFigures(msgspec.Struct, frozen=True):
+class MeasuredTask(msgspec.Struct, frozen=True):
     """What was measured of a task."""
 
     service: str
@@ -61,10 +61,10 @@ class TaskFigures(msgspec.Struct, frozen=True):
     task_id: str
     turns: int
     turn_s: float
-    timers: tuple[TimerFigures, ...] = ()
+    timers: tuple[MeasuredTimer, ...] = ()
 
 
-class HostFigures(msgspec.Struct, frozen=True):
+class MeasuredHost(msgspec.Struct, frozen=True):
     """What was measured of a computer."""
 
     id: str
@@ -73,14 +73,14 @@ class HostFigures(msgspec.Struct, frozen=True):
     yardstick_s: float
 
 
-class BatteryFigures(msgspec.Struct, frozen=True):
+class MeasuredBattery(msgspec.Struct, frozen=True):
     """What was left of a battery before and after the measurement, 0 to 1; None: there is none."""
 
     before: float | None = None
     after: float | None = None
 
 
-class AgentFigures(msgspec.Struct, frozen=True):
+class MeasuredAgent(msgspec.Struct, frozen=True):
     """What was measured of an agent."""
 
     agent: str
@@ -89,9 +89,9 @@ class AgentFigures(msgspec.Struct, frozen=True):
     processor_s: float
     turns: int
     turn_s: float
-    host: HostFigures
-    tasks: tuple[TaskFigures, ...]
-    battery: BatteryFigures = BatteryFigures()
+    host: MeasuredHost
+    tasks: tuple[MeasuredTask, ...]
+    battery: MeasuredBattery = MeasuredBattery()
 
     @property
     def load(self) -> float:
@@ -103,7 +103,7 @@ class AgentFigures(msgspec.Struct, frozen=True):
         """Processor time beside turns, for each turn: timer, network, kernel."""
         return max(0.0, self.processor_s - self.turn_s) / self.turns if self.turns else 0.0
 
-    def task(self, name: str, service: str = "") -> TaskFigures:
+    def task(self, name: str, service: str = "") -> MeasuredTask:
         """Returns one of its tasks.
 
         Raises:
@@ -210,7 +210,7 @@ class _Change:
     gone: bool = False
 
 
-def forecast_move(fleet: Sequence[AgentFigures], source: str, task: str, to: str, service: str = "") -> Forecast:
+def forecast_move(fleet: Sequence[MeasuredAgent], source: str, task: str, to: str, service: str = "") -> Forecast:
     """Returns what the move of a task would do.
 
     Raises:
@@ -226,7 +226,7 @@ def forecast_move(fleet: Sequence[AgentFigures], source: str, task: str, to: str
 
 
 def forecast_rate(
-    fleet: Sequence[AgentFigures], agent: str, task: str, rate_hz: float, timer: str = "", service: str = ""
+    fleet: Sequence[MeasuredAgent], agent: str, task: str, rate_hz: float, timer: str = "", service: str = ""
 ) -> Forecast:
     """Returns what another rate of a task's timer would do; without a name its first.
 
@@ -267,7 +267,7 @@ def forecast_rate(
     return _forecast(fleet, {agent: change}, notes)
 
 
-def forecast_without(fleet: Sequence[AgentFigures], agent: str, places: Mapping[str, str]) -> Forecast:
+def forecast_without(fleet: Sequence[MeasuredAgent], agent: str, places: Mapping[str, str]) -> Forecast:
     """Returns what it would do if an agent went, and its tasks that can move went to others before.
 
     Args:
@@ -301,11 +301,11 @@ def forecast_without(fleet: Sequence[AgentFigures], agent: str, places: Mapping[
 
 
 def _move(
-    fleet: Sequence[AgentFigures],
+    fleet: Sequence[MeasuredAgent],
     changes: dict[str, _Change],
-    source: AgentFigures,
-    moved: TaskFigures,
-    target: AgentFigures,
+    source: MeasuredAgent,
+    moved: MeasuredTask,
+    target: MeasuredAgent,
     notes: list[str],
 ) -> None:
     """Adds the move of a task to what changes."""
@@ -340,7 +340,7 @@ def _move(
         notes.append(f"{source.agent}/{moved.task} had no turn in {source.span_s:.1f} s: what it takes is not known")
 
 
-def _forecast(fleet: Sequence[AgentFigures], changes: Mapping[str, _Change], notes: list[str]) -> Forecast:
+def _forecast(fleet: Sequence[MeasuredAgent], changes: Mapping[str, _Change], notes: list[str]) -> Forecast:
     hosts: dict[str, Expected] = {}
     for figures in fleet:
         change = changes.get(figures.agent, _Change())
@@ -361,7 +361,7 @@ def _forecast(fleet: Sequence[AgentFigures], changes: Mapping[str, _Change], not
     return Forecast(agents, known_from, tuple(notes))
 
 
-def _agent(figures: AgentFigures, change: _Change, host_change: Expected, notes: list[str]) -> AgentForecast:
+def _agent(figures: MeasuredAgent, change: _Change, host_change: Expected, notes: list[str]) -> AgentForecast:
     # An agent that takes more than one processor already has tasks that compute outside of Python.
     most = max(1.0, figures.load)
     wanted = change.load + Expected(*3 * (figures.load,))
@@ -389,7 +389,7 @@ def _agent(figures: AgentFigures, change: _Change, host_change: Expected, notes:
     )
 
 
-def _missed(figures: AgentFigures, change: _Change, wanted: Expected) -> Expected:
+def _missed(figures: MeasuredAgent, change: _Change, wanted: Expected) -> Expected:
     """Returns the ticks that would be missed: those of the timers that stay, and by how much the model changes."""
     if change.gone:
         return Expected(0.0, 0.0, 0.0)
@@ -408,7 +408,7 @@ def _missed(figures: AgentFigures, change: _Change, wanted: Expected) -> Expecte
     return Expected(*(max(0.0, stay_hz + hz - before_hz) for hz in after_hz))
 
 
-def _ticks(timer: TimerFigures, speed: float) -> _Ticks:
+def _ticks(timer: MeasuredTimer, speed: float) -> _Ticks:
     return _Ticks(timer.rate_hz * speed, timer.tick_s / timer.ticks if timer.ticks else 0.0)
 
 
@@ -424,7 +424,7 @@ def _late_hz(timers: Iterable[_Ticks], load: float, turn_s: float) -> float:
     return missed_hz
 
 
-def _battery(figures: AgentFigures, change: _Change) -> tuple[float | None, Expected | None]:
+def _battery(figures: MeasuredAgent, change: _Change) -> tuple[float | None, Expected | None]:
     before, after = figures.battery.before, figures.battery.after
     if before is None or after is None or before <= after or change.gone:
         return None, None
@@ -434,7 +434,7 @@ def _battery(figures: AgentFigures, change: _Change) -> tuple[float | None, Expe
     return left_s, Expected(left_s, min(left_s, in_proportion_s), max(left_s, in_proportion_s))
 
 
-def _of(fleet: Sequence[AgentFigures], agent: str) -> AgentFigures:
+def _of(fleet: Sequence[MeasuredAgent], agent: str) -> MeasuredAgent:
     for figures in fleet:
         if figures.agent == agent:
             return figures
@@ -446,7 +446,7 @@ def _uncertain(value: float, off: float, besides: float) -> Expected:
     return Expected(value + 0.5 * besides, max(0.0, value - off), value + off + besides)
 
 
-def _standard_errors(timer: TimerFigures) -> float:
+def _standard_errors(timer: MeasuredTimer) -> float:
     """Returns twice the standard error of the sum of a timer's ticks."""
     if timer.ticks < 2:
         return timer.tick_s

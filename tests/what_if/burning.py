@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import statistics
 import time
 from typing import Final
 from unittest import mock
@@ -14,7 +15,7 @@ from cli.processes import Rig, Running
 from pancakes.client import Client
 from pancakes.measurement import Measure
 from pancakes.runtime.foundation import codecs
-from pancakes.tools.forecast import AgentFigures
+from pancakes.tools.forecast import MeasuredAgent
 
 SOURCE: Final = """
 from dataclasses import dataclass
@@ -34,8 +35,9 @@ class Burn(Task):
             total += number & 7
 """
 WINDOW_S: Final = 4.0
-MOST_WINDOWS: Final = 10
+MOST_WINDOWS: Final = 12
 MISSED_SHARE: Final = 0.02
+DRIFT_SHARE: Final = 0.05
 
 
 class BurningFleet:
@@ -73,25 +75,43 @@ class BurningFleet:
         self.client.close()
         self._patch.stop()
 
-    def measured(self, for_s: float) -> list[AgentFigures]:
+    def measured(self, for_s: float) -> list[MeasuredAgent]:
         """Returns what the agents measure of themselves."""
         replies = self.client.ask_each(Measure(for_s), timeout_s=for_s + 20.0).replies
         assert all(reply.ok for _, reply in replies) and len(replies) == len(self.running)
-        return [codecs.convert(reply.result, AgentFigures) for _, reply in replies]
+        return [codecs.convert(reply.result, MeasuredAgent) for _, reply in replies]
 
-    def looked_at(self) -> tuple[list[AgentFigures], dict[str, float]]:
+    def looked_at(self, before: list[MeasuredAgent] | None = None) -> tuple[list[MeasuredAgent], dict[str, float]]:
         """Returns what the agents measure of themselves, and the processors that each takes, as the system counts.
 
-        Where the machine has no time for the agents, their ticks are missed, and the window says nothing: it looks
-        again, until they get the time that they want.
+        A window says nothing of the agents in which the machine has no time for them, so that their ticks are missed,
+        or in which the same ticks take another time than before, as its processors have more or less to do. Then it
+        looks again.
+
+        Args:
+            before: what was measured before; None: nothing was.
         """
         for _ in range(MOST_WINDOWS):
             processes = {agent: psutil.Process(running.pid) for agent, running in self.running.items()}
-            before = {agent: (time.monotonic(), sum(it.cpu_times()[:2])) for agent, it in processes.items()}
+            began = {agent: (time.monotonic(), sum(it.cpu_times()[:2])) for agent, it in processes.items()}
             figures = self.measured(WINDOW_S)
-            after = {agent: (time.monotonic(), sum(it.cpu_times()[:2])) for agent, it in processes.items()}
+            ended = {agent: (time.monotonic(), sum(it.cpu_times()[:2])) for agent, it in processes.items()}
             timers = [timer for it in figures for task in it.tasks for timer in task.timers]
-            if sum(it.missed for it in timers) <= MISSED_SHARE * sum(it.ticks for it in timers):
-                loads = {it: (after[it][1] - before[it][1]) / (after[it][0] - before[it][0]) for it in processes}
+            calm = all(it.missed <= 1 + MISSED_SHARE * it.ticks for it in timers)
+            was, now = ticks_of(before or figures), ticks_of(figures)
+            drift = statistics.median(now[task] / was[task] for task in now if task in was)
+            if calm and abs(drift - 1.0) <= DRIFT_SHARE:
+                loads = {it: (ended[it][1] - began[it][1]) / (ended[it][0] - began[it][0]) for it in processes}
                 return figures, loads
         raise pytest.skip.Exception("this machine is too busy: the agents never get the time that they want")
+
+
+def ticks_of(figures: list[MeasuredAgent]) -> dict[str, float]:
+    """Returns what a tick of each task that burns took, in seconds, wherever it is."""
+    return {
+        task.task: timer.tick_s / timer.ticks
+        for it in figures
+        for task in it.tasks
+        for timer in task.timers
+        if task.service == "client" and timer.ticks
+    }

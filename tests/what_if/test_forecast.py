@@ -8,34 +8,36 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.tools.forecast import (
-    AgentFigures,
-    BatteryFigures,
     Expected,
-    HostFigures,
+    MeasuredAgent,
+    MeasuredBattery,
+    MeasuredHost,
+    MeasuredTask,
+    MeasuredTimer,
     NotKnown,
-    TaskFigures,
-    TimerFigures,
     forecast_move,
     forecast_rate,
     forecast_without,
 )
 
-HERE = HostFigures("here", 4, 0.5, 0.0005)
-THERE = HostFigures("there", 2, 0.25, 0.001)
+HERE = MeasuredHost("here", 4, 0.5, 0.0005)
+THERE = MeasuredHost("there", 2, 0.25, 0.001)
 
 
-def task(name: str, tick_s: float, hz: float = 10.0, span_s: float = 10.0, **others) -> TaskFigures:
+def task(name: str, tick_s: float, hz: float = 10.0, span_s: float = 10.0, **others) -> MeasuredTask:
     """A task all of whose ticks took the same."""
     ticks = round(hz * span_s)
-    timer = TimerFigures("burn", hz, ticks, 0, ticks * tick_s, ticks * tick_s * tick_s)
-    made = TaskFigures("client", name, "Burn", "running", f"a/{name}", ticks, ticks * tick_s, (timer,))
+    timer = MeasuredTimer("burn", hz, ticks, 0, ticks * tick_s, ticks * tick_s * tick_s)
+    made = MeasuredTask("client", name, "Burn", "running", f"a/{name}", ticks, ticks * tick_s, (timer,))
     return replace(made, **others)
 
 
-def agent(name: str, *tasks: TaskFigures, host: HostFigures = HERE, besides_s: float = 0.0, **others) -> AgentFigures:
+def agent(
+    name: str, *tasks: MeasuredTask, host: MeasuredHost = HERE, besides_s: float = 0.0, **others
+) -> MeasuredAgent:
     """An agent that was measured for 10 s, and takes `besides_s` of each turn besides it."""
     turn_s, turns = sum(it.turn_s for it in tasks), sum(it.turns for it in tasks)
-    made = AgentFigures(name, 1.0, 10.0, turn_s + besides_s * turns, turns, turn_s, host, tuple(tasks))
+    made = MeasuredAgent(name, 1.0, 10.0, turn_s + besides_s * turns, turns, turn_s, host, tuple(tasks))
     return replace(made, **others)
 
 
@@ -59,7 +61,7 @@ def test_what_a_turn_takes_besides_may_go_along_or_not():
 
 
 def test_ticks_that_take_now_this_now_that_are_less_sure():
-    timer = TimerFigures("burn", 10.0, 100, 0, 2.0, 2 * 2.0 * 2.0 / 100)
+    timer = MeasuredTimer("burn", 10.0, 100, 0, 2.0, 2 * 2.0 * 2.0 / 100)
     uneven = replace(task("T", 0.02), timers=(timer,))
     said = forecast_move([agent("a", uneven), agent("b")], "a", "T", "b").of("b").load_after
     assert said.value == pytest.approx(0.2) and said.sure_share == pytest.approx(2 * math.sqrt(100 / 99) / 10)
@@ -77,7 +79,7 @@ def test_another_computer_takes_as_much_longer_as_its_yardstick_and_both_compute
 
 
 def test_another_rate_changes_the_ticks_of_one_timer_alone():
-    other = TimerFigures("look", 1.0, 10, 0, 0.1, 0.001)
+    other = MeasuredTimer("look", 1.0, 10, 0, 0.1, 0.001)
     timers = (*task("T", 0.02).timers, other)
     both = replace(task("T", 0.02), timers=timers, turns=110, turn_s=2.1 + 0.4)  # 0.4 s for packets
     fleet = [agent("a", both)]
@@ -113,19 +115,19 @@ def test_native_code_that_takes_more_than_one_processor_may_go_on_so():
 
 
 def test_a_computer_that_is_full_may_give_no_more():
-    full = HostFigures("here", 2, 0.97, 0.0005)
+    full = MeasuredHost("here", 2, 0.97, 0.0005)
     said = forecast_rate([agent("a", task("T", 0.02), host=full)], "a", "T", 20.0)
     assert said.of("a").load_after.value == pytest.approx(0.4) and said.of("a").load_after.low == pytest.approx(0.2)
     assert "may not get what it wants" in said.notes[0]
 
 
 def test_a_battery_is_drained_as_before_or_as_much_faster_as_the_load_is_higher():
-    battery = BatteryFigures(0.501, 0.5)
+    battery = MeasuredBattery(0.501, 0.5)
     said = forecast_rate([agent("a", task("T", 0.02), battery=battery)], "a", "T", 20.0).of("a")
     assert said.battery_s == pytest.approx(5000.0)
     assert said.battery_after_s is not None
     assert (said.battery_after_s.low, said.battery_after_s.high) == pytest.approx((2500.0, 5000.0))
-    for still in (BatteryFigures(0.5, 0.5), BatteryFigures(0.4, 0.5), BatteryFigures(None, 0.5)):
+    for still in (MeasuredBattery(0.5, 0.5), MeasuredBattery(0.4, 0.5), MeasuredBattery(None, 0.5)):
         unknown = forecast_rate([agent("a", task("T", 0.02), battery=still)], "a", "T", 20.0).of("a")
         assert unknown.battery_s is None and unknown.battery_after_s is None
 

@@ -14,7 +14,7 @@ from pancakes.measurement import Measure
 from pancakes.packet import SYSCTRL, SYSTEM, Packet
 from pancakes.runtime.foundation import codecs
 from pancakes.task import Task, Tick, every, on
-from pancakes.tools.forecast import AgentFigures
+from pancakes.tools.forecast import MeasuredAgent
 
 
 class Burn(Task):
@@ -39,10 +39,10 @@ class Burn(Task):
         sum(number & 7 for number in range(100_000))
 
 
-def measured(agent, for_s: float = 0.5) -> AgentFigures:
+def measured(agent, for_s: float = 0.5) -> MeasuredAgent:
     reply = agent.ask(Measure(for_s), at_most_s=30.0)
     assert reply.ok, reply.reason
-    return codecs.convert(reply.result, AgentFigures)
+    return codecs.convert(reply.result, MeasuredAgent)
 
 
 def test_a_task_s_ticks_are_what_they_took(threaded_agent):
@@ -68,7 +68,7 @@ def test_packets_count_as_turns_and_not_as_ticks(threaded_agent):
         agent.publish(SYSTEM, Event("burn", {}))
     agent.wait_until(lambda: agent.kernel.meter is None, 30.0)
     (reply,) = agent.probe.packets(where=lambda body: isinstance(getattr(body, "result", None), dict))
-    figures = codecs.convert(reply.body.result, AgentFigures)
+    figures = codecs.convert(reply.body.result, MeasuredAgent)
     task = figures.task("Burn")
     each_s = sum(timer.tick_s for timer in task.timers) / sum(timer.ticks for timer in task.timers)
     assert task.turn_s - sum(timer.tick_s for timer in task.timers) > 5 * 2.0 * each_s
@@ -79,7 +79,7 @@ def test_turns_are_timed_while_something_measures_and_at_no_other_time(threaded_
     assert agent.kernel.meter is None
     long, short = agent.publish(SYSCTRL, Measure(1.0)), agent.publish(SYSCTRL, Measure(0.2))
     assert agent.reply_to(short, 30.0).ok and agent.kernel.meter is not None
-    figures = codecs.convert(agent.reply_to(long, 30.0).result, AgentFigures)
+    figures = codecs.convert(agent.reply_to(long, 30.0).result, MeasuredAgent)
     assert agent.kernel.meter is None and figures.span_s >= 1.0
     assert figures.task("Burn").timers[0].ticks > 0
 
@@ -89,7 +89,7 @@ def test_a_task_that_begins_anew_meanwhile_is_counted_on(threaded_agent):
     asked = agent.publish(SYSCTRL, Measure(1.0))
     agent.wait_until(lambda: agent.kernel.meter is not None)
     assert agent.ask(Restart("Burn")).ok
-    (timer,) = codecs.convert(agent.reply_to(asked, 30.0).result, AgentFigures).task("Burn").timers
+    (timer,) = codecs.convert(agent.reply_to(asked, 30.0).result, MeasuredAgent).task("Burn").timers
     assert timer.ticks > 0 and timer.missed >= 0
 
 

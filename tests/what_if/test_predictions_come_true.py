@@ -54,7 +54,7 @@ def test_loads_are_within_a_fifth_and_better_known_than_without(seed: int, rig: 
                 assert fleet.client.request(agent, Reschedule(task, hz)).ok
                 concerned, change = (agent,), f"{agent}/{task} ticks at {hz} Hz"
             before = loads
-            figures, loads = fleet.looked_at()
+            figures, loads = fleet.looked_at(figures)
             for it in concerned:
                 said = forecast.of(it).load_after
                 assert said.value == pytest.approx(loads[it], rel=OFF_SHARE), (change, it, before[it])

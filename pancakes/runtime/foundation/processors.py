@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 from functools import lru_cache
 from pathlib import Path
 from time import thread_time
@@ -34,6 +33,8 @@ def host_id() -> str:
     try:
         return _BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
+        import platform  # few agents ever need it
+
         return platform.node()
 
 

@@ -21,7 +21,7 @@ from pancakes.tools.cli.verbs.task_completion import costs
 
 if TYPE_CHECKING:
     from pancakes.client import Client
-    from pancakes.tools.forecast import AgentFigures, Expected, Forecast
+    from pancakes.tools.forecast import Expected, Forecast, MeasuredAgent
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -169,9 +169,9 @@ def _bid_rows(ledger: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _measured(client: Client, ask: Ask, for_s: float) -> list[AgentFigures]:
+def _measured(client: Client, ask: Ask, for_s: float) -> list[MeasuredAgent]:
     """Measures all agents that can be reached, at the same time; names on standard error those that did not answer."""
-    from pancakes.tools.forecast import AgentFigures
+    from pancakes.tools.forecast import MeasuredAgent
 
     show_text(f"measuring for {for_s:g} s ...", err=True)
     found = client.ask_each(Measure(for_s), timeout_s=for_s + ask.timeout_s)
@@ -182,7 +182,7 @@ def _measured(client: Client, ask: Ask, for_s: float) -> list[AgentFigures]:
         if not reply.ok:
             continue
         try:
-            figures.append(codecs.convert(reply.result, AgentFigures))
+            figures.append(codecs.convert(reply.result, MeasuredAgent))
         except msgspec.ValidationError as error:
             raise RemoteProtocolError(
                 f"{agent} answers what cannot be read here, so it is of another version: {error}"
