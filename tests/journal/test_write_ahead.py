@@ -187,6 +187,16 @@ def test_a_journal_that_is_closed_leaves_a_file_for_each_entry(journal: FileJour
     assert names == ["identity.identity.rec", "lock", "task.a.rec", "task.b.rec"]
 
 
+def test_one_that_has_much_written_ahead_leaves_that_to_the_next_opening(journal: FileJournal) -> None:
+    journal.write([entry(str(number), "1") for number in range(101)])
+    journal.close()
+    assert not list(journal.directory.glob("task.*"))
+
+    again = FileJournal(journal.directory)
+
+    assert len(kept(again)) == len(list(journal.directory.glob("task.*"))) == 101
+
+
 def test_a_file_is_read_up_to_what_cannot_be_believed() -> None:
     one, two = seal_batch("x", [entry("a", "1")]), seal_batch("x", [entry("b", "2")])
 

@@ -23,6 +23,8 @@ MOST_AHEAD_BYTES: Final = 4 * 2**20
 """Where the write-ahead file would become longer, its entries get files of their own, ..."""
 MOST_AHEAD: Final = 1000
 """... and where it would have more entries: a disk may take half a second for so many files."""
+MOST_AT_END: Final = 100
+"""A journal that is closed with more entries in it leaves them there: its agent has two seconds to end."""
 LARGE_BYTES: Final = 256 * 2**10
 """A batch of so many bytes is not written ahead: it would be written twice."""
 
@@ -34,8 +36,8 @@ class FileJournal(Journal):
     file of its own: it is written to a temporary file, fsynced, renamed over the old one, and the directory is fsynced,
     so a reader finds the old entry or the new one, never a part of either. As that costs several rounds of the disk for
     each entry, a batch is first appended to one file, with one fsync. What is in that gets files of its own once it is
-    long, when the journal is closed, and at the next opening. All of that is done in the directory that was opened,
-    never in another one that has its name since.
+    long, when the journal is closed, where that takes no time, and else at the next opening. All of that is done in the
+    directory that was opened, never in another one that has its name since.
 
     Args:
         directory: the state directory.
@@ -78,7 +80,7 @@ class FileJournal(Journal):
             self._opened.check(_LOCK, self._lock)
 
     def close(self) -> None:
-        if self._ahead:
+        if 0 < len(self._ahead) <= MOST_AT_END:
             with suppress(JournalError):  # the next opening does it
                 self._put_in_place()
         if self._lock is not None:
