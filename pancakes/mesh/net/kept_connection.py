@@ -113,9 +113,13 @@ class KeptConnection(Connection, Disposable):
         words.
         """
         if self in self._owner.open:
-            self._timer = self._owner.loop.call_later(LINGER_S, lambda: self.dispose(reason))
+            self._timer = self._owner.loop.call_later(LINGER_S, lambda: self._give_up(reason))
             self._half_close()
         self._tell(reason)
+
+    def _give_up(self, reason: str) -> None:
+        """What a closed connection had to send has had its time."""
+        self.dispose(reason)
 
     def _half_close(self) -> None:
         """Says that no more comes, once nothing waits."""

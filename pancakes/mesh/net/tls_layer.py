@@ -1,8 +1,9 @@
 """A connection that knows what is at its other end: TLS 1.3 with a certificate on both sides.
 
 Nothing that comes in reaches the handler before the other side has shown whose key it has. OpenSSL works on memory,
-and what carries the bytes is another class: a socket, or a link through routers, which then see ciphertext. A caller that sends encrypts in its own thread, under the lock that the loop's thread
-takes to decrypt: OpenSSL allows one call at a time for each connection.
+and what carries the bytes is another class: a socket, or a link through routers, which then see ciphertext. A caller
+that sends encrypts in its own thread, under the lock that the loop's thread takes to decrypt: OpenSSL allows one call
+at a time for each connection.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any, Final
 
 from pancakes.mesh.net.kept_connection import KeptConnection
 from pancakes.mesh.net.tls_sentences import sentence_of
-from pancakes.mesh.net.transport import UNSAID, ConnectionHandler, Scheduled
+from pancakes.mesh.net.transport import UNSAID, Scheduled
 from pancakes.mesh.security.keys import Keys, certificate_shown
 
 HANDSHAKE_S: Final = 5.0
