@@ -27,6 +27,7 @@ COMMANDS = {
     "report": Later("pancakes.tools.cli.verbs.report:report", "A recording as a page, and as pictures for a paper."),
     "top": Later("pancakes.tools.cli.verbs.top:top", "Watch agents and tasks: rates, lateness, load."),
     "launch": Later("pancakes.tools.cli.verbs.launch:launch", "Run a fleet from its files."),
+    "deploy": Later("pancakes.tools.cli.verbs.deploy:deploy", "Bring a fleet to its hosts, and keep it running there."),
     "down": Later("pancakes.tools.cli.verbs.down:down", "End agents in order."),
     "demo": Later("pancakes.tools.cli.verbs.demo:demo", "Run a whole mission, and judge it."),
     "new": Later("pancakes.tools.cli.verbs.new:new", "Begin a task, driver, service, cost or plug-in of one's own."),
