@@ -331,6 +331,18 @@ def test_a_healthy_agent_is_in_order():
     assert levels(found_in(agent())) == [("ok", "a")]
 
 
+def test_builds_that_differ_over_the_fleet_are_named_with_their_agents():
+    def built(build: str) -> dict[str, str]:
+        return {"version": __version__, "build": build}
+
+    same = (agent("a", process=built("0.1.0-aa")), agent("b", process=built("0.1.0-aa")))
+    assert "different versions" not in str(found_in(*same, agent("w", process=None)))
+    (found, *_) = found_in(*same, agent("c", process=built("0.1.0-bb")), agent("d"))
+    assert (found.level, found.about) == ("warning", "agents")
+    assert found.text.endswith(f"different versions: {__version__} on d; 0.1.0-aa on a, b; 0.1.0-bb on c")
+    assert "pancakes deploy" in found.advice
+
+
 STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "refused": ""}
 
 
