@@ -364,6 +364,18 @@ def test_links_through_routers_are_told():
     assert found.text == "is ready, with 1 task running and 1 neighbour; 1 link through routers"
 
 
+def test_builds_that_differ_over_the_fleet_are_named_with_their_agents():
+    def built(build: str) -> dict[str, str]:
+        return {"version": __version__, "build": build}
+
+    same = (agent("a", process=built("0.1.0-aa")), agent("b", process=built("0.1.0-aa")))
+    assert "different versions" not in str(found_in(*same, agent("w", process=None)))
+    (found, *_) = found_in(*same, agent("c", process=built("0.1.0-bb")), agent("d"))
+    assert (found.level, found.about) == ("warning", "agents")
+    assert found.text.endswith(f"different versions: {__version__} on d; 0.1.0-aa on a, b; 0.1.0-bb on c")
+    assert "pancakes deploy" in found.advice
+
+
 STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "refused": ""}
 
 

@@ -242,10 +242,8 @@ class Mesh:
 
     def links(self) -> list[dict[str, Any]]:
         """Returns the state of the links that stand, by the names of the peers. Any thread."""
-        return [
-            {**row, **self._transport.facts(row["remote"]).plain(), "clock": self.clocks.describe(row["name"])}
-            for row in self._links.describe()
-        ]
+        facts, clock = self._transport.facts, self.clocks.describe
+        return [{**row, **facts(row["remote"]).plain(), "clock": clock(row["name"])} for row in self._links.describe()]
 
     def awaits_peers(self) -> bool:
         """See `AddressBook.are_awaited`. Any thread."""
@@ -376,8 +374,9 @@ class Mesh:
             return
         if session.is_up:
             if session.stuck_s(now_s) >= self._times.stuck_s:
-                reason = f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it"
-                self._over(session, Over(reason))
+                self._over(
+                    session, Over(f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it")
+                )
                 return
             session.quiet_s(now_s)
             if session.counters.dropped:

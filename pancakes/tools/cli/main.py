@@ -28,6 +28,7 @@ COMMANDS = {
     "top": Later("pancakes.tools.cli.verbs.top:top", "Watch agents and tasks: rates, lateness, load."),
     "what-if": Later("pancakes.tools.cli.verbs.what_if:what_if", "What a change would do, before it is done."),
     "launch": Later("pancakes.tools.cli.verbs.launch:launch", "Run a fleet from its files."),
+    "deploy": Later("pancakes.tools.cli.verbs.deploy:deploy", "Bring a fleet to its hosts, and keep it running there."),
     "down": Later("pancakes.tools.cli.verbs.down:down", "End agents in order."),
     "demo": Later("pancakes.tools.cli.verbs.demo:demo", "Run a whole mission, and judge it."),
     "new": Later("pancakes.tools.cli.verbs.new:new", "Begin a task, driver, service, cost or plug-in of one's own."),

@@ -68,6 +68,7 @@ def check_fleet(
     if versions - {__version__}:
         text = f"agents run the versions {', '.join(sorted(versions))}, and this command is {__version__}"
         yield Finding("warning", "agents", text, "update them: tasks move between equal versions only")
+    yield from _check_builds(agents)
     for agent in agents:
         if agent["roster"] is not None and agent["roster"] < newest:
             text = f"goes by the roster {agent['roster']} of its fleet, and others know the roster {newest}"
@@ -83,6 +84,19 @@ def check_fleet(
             if routed := sum(peer["reach"] == "routers" for peer in agent["mesh"]["peers"]):
                 text += f"; {_count(routed, 'link')} through routers"
             yield Finding("ok", agent["agent"], text)
+
+
+def _check_builds(agents: Sequence[dict[str, Any]]) -> Iterator[Finding]:
+    """Names the versions that agents run, where these differ."""
+    by_version: dict[str, list[str]] = {}
+    for agent in agents:
+        if agent["process"] is not None:
+            version = agent["process"].get("build") or agent["process"]["version"]
+            by_version.setdefault(version, []).append(agent["agent"])
+    if len(by_version) > 1:
+        told = "; ".join(f"{version} on {', '.join(names)}" for version, names in sorted(by_version.items()))
+        advice = "pancakes deploy FLEET brings one version to all of its hosts"
+        yield Finding("warning", "agents", f"agents of a fleet run different versions: {told}", advice)
 
 
 def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
