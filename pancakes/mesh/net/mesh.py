@@ -373,10 +373,8 @@ class Mesh:
         if link is None or session.number not in self._sessions:
             return
         if session.is_up:
-            if session.stuck_s(now_s) >= self._times.stuck_s:
-                self._over(
-                    session, Over(f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it")
-                )
+            if session.stuck_s(now_s) >= (limit_s := self._times.stuck_s):
+                self._over(session, Over(f"{session.peer} took nothing for {limit_s:g} s of what waits for it"))
                 return
             session.quiet_s(now_s)
             if session.counters.dropped:
