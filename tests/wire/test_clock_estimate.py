@@ -119,6 +119,16 @@ def test_a_clock_that_was_set_is_believed_at_once():
     assert pair.found.bound_at(pair.now_s) < 0.0012
 
 
+def test_a_clock_that_was_set_is_believed_also_where_the_answer_came_a_longer_way():
+    pair = Pair(1, way_s=(0.001, 0.0))
+    list(pair.run(60.0))
+    pair.ping()
+    pair.peer_s -= 5.0
+    pair.way_s = pair.back_s = (0.003, 0.0)
+    pair.ping()
+    assert pair.found.offset_at(pair.now_s) == pytest.approx(-5.0, abs=0.004)
+
+
 def test_the_bound_grows_with_the_age_of_the_last_answer():
     pair = Pair(1)
     list(pair.run(60.0))
