@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import ipaddress
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -243,3 +244,19 @@ def test_what_speaks_no_mqtt_is_named(tmp_path: Path) -> None:
         finally:
             ended.set()
             thread.join()
+
+
+def test_a_broker_is_sent_no_more_at_a_time_than_it_takes(tmp_path: Path) -> None:
+    broker = broker_with(tmp_path, "max_inflight_messages 3", "allow_anonymous true")
+    try:
+        with threaded_agent("a", services=service(broker.address)) as agent:
+            agent.wait_for(BrokerTraffic, lambda body: body.connected)
+            broker.signal(signal.SIGSTOP)
+            for number in range(100):
+                agent.publish("two", Number(float(number)))
+            agent.wait_for(BrokerTraffic, lambda body: body.waiting == 100)
+            broker.signal(signal.SIGCONT)
+            told = agent.wait_for(BrokerTraffic, lambda body: body.published == 101).body
+            assert told.connections == 1
+    finally:
+        broker.end()
