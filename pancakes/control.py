@@ -4,7 +4,7 @@ A task, a service, another agent and a person at a terminal all publish the same
 get a `Reply` whose `cause` is the packet that asked. There is no second way in.
 
 A `target` is read on the agent that the packet reaches: `task`, `service/task` or `service`. Where a task bears the
-name of a service, `service/` means the service. Those for tasks that no file names are in `pancakes.creation`.
+name of a service, `service/` means the service. More are in `pancakes.creation` and `pancakes.measurement`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, Final, Literal
 import msgspec
 
 from pancakes.creation import Create, Remove
+from pancakes.measurement import Measure
 from pancakes.packet import Cause, packet_type
 
 
@@ -87,7 +88,7 @@ class Configure(msgspec.Struct, frozen=True):
 
     Attributes:
         target: the task.
-        settings: the new values, by name.
+        settings: the new values, by name. Of bad ones the reply's `result` has `problems`: of each `path` and `text`.
         dry_run: only says whether it would be done, and changes nothing.
     """
 
@@ -323,9 +324,8 @@ class History(msgspec.Struct, frozen=True):
     """Asks the Log Service what was said on `log`; the `result` is a list of records, oldest first.
 
     A record has what a line of the service's file has: `t_s` (mission time), `agent`, `source`, `kind`, and what
-    belongs to that kind (`line`: `level` and `text`); and its `entry`, which counts what was said since the service
-    began. A reply has as many as fit: a client that wants the rest asks again, with the last `entry` as `after`,
-    until the list is empty.
+    belongs to that kind (`line`: `level` and `text`); and its `entry`, its number since the service began. A reply has
+    as many as fit: for the rest it is asked again, with the last `entry` as `after`, until the list is empty.
 
     Attributes:
         since_s: only what was said in the last so many seconds of mission time; None: all that is still known.
@@ -360,7 +360,7 @@ class Begin(msgspec.Struct, frozen=True):
     """Lets a mission that is held at 0 begin.
 
     Attributes:
-        in_s: in how many seconds of host time; a duration, because no two agents share a clock.
+        in_s: in how many seconds of host time; a duration, because the clocks of two agents differ.
     """
 
     in_s: float = 0.0
@@ -466,6 +466,7 @@ CONTROLS: Final[Mapping[type, ControlRight]] = {
     SetFence: "change",
     Migrations: "look",
     Describe: "look",
+    Measure: "look",
     Channels: "look",
     History: "look",
     Shutdown: "end",
@@ -482,8 +483,7 @@ CONTROLS: Final[Mapping[type, ControlRight]] = {
 class Command(msgspec.Struct, frozen=True):
     """A control packet as the kernel hands it to the service that it concerns.
 
-    All control packets to an agent pass one place, which numbers them: so contradictory ones are applied
-    in one order.
+    All control packets to an agent pass one place, which numbers them, so contradictory ones are applied in one order.
 
     Attributes:
         number: its place in that order, from 1.

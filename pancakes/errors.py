@@ -108,6 +108,8 @@ class PeerLost(MigrationError):
 
 EXTRAS: Final = {
     "cryptography": "keys",
+    "foxglove": "foxglove",
+    "gymnasium": "gym",
     "mcap": "record",
     "matplotlib": "demo",
     "websockets": "web",

@@ -54,20 +54,24 @@ class VirtualFleet:
         """
         return self.add(config.agent.name, lambda virtual: Agent(config, self._plugins, virtual))
 
-    def add(self, name: str, make: Callable[[Virtual], Agent], clock_rate: float = 1.0) -> Agent:
+    def add(
+        self, name: str, make: Callable[[Virtual], Agent], clock_rate: float = 1.0, clock_ahead_s: float = 0.0
+    ) -> Agent:
         """Starts an agent that `make` makes of what it shares with the fleet; see `start`.
 
         Args:
             name: its name.
             make: makes it.
             clock_rate: how fast its host clock runs: its seconds for each virtual second.
+            clock_ahead_s: what its host clock says at 0 of virtual time.
         """
         disk = self.disk(name)
         # Not the same one twice: an agent that has lost its identity is another one from then on.
         source = self._identities.setdefault(name, random.Random(f"journal/{self.seed}/{name}"))
         identity = uuid.UUID(int=source.getrandbits(128), version=4)
         journal = self.journals[name] = MemoryJournal(disk, str(identity), name)
-        clock = SkewedClock(self.dispatcher.clock, clock_rate) if clock_rate != 1.0 else None
+        is_true = (clock_rate, clock_ahead_s) == (1.0, 0.0)
+        clock = None if is_true else SkewedClock(self.dispatcher.clock, clock_rate, clock_ahead_s)
         transport = self.network.transport(name, clock.due_s if clock is not None else None)
         agent = make(Virtual(self.dispatcher, transport, journal, clock))
         agent.start()

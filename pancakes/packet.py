@@ -22,6 +22,7 @@ import msgspec
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import as_list
+from pancakes.runtime.foundation.local_time import READER
 
 SYSTEM: Final = "system"
 """Channel for sensor readings and other news about the system."""
@@ -85,6 +86,17 @@ class Packet(msgspec.Struct, frozen=True, gc=False):
     body: Any
     cause: Cause | None = None
     fence: Fence | None = None
+
+    @property
+    def age_s(self) -> float | None:
+        """How long ago it was published, in mission seconds of the agent that reads it, never negative.
+
+        `local_time` of the task that reads it has the moment and the bound of its error. None where that returns None,
+        and outside of a turn of a task or service.
+        """
+        reader = READER.get()
+        published = reader.local_time(self) if reader is not None else None
+        return max(0.0, reader.now() - published.time_s) if reader is not None and published is not None else None
 
 
 _T = TypeVar("_T")

@@ -14,10 +14,10 @@ import pytest
 
 if TYPE_CHECKING:
     from pancakes.runtime.clock import VirtualClock
+    from pancakes.simulation.probe import Probe
     from pancakes.testing.agent_in_test import AgentInTest
     from pancakes.testing.fleet_in_test import FleetInTest
     from pancakes.testing.leaks import Leaks
-    from pancakes.testing.probe import Probe
 
     StartAgent = Callable[..., AgentInTest]
     ProbeOn = Callable[..., Probe]
@@ -127,7 +127,8 @@ def pancakes_seed(request: pytest.FixtureRequest) -> int:
 @pytest.fixture
 def fleet(request: pytest.FixtureRequest, no_leaks: Leaks, pancakes_seed: int) -> Iterator[FleetInTest]:
     """Agents in virtual time on a network in memory, with faults on demand: a `pancakes.testing.FleetInTest`."""
-    from pancakes.testing.fleet_in_test import FleetInTest, Quality
+    from pancakes.mesh.net.memory import Quality
+    from pancakes.testing.fleet_in_test import FleetInTest
 
     quality = {key: value for key, value in _marks(request.node).items() if key in _QUALITY}
     with FleetInTest(pancakes_seed, Quality(**quality)) as made:
@@ -172,7 +173,7 @@ def any_agent(request: pytest.FixtureRequest) -> StartAgent:
 def probe(no_leaks: Leaks) -> ProbeOn:
     """Lets one more probe listen: `probe(agent, "ctrl", "system")`; without channels to all. The agent must run."""
     from pancakes.packet import join
-    from pancakes.testing.probe import Probe
+    from pancakes.simulation.probe import Probe
 
     made: list[Probe] = []
 

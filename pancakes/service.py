@@ -325,7 +325,7 @@ class Service(Component):
         request, body = changed.change.request, changed.change.body
         slot.changing = tuple(other for other in slot.changing if other != request)
         if changed.reason:
-            self.reply(request, changed.reason)
+            self.reply(request, changed.reason, changed.result or None)
             return
         result = changed.result
         if isinstance(body, Describe):

@@ -76,6 +76,10 @@ class SettingsError(PancakesError):
         self.problems = tuple(problems)
         super().__init__(f"bad settings for {owner}: " + "; ".join(str(problem) for problem in self.problems))
 
+    def plain(self) -> list[dict[str, Any]]:
+        """Returns the problems as plain values: for each its `path`, and the `text` with what was probably meant."""
+        return [{"path": list(it.path), "text": str(Problem((), it.text, it.suggestion))} for it in self.problems]
+
 
 def dotted(path: Sequence[str | int]) -> str:
     """Returns a path as a person would write it: `legs[2].length_m`."""

@@ -54,7 +54,7 @@ from pancakes.runtime.supervision.task_messages import (
     TaskBegan,
     TaskEnded,
 )
-from pancakes.settings import change_settings, make_settings, plain_settings
+from pancakes.settings import SettingsError, change_settings, make_settings, plain_settings
 
 if TYPE_CHECKING:
     from pancakes.runtime.kernel.kernel import Kernel
@@ -358,6 +358,8 @@ class Task(Component):
             result = self.__change(message.body)
             carried = self.carry() if message.carry else None
             changed = Changed(self, message, "", result, carried)
+        except SettingsError as error:
+            changed = Changed(self, message, str(error), {"problems": error.plain()})
         except (PancakesError, ValueError, TypeError) as error:  # TypeError: what cannot be saved
             changed = Changed(self, message, str(error), {})
         self.__tell(changed)

@@ -115,7 +115,7 @@ def check_body(body: Any) -> None:
     Raises:
         PancakesError: a value in it does not fit its type, or cannot travel.
     """
-    message = Encoder().packet(Packet(SYSCTRL, type_name(body), "a", "a", 0.0, 1, body))
+    message = Encoder().packet(Packet(SYSCTRL, type_name(body), "this program", "", 0.0, 1, body))
     try:
         packet_from_row(rows_from_payload(array_head(1) + message)[0])
     except RemoteProtocolError as error:

@@ -6,7 +6,6 @@ import math
 import random
 import threading
 import uuid
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -60,6 +59,7 @@ from pancakes.runtime.services.closer import Closer
 from pancakes.runtime.services.device import DeviceService
 from pancakes.runtime.services.fences import Fences
 from pancakes.runtime.services.log import LogService
+from pancakes.runtime.services.mission_start import MissionStart
 from pancakes.runtime.services.network import NetworkService
 from pancakes.runtime.services.root import Root
 from pancakes.runtime.services.wanted_recordings import wanted_recordings
@@ -68,11 +68,12 @@ from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDown
 from pancakes.runtime.transport_settings import (
     addresses_of,
+    insecure_over,
     keys_for,
     network_settings,
-    tcp_addresses,
     transport_settings,
 )
+from pancakes.runtime.unsaid import Unsaid
 from pancakes.service import Service
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ class Agent:
         resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
             it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
         ready: set once all that should run at the start does.
-        insecure: whether it speaks over TCP without keys.
+        insecure_over: the ways on which it does without the keys that they ask for, such as `tcp://`; empty: none.
         fatal: set to a sentence where it must stop: its port is in use, another agent bears its name.
 
     Raises:
@@ -142,13 +143,13 @@ class Agent:
             self.name,
             seed=seed,
             speed=config.clock.speed,
-            hold=config.clock.hold,
+            hold=True,  # `MissionStart` lets it begin
             virtual=virtual.dispatcher if virtual is not None else None,
             skewed=virtual.clock if virtual is not None else None,
         )
         self.ready = threading.Event()
         self.fatal: str = ""
-        self.insecure = False
+        self.insecure_over = ""
         self._keys: Keys | None = None
         self.stopping = threading.Event()
         self._on_fatal: Callable[[str], None] = lambda reason: None
@@ -158,7 +159,7 @@ class Agent:
         self._closed = threading.Event()  # once all services have ended
         self._clients: set[str] = set()
         self._drop_said_s = -math.inf
-        self._unsaid: deque[Callable[[], None]] = deque(maxlen=1024)
+        self._unsaid = Unsaid(self.ready)
         self.skipped: list[str] = []
         self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
         journal = virtual.journal if virtual is not None else self._open_journal()
@@ -191,7 +192,7 @@ class Agent:
                 journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, lost=self._journal_lost
             )
         self.store = store
-        self._remarks = journal.remarks
+        self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use
         disk = Disk(journal, store, self.skipped)
         self.records = Records(disk)
         self.resting = self._resting()
@@ -218,17 +219,21 @@ class Agent:
             on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
-            on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
+            on_log=lambda level, text: self._unsaid.say(lambda: self.kernel.log(level, text)),
             defer=defer,
             gate=Gate(permits.may_act, lambda fence, packets: permits.hold_back(fence, "packets", packets)),
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
             access=self.kernel.access,
             keys=self._keys,
+            timebase=self.kernel.timebase,
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
         self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         self.kernel.links = self.mesh.links
+        self.kernel.life = f"{journal.uuid}/{journal.boot}"
+        self.kernel.peer_clock = self.mesh.clocks.clock_of
+        self.kernel.mission_changed = self.mesh.mission_changed
         for channel in config.channels:
             self.kernel.stream.open(channel)
         shared: dict[type[Service], dict[str, Any]] = {
@@ -266,6 +271,7 @@ class Agent:
         except PancakesError:
             self._release()
             raise
+        clock, comes_back = self.config.clock, self._boots.knows_any()
         root = self.kernel.spawn(
             Root,
             join(self.name, "kernel"),
@@ -275,6 +281,7 @@ class Agent:
             migrations=self.ledgers.plain,
             services_in_doubt=self.records.services_in_doubt,
             ready=self._become_ready,
+            mission_start=MissionStart(self.kernel, self.mesh, clock.hold, clock.join_s, comes_back),
             shutdown=self._shut_down,
             exited=self._root_ended,
         )
@@ -319,11 +326,11 @@ class Agent:
             self.kernel.log("warning", sentence)
         for task, why in self.resting.items():
             self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
-        if self.insecure:
-            text = f"{self.name} speaks over tcp:// without keys: nothing is encrypted, and no peer is checked"
+        if over := self.insecure_over:
+            text = f"{self.name} speaks over {over} without keys: nothing is encrypted, and no peer is checked"
             self.kernel.log("warning", text)
         self.ready.set()
-        self._say_unsaid()
+        self._unsaid.say_all()
 
     def stop(self) -> None:
         """Stops everything in reverse, and waits for it. Not from one of its own threads."""
@@ -405,7 +412,7 @@ class Agent:
             "listen": self.mesh.listen,
             "neighbours": self.mesh.neighbours(),
             "peers": [hello.name for hello in self.mesh.connected()],
-            "insecure": self.insecure,
+            "insecure": self.insecure_over,
             "roster": roster.number if (roster := self._roster()) is not None else None,
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
@@ -418,21 +425,6 @@ class Agent:
         return self._keys.roster if self._keys is not None else None
 
     # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
-
-    def _say(self, say: Callable[[], None]) -> None:
-        """Says something on `log`, once there is a Log Service to hear it: links may stand before that."""
-        self._unsaid.append(say)
-        if self.ready.is_set():
-            self._say_unsaid()
-
-    def _say_unsaid(self) -> None:
-        # In the transport's thread, and once in the root's: each takes what it finds.
-        while self._unsaid:
-            try:
-                say = self._unsaid.popleft()
-            except IndexError:
-                return
-            say()
 
     def receive(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         """Hands packets of a peer to the stream; they had `size` bytes on the link. In the transport's thread."""
@@ -462,7 +454,7 @@ class Agent:
             # Each command at a terminal is one: what it asks for is news, that it comes and goes is not.
             self._clients.add(hello.name)
         else:
-            self._say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
+            self._unsaid.say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
         census = self.kernel.registry.get(join(self.name, CENSUS))
         if hello.role == "agent" and census is not None:
             tell(census, NeighbourUp(hello.name, Boot(hello.journal, hello.boot, hello.life)))
@@ -471,7 +463,7 @@ class Agent:
         if name in self._clients:
             self._clients.discard(name)
         else:
-            self._say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
+            self._unsaid.say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
         for spec in self._specs:
             service = self.kernel.registry.get(join(self.name, spec.name))
             if service is not None and issubclass(spec.cls, (NetworkService, ClientService)):
@@ -487,12 +479,12 @@ class Agent:
 
     def _open_transport(self) -> Transport:
         agent, network = self.config.agent, network_settings(self.config)
-        self._keys = keys = keys_for(self.config, network)
+        self._keys = keys = keys_for(self.config, network, self._plugins)
         if keys is not None and (fault := keys.fault_of(keys.own)):
             self.skipped.append(f"no agent of {agent.fleet} believes this one any more: {fault}")
-        self.insecure = keys is None and bool(tcp_addresses(agent))
+        self.insecure_over = insecure_over(agent, keys is not None, self._plugins)
         settings = transport_settings(agent, network)
-        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys)
+        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys, network.insecure)
 
     def _resting(self) -> dict[str, str]:
         services = {task.name: task.service for task in self.config.tasks.values() if task.start}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Protocol
+from typing import Final, Protocol
 
 
 class Clock(Protocol):
@@ -24,6 +24,33 @@ class MonotonicClock:
     """The host's monotonic clock."""
 
     now = staticmethod(time.monotonic)  # as it is: everything that happens asks for the time
+
+
+SET_SINCE_S: Final = 1_577_836_800.0
+"""The year 2020: a clock that says an earlier time of day was never set, as on a board without a battery for it."""
+READ_S: Final = 0.0005
+"""Two clocks are read within so short a time, or read again: the thread may have had to wait in between."""
+
+
+def day_s(host: Clock) -> float | None:
+    """Returns the time of day at 0 of the host clock, in seconds since 1970 (UTC); None: it was never set."""
+    best: tuple[float, float] | None = None
+    for _ in range(4):
+        before_s = host.now()
+        wall_s = time.time_ns() / 1e9
+        took_s = host.now() - before_s
+        if best is None or took_s < best[0]:
+            best = (took_s, wall_s - before_s - took_s / 2)
+        if took_s < READ_S:
+            break
+    assert best is not None
+    return best[1] if best[1] + host.now() >= SET_SINCE_S else None
+
+
+def utc_text(utc_s: float) -> str:
+    """Returns a time of day for people, as `2026-03-01 12:00:00.250`."""
+    moment = time.gmtime(math.floor(utc_s))
+    return f"{time.strftime('%Y-%m-%d %H:%M:%S', moment)}.{int(utc_s % 1.0 * 1000):03d}"
 
 
 def wall_ns() -> int:
@@ -61,22 +88,28 @@ class SkewedClock:
     Args:
         true: the virtual clock.
         rate: its seconds for each second of the virtual clock.
+        ahead_s: what it says when the virtual clock says 0.
     """
 
-    def __init__(self, true: VirtualClock, rate: float) -> None:
+    def __init__(self, true: VirtualClock, rate: float, ahead_s: float = 0.0) -> None:
         if not (rate > 0 and math.isfinite(rate)):
             raise ValueError(f"a clock cannot run at {rate} times the true rate")
+        if not (ahead_s >= 0 and math.isfinite(ahead_s)):
+            raise ValueError(f"a host clock cannot begin at {ahead_s} s")
         self._true = true
         self.rate = rate
+        self.ahead_s = ahead_s
 
     def now(self) -> float:
-        return self._true.now_s * self.rate
+        return self.ahead_s + self._true.now_s * self.rate
 
     def true_s(self, time_s: float) -> float:
         """Returns the first virtual time at which this clock has reached `time_s`."""
-        found_s = time_s / self.rate
-        while found_s * self.rate < time_s:  # by rounding: a timer would come a hair too early, again and again
-            found_s = math.nextafter(found_s, math.inf)
+        found_s = (time_s - self.ahead_s) / self.rate
+        while (
+            self.ahead_s + found_s * self.rate < time_s
+        ):  # by rounding: a timer would come a hair too early, again and again
+            found_s = max(math.nextafter(found_s, math.inf), found_s + math.ulp(self.ahead_s) / self.rate)
         return found_s
 
     def due_s(self, delay_s: float) -> float:
@@ -91,15 +124,19 @@ class MissionClock:
         host: the clock it stands on.
         speed: mission seconds for each host second.
         held: whether it waits at 0 for `begin`; otherwise it runs from its making on.
+
+    Attributes:
+        start_s: the mission time at which it began; 0, unless it took that of other agents.
     """
 
-    __slots__ = ("_host_now", "_origin_s", "speed")  # every packet asks for the time
+    __slots__ = ("_host_now", "_origin_s", "speed", "start_s")  # every packet asks for the time
 
     def __init__(self, host: Clock, speed: float = 1.0, held: bool = False) -> None:
         if not (speed > 0 and math.isfinite(speed)):
             raise ValueError(f"a mission clock cannot run at {speed} times the host clock")
         self._host_now = host.now
         self.speed = speed
+        self.start_s = 0.0
         self._origin_s = math.inf if held else host.now()
 
     @property
@@ -117,6 +154,16 @@ class MissionClock:
         """Lets the mission start in `in_s` seconds of host time. A mission that runs is left alone."""
         if self.held:
             self._origin_s = self._host_now() + in_s
+
+    def join(self, zero_s: float) -> None:
+        """Lets the mission go on as it has in other agents. A mission that runs is left alone: it never jumps.
+
+        Args:
+            zero_s: the host time at which their mission time was 0; it may be negative.
+        """
+        if self.held:
+            self.start_s = max(0.0, (self._host_now() - zero_s) * self.speed)
+            self._origin_s = zero_s
 
     def host_time(self, mission_s: float) -> float:
         """Returns the host time at which the mission reaches `mission_s`; infinity while it is held."""

@@ -20,12 +20,12 @@ so a test may be written once for both. Nothing here sleeps, and no shipped modu
 
 from pancakes.mesh.net.memory import Quality
 from pancakes.runtime.clock import VirtualClock
+from pancakes.simulation.faults import Faults
+from pancakes.simulation.made_in_code import config_of, registered
+from pancakes.simulation.probe import Probe
 from pancakes.testing.agent_in_test import AgentInTest, threaded_agent
-from pancakes.testing.configuration import config_of, registered
-from pancakes.testing.faults import Faults
 from pancakes.testing.fleet_in_test import FleetInTest
 from pancakes.testing.leaks import no_leak, no_thread_left
-from pancakes.testing.probe import Probe
 from pancakes.testing.published import assert_published
 
 __all__ = [

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pancakes.packet import Packet, type_name
+from pancakes.simulation.probe import BodyTest, Probe
 from pancakes.testing.agent_in_test import PATIENCE_S, AgentInTest
-from pancakes.testing.probe import BodyTest, Probe
 
 MOST_SHOWN = 20
 

@@ -47,6 +47,7 @@ def main() -> None:
                 (VENV / f"installed-{extra}").write_text(digest())
     if "test" in extras:
         find_browser()
+        find_ssh_server()
     print(VENV / "bin" / "python")
 
 
@@ -67,15 +68,27 @@ def make_venv(directory: Path) -> None:
 
 def find_browser() -> None:
     """Gets the browser for the tests of the page, where a machine of its own runs them; elsewhere a person decides."""
-    if any(map(shutil.which, BROWSERS)) or not may_install():
+    if not any(map(shutil.which, BROWSERS)):
+        get("chromium", "the tests in a browser")
+
+
+def find_ssh_server() -> None:
+    """Gets the SSH server for the tests of fleets on several machines, likewise."""
+    if shutil.which("sshd", path=f"{os.environ.get('PATH', '')}:/usr/sbin") is None:
+        get("openssh-server", "the tests of fleets on several machines")
+
+
+def get(package: str, tests: str) -> None:
+    """Installs a package of the system that some tests need, where that may be done without a question."""
+    if not may_install():
         return
-    say("there is no chromium for the tests of the page: installing it")
-    command = ["apt-get", "install", "-y", "-qq", "--no-install-recommends", "chromium"]
+    say(f"there is no {package} for {tests}: installing it")
+    command = ["apt-get", "install", "-y", "-qq", "--no-install-recommends", package]
     if not succeeds(command):
         # Its lists of packages may be old, or not there yet.
         succeeds(["apt-get", "update", "-qq"])
         if not succeeds(command):
-            say("chromium could not be installed, so the tests in a browser will be skipped")
+            say(f"{package} could not be installed, so {tests} will be skipped")
 
 
 def may_install() -> bool:

@@ -236,7 +236,10 @@ def _commands(
     context = click.Context(command, info_name=name, parent=parent)
     yield context, command
     if isinstance(command, click.Group):
+        others = set(Plugins().names("pancakes.commands")) if command is pancakes else set()
         for child in command.list_commands(context):
+            if child in others:
+                continue  # of another distribution, which tells of it itself
             found = command.get_command(context, child)
             assert found is not None, child
             if not found.hidden:

@@ -26,7 +26,7 @@ from benchmarks.bus_load import GOOD_FOR_S, RATE_HZ, wheels_mps
 from benchmarks.figure import Figure, Plan, alone
 
 from pancakes.bodies.sim.drive import Wheels
-from pancakes.bodies.sim.simulation import STEP_S, Simulation
+from pancakes.bodies.sim.physics import STEP_S, Physics
 from pancakes.bodies.sim.world import World
 
 TITLE = "a world of Khepera III that move, 9 infrared sensors and wheels each asked and commanded at 10 Hz"
@@ -106,7 +106,7 @@ def simulation_alone(robots: int, duration_s: float) -> float:
         The share of a core that it takes at real time, in percent.
     """
     table = tomllib.loads(_config("", 0, robots))["task"]["World"]["settings"]
-    simulation = Simulation(msgspec.convert(table, World.Settings), Random(1))
+    simulation = Physics(msgspec.convert(table, World.Settings), Random(1))
     turns = round(1.0 / RATE_HZ / STEP_S)  # the robots are spread over so many steps
     began_s = time.process_time()
     for step in range(round(duration_s / STEP_S)):

@@ -52,7 +52,7 @@ class Stranger:
                     elif isinstance(message, Welcome):
                         self.is_up = True
                     elif isinstance(message, Ping):
-                        self._say(Pong(message.token))
+                        self._say(Pong(message.token, time.monotonic()))
         except RemoteProtocolError as error:
             self.refusal = f"not understood: {error}"
 

@@ -78,6 +78,18 @@ def test_a_task_is_created_outlives_its_agent_is_kept_in_a_file_and_removed(rig:
     assert "task.Count" not in rig.pancakes("config", "show", "a").stdout
 
 
+def test_a_created_task_that_has_moved_is_removed_where_it_is(rig: Rig):
+    rig.install("count", ENTRY_POINTS, SOURCE)
+    first = rig.ready("a")
+    rig.ready("b", agent=f'peers = ["{rig.address(first)}"]')
+    first.hear("peer_up peer=b")
+    assert rig.pancakes("task", "create", "a/Count", "--type", "count.Count").returncode == 0
+    assert rig.pancakes("task", "migrate", "a/Count").returncode == 0
+    refused = rig.pancakes("task", "remove", "a/Count")
+    assert (refused.returncode, refused.stderr) == (1, "a/Count is on b: say b/Count\n")
+    assert rig.pancakes("task", "remove", "b/Count").returncode == 0
+
+
 def test_what_is_neither_a_file_nor_an_agent_is_said(rig: Rig):
     rig.ready("a")
     refused = rig.pancakes("config", "show", "b")

@@ -13,7 +13,9 @@ import pytest
 from cli.processes import Rig, Running
 
 from pancakes import __version__
+from pancakes.mesh.way_facts import Reach, WayFacts
 from pancakes.runtime.journal import FileJournal, JournalEntry
+from pancakes.runtime.journal.write_ahead import WRITE_AHEAD
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.runtime_dir import VARIABLE, RunningAgent
 from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
@@ -206,10 +208,17 @@ def test_directories_of_sockets_that_others_can_reach(tmp_path: Path, monkeypatc
     assert levels(check_sockets()) == [("error", "local sockets")] * 2
 
 
+def written(tmp_path: Path, entry: JournalEntry) -> FileJournal:
+    """Returns a journal that has an entry with a file of its own."""
+    journal = FileJournal(tmp_path / "state" / "fleet" / "a")
+    journal.write([entry])
+    journal.close()
+    return FileJournal(journal.directory)
+
+
 @pytest.fixture
 def journal(tmp_path: Path) -> Iterator[FileJournal]:
-    journal = FileJournal(tmp_path / "state" / "fleet" / "a")
-    journal.write([JournalEntry("task", "a/Scan", b"state")])
+    journal = written(tmp_path, JournalEntry("task", "a/Scan", b"state"))
     yield journal
     journal.close()
 
@@ -242,8 +251,19 @@ def test_what_was_set_aside_is_named(tmp_path: Path, journal: FileJournal):
     assert (finding.level, torn.name + ".bad" in finding.text) == ("warning", True)
 
 
-def test_a_record_that_was_lost_is_to_be_decided_about_until_there_is_another(tmp_path: Path, journal: FileJournal):
-    journal.write([JournalEntry("record", "a/Scan", b"")])
+def test_what_was_written_ahead_and_is_damaged_is_found(tmp_path: Path, journal: FileJournal):
+    for data in (b"1", b"2"):
+        journal.write([JournalEntry("record", "a/Scan", data)])
+    ahead = journal.directory / WRITE_AHEAD
+    ahead.write_bytes(b"?" + ahead.read_bytes()[1:])
+
+    _, finding = check_state_dirs(tmp_path / "state")
+
+    assert finding.level == "error" and f"{WRITE_AHEAD} is damaged" in finding.text
+
+
+def test_a_record_that_was_lost_is_to_be_decided_about_until_there_is_another(tmp_path: Path):
+    journal = written(tmp_path, JournalEntry("record", "a/Scan", b""))
     (record,) = journal.directory.glob("record.*")
     record.rename(record.with_name(record.name + ".2.bad"))
 
@@ -253,6 +273,7 @@ def test_a_record_that_was_lost_is_to_be_decided_about_until_there_is_another(tm
     journal.write([JournalEntry("record", "a/Scan", b"")])
     _, finding = check_state_dirs(tmp_path / "state")
     assert finding.advice == "none is needed any more: remove them"
+    journal.close()
 
 
 def test_a_state_directory_that_others_can_write(tmp_path: Path, journal: FileJournal):
@@ -292,7 +313,14 @@ def task(name: str = "Scan", **other: Any) -> dict[str, Any]:
     return {**plain, "lateness_max_s": 0.0, "dropped": 0, **other}
 
 
-PEER = {"name": "b", "role": "agent", "remote": "tcp://192.0.2.7:40000", "refused": 0}
+PEER = {
+    "name": "b",
+    "role": "agent",
+    "remote": "tcp://192.0.2.7:40000",
+    "refused": 0,
+    **WayFacts(Reach.NETWORK, encrypted=True).plain(),
+}
+ROUTED = {**PEER, "remote": "zenoh://1f:0", "dropped": {}, **WayFacts(Reach.ROUTERS, encrypted=True).plain()}
 
 
 def service(**other: Any) -> dict[str, Any]:
@@ -305,7 +333,7 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
         "agent": name,
         "ready": True,
         "held": False,
-        "insecure": False,
+        "insecure": "",
         "roster": None,
         "services": [{"service": "client", "state": "running", "reason": ""}],
         "tasks": [task()],
@@ -331,6 +359,23 @@ def test_a_healthy_agent_is_in_order():
     assert levels(found_in(agent())) == [("ok", "a")]
 
 
+def test_links_through_routers_are_told():
+    (found,) = found_in(agent(mesh={"peers": [ROUTED], "asleep": [], "addresses": []}))
+    assert found.text == "is ready, with 1 task running and 1 neighbour; 1 link through routers"
+
+
+def test_builds_that_differ_over_the_fleet_are_named_with_their_agents():
+    def built(build: str) -> dict[str, str]:
+        return {"version": __version__, "build": build}
+
+    same = (agent("a", process=built("0.1.0-aa")), agent("b", process=built("0.1.0-aa")))
+    assert "different versions" not in str(found_in(*same, agent("w", process=None)))
+    (found, *_) = found_in(*same, agent("c", process=built("0.1.0-bb")), agent("d"))
+    assert (found.level, found.about) == ("warning", "agents")
+    assert found.text.endswith(f"different versions: {__version__} on d; 0.1.0-aa on a, b; 0.1.0-bb on c")
+    assert "pancakes deploy" in found.advice
+
+
 STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "refused": ""}
 
 
@@ -339,7 +384,13 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "r
     [
         ({"ready": False}, "warning", "a", "is not ready"),
         ({"held": True}, "warning", "a", "waits at 0"),
-        ({"insecure": True}, "warning", "a", "speaks over tcp:// without keys"),
+        (
+            {"mesh": {"peers": [{**ROUTED, "encrypted": False}], "asleep": [], "addresses": []}},
+            "warning",
+            "a",
+            "has a link to b over zenoh://, which does not encrypt",
+        ),
+        ({"insecure": "tcp://"}, "warning", "a", "speaks over tcp:// without keys"),
         (
             {"services": [service(state="failed", reason="no light")]},
             "error",

@@ -91,6 +91,7 @@ def test_an_agent_says_all_of_itself(rig: Rig, agent: Running):
     assert found["listen"][-1] == rig.address(agent)
     assert found["process"]["pid"] == agent.pid
     assert found["process"]["uptime_s"] > 0.0
+    assert found["disk"]["syncs"] > 0 and found["disk"]["written_bytes"] > 0
     assert (found["speed"], found["held"], found["ready"]) == (1.0, False, True)
     assert found["mission_s"] > 0.0
     assert "load" in found
@@ -116,7 +117,8 @@ def test_the_table_of_an_agent_has_its_sections(rig: Rig, agent: Running):
     assert "neighbours b" in lines
     assert "devices pose" in lines
     assert f"pid {agent.pid}" in lines
-    assert any(line.endswith("s of the mission, at speed 1") for line in lines)
+    assert any("s of the mission, at speed 1; 20" in line and line.endswith(" UTC") for line in lines)
+    assert any(line.startswith("disk, an hour ") and line.endswith(" MB written") for line in lines)
     assert any(line.startswith("client ClientService running Steer, Broken") for line in lines)
     (link,) = (line for line in lines if line.startswith("b agent tcp://127.0.0.1:"))
     assert "alice." not in table, "the command shows its own link"

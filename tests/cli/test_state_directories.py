@@ -1,6 +1,5 @@
 """What an agent does with the directory that holds its state: whose it must be, and what if it goes away."""
 
-import os
 import resource
 import shutil
 import signal
@@ -123,7 +122,7 @@ def test_a_damaged_record_is_decided_about_with_adopt_or_forget(rig: Rig, state:
         asked = rig.pancakes("task", "start", "a/Count")
         assert asked.returncode == 1 and "`pancakes task forget a/Count` leaves it there" in asked.stderr
         agent.signalled(signal.SIGTERM)
-    rig.ready("a", COUNT)
+    agent = rig.ready("a", COUNT)
 
     assert "would" not in rig.pancakes("task", "forget", "a/Count", "--dry-run").stderr
     forgotten = rig.pancakes("task", "forget", "a/Count")
@@ -131,4 +130,5 @@ def test_a_damaged_record_is_decided_about_with_adopt_or_forget(rig: Rig, state:
     assert rig.pancakes("task", "adopt", "a/Count").returncode == 1
     adopted = rig.pancakes("task", "adopt", "a/Count", "--force")
     assert adopted.returncode == 0 and "adopted" in adopted.stdout
-    assert os.path.exists(record)
+    agent.signalled(signal.SIGTERM)
+    assert record.exists()

@@ -226,6 +226,10 @@ def test_lines_for_people_are_events_too(client: Any):
     assert str(row) == "a: hello was said"
 
 
+WRONG: Any = 3
+WRONG_WORD, WRONG_STOP = Word(WRONG), Stop(WRONG)
+
+
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
@@ -239,8 +243,8 @@ def test_lines_for_people_are_events_too(client: Any):
         (lambda client: client.publish("system", Word("x")), "'system' names no channel of an agent"),
         (lambda client: client.publish("a/sistem", Word("x")), "a has no channel 'sistem', did you mean 'system'"),
         (lambda client: client.publish("a/system", {"text": "x"}), "builtins.dict is no packet type"),
-        (lambda client: client.publish("a/system", Word(3)), "Word cannot be sent: .*Expected `str`, got `int`"),
-        (lambda client: client.request("a", Stop(3)), "Stop cannot be sent: .*Expected `str`, got `int`"),
+        (lambda client: client.publish("a/system", WRONG_WORD), "Word cannot be sent: .*Expected `str`, got `int`"),
+        (lambda client: client.request("a", WRONG_STOP), "Stop cannot be sent: .*Expected `str`, got `int`"),
         (lambda client: client.publish("a/system", Word("x"), to="a/b/c/d"), "'a/b/c/d' is no service or task of a"),
         (lambda client: client.publish("a/sysctrl", Stop("Counting")), "Stop is a control packet.*client.request"),
         (lambda client: client.configure("Counting", {}), "'Counting' names no task: write it as AGENT/TASK"),

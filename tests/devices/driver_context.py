@@ -35,7 +35,7 @@ class DriverContext:
         later: (mission time, function) of each call that is still to come.
         packets: how many mission packets the agent has sent.
         awake: whether the Network Service is awake.
-        virtual: whether the agent lives in virtual time.
+        virtual: whether the agent is said to run in virtual time.
     """
 
     def __init__(

@@ -14,8 +14,8 @@ import pytest
 
 from pancakes.bodies.devices.types import Pose, Twist
 from pancakes.bodies.sim.models import robot_model
+from pancakes.bodies.sim.physics import Physics
 from pancakes.bodies.sim.settings import ArenaSettings, ContentSettings, RobotSettings, SensorSettings
-from pancakes.bodies.sim.simulation import Simulation
 from pancakes.bodies.sim.wayfinder import MoverSettings
 from pancakes_encirclement.angles import wrap
 from pancakes_encirclement.avoidance import Avoidance
@@ -78,7 +78,7 @@ class HandOver:
         on_circle = RobotSettings(x_m, y_m, wrap(phase - math.pi / 2), stage.model)
         (_, (home_x_m, home_y_m)) = stage.homes
         waiting = RobotSettings(home_x_m, home_y_m, math.atan2(-home_y_m, -home_x_m), stage.model)
-        self.world = Simulation(
+        self.world = Physics(
             ContentSettings(
                 arena=ArenaSettings(*stage.arena_m),
                 robots={"agent1": on_circle, "agent2": waiting},

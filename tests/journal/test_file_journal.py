@@ -48,8 +48,8 @@ def test_a_process_that_was_killed_leaves_no_lock_and_no_half_entry(tmp_path: Pa
         "from pancakes.runtime.journal import JournalEntry, FileJournal\n"
         "journal = FileJournal(pathlib.Path(sys.argv[1]), 'first')\n"
         "journal.write([JournalEntry('task', 'agent1/ScanTarget', b'old')])\n"
-        "os.replace = lambda *names: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "journal.write([JournalEntry('task', 'agent1/ScanTarget', b'new')])\n"
+        "os.replace = lambda *names, **directories: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "journal.close()\n"
     )
     subprocess.run([sys.executable, "-c", code, tmp_path], check=False)
     assert [path.name for path in tmp_path.glob("*.tmp")] == ["task.agent1%2FScanTarget.rec.tmp"]
@@ -61,11 +61,12 @@ def test_a_process_that_was_killed_leaves_no_lock_and_no_half_entry(tmp_path: Pa
     assert journal.set_aside == ()
 
 
-def test_entries_are_on_disk_before_write_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The order of system calls that an entry's survival rests on: all files, then names, then the directory."""
+def test_the_order_of_system_calls_that_the_survival_of_an_entry_rests_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     journal = FileJournal(tmp_path)
     calls: list[str] = []
-    fsync, replace = os.fsync, os.replace
+    fsync, replace, unlink = os.fsync, os.replace, os.unlink
 
     def spy_fsync(handle: int) -> None:
         calls.append(f"fsync {Path(os.readlink(f'/proc/self/fd/{handle}')).name}")
@@ -75,15 +76,28 @@ def test_entries_are_on_disk_before_write_returns(tmp_path: Path, monkeypatch: p
         calls.append(f"rename {Path(new).name}")
         replace(old, new, **directories)
 
+    def spy_unlink(name: Path, **directories: int) -> None:
+        calls.append(f"remove {Path(name).name}")
+        unlink(name, **directories)
+
     monkeypatch.setattr(os, "fsync", spy_fsync)
     monkeypatch.setattr(os, "replace", spy_replace)
+    monkeypatch.setattr(os, "unlink", spy_unlink)
     journal.write([JournalEntry("task", "a", b""), JournalEntry("task", "b", b"")])
+    # The file, and its name, before `write` returns.
+    assert calls == ["fsync journal.wal", f"fsync {tmp_path.name}"]
+    calls.clear()
 
+    journal.close()
+
+    # All files, then their names, then the directory; what was written ahead is needed up to then.
     assert calls == [
         "fsync task.a.rec.tmp",
         "fsync task.b.rec.tmp",
         "rename task.a.rec",
         "rename task.b.rec",
+        f"fsync {tmp_path.name}",
+        "remove journal.wal",
         f"fsync {tmp_path.name}",
     ]
 

@@ -23,6 +23,7 @@ class NoKernel:
     def __init__(self):
         self.said = []
         self.lateness_heard = ()
+        self.meter = None
         self.stream = InformationStream("a")
 
     def now(self):

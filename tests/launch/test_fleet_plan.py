@@ -210,6 +210,7 @@ def test_what_the_schema_of_a_fleet_file_knows() -> None:
         "set",
         "restart",
         "after",
+        "host",
     }
     assert schema["properties"]["fleet"]["additionalProperties"] is False
 

@@ -110,6 +110,13 @@ def test_what_other_agents_say_of_themselves_is_not_told_as_its_own(agent):
     assert told["pancakes_battery_level_ratio",] == 0.75
 
 
+def test_what_is_written_down_is_counted(agent):
+    agent.ask(Stop("Tick"))
+    told = scraped(agent)
+    assert told["pancakes_disk_syncs_total",] >= 1.0
+    assert told["pancakes_disk_written_bytes_total",] >= 100.0
+
+
 def test_they_are_for_this_machine_alone(agent):
     with socket.create_connection(("127.0.0.1", port(agent)), 20):
         pass

@@ -21,7 +21,7 @@ def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
 
 
 def test_who_sends_packets_sends_no_heartbeats(memory_rig):
-    times = LinkTimes(measure_s=1000.0)
+    times = LinkTimes(measure_s=1000.0, first_s=1500.0)
     a = memory_rig.agent("a", times=times)
     b = memory_rig.agent("b", [a.address], times=times)
     memory_rig.timeline.run_until(10.0)

@@ -299,7 +299,7 @@ def test_without_keys_there_is_no_connection_over_tcp_unless_a_person_says_so(ri
 
 def test_a_handshake_that_takes_too_long_is_given_up(rig, listening, monkeypatch):
     there, address = listening
-    monkeypatch.setattr("pancakes.mesh.net.tls_connection.HANDSHAKE_S", 0.1)
+    monkeypatch.setattr("pancakes.mesh.net.tls_layer.HANDSHAKE_S", 0.1)
     with raw(address):
         rig.until(lambda: there.closed_for)
     assert there.closed_for == ["no handshake within 0.1 s"] and there.connection is None
@@ -309,7 +309,7 @@ def test_a_key_is_used_for_so_many_bytes_and_then_there_is_a_new_link(rig, monke
     a = rig.agent("a")
     b = rig.agent("b", [a.address])
     rig.until(lambda: a.knows("b") and b.knows("a"))
-    monkeypatch.setattr("pancakes.mesh.net.tls_connection.MOST_BYTES", 20_000)
+    monkeypatch.setattr("pancakes.mesh.net.tls_layer.MOST_BYTES", 20_000)
     b.say("a", "x" * 30_000)
     rig.until(lambda: a.downs and b.downs)
     assert "it has carried 20000 bytes, and begins anew with new keys" in a.downs[0][1] + b.downs[0][1]

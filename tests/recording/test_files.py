@@ -453,8 +453,9 @@ def test_nothing_is_overwritten_and_what_cannot_be_written_is_named(tmp_path):
 def test_poses_and_paths_are_shown_in_the_schemas_of_foxglove():
     viewer = Viewer()
     shown = [message for number in range(25) for message in viewer.messages(pose(number))]
-    assert [message.schema_name for message in shown[:3]] == [
+    assert [message.schema_name for message in shown[:4]] == [
         "foxglove.PoseInFrame",
+        "foxglove.FrameTransforms",
         "foxglove.PosesInFrame",
         "foxglove.PoseInFrame",
     ]

@@ -1,12 +1,14 @@
 """The schemas in a recording: viewers understand each of them, and Foxglove's own are as Foxglove publishes them."""
 
 import json
+import math
 
 import pytest
 from mcap.reader import make_reader
 
-from pancakes.bodies.devices.types import Pose
+from pancakes.bodies.devices.types import Infrared, Pose, Sonar
 from pancakes.bodies.sim.state import BodyState, WorldState
+from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, known_types
 from pancakes.runtime.plugins import Plugins
 from pancakes.tools.recording.recorded_packet import RecordedPacket
@@ -32,11 +34,21 @@ ENTITY = {
     "metadata": [{"key": str, "value": str}], "arrows": [ARROW], "cubes": [{}], "spheres": [{}],
     "cylinders": [CYLINDER], "lines": [{}], "triangles": [{}], "texts": [{}], "models": [{}],
 }  # fmt: skip
+FRAME = {
+    "timestamp": TIME, "parent_frame_id": str, "child_frame_id": str, "translation": VECTOR,
+    "rotation": dict.fromkeys("xyzw", float),
+}  # fmt: skip
 PUBLISHED = {
+    "foxglove.FrameTransforms": {"transforms": [FRAME]},
+    "foxglove.LaserScan": {
+        "timestamp": TIME, "frame_id": str, "pose": POSE, "start_angle": float, "end_angle": float, "ranges": [float],
+        "intensities": [float],
+    },
+    "foxglove.Log": {"timestamp": TIME, "level": int, "message": str, "name": str, "file": str, "line": int},
     "foxglove.PoseInFrame": {"timestamp": TIME, "frame_id": str, "pose": POSE},
     "foxglove.PosesInFrame": {"timestamp": TIME, "frame_id": str, "poses": [POSE]},
     "foxglove.SceneUpdate": {"deletions": [{}], "entities": [ENTITY]},
-}
+}  # fmt: skip
 
 
 def check(schema, path=""):
@@ -88,6 +100,10 @@ def shown():
     packets = [
         Packet("system", "pose", "a/device/pose", "", 1.5, 1, Pose(1.0, 2.0, 3.0)),
         Packet("system", "world_state", "a/client/World", "", 1.5, 1, world),
+        Packet("system", "ir", "a/device/ir", "", 1.5, 1, Infrared((1.0, 0.0, -1.0), (0.2, 0.1, 0.3), 0.3)),
+        Packet("system", "sonar", "a/device/sonar", "", 1.5, 1, Sonar((0.0,), (0.5,), 4.0)),
+        Packet("log", "line", "a/client/Watch", "", 1.5, 1, LogLine("warning", "the lid is open")),
+        Packet("log", "event", "a/client", "", 1.5, 1, Event("task_started", {"service": "client", "task": "Watch"})),
     ]
     return [message for packet in packets for message in viewer.messages(RecordedPacket(int(1.5 * S), "a", packet))]
 
@@ -144,15 +160,37 @@ def test_poses_paths_and_the_world_are_as_foxglove_publishes_their_schemas(shown
         fits(json.loads(message.data), PUBLISHED[message.schema_name], message.schema_name)
 
 
-def test_times_are_those_of_the_messages_and_all_is_in_one_frame(shown):
+def test_times_are_those_of_the_messages_and_all_is_in_the_frame_of_the_world_or_of_a_body(shown):
     for message in shown:
         told = json.loads(message.data)
-        for part in told.get("entities", [told]):
+        for part in told.get("entities", told.get("transforms", [told])):
             assert part["timestamp"] == {"sec": 1, "nsec": S // 2}
-            assert part["frame_id"] == "world"
+            frame = part.get("frame_id", part.get("child_frame_id", "a"))
+            body = message.schema_name in ("foxglove.LaserScan", "foxglove.FrameTransforms", "foxglove.Log")
+            assert frame == ("a" if body else "world")
         assert message.time_ns == S + S // 2
     turned = json.loads(shown[0].data)["pose"]["orientation"]
     assert sum(turned[axis] ** 2 for axis in "xyzw") == pytest.approx(1.0)
+
+
+def test_a_ring_of_sensors_is_a_scan_that_says_where_something_is_seen(shown):
+    told = {message.topic: json.loads(message.data) for message in shown}
+    ring = told["/viewer/a/ir"]
+    step = (ring["end_angle"] - ring["start_angle"]) / (len(ring["ranges"]) - 1)
+    assert math.degrees(step) == pytest.approx(3.0)
+    seen = [(n, it) for n, (it, seen) in enumerate(zip(ring["ranges"], ring["intensities"], strict=True)) if seen]
+    assert [it for _, it in seen] == [0.1, 0.2] and set(ring["ranges"]) == {0.1, 0.2, 0.3}
+    for (place, _), bearing in zip(seen, (0.0, 1.0), strict=True):
+        assert ring["start_angle"] + place * step == pytest.approx(bearing, abs=step / 2)
+    assert told["/viewer/a/sonar"]["ranges"] == [0.5] and told["/viewer/a/sonar"]["intensities"] == [1.0]
+
+
+def test_what_is_said_in_the_log_has_its_level(shown):
+    said = [json.loads(message.data) for message in shown if message.topic == "/viewer/a/log"]
+    assert [(it["level"], it["message"], it["name"]) for it in said] == [
+        (3, "the lid is open", "a/client/Watch"),
+        (2, "task started: service client, task Watch", "a/client"),
+    ]
 
 
 def test_a_file_says_that_its_messages_and_schemas_are_json(shown, tmp_path):
@@ -166,5 +204,6 @@ def test_a_file_says_that_its_messages_and_schemas_are_json(shown, tmp_path):
     assert {schema.encoding for schema in summary.schemas.values()} == {"jsonschema"}
     assert {channel.message_encoding for channel in summary.channels.values()} == {"json"}
     assert {channel.topic for channel in summary.channels.values()} == {
-        "/viewer/a/pose", "/viewer/a/pose/path", "/viewer/a/world"
+        "/viewer/a/ir", "/viewer/a/log", "/viewer/a/pose", "/viewer/a/pose/path", "/viewer/a/pose/transform",
+        "/viewer/a/sonar", "/viewer/a/world",
     }  # fmt: skip

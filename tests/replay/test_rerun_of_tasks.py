@@ -12,9 +12,9 @@ from pancakes.bodies.devices.types import Load, Pose, Temperature
 from pancakes.control import Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
 from pancakes.errors import PancakesError
 from pancakes.packet import task_address
+from pancakes.simulation.made_in_code import registered
 from pancakes.task import Task, every, on
 from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
-from pancakes.testing.configuration import registered
 from pancakes.tools.recording.recorded_packet import RecordingError
 from pancakes.tools.recording.recording_reader import RecordingReader
 from pancakes.tools.replay.comparison import StreamKey

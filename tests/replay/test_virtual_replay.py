@@ -9,9 +9,9 @@ from pancakes.bodies.devices.driver import Sensor
 from pancakes.bodies.devices.types import Load, Pose
 from pancakes.errors import ConfigError
 from pancakes.runtime.config import parse
+from pancakes.simulation.made_in_code import registered
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
-from pancakes.testing.configuration import registered
 from pancakes.tools.recording.recording_reader import RecordingReader
 from pancakes.tools.replay.selection import Selection, tally_of
 from pancakes.tools.replay.virtual_replay import VirtualReplay

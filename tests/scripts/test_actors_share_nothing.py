@@ -13,6 +13,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 
 LOOK_FROM_OUTSIDE = {
+    "simulation/agent_handle.py": "it looks between two turns, or a test looks inside",
+    "simulation/simulation.py": "it looks between two turns, on the thread that gives all turns",
     "testing/agent_in_test.py": "a test looks inside",
     "pytest_plugin.py": "a test looks inside",
     "tools/recording/virtual_recorder.py": "it looks between two turns, on the thread that gives all turns",

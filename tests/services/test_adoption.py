@@ -7,8 +7,8 @@ from pancakes.control import Adopt, Describe, Migrate, Migrations, Stop
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
+from pancakes.simulation.faults import DISK_FULL
 from pancakes.testing import FleetInTest
-from pancakes.testing.faults import DISK_FULL
 
 
 @pytest.fixture

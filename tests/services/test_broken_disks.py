@@ -12,6 +12,7 @@ from pancakes.bodies.devices.driver import Sensor
 from pancakes.bodies.devices.types import Pose
 from pancakes.control import Configure, Describe, Start, Stop
 from pancakes.packet import SYSCTRL
+from pancakes.runtime.journal.write_ahead import WRITE_AHEAD
 from pancakes.task import Task, every
 from pancakes.testing import threaded_agent
 
@@ -33,7 +34,7 @@ class Count(Task):
 
 
 class Spoiler(Sensor):
-    """A device that is opened before tasks are born, and then makes the record of Count one that cannot be written."""
+    """A device that is opened before tasks are born, and then has the journal write nothing."""
 
     type = "pose"
 
@@ -42,7 +43,7 @@ class Spoiler(Sensor):
         state: str = ""
 
     def open(self):
-        temporary(Path(self.settings.state)).mkdir()
+        (Path(self.settings.state) / WRITE_AHEAD).mkdir()
 
     def sample(self):
         return Pose(0.0, 0.0, 0.0)
@@ -52,28 +53,25 @@ def is_said(agent, line):
     return line in agent.lines()
 
 
-def temporary(state):
-    return state / "record.a%2FCount.rec.tmp"
-
-
 @contextmanager
 def obstacle(state, kind="directory"):
-    """Lies where the journal makes the temporary file for the record of Count."""
-    path = temporary(state)
+    """Lies where the journal writes first. What was there the journal has in memory, and writes again."""
+    place, pipe = state / WRITE_AHEAD, state / "pipe"
     if kind == "directory":
-        while True:
+        while not place.is_dir():
+            place.unlink(missing_ok=True)
             with suppress(FileExistsError):  # one is being written
-                path.mkdir()
-                break
+                place.mkdir()
         yield
-        path.rmdir()
+        place.rmdir()
         return
-    os.mkfifo(path)  # who opens it to write waits until somebody reads
+    os.mkfifo(pipe)  # who opens it to write waits until somebody reads
+    os.replace(pipe, place)
     try:
         yield
     finally:
-        reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-        path.unlink()
+        reader = os.open(place, os.O_RDONLY | os.O_NONBLOCK)
+        place.unlink()
         os.close(reader)
 
 
@@ -125,7 +123,7 @@ def test_an_agent_whose_task_cannot_be_written_down_at_its_start_gets_ready_all_
     with threaded_agent("a", tasks={"Count": Count}, devices=devices, state_dir=state) as agent:
         assert agent.running() == []
         assert "cannot write: Is a directory" in agent.ask(Describe("Count")).result["reason"]
-        temporary(state).rmdir()
+        (state / WRITE_AHEAD).rmdir()
         agent.wait_for_event("task_started", task="Count")
 
 

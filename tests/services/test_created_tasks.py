@@ -12,9 +12,9 @@ from services.numbered import Sink
 from pancakes.control import Configure, Describe, Migrate, Migrations, Start, Stop
 from pancakes.creation import Create, Remove
 from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.simulation.faults import DISK_FULL
 from pancakes.task import Task, Tick, every
 from pancakes.testing import FleetInTest, threaded_agent
-from pancakes.testing.faults import DISK_FULL
 
 
 @pytest.fixture

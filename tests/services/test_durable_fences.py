@@ -11,9 +11,9 @@ from pancakes.packet import Fence, Packet
 from pancakes.runtime.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
 from pancakes.runtime.services.fence_rule import Mark
 from pancakes.runtime.services.fences import Fences
+from pancakes.simulation.faults import DISK_FULL
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
-from pancakes.testing.faults import DISK_FULL
 
 
 class Wheels(Actuator):

@@ -11,9 +11,9 @@ from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.hosting.machine import idle
 from pancakes.runtime.journal import JournalError, MemoryJournal
 from pancakes.service import Service
+from pancakes.simulation.faults import DISK_FULL
 from pancakes.task import Task, TaskSpec, every, on
 from pancakes.testing import FleetInTest, threaded_agent
-from pancakes.testing.faults import DISK_FULL
 
 
 class Count(Task):

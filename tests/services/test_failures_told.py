@@ -209,7 +209,9 @@ def test_a_terminal_shows_tracebacks_only_where_they_are_asked_for(fleet, capsys
 def test_settings_that_do_not_fit_name_the_device(fleet, driver, change, problem):
     agent = fleet.start("a", devices={"lamp": driver})
     for dry_run in (True, False):
-        assert agent.ask(Configure("lamp", change, dry_run)).reason == problem
+        refused = agent.ask(Configure("lamp", change, dry_run))
+        assert refused.reason == problem
+        assert refused.result == {"problems": [{"path": ["gain"], "text": problem.rpartition("gain: ")[2]}]}
     other = fleet.start("b", devices={"lamp": {"type": driver, "settings": change, "restart": TWICE}})
     fleet.run_for(60.0)
     assert other.ask(Describe("lamp")).result["reason"] == problem

@@ -143,7 +143,9 @@ class Fuzzed:
 def pools(source: random.Random) -> tuple[list[bytes], list[bytes]]:
     """Returns frames that keep a link, and frames that end one: of most a part is not as it should be."""
     keeping = [frame([Encoder().link_message(Gossip((f"tcp://10.0.0.{number}:9",)))]) for number in range(50)]
-    keeping += [frame([Encoder().link_message(it)]) for it in (Ping(1), Pong(2**40), RosterNumber(0), RosterNumber(9))]
+    keeping += [
+        frame([Encoder().link_message(it)]) for it in (Ping(1), Pong(2**40, 0.0), RosterNumber(0), RosterNumber(9))
+    ]
     ending = [b"\0\0\0\x02\xc1\xc1", b"\xff\xff\xff\xff", b"\0\0\0\x01\x05"]
     while len(keeping) < POOL:
         channel, body = source.choice(_BODIES)

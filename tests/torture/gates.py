@@ -9,17 +9,18 @@ from __future__ import annotations
 import fcntl
 import os
 import select
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.runtime.hosting.records import KIND
 from pancakes.runtime.journal.journal import SUFFIX
+from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead
 
 PIPE_BYTES = 4096
 BALLAST_BYTES = 2 * PIPE_BYTES
 """Of a task's state, so that its snapshot is longer than the pipe."""
-_TEMPORARY = ".tmp"
 
 
 class Gate:
@@ -45,9 +46,11 @@ class Gate:
         poll.register(self._handle, select.POLLIN)
         return bool(poll.poll(timeout_s * 1000.0))
 
-    def phase(self) -> Phase | None:
-        """Returns the phase in the record that somebody is writing; None where it is no record."""
-        head = os.read(self._handle, 512)
+    def phase(self, task_id: TaskId) -> Phase | None:
+        """Returns the phase in the record of a task that somebody is writing; None where it is none of that task."""
+        written = os.read(self._handle, PIPE_BYTES)
+        at = written.find(_text(KIND) + _text(str(task_id)))
+        head = written[at : at + 512] if at >= 0 else b""
         # The record itself is torn, as it is to be; its second field is what it begins with.
         return next((phase for phase in Phase if b"phase" + _text(phase.value) in head), None)
 
@@ -61,6 +64,75 @@ def _text(value: str) -> bytes:
     return bytes((0xA0 | len(value),)) + value.encode()
 
 
+class WriteGate(Gate):
+    """A gate in the way of a journal, in the place of the file that it appends to.
+
+    Args:
+        directory: the state directory.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__(directory / "gate")
+        self._kept = directory / (WRITE_AHEAD + ".kept")
+        with suppress(FileNotFoundError):  # there may be nothing in it yet
+            os.link(directory / WRITE_AHEAD, self._kept)
+        self.path = self.path.rename(directory / WRITE_AHEAD)
+
+    @property
+    def lies(self) -> bool:
+        """Whether it is still where it was laid: a journal whose write has failed begins the file anew."""
+        return file_number(self.path) == os.fstat(self._handle).st_ino
+
+    def remove(self) -> None:
+        if self.lies:
+            if self._kept.exists():
+                self._kept.rename(self.path)
+            else:
+                self.path.unlink()
+        self._kept.unlink(missing_ok=True)
+        os.close(self._handle)
+
+
+class RecordWatch:
+    """Watches an agent's journal for the next record of a task.
+
+    Args:
+        state: the directory of all states.
+        agent: the agent.
+        task_id: the task.
+    """
+
+    def __init__(self, state: Path, agent: str, task_id: TaskId) -> None:
+        self._file = journal_file(state, agent, task_id)
+        self._ahead = state / agent / WRITE_AHEAD
+        self._key = str(task_id)
+        self._number = file_number(self._file)
+        self._ahead_number, self._read = file_number(self._ahead), len(self._new(0))
+
+    def written(self) -> bool:
+        """Returns whether one was written since."""
+        if file_number(self._file) != self._number:
+            return True
+        if (number := file_number(self._ahead)) != self._ahead_number:
+            self._ahead_number, self._read = number, 0
+        entries = [entry for batch in read_ahead(self._new(self._read)).batches for entry in batch.entries]
+        return any((entry.kind, entry.key) == (KIND, self._key) for entry in entries)
+
+    def _new(self, since: int) -> bytes:
+        with suppress(FileNotFoundError), self._ahead.open("rb") as file:
+            file.seek(since)
+            return file.read()
+        return b""
+
+
+def file_number(path: Path) -> int | None:
+    """Returns what tells a file from the one that takes its place; None: there is none."""
+    try:
+        return os.stat(path).st_ino
+    except FileNotFoundError:
+        return None
+
+
 def journal_file(state: Path, agent: str, task_id: TaskId) -> Path:
     """Returns where an agent keeps its record of a task, in the directory of all states."""
     return state / agent / f"{KIND}.{quote(str(task_id), safe='')}{SUFFIX}"
@@ -69,13 +141,3 @@ def journal_file(state: Path, agent: str, task_id: TaskId) -> Path:
 def identity_file(state: Path, agent: str) -> Path:
     """Returns the file that an agent replaces when it opens its journal; it is then ready for records."""
     return state / agent / f"identity.identity{SUFFIX}"
-
-
-def before_write(state: Path, agent: str, task_id: TaskId) -> Gate:
-    """Returns a gate at the agent's next write of its record of a task.
-
-    Raises:
-        FileExistsError: it is writing one just now.
-    """
-    path = journal_file(state, agent, task_id)
-    return Gate(path.with_name(path.name + _TEMPORARY))

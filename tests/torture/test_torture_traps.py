@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from torture.gates import BALLAST_BYTES, Gate, before_write, identity_file, journal_file
+from torture.gates import BALLAST_BYTES, Gate, RecordWatch, WriteGate, identity_file, journal_file
 from torture.points import POINTS, Point
 from torture.proxy import Verdict
 from torture.tally import Tally
@@ -76,11 +76,22 @@ def test_an_agent_is_held_in_the_write_that_follows_a_word(tmp_path: Path) -> No
 
 def test_another_record_than_the_one_that_was_meant_is_no_point(tmp_path: Path) -> None:
     journal = FileJournal(tmp_path / "a")
+    journal.write([entry(Phase.OWNER)])
     rig = Rig(tmp_path, Point("", "migration.reserved", "write", Phase.FROZEN))
     rig.trap.watch(row("migration.reserved", "b", "a"))
-    agent = threading.Thread(target=fault, args=(journal, entry(Phase.OWNER)))  # a checkpoint came first
+
+    over = threading.Event()
+
+    def writes() -> None:
+        while fault(journal, entry(Phase.OWNER)):  # a checkpoint came first
+            pass
+        while not over.is_set():  # one may pass while the next gate is laid
+            fault(journal, entry(Phase.FROZEN))
+
+    agent = threading.Thread(target=writes, daemon=True)
     agent.start()
-    assert rig.trap.spring(10.0) == "" and rig.trap.dead == "a"
+    assert rig.trap.spring(10.0) == "a" and rig.killed == ["a"]
+    over.set()
     rig.trap.clear()
     agent.join(10.0)
     journal.close()
@@ -110,8 +121,9 @@ def test_nobody_waits_any_longer_at_a_trap_in_a_run_that_was_broken_off(tmp_path
 def test_the_files_of_a_journal_are_where_the_gates_look_for_them(tmp_path: Path) -> None:
     journal = FileJournal(tmp_path / "a")
     journal.write([entry(Phase.OWNER)])
-    assert journal_file(tmp_path, "a", TASK).exists() and identity_file(tmp_path, "a").exists()
+    assert identity_file(tmp_path, "a").exists()
     journal.close()
+    assert journal_file(tmp_path, "a", TASK).exists()
 
 
 def test_nobody_stands_at_a_gate_that_nobody_came_to(tmp_path: Path) -> None:
@@ -120,8 +132,28 @@ def test_nobody_stands_at_a_gate_that_nobody_came_to(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError):
         Gate(tmp_path / "gate")
     gate.remove()
-    (tmp_path / "a").mkdir()
-    before_write(tmp_path, "a", TASK).remove()
+    WriteGate(tmp_path).remove()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_gate_in_the_way_of_a_journal_leaves_what_was_there(tmp_path: Path) -> None:
+    journal = FileJournal(tmp_path / "a")
+    journal.write([entry(Phase.OWNER)])
+    before = {path.name: path.read_bytes() for path in (tmp_path / "a").iterdir()}
+    WriteGate(tmp_path / "a").remove()
+    assert {path.name: path.read_bytes() for path in (tmp_path / "a").iterdir()} == before
+    journal.close()
+
+
+def test_a_record_is_seen_wherever_it_is_written(tmp_path: Path) -> None:
+    journal = FileJournal(tmp_path / "a")
+    for one in (entry(Phase.OWNER), entry(Phase.FROZEN), JournalEntry(KIND, str(TASK), bytes(300_000))):
+        watch = RecordWatch(tmp_path, "a", TASK)
+        journal.write([JournalEntry(KIND, "a/Two", b"")])
+        assert not watch.written()
+        journal.write([one])
+        assert watch.written()
+    journal.close()
 
 
 def test_each_point_has_a_name_of_its_own() -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-import os
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from torture.gates import Gate, before_write, identity_file, journal_file
+from torture.gates import Gate, RecordWatch, WriteGate, file_number, identity_file
 from torture.points import Point
 from torture.proxy import Verdict
 from torture.waits import Waits
@@ -20,6 +20,8 @@ from pancakes.packet import agent_of
 
 LOOK_S = 0.0005
 """How often it is looked at what nobody announces: a file that is replaced, a write that ends."""
+GATE_S = 0.002
+"""How often it is looked whether the victim has cleared a gate away."""
 _never = threading.Event()
 
 
@@ -59,7 +61,7 @@ class Trap:
         self._set = threading.Event()  # the victim is known, and dead or about to come to the gate
         self._dead = ""
         self._gate: Gate | None = None
-        self._before: int | None = None
+        self._record: RecordWatch | None = None
 
     def begin(self, start: Callable[[str], None] | None = None) -> None:
         """Lays the trap where its point has no word: there is nothing to wait for.
@@ -72,7 +74,7 @@ class Trap:
         """
         victim = self._victim
         identity = identity_file(self._field.state, victim) if victim else Path()
-        boot = _file_number(identity)
+        boot = file_number(identity)
         gated = self.point.how in ("start", "resume")
         if gated and not self.point.word:
             self._lay(victim)
@@ -117,17 +119,17 @@ class Trap:
             return ""
         if self._dead:
             return self._dead
-        if self._gate is not None:
+        if isinstance(self._gate, WriteGate):
+            reached = waits.until(self._stands_in_the_write, timeout_s)
+        elif self._gate is not None:
             reached = waits.until(self._gate.reached, timeout_s)
         else:
-            path = journal_file(self._field.state, self._victim, self._field.task_id)
-            reached = waits.until(lambda for_s: _is_replaced(path, self._before), timeout_s)
+            assert self._record is not None
+            reached = waits.until(partial(_is_written, self._record), timeout_s)
         if not reached:
             return ""
         self._field.kill(self._victim)
         self._dead = self._victim
-        if self.point.how == "write" and self._gate is not None and self._gate.phase() is not self.point.phase:
-            return ""  # it was another record of this task, such as a checkpoint
         return self._dead
 
     @property
@@ -143,6 +145,19 @@ class Trap:
                 self._gate.remove()
                 self._gate = None
 
+    def _stands_in_the_write(self, for_s: float) -> bool:
+        """Waits until the victim stands in the write that is meant; another one fails, and is made again."""
+        gate = self._gate
+        assert isinstance(gate, WriteGate)
+        if gate.reached(min(for_s, GATE_S)):
+            if gate.phase(self._field.task_id) is self.point.phase:
+                return True
+        elif gate.lies:
+            return False
+        gate.remove()
+        self._gate = WriteGate(self._field.state / self._victim)
+        return False
+
     def _concerns(self, row: list[Any]) -> bool:
         body = row[7]
         told = body.get("task_id") if isinstance(body, dict) else None
@@ -154,13 +169,9 @@ class Trap:
         self._victim = victim
         match self.point.how:
             case "write":
-                while self._gate is None:
-                    try:
-                        self._gate = before_write(field.state, victim, field.task_id)
-                    except FileExistsError:  # a checkpoint is being written: that ends
-                        _never.wait(LOOK_S)
+                self._gate = WriteGate(field.state / victim)
             case "written":
-                self._before = _file_number(journal_file(field.state, victim, field.task_id))
+                self._record = RecordWatch(field.state, victim, field.task_id)
             case how:
                 self._gate = Gate(field.gates / f"{field.task_id.name}.{how}-{victim}")
         self._set.set()
@@ -168,14 +179,13 @@ class Trap:
 
 def _is_replaced(path: Path, before: int | None) -> bool:
     """Returns whether a file has been replaced; where it has not, after a moment in which it might have been."""
-    if _file_number(path) == before:
+    if file_number(path) == before:
         _never.wait(LOOK_S)
-    return _file_number(path) != before
+    return file_number(path) != before
 
 
-def _file_number(path: Path) -> int | None:
-    """Returns what tells a file from the one that takes its place."""
-    try:
-        return os.stat(path).st_ino
-    except FileNotFoundError:
-        return None
+def _is_written(record: RecordWatch, for_s: float) -> bool:
+    """Returns whether a record was written; where it was not, after a moment in which it might have been."""
+    if not record.written():
+        _never.wait(LOOK_S)
+    return record.written()

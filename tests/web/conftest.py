@@ -9,6 +9,10 @@ from typing import Any
 import pytest
 from cli.processes import Rig
 from web.browsing import WALK, WALKING, opened, view
+from web.page_rig import Fleet
+
+from pancakes.tools.web.page import Shown, open_page
+from pancakes.tools.web.page_server import PageServer
 
 
 @pytest.fixture
@@ -53,3 +57,23 @@ def touched(pair: Rig, browser: Any, faults: list[str]) -> Iterator[Any]:
     small = {"width": 390, "height": 420}
     yield opened(browser, view(pair, "--control"), faults, viewport=small, has_touch=True, is_mobile=True)
     assert faults == []
+
+
+@pytest.fixture
+def fleet() -> Fleet:
+    return Fleet()
+
+
+@pytest.fixture
+def server(fleet: Fleet) -> Iterator[PageServer]:
+    server = open_page(Shown(fleet.feed, fleet.explain, fleet.look, fleet.order, "a fleet"), 0)
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def onlooker(fleet: Fleet) -> Iterator[PageServer]:
+    """A server whose pages may only look."""
+    server = open_page(Shown(fleet.feed, fleet.explain, fleet.look), 0)
+    yield server
+    server.close()

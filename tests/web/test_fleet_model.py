@@ -73,6 +73,13 @@ def test_a_card_has_rates_lateness_and_drops(model: FleetModel):
     assert model.board.get("agent/a")["dropped"] == 3
 
 
+def test_a_card_has_the_version_that_its_agent_runs(model: FleetModel):
+    process = {"version": "0.1.0", "build": "", "processor_s": 1.0, "memory_mib": 50.0, "threads": 5, "uptime_s": 9.0}
+    deployed = agent("a", process={**process, "build": "0.1.0-aa"})
+    describe(model, deployed, agent("b", process=process), agent("c"))
+    assert [model.board.get(f"agent/{name}")["version"] for name in "abc"] == ["0.1.0-aa", "0.1.0", None]
+
+
 def test_a_task_at_rest_says_why_until_it_runs(model: FleetModel):
     describe(model, agent("a", task("a", "T", state="stopped", rest="moved → b"), task("a", "R")))
     assert model.board.get("task/a/client/T")["rest"] == "moved → b"

@@ -312,3 +312,18 @@ def test_a_page_without_control_offers_nothing_and_is_refused(looking: Any):
         })"""
     )
     assert answer["ok"] is False and "start it with --control" in answer["reason"]
+
+
+def test_versions_that_differ_over_the_fleet_stand_on_the_cards(browser: Any, rig: Rig, faults: list[str]):
+    def deployed(name: str, build: str) -> None:
+        (rig.directory / name).mkdir()
+        (rig.directory / name / "pancakes-build").write_text(f"{build}\n")
+        program = f"import runpy, sys; sys.prefix = {str(rig.directory / name)!r}; sys.argv[0] = 'agent'\n"
+        program += "runpy.run_module('pancakes.tools.cli.agent_command', run_name='__main__')"
+        rig.run("-c", program, "--config", str(rig.config(name))).hear("/kernel: ready")
+
+    deployed("one", "0.1.0-aa")
+    deployed("two", "0.1.0-bb")
+    page = opened(browser, view(rig), faults)
+    for name, build in (("one", "0.1.0-aa"), ("two", "0.1.0-bb")):
+        expect(page.locator(f"[data-agent={name}]")).to_contain_text(build)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.control import Migrate, Reschedule, Restart, Start, Stop
+from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.tools.web.page_orders import order_from
 
@@ -16,6 +16,15 @@ TASK = {"agent": "a", "task": "client/T"}
     [
         ({"do": "migrate", "to": "b", "dry_run": True}, Migrate("client/T", "b", dry_run=True)),
         ({"do": "rate", "rate_hz": 2}, Reschedule("client/T", 2.0)),
+        ({"do": "rate", "rate_hz": 0, "timer": "look", "dry_run": True}, Reschedule("client/T", 0.0, "look", True)),
+        (
+            {"do": "configure", "settings": {"radius_m": 0.5, "route": [[1, 2.5], []], "legs": {"n": None}}},
+            Configure("client/T", {"radius_m": 0.5, "route": [[1, 2.5], []], "legs": {"n": None}}),
+        ),
+        (
+            {"do": "configure", "settings": {"careful": True, "name": "x" * 4000}, "dry_run": True},
+            Configure("client/T", {"careful": True, "name": "x" * 4000}, dry_run=True),
+        ),
         ({"do": "stop"}, Stop("client/T")),
         ({"do": "start"}, Start("client/T")),
         ({"do": "restart"}, Restart("client/T")),
@@ -37,7 +46,17 @@ def test_a_message_becomes_a_control_packet(message: dict[str, Any], body: Any):
         {"do": "stop", "agent": ""},
         {"do": "stop", "agent": 7},
         {"do": "rate", "rate_hz": -1},
+        {"do": "rate", "rate_hz": 10_001},
         {"do": "rate", "rate_hz": "fast"},
+        {"do": "rate", "rate_hz": 1, "timer": "../step"},
+        {"do": "rate", "rate_hz": 1, "timer": "x" * 101},
+        {"do": "rate", "rate_hz": 1, "settings": {"a": 1}},
+        {"do": "stop", "timer": "step"},
+        {"do": "stop", "settings": {"a": 1}},
+        {"do": "configure"},
+        {"do": "configure", "settings": [1]},
+        {"do": "configure", "settings": "a=1"},
+        {"do": "configure", "settings": {"a": 1}, "rate_hz": 1},
         {"do": "migrate"},
         {"do": "stop", "force": True},
         {},
@@ -46,3 +65,46 @@ def test_a_message_becomes_a_control_packet(message: dict[str, Any], body: Any):
 def test_anything_else_is_refused_with_a_sentence(message: dict[str, Any]):
     with pytest.raises(ControlRefused, match="the page asked for what it cannot have"):
         order_from({**TASK, **message})
+
+
+def nested(depth: int) -> Any:
+    value: Any = 1
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+@pytest.mark.parametrize(
+    ("settings", "fault"),
+    [
+        ({}, "settings are empty"),
+        ({f"s{number}": 1 for number in range(65)}, "65 settings at once are too many, 64 may be"),
+        ({"a": [0] * 1000}, "settings of more than 1000 values are too many"),
+        ({"a": {str(number): number for number in range(600)}}, "settings of more than 1000 values are too many"),
+        ({"a": nested(8)}, "settings are nested more than 8 deep"),
+        ({"a": nested(900)}, "settings are nested more than 8 deep"),
+        ({"a": "x" * 4001}, "a text in settings has more than 4000 characters"),
+        ({"x" * 4001: 1}, "a text in settings has more than 4000 characters"),
+        ({"a": [2**63]}, "a number in settings is too large"),
+        ({"a": -(2**63)}, "a number in settings is too large"),
+        ({"a": float("inf")}, "a number in settings is not finite"),
+        ({"a": {"b": float("nan")}}, "a number in settings is not finite"),
+        ({"a": b"x"}, "a value in settings is a bytes"),
+        ({"a": {1: 1}}, "a key of settings is no text"),
+    ],
+)
+def test_settings_that_are_more_than_a_page_may_ask_for_are_refused(settings: dict[str, Any], fault: str):
+    with pytest.raises(ControlRefused, match=f"the page asked for what it cannot have: {fault}"):
+        order_from({**TASK, "do": "configure", "settings": settings})
+
+
+def test_as_much_as_a_page_may_ask_for_is_passed_on():
+    settings = {"a": nested(7), "b": [0] * 900, "c": 2**63 - 1, **{f"s{number}": 1.5 for number in range(40)}}
+    order = order_from({**TASK, "do": "configure", "settings": settings})
+
+    assert order.body() == Configure("client/T", settings)
+
+
+def test_a_rate_that_no_agent_takes_is_refused_in_the_agents_words():
+    with pytest.raises(ControlRefused, match="a rate must lie between 0 and 10,000 ticks a second, not -1"):
+        order_from({**TASK, "do": "rate", "rate_hz": -1})

@@ -7,92 +7,20 @@ import http.client
 import json
 import socket
 import time
-from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
+from web.page_rig import PATIENCE_S, Fleet, ask, page, stranger
 from web.told import world
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
 
 from pancakes.control import Migrate, Reply
 from pancakes.errors import NoAnswer, PancakesError
-from pancakes.packet import Cause
 from pancakes.tools.web.feed import Feed
 from pancakes.tools.web.page import Shown, open_page
 from pancakes.tools.web.page_server import MOST_ASIDE, MOST_PAGES, PageServer
-
-PATIENCE_S = 20.0
-
-
-class Fleet:
-    """Stands for a fleet: remembers what it was asked for."""
-
-    def __init__(self) -> None:
-        self.feed = Feed(lambda: 1.0)
-        self.asked: list[tuple[str, Any]] = []
-        self.answer: Reply | PancakesError = Reply(True, "", {"lines": []})
-
-    def order(self, agent: str, body: Any, timeout_s: float) -> Future[Reply]:
-        self.asked.append((agent, body))
-        future: Future[Reply] = Future()
-        if isinstance(self.answer, Reply):
-            future.set_result(self.answer)
-        else:
-            future.set_exception(self.answer)
-        return future
-
-    def explain(
-        self, agent: str, type_: str, t: float | None, command: Cause | None, step: int
-    ) -> dict[str, Any] | None:
-        return {"agent": agent, "asked": [type_, t, command, step]}
-
-
-@pytest.fixture
-def fleet() -> Fleet:
-    return Fleet()
-
-
-@pytest.fixture
-def server(fleet: Fleet) -> Iterator[PageServer]:
-    server = open_page(Shown(fleet.feed, fleet.explain, fleet.order, "a fleet"), 0)
-    yield server
-    server.close()
-
-
-@pytest.fixture
-def onlooker(fleet: Fleet) -> Iterator[PageServer]:
-    """A server whose pages may only look."""
-    server = open_page(Shown(fleet.feed, fleet.explain), 0)
-    yield server
-    server.close()
-
-
-@contextmanager
-def page(server: PageServer, **options: Any) -> Iterator[ClientConnection]:
-    """Opens what the page opens, and shows the token."""
-    with stranger(server, **options) as connection:
-        assert ask(connection, "hello", token=server.token)["ok"]
-        yield connection
-
-
-def stranger(server: PageServer, **options: Any) -> ClientConnection:
-    """Opens what the page opens, and says nothing."""
-    origin = f"http://127.0.0.1:{server.port}"
-    return connect(
-        f"ws://127.0.0.1:{server.port}/news", origin=options.pop("origin", origin), compression=None, **options
-    )
-
-
-def ask(connection: ClientConnection, what: str, **fields: Any) -> dict[str, Any]:
-    """Asks for something, and returns the answer among all the news."""
-    connection.send(json.dumps({"id": 7, "ask": what, **fields}))
-    while True:
-        message: dict[str, Any] = json.loads(connection.recv(PATIENCE_S))
-        if message.get("answer") == 7:
-            return message
 
 
 def get(server: PageServer, path: str, host: str | None = None) -> tuple[int, dict[str, str], bytes]:
@@ -170,10 +98,10 @@ def test_it_listens_on_loopback_only(server: PageServer):
 
 def test_a_port_in_use_is_a_sentence_and_the_usual_one_gives_way(server: PageServer, fleet: Fleet, monkeypatch: Any):
     with pytest.raises(PancakesError, match=f"cannot be at port {server.port}: .*--port"):
-        open_page(Shown(fleet.feed, fleet.explain), server.port)
+        open_page(Shown(fleet.feed, fleet.explain, fleet.look), server.port)
 
     monkeypatch.setattr("pancakes.tools.web.page_server.PORT", server.port)
-    other = open_page(Shown(fleet.feed, fleet.explain), None)
+    other = open_page(Shown(fleet.feed, fleet.explain, fleet.look), None)
     assert other.port not in (0, server.port)
     other.close()
 
@@ -274,13 +202,13 @@ def test_with_the_token_a_page_may_change_something(server: PageServer, fleet: F
 
 
 @pytest.mark.parametrize("token", ["", "x", "é", None, 7])
-@pytest.mark.parametrize("what", ["hello", "chunk", "explain", "order"])
+@pytest.mark.parametrize("what", ["hello", "chunk", "explain", "task", "order"])
 def test_without_the_token_nothing_is_told_and_nothing_done(server: PageServer, fleet: Fleet, what: str, token: Any):
     with stranger(server) as connection:
         connection.send(json.dumps({"id": 7, "ask": what, "token": token, **ORDER}))
         with pytest.raises(ConnectionClosed, match="open the page under the address that was printed"):
             connection.recv(PATIENCE_S)
-    assert fleet.asked == []
+    assert fleet.asked == [] and fleet.looked == []
 
 
 def test_what_is_asked_before_the_token_is_shown_is_not_answered(server: PageServer, fleet: Fleet):
@@ -383,7 +311,7 @@ def test_another_mission_is_shown_to_pages_that_are_open(server: PageServer):
         connection.recv(PATIENCE_S)
         other = Feed(lambda: 0.0)
         other.model.board.set("arena", [9.0, 9.0])
-        server.show(Shown(other, lambda *question: None))
+        server.show(Shown(other, lambda *question: None, lambda *question: Future()))
         news: dict[str, Any] = {}
         while "arena" not in news.get("set", {}):
             news = json.loads(connection.recv(PATIENCE_S))

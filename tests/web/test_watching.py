@@ -6,13 +6,14 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from cli.processes import Rig
 
-from pancakes.control import Reschedule, Stop
+from pancakes.control import Describe, Reschedule, Stop
 from pancakes.errors import ControlRefused, Unreachable
 from pancakes.fleet import VirtualFleet
 from pancakes.runtime.config import parse
@@ -179,6 +180,33 @@ def test_what_is_asked_for_is_done_and_seen(rig: Rig, seen: Seen, watch: Watch):
         watch.order("b", Stop("client/T"), PATIENCE_S).result(PATIENCE_S)
 
 
+KEEP = """
+from dataclasses import dataclass
+from pancakes.task import Task, every
+
+class Keep(Task):
+    @dataclass
+    class State:
+        count: int = 41
+
+    def on_start(self):
+        self.state.count += 1
+"""
+
+
+def test_the_timeline_has_what_tasks_keep_in_their_state(rig: Rig, seen: Seen, watch: Watch):
+    rig.install("keep", "[pancakes.tasks]\nkeep.Keep = plugin_keep:Keep\n", KEEP)
+    rig.ready("a", '[task.Keep]\ntype = "keep.Keep"\n')
+    watch.start()
+
+    def kept() -> Any:
+        with seen.feed.lock:
+            return seen.feed.states.at("a/client/Keep", seen.feed.now())
+
+    seen.wait(lambda it: kept() is not None)
+    assert kept()[1].rows == (("count", "42"),)
+
+
 def test_nobody_is_asked_any_more_once_the_watch_has_ended(rig: Rig, seen: Seen, watch: Watch):
     rig.ready("a", LOAD)
     watch.start()
@@ -245,9 +273,43 @@ def test_a_virtual_run_is_shown_and_stays_the_same_run(tmp_path: Path):
     assert frame["t"] == pytest.approx(8.0 / 5.0, abs=0.1)
     assert frame["set"]["task/agent1/client/ScanTarget"]["state"] == "running"  # that it was stopped is no part of it
     assert json.loads(watch.feed.chunk(1.0))["frames"]
+    seen = watch.feed.states.at("agent1/client/ScanTarget", 1.5)
+    assert seen is not None and "centre_m" in dict(seen[1].rows), "the timeline has what it kept in its state"
     explained = watch.explain("agent1")
     assert explained is not None
     assert [step["type"] for step in explained["steps"][-2:]] == ["pose", "motors"]
+
+
+def test_in_a_virtual_run_a_task_is_looked_at_between_two_turns():
+    stopped = threading.Event()
+    stopped.set()
+    watch = VirtualWatch(5.0, stopped)
+    text = 'schema = 1\n[agent]\nname = "a"\nbirth_wait_s = 0\n[device.pose]\ndriver = "null.pose"\nrate_hz = 5\n'
+    with closing(VirtualFleet()) as fleet:
+        fleet.start(parse(text, where="a"))
+        watch.begin(fleet)
+        asked = [
+            watch.look(agent, Describe(target, state=state), 3.0)
+            for agent, target in (("a", "device/pose"), ("a", "device/sonar"), ("b", "device/pose"))
+            for state in (True, False)
+        ]
+        fleet.run_for(1.0)
+        assert not any(answer.done() for answer in asked)
+        watch.pace()
+
+        with_state, plain = (answer.result(0.0) for answer in asked[:2])
+        assert (with_state.result["state"], plain.result["state"]) == ({}, "running")
+        assert with_state.result["timers"][0]["rate_hz"] == 5.0
+        assert [answer.result(0.0).reason for answer in asked[2:4]] == ["a has no task 'device/sonar'"] * 2
+        for answer in asked[4:]:
+            with pytest.raises(Unreachable, match="b cannot be reached"):
+                answer.result(0.0)
+
+        late = watch.look("a", Describe("device/pose"), 3.0)
+        watch.end()
+        for answer in (late, watch.look("a", Describe("device/pose"), 3.0)):
+            with pytest.raises(Unreachable, match="the mission is over"):
+                answer.result(0.0)
 
 
 def test_a_virtual_run_goes_no_faster_than_it_can_be_watched():

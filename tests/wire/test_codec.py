@@ -82,12 +82,16 @@ def test_all_of_a_packet_travels():
     assert there_and_back(it) == it
 
 
-def test_the_source_of_a_packet_that_waits_moves_to_another_agent_and_nothing_else_changes():
+def test_the_source_of_a_packet_that_waits_moves_to_another_agent_whose_mission_time_it_bears():
+    def restamped(agent, stamp_s):
+        return {"a": stamp_s + 10.0, "b": stamp_s}[agent]
+
     sent = Packet("chat", "words", "a/client/T", "task:a/Sink", 1.5, 7, {"n": [1, 2]}, ("a/client/S", 3), None)
-    moved = of_agent(Encoder().packet(sent), "b")
-    assert moved == Encoder().packet(replace(sent, source="b/client/T")) == of_agent(moved, "b")
+    moved = of_agent(Encoder().packet(sent), "b", restamped)
+    assert moved == Encoder().packet(replace(sent, source="b/client/T", stamp=11.5))
+    assert of_agent(moved, "b", restamped) == moved
     for no_packet in (b"", b"\xc1", b"\x91\x01", b"\x93\x01\x02\x03"):
-        assert of_agent(no_packet, "b") == no_packet
+        assert of_agent(no_packet, "b", restamped) == no_packet
 
 
 def test_nested_dataclasses_enums_and_tuples_become_what_they_were():

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import msgpack
 import pytest
 
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.link import Greeted, Learnt, Link, LinkState, LinkTimes, Over, PacketsReceived, SendMessage, Up
-from pancakes.mesh.wire.link_messages import VERSION, Goodbye, Gossip, Hello, Ping, Pong, RefuseLink, Welcome
+from pancakes.mesh.wire.link import (
+    MOST_UNANSWERED,
+    Greeted,
+    Learnt,
+    Link,
+    LinkState,
+    LinkTimes,
+    Measured,
+    Over,
+    PacketsReceived,
+    SendMessage,
+    TimebaseHeard,
+    Up,
+)
+from pancakes.mesh.wire.link_messages import VERSION, Goodbye, Gossip, Hello, Ping, Pong, RefuseLink, Timebase, Welcome
 from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
 from pancakes.packet import Packet
 
@@ -125,7 +140,7 @@ def test_the_packets_of_a_run_come_together():
     assert up().receive(frame([run(PACKET, *others)]), 1.0) == [received(PACKET, *others)]
 
 
-@pytest.mark.parametrize("early", [PACKET, Welcome(), Gossip(()), Ping(1), Pong(1)])
+@pytest.mark.parametrize("early", [PACKET, Welcome(), Gossip(()), Ping(1), Pong(1, 0.0), Timebase()])
 def test_nothing_may_come_before_the_hello(early):
     link = opened("b")
     over = link.receive(wire(early), 0.0)[-1]
@@ -227,17 +242,25 @@ def test_saying_goodbye_ends_the_link():
     assert link.receive(wire(PACKET), 1.1) == link.tick(99.0) == link.leave(Goodbye("stop"), 1.2) == []
 
 
+def measured(*args):
+    """Returns a link that is up, and whose first pings have been."""
+    link = up(*args)
+    assert sent(link.tick(0.0)) == wire(Ping(1))
+    link.pace_s = LinkTimes().measure_s
+    return link
+
+
 def test_a_heartbeat_is_sent_when_nothing_else_was():
-    link = up()
+    link = measured()
     assert link.due_s() == 0.5 and link.tick(0.49) == []
-    assert sent(link.tick(0.5)) == wire(Ping(1))
+    assert sent(link.tick(0.5)) == wire(Ping(2))
     link.sent_s = 0.9  # a packet went out
     assert link.due_s() == 1.4 and link.tick(1.0) == []
-    assert sent(link.tick(1.4)) == wire(Ping(2))
+    assert sent(link.tick(1.4)) == wire(Ping(3))
 
 
 def test_a_busy_link_is_measured_all_the_same():
-    link = up()
+    link = measured()
     now_s, pings = 0.0, 0
     while now_s < 20.0:
         now_s += 0.1
@@ -250,18 +273,18 @@ def test_a_busy_link_is_measured_all_the_same():
 def test_the_round_trip_is_measured_by_the_token():
     link = up()
     link.tick(0.5)
-    link.receive(wire(Pong(1)), 0.58)
+    link.receive(wire(Pong(1, 0.0)), 0.58)
     assert link.rtt_s == pytest.approx(0.08)
-    link.receive(wire(Pong(1)), 0.9)
-    link.receive(wire(Pong(77)), 0.9)
+    link.receive(wire(Pong(1, 0.0)), 0.9)
+    link.receive(wire(Pong(77, 0.0)), 0.9)
     assert link.rtt_s == pytest.approx(0.08), "what was not asked says nothing"
     link.tick(1.08)
-    link.receive(wire(Pong(2)), 1.24)
+    link.receive(wire(Pong(2, 0.0)), 1.24)
     assert link.rtt_s == pytest.approx(0.09)
 
 
 def test_a_ping_is_answered():
-    assert sent(up().receive(wire(Ping(5)), 1.0)) == wire(Pong(5))
+    assert sent(up().receive(wire(Ping(5)), 1.0)) == wire(Pong(5, 1.0))
 
 
 def test_silence_of_two_seconds_ends_the_link_and_any_byte_is_life():
@@ -367,10 +390,10 @@ def test_a_heartbeat_too_late_is_not_late_yet():
 
 
 def test_the_higher_name_waits_for_pings_only_once_it_knows_the_round_trip():
-    link = up("b", "a")
+    link = measured("b", "a")
     assert link.due_s() == 0.5
     link.tick(0.5)
-    link.receive(wire(Pong(1)), 0.6)
+    link.receive(wire(Pong(1, 0.0)), 0.6)
     assert link.due_s() == pytest.approx(0.5 + 0.6)
 
 
@@ -382,3 +405,73 @@ def test_the_first_packet_of_a_source_may_have_the_number_0():
 def test_only_a_client_may_have_a_dot_in_its_name():
     assert opened("a").receive(wire(hello("b.c", role="client")), 0.0) == [Greeted(hello("b.c", role="client"))]
     assert opened("a").receive(wire(hello("b.c")), 0.0)[-1].broken
+
+
+# Clocks
+
+
+def test_the_first_pings_follow_each_other_quickly_also_where_the_link_is_busy():
+    link, pings, now_s = up(), [], 0.0
+    while now_s < 25.0:
+        now_s = link.sent_s = round(now_s + 0.01, 2)
+        link.receive(wire(PACKET), now_s)
+        if link.tick(now_s):
+            pings.append(now_s)
+    waits = [later - earlier for earlier, later in pairwise(pings)]
+    assert pings[0] == 0.01
+    assert waits[:4] == [pytest.approx(it, abs=0.011) for it in (0.1, 0.15, 0.225, 0.3375)]
+    assert waits[-2:] == [pytest.approx(5.0, abs=0.011)] * 2
+    link.hurry()
+    link.sent_s = now_s
+    assert link.due_s() == pytest.approx(max(pings) + 0.1)
+
+
+def test_an_answer_says_when_a_ping_left_was_answered_and_came_back():
+    link = up()
+    assert sent(link.tick(0.1)) == wire(Ping(1))
+    assert link.receive(wire(Pong(1, 77.5)), 0.13) == [Measured(0.1, 77.5, 0.13)]
+    assert link.receive(wire(Pong(1, 78.5)), 0.14) == []
+    assert link.receive(wire(Pong(9, 79.5)), 0.15) == []
+
+
+def test_a_long_way_is_measured_with_the_first_pings_too():
+    link = up()
+    for number in range(1, MOST_UNANSWERED + 2):
+        link.hurry()
+        assert sent(link.tick(0.1 * number)) == wire(Ping(number))
+    assert link.receive(wire(Pong(1, 5.0)), 1.0) == []
+    assert link.receive(wire(Pong(2, 5.0)), 1.0) == [Measured(0.2, 5.0, 1.0)]
+
+
+def test_the_clocks_of_a_peer_are_told():
+    told = Timebase(12.0, 3.0, 2.0, 1.6e9)
+    assert sent(up().tell(told, 1.0)) == wire(told)
+    assert up().receive(wire(told), 1.0) == [TimebaseHeard(told)]
+    assert opened().tell(told, 1.0) == []
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -1e13, 1e13, None, "1", True])
+def test_an_answer_with_a_time_that_is_none_breaks_the_protocol_on_that_link_alone(bad):
+    link = up()
+    link.tick(0.1)
+    actions = rest(link.receive(frame([msgpack.packb([5, 1, bad])]), 0.2))
+    assert [type(action) for action in actions] == [Over] and actions[0].broken
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        [float("nan"), 0.0, 1.0, None],
+        [0.0, float("nan"), 1.0, None],
+        [0.0, -1.0, 1.0, None],
+        [0.0, 1e10, 1.0, None],
+        [0.0, 0.0, 0.0, None],
+        [0.0, 0.0, float("inf"), None],
+        [0.0, 0.0, -1.0, None],
+        [0.0, 0.0, 1.0, float("nan")],
+        [1e13, 0.0, 1.0, None],
+    ],
+)
+def test_clocks_that_cannot_be_break_the_protocol_on_that_link_alone(row):
+    actions = rest(up().receive(frame([msgpack.packb([10, *row])]), 0.2))
+    assert [type(action) for action in actions] == [Over] and actions[0].broken

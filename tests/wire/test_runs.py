@@ -6,7 +6,7 @@ import contextlib
 import random
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgpack
 import msgspec
@@ -17,6 +17,10 @@ from hypothesis import strategies as st
 
 from pancakes.bodies.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.mesh.guarding.guard_messages import CheckpointBody, CheckpointId, KeepLease
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.guards import GuardianId, Guards
+from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.wire.closed import is_closed
 from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, frame
 from pancakes.mesh.wire.link_messages import HELLO_NUMBER, Ping
@@ -117,6 +121,19 @@ def test_runs_and_messages_of_the_link_keep_their_order():
     assert read(frame([run, ping, run])[4:]) == [[packet(1)], Ping(3), [packet(1)]]
 
 
+KEEP = KeepLease(
+    TaskId("a", "One"),
+    "count.Count",
+    Epoch(2, "a"),
+    7,
+    2.0,
+    CheckpointId(Epoch(2, "a"), 3),
+    Guards(Epoch(2, "a"), 1, ((GuardianId("a", "ja"), GuardianId("b", "jb")),)),
+    CheckpointBody(b"state"),
+)
+"""A body with named tuples in it."""
+
+
 def test_what_is_encoded_at_once_is_what_plain_values_would_be():
     """For every registered type whose instances can be made of nothing, and some that cannot."""
     Plugins().load_packets()
@@ -125,6 +142,7 @@ def test_what_is_encoded_at_once_is_what_plain_values_would_be():
     assert len(samples) > 5
     samples += [Pose(1.0, 2.0, 3.0), Open({"a": [1, (2.0, None)]}), Odd(2), Strict(4)]
     samples += [Tree((1.0, 2.0), (Tree((3.0,)),)), Open(numpy.float64(2.0)), Open([True, b"x", {"y": ()}])]
+    samples += [KEEP, msgspec.structs.replace(KEEP, body=None)]
     for sample in samples:
         for _ in range(2):  # what is known of a class is known from its second packet on
             plain = msgpack.unpackb(msgspec.msgpack.encode(encodable(sample)))
@@ -150,6 +168,12 @@ def _by_hand(value):
     if isinstance(value, (list, tuple)):
         return [_by_hand(item) for item in value]
     return value.item() if hasattr(value, "item") else getattr(value, "value", value)
+
+
+class NamedOpen(NamedTuple):
+    """A named tuple that may hold anything."""
+
+    anything: Any
 
 
 NO_NUMBER: Any = object()
@@ -197,9 +221,33 @@ def test_the_fence_is_in_the_head():
     assert [read(payload_of(it)) for it in its] == [[[it]] for it in its]
 
 
+def test_named_tuples_arrive_as_what_they_were_and_one_that_does_not_fit_costs_its_packet() -> None:
+    its = [packet(KEEP, "guard.keep", seq) for seq in range(2)]
+    rows = [RowEncoder(b"").encode(it) for it in its]
+    plain = msgpack.unpackb(rows[0])
+    plain[3]["epoch"] = [2]
+    rows.insert(1, msgpack.packb(plain))
+    (run,) = messages_from_payload(frame([run_of(head_of(its[0]), rows)])[4:])
+    assert isinstance(run, PacketRun)
+    packets, unfit = packets_of(run)
+    assert [it.body for it in packets] == [KEEP, KEEP]
+    assert [type(it.body.checkpoint) for it in packets] == [CheckpointId, CheckpointId]
+    assert len(unfit) == 1 and "epoch" in unfit[0].reason
+
+
 @pytest.mark.parametrize(
     ("cls", "closed"),
-    [(Pose, True), (Infrared, True), (Fence, True), (Strict, True), (Open, False), (Tree, False), (Odd, False)],
+    [
+        (Pose, True),
+        (Infrared, True),
+        (Fence, True),
+        (Strict, True),
+        (KeepLease, True),
+        (Open, False),
+        (Tree, False),
+        (Odd, False),
+        (NamedOpen, False),
+    ],
 )
 def test_which_classes_say_all_that_they_hold(cls, closed):
     assert is_closed(cls) is closed

@@ -30,7 +30,7 @@ class DeviceContext(Protocol):
         device: the device's name, as in `[device.NAME]`.
         random: a source of random numbers, seeded from the agent's seed and the device's address.
         transport: how this agent reaches others; for drivers whose hardware is at the end of a connection.
-        virtual: whether the agent lives in virtual time, where no real hardware can follow it.
+        virtual: whether it runs in virtual time, where hardware of the real world cannot be spoken to.
     """
 
     agent: str

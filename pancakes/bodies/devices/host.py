@@ -13,6 +13,7 @@ from typing import Final
 from pancakes.bodies.devices.driver import Sensor
 from pancakes.bodies.devices.types import Battery, Load, Memory, Temperature
 from pancakes.errors import PancakesError
+from pancakes.runtime.foundation.processors import processor_times
 
 POWER_SUPPLIES: Final = Path("/sys/class/power_supply")
 """Where Linux tells the voltage of batteries, which psutil does not."""
@@ -24,24 +25,14 @@ class HostProcessorLoad(Sensor):
     type = "load"
 
     def open(self) -> None:
-        self._busy_s, self._all_s = _processor_times()
+        self._busy_s, self._all_s = processor_times()
 
     def sample(self) -> Load:
         # Not `psutil.cpu_percent`: it compares with the call before in the same thread, and a pool has several.
         before = self._busy_s, self._all_s
-        self._busy_s, self._all_s = _processor_times()
+        self._busy_s, self._all_s = processor_times()
         busy_s, all_s = self._busy_s - before[0], self._all_s - before[1]
         return Load(min(max(busy_s / all_s, 0.0), 1.0) if all_s > 0 else 0.0)
-
-
-def _processor_times() -> tuple[float, float]:
-    """Returns how long all processors have been busy, and how long they have been at all, in seconds."""
-    import psutil
-
-    times = psutil.cpu_times()
-    # What a guest used is in `user` already; waiting for a disk is no work.
-    whole_s = sum(times) - getattr(times, "guest", 0.0) - getattr(times, "guest_nice", 0.0)
-    return whole_s - times.idle - getattr(times, "iowait", 0.0), whole_s
 
 
 class HostMemory(Sensor):

@@ -11,9 +11,10 @@ from typing import Any
 from pancakes.bodies.sim.bus import Attach, Attached, Drive, Halt, Reading, Refused, Reply, Request, Sample
 from pancakes.bodies.sim.bus_server import BusServer
 from pancakes.bodies.sim.drive import Wheels
+from pancakes.bodies.sim.physics import EARLY_S, STEP_S, Physics
 from pancakes.bodies.sim.quantities import Positive
 from pancakes.bodies.sim.settings import ContentSettings
-from pancakes.bodies.sim.simulation import EARLY_S, STEP_S, Simulation
+from pancakes.bodies.sim.state import WorldState
 from pancakes.errors import PancakesError
 from pancakes.packet import SYSTEM
 from pancakes.task import Task, Tick, every
@@ -48,7 +49,7 @@ class World(Task):
     _server: BusServer | None = None
 
     def on_start(self) -> None:
-        self._simulation = Simulation(self.settings, self.random)
+        self._simulation = Physics(self.settings, self.random)
         self._state_steps = round(1.0 / (self.settings.state_hz * STEP_S))
         self._next_state_step = 0
         self._advanced_s = -1.0
@@ -65,6 +66,10 @@ class World(Task):
 
     def on_settings(self) -> None:
         self.log("warning", "a world that runs keeps its contents: its new settings count from its next start")
+
+    def truth(self) -> WorldState:
+        """Returns what all bodies do, as of the newest step. To be read between two turns, in virtual time."""
+        return self._simulation.state()
 
     def initial_period_s(self, method: str, period_s: float) -> float:
         # Exactly when a state is due. A request in between lets the world go on to its moment.

@@ -101,10 +101,12 @@ class Tenure(msgspec.Struct, frozen=True):
         is gone for good, would ask for ever, and hold the lease of the third.
         """
         against = [one for one in self.answers if one.promised > self.epoch]
+        if not against:
+            return NO_EPOCH
         names = {one.guardian for one in against}
         if guards.has_quorum([it for it in guards.members() if it not in names and not self._is_silent(it)]):
             return NO_EPOCH
-        return max((one.promised for one in against), default=NO_EPOCH)
+        return max(one.promised for one in against)
 
     def _is_silent(self, guardian: GuardianId) -> bool:
         return max(self.of(guardian).beat, self.since) + PATIENCE < self.beat

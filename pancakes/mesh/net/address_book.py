@@ -94,6 +94,11 @@ class AddressBook:
             if not it.ours
         ]
 
+    def are_awaited(self) -> bool:
+        """Returns whether there is a static address with no agent connected, where no dial failed yet. Any thread."""
+        known = list(self._known.values())
+        return any(it.static and not (it.ours or it.failures or it.refused or self._is_up(it.name)) for it in known)
+
     def learn(self, address: str, now_s: float, name: str = "", by: str = "") -> bool:
         """Writes an address down that a peer has named; returns whether it is a new one.
 

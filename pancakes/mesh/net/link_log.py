@@ -94,11 +94,14 @@ class LinkLog:
             self._say("warning", f"{fault}; packets refused so far: {session.refused}")
             session.refused_said_s = now_s
 
-    def failed(self, function: Callable[..., Any], error: Exception) -> None:
-        """A function that the mesh was given has failed."""
-        text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
-        name = getattr(function, "__qualname__", repr(function))
-        self._say("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")
+    def attempt(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Calls what the mesh was given; its failure is told, and must not cost a link."""
+        try:
+            function(*arguments)
+        except Exception as error:  # whatever it is, it belongs in the log
+            text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
+            name = getattr(function, "__qualname__", repr(function))
+            self._say("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")
 
 
 def _place(remote: str) -> str:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.address import reachable_from
 from pancakes.mesh.net.alarm import Alarm
 from pancakes.mesh.net.gate import OPEN, Gate
 from pancakes.mesh.net.gossip import Gossiper
@@ -22,24 +21,29 @@ from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.newcomers import MAX_HANDSHAKES, makes_room
 from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
+from pancakes.mesh.net.receiving import Receiving
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
+from pancakes.mesh.net.timekeeping import Timekeeping
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
 from pancakes.mesh.net.trust import Trust
 from pancakes.mesh.net.why_lost import why_lost
+from pancakes.mesh.way_facts import reachable_from
 from pancakes.mesh.wire.link import (
     Action,
     Greeted,
     Learnt,
     Link,
     LinkTimes,
+    Measured,
     Over,
     PacketsReceived,
     RosterHeard,
     SendMessage,
+    TimebaseHeard,
     Up,
 )
-from pancakes.mesh.wire.link_messages import Goodbye, Gossip, Hello, Identity, Refusal, RosterNumber, RosterText
+from pancakes.mesh.wire.link_messages import Goodbye, Hello, Identity, LinkNews, Refusal, Timebase
 from pancakes.mesh.wire.runs import Unfit
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock
@@ -78,6 +82,10 @@ class Mesh:
         times: the times of links and membership.
         access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
         keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
+        timebase: returns what its mission time and time of day are; None: it is a terminal, which tells none.
+
+    Attributes:
+        clocks: the clocks of its peers.
     """
 
     def __init__(
@@ -98,6 +106,7 @@ class Mesh:
         times: LinkTimes | None = None,
         access: Access | None = None,
         keys: Keys | None = None,
+        timebase: Callable[[], Timebase] | None = None,
     ) -> None:
         self.identity = identity
         self._gate = gate
@@ -105,7 +114,6 @@ class Mesh:
         self._listen_at, self._static = tuple(listen), tuple(peers)
         self._random = source
         self._now = host_clock.now
-        self._on_packets, self._on_unfit = on_packets, on_unfit
         self._on_peer_up, self._on_peer_down = on_peer_up, on_peer_down
         self._times = times or LinkTimes()
         self._own = identity.hello()
@@ -115,9 +123,11 @@ class Mesh:
         self._log = LinkLog(on_log, peers)
         self._state = "new"
         self._asleep_until_s = 0.0
-        self._gossip = Gossiper(identity.role, self._links, self._tell)
+        self._gossip = Gossiper(identity.role, self._links, self._tell, transport)
         later, now = transport.call_later, host_clock.now
         self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
+        self._receiving = Receiving(self._trust, self._log, now, self._log.attempt, on_packets, on_unfit)
+        self.clocks = Timekeeping(timebase, now, self._links, self._tell)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -161,6 +171,10 @@ class Mesh:
     def announce(self) -> None:
         """Tells all peers the addresses that are known here: the beacon of discovery. A mission packet to each."""
         self._transport.call_later(0.0, self._beacon)
+
+    def mission_changed(self) -> None:
+        """Tells all peers that the mission of this agent has begun."""
+        self._transport.call_later(0.0, self.clocks.changed)
 
     def learn(self, addresses: Sequence[str]) -> None:
         """Dials these addresses as well, as if a peer had named them."""
@@ -218,6 +232,7 @@ class Mesh:
             "role": self.identity.role,
             "fleet": self.identity.fleet,
             "listen": self.listen,
+            "ways": [{"address": it, **self._transport.facts(it).plain()} for it in self.listen],
             "state": self._state,
             "peers": self.links(),
             "asleep": [{"name": name, "for_s": None if for_s == math.inf else for_s} for name, for_s in asleep.items()],
@@ -227,7 +242,12 @@ class Mesh:
 
     def links(self) -> list[dict[str, Any]]:
         """Returns the state of the links that stand, by the names of the peers. Any thread."""
-        return self._links.describe()
+        facts, clock = self._transport.facts, self.clocks.describe
+        return [{**row, **facts(row["remote"]).plain(), "clock": clock(row["name"])} for row in self._links.describe()]
+
+    def awaits_peers(self) -> bool:
+        """See `AddressBook.are_awaited`. Any thread."""
+        return self._peers.are_awaited() if self._peers is not None else bool(self._static)
 
     def _lost(self, packet: Packet) -> PancakesError:
         """Returns why a packet cannot go to its agent."""
@@ -239,8 +259,8 @@ class Mesh:
     def _begin(self) -> None:
         if self._state != "new":
             return
-        times, may_be_named = self._times, self._transport.may_be_named
-        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, may_be_named)
+        times, ways = self._times, (self._transport.may_be_named, self._transport.reach)
+        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, *ways)
         self._state = "running"  # from now on `describe` has all that is known
         self._trust.begin()
         self._run_peers()
@@ -307,7 +327,7 @@ class Mesh:
             session.end("it is no longer wanted")
             return
         now_s = self._now()
-        own = replace(self._own, listen=reachable_from(session.remote, self._own.listen))
+        own = replace(self._own, listen=reachable_from(session.remote, self._own.listen, self._transport.reach))
         session.link = Link(own, self._times, now_s, answers=not session.address)
         self._act(session, session.link.open(now_s))
         self._watch(session)
@@ -354,8 +374,9 @@ class Mesh:
             return
         if session.is_up:
             if session.stuck_s(now_s) >= self._times.stuck_s:
-                reason = f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it"
-                self._over(session, Over(reason))
+                self._over(
+                    session, Over(f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it")
+                )
                 return
             session.quiet_s(now_s)
             if session.counters.dropped:
@@ -373,21 +394,14 @@ class Mesh:
             if session.number not in self._sessions or self._peers is None:
                 return  # an action before ended it
             if isinstance(action, PacketsReceived):
-                first, number = action.packets[0], len(action.packets)
-                session.counters.packets_in += number
-                if not self._may_send(session, first, number):
-                    continue
-                if too_much := self._trust.asks_too_much(session, first, number):
-                    for packet in action.packets:
-                        self._call(self._on_unfit, session.peer, packet, too_much)
-                else:
-                    self._call(self._on_packets, session.peer, action.packets, action.size)
+                self._receiving.packets(session, action)
             elif isinstance(action, SendMessage):
                 session.send_link(action.message)
             elif isinstance(action, Unfit):
-                session.counters.packets_in += 1
-                if self._may_send(session, action.packet, 1):
-                    self._call(self._on_unfit, session.peer, action.packet, action.reason)
+                self._receiving.unfit(session, action)
+            elif isinstance(action, (Measured, TimebaseHeard)):
+                self.clocks.heard(session, action)
+                self._watch(session)
             elif isinstance(action, Greeted):
                 self._met(session, action.hello)
             elif isinstance(action, Up):
@@ -398,13 +412,6 @@ class Mesh:
                 self._trust.rosters.heard(session, action.message)
             else:
                 self._over(session, action)
-
-    def _may_send(self, session: Session, first: Packet, number: int) -> bool:
-        """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
-        if not (fault := self._trust.fault_of_packet(session, first)):
-            return True
-        self._log.false_source(session, fault, number, self._now())
-        return False
 
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
@@ -436,8 +443,10 @@ class Mesh:
         hello = next(peer for peer in self._peers.connected() if peer.name == session.link.peer.name)
         self._links.add(session, hello)
         self._sending.change(self._links.by_name(), self._links.neighbours())
+        self.clocks.stood_up(session)
+        self._watch(session)
         self._log.stood_up(session, hello)
-        self._call(self._on_peer_up, hello)
+        self._log.attempt(self._on_peer_up, hello)
         self._gossip.stood_up(session, self._peers)
         self._trust.rosters.stood_up(session)
 
@@ -454,8 +463,9 @@ class Mesh:
             asleep_s = None
             if over.goodbye is not None and over.goodbye.why == "sleep":
                 asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
+            self.clocks.ended(session)
             self._log.ended(session, over)
-            self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
+            self._log.attempt(self._on_peer_down, session.peer, over.reason, asleep_s)
         elif self._state == "running":
             self._log.not_made(session, over, self._now())
         if self._state == "running":
@@ -487,13 +497,6 @@ class Mesh:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.tick(self._now()))
 
-    def _tell(self, session: Session, message: Gossip | RosterNumber | RosterText) -> None:
+    def _tell(self, session: Session, message: LinkNews) -> None:
         if session.link is not None:
             self._act(session, session.link.tell(message, self._now()))
-
-    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Calls what was given to us; its failure must not cost a link."""
-        try:
-            function(*arguments)
-        except Exception as error:  # whatever it is, it belongs in the log
-            self._log.failed(function, error)

@@ -21,7 +21,7 @@ from pancakes.mesh.security.certified import Certified
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Link
-from pancakes.mesh.wire.link_messages import Hello, RefuseLink
+from pancakes.mesh.wire.link_messages import Hello, RefuseLink, Timebase
 from pancakes.mesh.wire.runs import run_of
 from pancakes.packet import Fence
 
@@ -120,6 +120,7 @@ class Session(ConnectionHandler):
         self.counted = 0
         self.reported_drops = 0
         self.reported_s = float("-inf")
+        self.told_timebase: Timebase | None = None  # what the peer knows of the clocks of this agent
         self.asked: Bucket | None = None  # how often the peer asked this agent for something lately
         self.refused = 0  # packets that the peer may not send
         self.refused_said_s = float("-inf")
@@ -155,6 +156,7 @@ class Session(ConnectionHandler):
             "remote": self.remote,
             "certificate": f"{bearer.role} {bearer.name}" if (bearer := self.certified) is not None else "",
             "boot": hello.boot if hello is not None else 0,
+            "life": f"{hello.journal}/{hello.boot}" if hello is not None else "",
             "rtt_s": self.link.rtt_s if self.link is not None else None,
             "packets_out": counters.packets_out,
             "packets_in": counters.packets_in,

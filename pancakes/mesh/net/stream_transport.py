@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 import msgspec
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.net.kept_connection import Disposable
 from pancakes.mesh.net.loop import READ, WRITE, Loop
-from pancakes.mesh.net.stream_connection import OpenSocket, StreamConnection, why
+from pancakes.mesh.net.stream_connection import StreamConnection, why
 from pancakes.mesh.net.transport import ConnectionHandler, SchemeTransport
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class StreamTransport(SchemeTransport):
         self.keys = keys
         self.dial_s = settings.dial_s
         self.loop = loop
-        self.open: dict[OpenSocket, None] = {}
+        self.open: dict[Disposable, None] = {}
         self.read_buffer = memoryview(bytearray(_READ_BYTES))
 
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
@@ -148,7 +149,7 @@ class StreamTransport(SchemeTransport):
         sock.connect(place)
 
 
-class _Listener(OpenSocket):
+class _Listener(Disposable):
     """Takes connections at an address."""
 
     def __init__(self, transport: StreamTransport, bound: Bound, accept: Callable[[], ConnectionHandler]) -> None:
@@ -183,7 +184,7 @@ class _Listener(OpenSocket):
         _begin(self._transport, sock, "", self._transport.remote(sock, place), self._make_handler())
 
 
-class _Connecting(OpenSocket):
+class _Connecting(Disposable):
     """Opens a connection: finds out where a name leads, then tries one place after the other."""
 
     def __init__(self, transport: StreamTransport, address: str, handler: ConnectionHandler) -> None:

@@ -13,9 +13,10 @@ from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_connection import StreamConnection
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
 from pancakes.mesh.net.transport import ConnectionHandler
+from pancakes.mesh.way_facts import WayFacts, reach_of
 
 if TYPE_CHECKING:
-    from pancakes.mesh.net.tls_connection import TlsConnection
+    from pancakes.mesh.net.tls_layer import TlsLayer
     from pancakes.mesh.security.keys import Keys
 
 _USER_TIMEOUT_MS: Final = 5000  # the kernel gives up a connection whose bytes are not acknowledged for so long
@@ -43,19 +44,24 @@ class TcpTransport(StreamTransport):
     def __init__(self, loop: Loop, settings: Settings, keys: Keys | None = None) -> None:
         super().__init__(loop, settings, keys)
         self._insecure = settings.insecure
-        self._handshakes: Handshakes[TlsConnection] = Handshakes(loop.now())
+        self._handshakes: Handshakes[TlsLayer] = Handshakes(loop.now())
         if keys is not None:
             # Now, while nothing waits for this thread: the import takes some milliseconds.
             from pancakes.mesh.net.tls_connection import TlsConnection
 
             self._tls = TlsConnection
 
+    @classmethod
+    def facts(cls, address: str, keyed: bool) -> WayFacts:
+        return WayFacts(reach_of(address), encrypted=keyed)
+
     def connection(
         self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
     ) -> StreamConnection:
         if self.keys is None:
             return super().connection(sock, remote, handler, dialled)
-        made = self._tls(self, sock, remote, handler, self.keys, dialled, self._handshakes.over)
+        over = self._handshakes.over
+        made = self._tls(self, sock, remote, handler, keys=self.keys, dialled=dialled, shaken=over)
         if not dialled and (oldest := self._handshakes.begun(made)) is not None:
             oldest.dispose("it was slow to say who it is, and others wait")
         return made

@@ -52,6 +52,8 @@ def _is_closed(info: inspect.Type, within: tuple[type, ...]) -> bool:
             return all(_is_closed(it, within) for it in items)
         case inspect.DictType(key, value):
             return isinstance(key, inspect.StrType) and _is_closed(value, within)
+        case inspect.NamedTupleType(cls, parts):
+            return cls not in within and all(_is_closed(it.type, (*within, cls)) for it in parts)
         case inspect.DataclassType(cls, parts) | inspect.StructType(cls, parts):
             return (
                 cls not in within and _is_sent_whole(cls) and all(_is_closed(it.type, (*within, cls)) for it in parts)

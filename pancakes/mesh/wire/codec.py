@@ -6,6 +6,7 @@ runs, see `pancakes.mesh.wire.runs`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -26,7 +27,9 @@ Seq = Annotated[int, msgspec.Meta(ge=0)]
 
 _PARTS: Final = codecs.decoder(list[msgspec.Raw])
 _TEXT: Final = codecs.decoder(str)
+_NUMBER: Final = codecs.decoder(float)
 _SOURCE: Final = 2
+_STAMP: Final = 4
 """Where in the array the source stands."""
 
 
@@ -86,17 +89,24 @@ class Encoder:
         return codecs.encode_small(message)
 
 
-def of_agent(packet: bytes, agent: str) -> bytes:
-    """Returns a packet, as `Encoder.packet` made it, with the agent in its source replaced: its source has moved.
+def of_agent(packet: bytes, agent: str, restamped: Callable[[str, float], float]) -> bytes:
+    """Returns a packet, as `Encoder.packet` made it, of which the source has moved to another agent.
 
     What is no packet stays as it is.
+
+    Args:
+        packet: the packet.
+        agent: the agent that the source is on now.
+        restamped: takes the agent that the source was on and a stamp of it; returns the stamp of the other one.
     """
     try:
         row = _PARTS(packet)
-        source = _TEXT(row[_SOURCE])
+        source, stamp_s = _TEXT(row[_SOURCE]), _NUMBER(row[_STAMP])
     except (*MALFORMED, IndexError):
         return packet
-    row[_SOURCE] = msgspec.Raw(codecs.encode_small(agent + source[len(agent_of(source)) :]))
+    before = agent_of(source)
+    row[_SOURCE] = msgspec.Raw(codecs.encode_small(agent + source[len(before) :]))
+    row[_STAMP] = msgspec.Raw(codecs.encode_small(restamped(before, stamp_s)))
     return codecs.encode_small(row)
 
 

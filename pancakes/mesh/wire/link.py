@@ -29,12 +29,14 @@ from pancakes.mesh.wire.link_messages import (
     Gossip,
     Hello,
     LinkMessage,
+    LinkNews,
     Ping,
     Pong,
     Refusal,
     RefuseLink,
     RosterNumber,
     RosterText,
+    Timebase,
     Welcome,
     fault_of_address,
     fault_of_hello,
@@ -44,6 +46,10 @@ from pancakes.packet import Packet
 
 PATIENCE: Final = 1.2
 """So much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
+PACE: Final = 1.5
+"""Each of the first pings comes so much longer after the one before."""
+MOST_UNANSWERED: Final = 8
+"""An answer to an older ping says nothing about the link of today."""
 _RTT_WEIGHT: Final = 1 / 8  # of a new measurement in the average, as in TCP (RFC 6298)
 
 
@@ -54,7 +60,8 @@ class LinkTimes(msgspec.Struct, frozen=True):
         hello_s: how long a peer may take for its hello.
         heartbeat_s: a ping is sent when nothing else was for so long.
         missed: so many heartbeats without a byte, and the peer is gone: after `heartbeat_s * missed`, 2.0 s.
-        measure_s: a busy link sends a ping that often all the same, to measure the round trip.
+        measure_s: a busy link sends a ping that often all the same, to measure the round trip and the peer's clock.
+        first_s: the first of these goes once the link is up, the next one so much later, the others ever later.
         stuck_s: a peer that takes none of the bytes that wait for it for so long is closed.
         hold_s: how long a connection dialled by the higher name waits for our own dial to the same agent.
         retry_first_s: an address is dialled again after a random time up to this,
@@ -65,6 +72,7 @@ class LinkTimes(msgspec.Struct, frozen=True):
     heartbeat_s: float = 0.5
     missed: int = 4
     measure_s: float = 5.0
+    first_s: float = 0.1
     stuck_s: float = 5.0
     hold_s: float = 0.5
     retry_first_s: float = 0.1
@@ -119,6 +127,26 @@ class Learnt(msgspec.Struct, frozen=True):
     addresses: tuple[str, ...]
 
 
+class Measured(msgspec.Struct, frozen=True):
+    """A ping came back.
+
+    Attributes:
+        sent_s: when it was sent, in host time.
+        peer_s: when the peer answered it, in the peer's.
+        back_s: when the answer came, in host time.
+    """
+
+    sent_s: float
+    peer_s: float
+    back_s: float
+
+
+class TimebaseHeard(msgspec.Struct, frozen=True):
+    """The peer tells what its mission time and time of day are."""
+
+    timebase: Timebase
+
+
 class RosterHeard(msgspec.Struct, frozen=True):
     """The peer tells the number of its roster, or gives the roster."""
 
@@ -145,7 +173,7 @@ class Over(msgspec.Struct, frozen=True):
     turned_away: bool = False
 
 
-Action = SendMessage | Greeted | Up | PacketsReceived | Unfit | Learnt | RosterHeard | Over
+Action = SendMessage | Greeted | Up | PacketsReceived | Unfit | Learnt | Measured | TimebaseHeard | RosterHeard | Over
 
 
 class Link:
@@ -162,12 +190,14 @@ class Link:
         peer: what the peer said about itself, once it has.
         rtt_s: smoothed round trip time, once measured.
         sent_s: when something was last sent, which makes a heartbeat needless; set by each thread that sends packets.
+        pace_s: so long after a ping the next one is sent, also where the link is busy; it grows up to `measure_s`.
     """
 
     def __init__(self, own: Hello, times: LinkTimes, now_s: float, answers: bool = False) -> None:
         self.state = LinkState.GREETING
         self.peer: Hello | None = None
         self.rtt_s: float | None = None
+        self.pace_s = times.first_s / PACE
         self._own = own
         self._times = times
         self._answers = answers
@@ -193,7 +223,10 @@ class Link:
             return float("inf")
         if self.state is LinkState.GREETING:
             return self._end_s()
-        return min(self.sent_s + self._quiet_s, self._pinged_s + self._times.measure_s, self._end_s())
+        return min(self.sent_s + self._quiet_s, self._pinged_s + self._measure_s(), self._end_s())
+
+    def _measure_s(self) -> float:
+        return self.pace_s if self.state is LinkState.UP else self._times.measure_s
 
     def _set_quiet(self) -> None:
         """Decides how long this side is silent before it sends a ping.
@@ -223,11 +256,13 @@ class Link:
         if self.state is LinkState.GREETING:  # a heartbeat would tell a stranger what listens here
             return []
         quiet = now_s >= self.sent_s + self._quiet_s
-        if quiet or now_s >= self._pinged_s + self._times.measure_s:
+        if quiet or now_s >= self._pinged_s + self._measure_s():
             self._pings += 1
+            if self.state is LinkState.UP:
+                self.pace_s = min(PACE * self.pace_s, self._times.measure_s)
             self._pinged_s = now_s
             self._unanswered[self._pings] = now_s
-            while len(self._unanswered) > self._times.missed:
+            while len(self._unanswered) > MOST_UNANSWERED:
                 del self._unanswered[next(iter(self._unanswered))]
             return [self._send(Ping(self._pings), now_s)]
         return []
@@ -259,8 +294,7 @@ class Link:
         """Makes this the link that stays. Only the lower name does so, after `Greeted`."""
         if self.state is not LinkState.MET:
             return []
-        self.state = LinkState.UP
-        return [self._send(Welcome(), now_s), Up()]
+        return [self._send(Welcome(), now_s), self._up(now_s)]
 
     def refuse(self, code: Refusal, reason: str, now_s: float, told: str = "") -> list[Action]:
         """Tells the peer why it is not wanted, and ends the link.
@@ -281,9 +315,18 @@ class Link:
             return []
         return [self._send(goodbye, now_s), *self._over("this agent said goodbye")]
 
-    def tell(self, message: Gossip | RosterNumber | RosterText, now_s: float) -> list[Action]:
+    def hurry(self) -> None:
+        """Has the next pings follow each other as the first ones did: nothing is known of the peer's clock any more."""
+        self.pace_s = self._times.first_s
+
+    def tell(self, message: LinkNews, now_s: float) -> list[Action]:
         """Tells the peer something about the fleet, where the link is up."""
         return [self._send(message, now_s)] if self.state is LinkState.UP else []
+
+    def _up(self, now_s: float) -> Up:
+        self.state = LinkState.UP
+        self._pinged_s = now_s - self.pace_s  # the first ping is due
+        return Up()
 
     def _who(self) -> str:
         return self.peer.name if self.peer is not None else "the other side"
@@ -387,10 +430,9 @@ class Link:
             return self._from_stranger(message, now_s)
         match message:
             case Ping(token):
-                return [self._send(Pong(token), now_s)]
-            case Pong(token):
-                self._pong(token, now_s)
-                return []
+                return [self._send(Pong(token, now_s), now_s)]
+            case Pong(token, at_s):
+                return self._pong(token, at_s, now_s)
             case Hello():
                 raise RemoteProtocolError("a second hello came")
             case RefuseLink(code, reason):
@@ -402,25 +444,27 @@ class Link:
         if isinstance(message, Welcome):
             if self.state is not LinkState.MET or self.peer is None or self._own.name < self.peer.name:
                 raise RemoteProtocolError("a welcome came that was not the peer's to send")
-            self.state = LinkState.UP
-            return [Up()]
+            return [self._up(now_s)]
         if self.state is not LinkState.UP:
             raise RemoteProtocolError(f"{type(message).__name__} came before the link was up")
         if isinstance(message, (RosterNumber, RosterText)):
             return [RosterHeard(message)]
+        if isinstance(message, Timebase):
+            return [TimebaseHeard(message)]
         assert isinstance(message, Gossip)
         for address in message.addresses:
             if fault := fault_of_address(address):
                 raise RemoteProtocolError(fault)
         return [Learnt(message.addresses)]
 
-    def _pong(self, token: int, now_s: float) -> None:
+    def _pong(self, token: int, at_s: float, now_s: float) -> list[Action]:
         pinged_s = self._unanswered.pop(token, None)
         if pinged_s is None:
-            return  # an old one: too late to say anything about the link of today
+            return []  # an old one: too late to say anything about the link of today
         measured_s = now_s - pinged_s
         if self.rtt_s is None:
             self.rtt_s = measured_s
             self._set_quiet()
         else:
             self.rtt_s += _RTT_WEIGHT * (measured_s - self.rtt_s)
+        return [Measured(pinged_s, at_s, now_s)]

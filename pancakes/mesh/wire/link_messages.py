@@ -16,7 +16,7 @@ from pancakes.mesh.address import DEFAULT_FLEET, parse_address
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.names import fault_of_name
 
-VERSION: Final = 8
+VERSION: Final = 9
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1
@@ -42,6 +42,8 @@ Address = Annotated[str, msgspec.Meta(max_length=256)]
 Sentence = Annotated[str, msgspec.Meta(max_length=1000)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
+Moment = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
+"""On a clock, in seconds."""
 
 
 class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
@@ -101,9 +103,16 @@ class Ping(msgspec.Struct, frozen=True, array_like=True, tag=4):
 
 
 class Pong(msgspec.Struct, frozen=True, array_like=True, tag=5):
-    """The answer to a ping, with its token."""
+    """The answer to a ping.
+
+    Attributes:
+        token: the ping's.
+        at_s: when it was answered, in the sender's host time. It comes and is answered at one moment, which stands for
+            the second and third of NTP's four.
+    """
 
     token: Count
+    at_s: Moment
 
 
 class Goodbye(msgspec.Struct, frozen=True, array_like=True, tag=6):
@@ -140,7 +149,30 @@ class RosterText(msgspec.Struct, frozen=True, array_like=True, tag=9):
     text: Annotated[bytes, msgspec.Meta(max_length=128 * 1024)]
 
 
-LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | Gossip | RosterNumber | RosterText
+class Timebase(msgspec.Struct, frozen=True, array_like=True, tag=10):
+    """Tells what the sender's mission time and time of day are, as its host clock counts: at first and after changes.
+
+    Attributes:
+        began_s: when its mission began, in its host time; None: it has not.
+        start_s: the mission time at which it began, in seconds.
+        speed: its mission seconds for each host second.
+        day_s: the time of day, in seconds since 1970 (UTC), at 0 of its host clock; None: it has none.
+    """
+
+    began_s: Moment | None = None
+    start_s: Duration = 0.0
+    speed: Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)] = 1.0
+    day_s: Moment | None = None
+
+    def zero_s(self) -> float | None:
+        """Returns the host time at which the mission time was, or would have been, 0; None: the mission is held."""
+        return None if self.began_s is None else self.began_s - self.start_s / self.speed
+
+
+LinkNews = Gossip | RosterNumber | RosterText | Timebase
+"""What a peer is told about the fleet and about its sender, once the link is up."""
+
+LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | LinkNews
 
 
 class Identity(msgspec.Struct, frozen=True):

@@ -99,10 +99,13 @@ class ClockConfig(Struct, frozen=True):
     Attributes:
         speed: mission seconds for each second of the host.
         hold: whether the mission waits at 0 until a `begin` packet comes.
+        join_s: so long an agent waits at its start to hear the mission's time from those of `peers` that can be
+            reached, in host seconds: it goes on at that time; 0: its mission begins at 0.
     """
 
     speed: Positive = 1.0
     hold: bool = False
+    join_s: Annotated[float, Meta(ge=0, le=3600)] = 1.0
 
 
 class RecordConfig(RecordingSettings):

@@ -214,7 +214,8 @@ class Arrivals:
         slot.fence = Fence(str(place.task_id), (start.epoch.n, start.epoch.minter))
         for seq in snapshot.sent.values():
             self._host.kernel.continue_seq(slot.address, seq + 1)
-        self._host.outbox.arrive(place.task_id, snapshot.posted, start.fresh, self._host.kernel.host.now())
+        kernel = self._host.kernel
+        self._host.outbox.arrive(place.task_id, snapshot.posted, start.fresh, kernel.host.now(), kernel.restamped)
         if snapshot.posted is not None:
             self._host.tell_actor(COURIER, SendUnsent())
         if place.came_from:

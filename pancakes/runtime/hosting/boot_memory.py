@@ -26,6 +26,10 @@ class BootMemory:
     def __init__(self, disk: Disk) -> None:
         self._table = RecordTable(disk, KIND, codecs.decoder(BootsSeen), lambda key, why: None)
 
+    def knows_any(self) -> bool:
+        """Returns whether there is an agent that this one has ever met."""
+        return bool(self._table.newest)
+
     def met(self, agent: str, boot: Boot) -> Boot | None:
         """Learns of a boot of an agent; returns the later one that is remembered, where its disk is an old copy."""
         known = self._table.newest.get(agent, BootsSeen())

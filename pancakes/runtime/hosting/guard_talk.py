@@ -43,7 +43,8 @@ class GuardTalk:
 
     def say(self, guardian: GuardianId, message: ToGuardian) -> None:
         """Sends a message to a guardian, on this agent or another one."""
-        if guardian != self.me and guardian not in self.neighbours():
+        linked = ((hello.name, hello.journal) for hello in self._mesh.connected())
+        if guardian != self.me and guardian not in linked:
             return
         try:
             self._service.publish(NETWORK, addressed(message, guardian.journal), to=join(guardian.agent, GUARDIAN))

@@ -42,6 +42,7 @@ from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.runtime.hosting import held
 from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MoveOver
+from pancakes.runtime.hosting.deadline import Deadline
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.registers import Registers, RegisterWritten
@@ -50,7 +51,6 @@ from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
 from pancakes.runtime.kernel.tell import tell
-from pancakes.runtime.kernel.timer import OneShot
 from pancakes.runtime.supervision.guardian_messages import AskedOfGuardian, GuardianAnswers
 
 KEEP: Final = queue(1024)
@@ -70,8 +70,8 @@ class _Guarded(msgspec.Struct):
 
     Attributes:
         register: what is on disk of it.
-        lease: the newest lease on it.
-        alarm: feeds the end of that lease.
+        alarm: feeds the end of the newest lease on it.
+        lease: that lease.
         asker: the address that is to have the answers of the event that is being dealt with.
         effects: what is still to be carried out of that event.
         writing: the register that is being written; None: none is.
@@ -83,8 +83,8 @@ class _Guarded(msgspec.Struct):
     """
 
     register: GuardRegister
+    alarm: Deadline
     lease: Lease = Lease()
-    alarm: OneShot | None = None
     asker: str = ""
     effects: deque[GuardEffect] = msgspec.field(default_factory=deque)
     writing: GuardRegister | None = None
@@ -232,7 +232,8 @@ class Guardian(Component):
         self._go_on(one)
 
     def _new(self, register: GuardRegister) -> _Guarded:
-        one = self._guarded[register.task_id] = _Guarded(register, Lease(boot=self._mesh.identity.boot))
+        alarm = Deadline(self.after_host, self.kernel.host.now, partial(self._lease_over, register.task_id))
+        one = self._guarded[register.task_id] = _Guarded(register, alarm, Lease(boot=self._mesh.identity.boot))
         return one
 
     @on(NETWORK, KeepLease, keep=KEEP, addressed=True)
@@ -339,12 +340,15 @@ class Guardian(Component):
         return self._lacks_room(peer, asked)
 
     def _lacks_room(self, peer: str, asked: KeepLease | SeizeTask) -> str:
+        body, known = asked.body if isinstance(asked, KeepLease) else None, self._guarded.get(asked.task_id)
+        if known is not None and known.register.promised.minter == peer:
+            if body is None or len(body.snapshot) <= _bytes_of(known.register):
+                return ""  # it takes no more than before
         registers = (it.register for it in self._guarded.values())
         theirs = [it for it in registers if it.promised.minter == peer and not it.guards.forgotten]
         if asked.task_id not in self._guarded and len(theirs) >= MOST_TASKS:
             return f"{self.agent} guards {MOST_TASKS} tasks of {peer} already"
-        body = asked.body if isinstance(asked, KeepLease) else None
-        others = sum(len(it.body.snapshot) for it in theirs if it.body is not None and it.task_id != asked.task_id)
+        others = sum(_bytes_of(it) for it in theirs if it.task_id != asked.task_id)
         if body is not None and others and others + len(body.snapshot) > MOST_BYTES:
             return f"the checkpoints of {peer} would take more than {MOST_BYTES // 2**20} MiB on {self.agent}"
         return ""
@@ -371,13 +375,12 @@ class Guardian(Component):
                 one.writing = register
                 self._registers.write(register, self)
             case SetLease(lease, lease_s):
-                if one.alarm is not None:
-                    one.alarm.cancel()
                 began_or_ended = (one.lease.epoch is None) is not (lease.epoch is None)
-                one.lease, one.alarm = lease, None
+                one.lease = lease
                 if began_or_ended:
                     self._note_shortest()
                 if lease.epoch is None:
+                    one.alarm.cancel()
                     # An agent that was given a pledge is about to be the owner.
                     wait_s = PLEDGED_S if isinstance(one.event, SeizeTask) else 0.0
                     self._takeovers.lease_ended(one.register, one.heard_s, self._held_until(one), wait_s)
@@ -385,7 +388,7 @@ class Guardian(Component):
                     if one.event is not None:
                         one.heard_s = self.kernel.host.now()
                         self._takeovers.lease_runs(one.register.task_id, lease.epoch)
-                    one.alarm = self.after_host(lease_s, partial(self._lease_over, one, LeaseOver(lease.number)))
+                    one.alarm.set(lease_s)
             case AnswerAsker(message):
                 self._note_age(one, message)
                 self._say(one.asker, message)
@@ -406,10 +409,15 @@ class Guardian(Component):
             if keep.checkpoint == one.register.checkpoint:
                 one.as_of_s, one.from_disk = self.kernel.host.now() - keep.age_s, False
 
-    def _lease_over(self, one: _Guarded, over: LeaseOver) -> None:
-        one.waiting.append(("", over))
+    def _lease_over(self, task_id: TaskId) -> None:
+        one = self._guarded[task_id]
+        one.waiting.append(("", LeaseOver(one.lease.number)))
         self._go_on(one)
 
     def _say(self, asker: str, message: GuardAnswer | LeaseSeen | CanGuard) -> None:
         peer, _, place = asker.partition("/")
         self._takeovers.say(peer, "", place, message)
+
+
+def _bytes_of(register: GuardRegister) -> int:
+    return len(register.body.snapshot) if register.body is not None else 0

@@ -210,4 +210,6 @@ class HostState:
         """Returns what people may want to know, as plain values."""
         measured = self.measured
         load = msgspec.to_builtins(measured) if measured is not None else None
-        return {"load": load, "battery_level": self.battery_level}
+        syncs, written_bytes = self._kernel.disk_use()
+        disk = {"syncs": syncs, "written_bytes": written_bytes}
+        return {"load": load, "battery_level": self.battery_level, "disk": disk}

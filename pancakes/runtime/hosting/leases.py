@@ -34,7 +34,9 @@ from pancakes.mesh.migration.guards import GuardianId, forgotten_guards
 from pancakes.mesh.migration.record import Phase
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
+from pancakes.runtime.hosting.deadline import Deadline
 from pancakes.runtime.hosting.guard_talk import GuardTalk
+from pancakes.runtime.hosting.guarded_looks import GuardedLooks
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.machine import idle
 from pancakes.runtime.hosting.place import OtherOwner, Place
@@ -43,7 +45,6 @@ from pancakes.runtime.hosting.tenancy import Tenancy
 from pancakes.runtime.kernel.guard_notes import GuardianNote, GuardNote
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
-from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import GoOn
 
 REPLACED_S: Final = 60.0
@@ -80,10 +81,10 @@ class Leases:
     ) -> None:
         self._host = host
         self._talk = talk
-        self._save = save
         self._on_disk = on_disk
         self._outvoted = outvoted
         self._held: list[Place] = []
+        self._looks = GuardedLooks(host, self._held, save)
 
     def begin(self, places: Iterable[Place]) -> None:
         """Looks at the guardians of all tasks from now on; `places`: those of which there is a record."""
@@ -132,11 +133,19 @@ class Leases:
 
     def _begin(self, place: Place) -> None:
         now_s = self._host.kernel.host.now()
-        place.tenancy = Tenancy(tenure=begun(self._talk.boot, now_s), lost_s=now_s)
+        place.tenancy = Tenancy(
+            tenure=begun(self._talk.boot, now_s),
+            lost_s=now_s,
+            renewal=self._deadline(partial(self._renew, place)),
+            end=self._deadline(partial(self._look_for_end, place)),
+        )
+        self._held.append(place)
         self._learn_rule(place)
         self._host.kernel.permits.revoke(_right(place))
-        self._held.append(place)
-        self._look_at(place)
+        self._looks.begin(place)
+
+    def _deadline(self, function: Callable[[], None]) -> Deadline:
+        return Deadline(self._host.after_host, self._host.kernel.host.now, function)
 
     def _end(self, place: Place) -> None:
         assert place.tenancy is not None
@@ -161,35 +170,11 @@ class Leases:
         for guardian in tenancy.heard_s:
             self._talk.say(guardian, keep)
 
-    def _look_at(self, place: Place) -> None:
-        tenancy = place.tenancy
-        if tenancy is None:
-            return
-        if place.slot is not None:
-            self._save([place.slot.name])
-            self._look_at_actuators(place.slot, tenancy)
-        every_s = tenancy.rule.checkpoint_s if tenancy.rule is not None else CHOOSE_S
-        # All tasks of an agent at the same moments: their checkpoints share messages, and rounds of its disk.
-        to_next_s = every_s - self._host.kernel.host.now() % every_s
-        if to_next_s < every_s / 2:  # it may be next to nothing, as numbers are rounded
-            to_next_s += every_s
-        tenancy.tick = self._host.after_host(to_next_s, partial(self._look_at, place))
-
-    def _look_at_actuators(self, slot: Slot, tenancy: Tenancy) -> None:
-        unsafe = frozenset(self._host.kernel.registry.without_dead_man(slot.address))
-        for device in sorted(unsafe - tenancy.unsafe):
-            self._host.log(
-                "warning",
-                f"{slot.address} is guarded and commands {device}, whose hardware does not hold by itself: where this"
-                " process is stopped or killed, it keeps its last command",
-            )
-            self._host.event("no_dead_man", task=slot.name, device=device)
-        tenancy.unsafe = unsafe
-
     def _learn_rule(self, place: Place) -> None:
         tenancy = place.tenancy
         assert tenancy is not None
         tenancy.rule = self.rule_of(place)
+        self._looks.go_on(place)
         if place.slot is not None:
             tenancy.type = place.slot.spec.type
         elif not tenancy.type:
@@ -234,9 +219,7 @@ class Leases:
             with_body = self._lacks_body(tenancy, guardian, record.no)
             keep = keep_lease(tenure, record, tenancy.type, tenancy.lease_s, with_body)
             self._talk.say(guardian, replace(keep, age_s=age_s))
-        if tenancy.renewal is not None:
-            tenancy.renewal.cancel()
-        tenancy.renewal = self._host.after_host(tenancy.lease_s / RENEWED, partial(self._renew, place))
+        tenancy.renewal.set(tenancy.lease_s / RENEWED)
 
     def _note(self, place: Place, tenancy: Tenancy) -> None:
         """Notes what is known of its guardians, for others on this agent."""
@@ -302,7 +285,7 @@ class Leases:
         if place.permit and not self.permits(place):
             self._lost(place, tenancy)
         permits.give(_right(place), until)
-        self._wait_for_end(place, tenancy)
+        tenancy.end.set(permits.left_s(_right(place)) or 0.0)
         if place.permit:
             return
         place.permit = True
@@ -320,18 +303,13 @@ class Leases:
                 slot.fence = Fence(fenced.task_id, (record.epoch.n, record.epoch.minter))
             tell(slot.task, GoOn(slot.fence))
 
-    def _wait_for_end(self, place: Place, tenancy: Tenancy) -> None:
-        if tenancy.end is not None:
-            tenancy.end.cancel()
-        left_s = self._host.kernel.permits.left_s(_right(place)) or 0.0
-        tenancy.end = self._host.after_host(left_s, partial(self._look_for_end, place))
-
     def _look_for_end(self, place: Place) -> None:
         tenancy = place.tenancy
         if tenancy is None or not place.permit:
             return
-        if self.permits(place):
-            self._wait_for_end(place, tenancy)
+        left_s = self._host.kernel.permits.left_s(_right(place)) or 0.0
+        if left_s > 0.0:
+            tenancy.end.set(left_s)
             return
         self._lost(place, tenancy)
 
@@ -406,10 +384,12 @@ class Leases:
                 answer("")
 
     def _acknowledge(self, place: Place, tenancy: Tenancy) -> None:
-        kept, tenancy.owed = kept_packets(tenancy.tenure, place.standing.record, tenancy.owed)
-        for packet in kept:
-            self._on_disk(place, packet)
-        self._tell_stops(place, tenancy)
+        if tenancy.owed:
+            kept, tenancy.owed = kept_packets(tenancy.tenure, place.standing.record, tenancy.owed)
+            for packet in kept:
+                self._on_disk(place, packet)
+        if tenancy.stops:
+            self._tell_stops(place, tenancy)
 
     # Choosing guardians ----------------------------------------------------------------------------------------
 

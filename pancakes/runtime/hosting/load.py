@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -46,14 +47,26 @@ def describe_process(uptime_s: float) -> dict[str, Any]:
 
     process = _process(os.getpid())
     return {
+        "host": platform.node(),
         "pid": process.pid,
         "version": __version__,
+        "build": deployed_build(),
         "python": platform.python_version(),
         "processor_s": processor_time_s(),
         "memory_mib": process.memory_info().rss / 2**20,
         "threads": process.num_threads(),
         "uptime_s": uptime_s,
     }
+
+
+@lru_cache(maxsize=1)
+def deployed_build() -> str:
+    """Returns which build of Pancakes and its plug-ins `pancakes deploy` has put into this environment; empty: none."""
+    try:
+        with open(os.path.join(sys.prefix, "pancakes-build")) as file:
+            return file.read().strip()
+    except OSError:
+        return ""
 
 
 @lru_cache(maxsize=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 from msgspec.structs import replace
@@ -138,14 +138,25 @@ class SharedOutbox:
         with self._lock:
             self._outbox.ended(sender)
 
-    def arrive(self, sender: TaskId, posted: Posted | None, fresh: bool, now_s: float) -> None:
+    def arrive(
+        self,
+        sender: TaskId,
+        posted: Posted | None,
+        fresh: bool,
+        now_s: float,
+        restamped: Callable[[str, float], float],
+    ) -> None:
         """A task begins from a snapshot; `fresh`: nothing of it has run since that was taken.
 
-        What it sent from another agent goes on from here under its address here, as no agent takes it otherwise.
+        What it sent from another agent goes on from here under its address here, as no agent takes it otherwise, and
+        with stamps of the mission time here; see `of_agent`.
         """
         if posted is not None:
             here = self._outbox.agent
-            to = [replace(it, packets=tuple(of_agent(packet, here) for packet in it.packets)) for it in posted.to]
+            to = [
+                replace(it, packets=tuple(of_agent(packet, here, restamped) for packet in it.packets))
+                for it in posted.to
+            ]
             posted = replace(posted, to=tuple(to))
         with self._lock:
             self._outbox.arrive(str(sender), posted, fresh)

@@ -332,12 +332,13 @@ class Takeovers:
 
     def say(self, peer: str, journal: str, place: str, message: Any) -> None:
         """Sends a message to an actor of another agent, or of this one; `journal`: empty: that which it has now."""
-        known = {hello.name: hello.journal for hello in self._mesh.connected()}
-        known[self._guardian.agent] = self._mesh.identity.journal
-        if not known.get(peer) or journal not in ("", known[peer]):
+        known = self._mesh.identity.journal
+        if peer != self._guardian.agent:
+            known = next((hello.journal for hello in self._mesh.connected() if hello.name == peer), "")
+        if not known or journal not in ("", known):
             return
         try:
-            self._guardian.publish(NETWORK, addressed(message, known[peer]), to=join(peer, place))
+            self._guardian.publish(NETWORK, addressed(message, known), to=join(peer, place))
         except PancakesError as error:
             name = type(message).__name__
             self._guardian.log("debug", f"{name} of {message.task_id} did not reach {peer}: {error}")

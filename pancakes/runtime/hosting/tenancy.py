@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import msgspec
 
@@ -12,14 +13,20 @@ from pancakes.mesh.guarding.tenure import Owed, Tenure
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId
+from pancakes.runtime.hosting.deadline import Deadline
 from pancakes.runtime.kernel.permits import PermitEnd
 from pancakes.runtime.kernel.timer import OneShot
+
+RULELESS_S: Final = 1.0
+"""How often a task is written down that is to be guarded no longer."""
 
 
 class Tenancy(msgspec.Struct):
     """A crash forgets all of it.
 
     Attributes:
+        renewal: asks for leases again.
+        end: the end of the permit.
         type: entry point name of the task's class.
         rule: how the task is guarded; None: it is to be guarded no longer.
         tenure: what its guardians have said.
@@ -35,11 +42,10 @@ class Tenancy(msgspec.Struct):
         asked_s: when they were asked last, in host time.
         unsafe: the actuators that people were told of as keeping their last command.
         thin: whether people were told that it has fewer guardians than it should.
-        renewal: asks for leases again.
-        end: the end of the permit.
-        tick: has the task written down.
     """
 
+    renewal: Deadline
+    end: Deadline
     type: str = ""
     rule: GuardRule | None = None
     tenure: Tenure = Tenure()
@@ -55,14 +61,16 @@ class Tenancy(msgspec.Struct):
     asked_s: float = -1e9
     unsafe: frozenset[str] = frozenset()
     thin: bool = False
-    renewal: OneShot | None = None
-    end: OneShot | None = None
-    tick: OneShot | None = None
 
     @property
     def lease_s(self) -> float:
         """How long its leases are, in host seconds."""
         return self.rule.lease_s if self.rule is not None else GuardRule(3).lease_s
+
+    @property
+    def checkpoint_s(self) -> float:
+        """How often the task is written down where it has changed, in host seconds."""
+        return self.rule.checkpoint_s if self.rule is not None else RULELESS_S
 
     @property
     def number(self) -> int:
@@ -71,9 +79,8 @@ class Tenancy(msgspec.Struct):
 
     def cancel(self) -> None:
         """Ends its timers."""
-        for timer in (self.renewal, self.end, self.tick):
-            if timer is not None:
-                timer.cancel()
+        self.renewal.cancel()
+        self.end.cancel()
 
 
 class Taking(msgspec.Struct):

@@ -2,7 +2,7 @@
 
 from pancakes.runtime.journal.disk import Disk
 from pancakes.runtime.journal.file import FileJournal, empty
-from pancakes.runtime.journal.journal import Journal
+from pancakes.runtime.journal.journal import DiskUse, Journal
 from pancakes.runtime.journal.memory_journal import MemoryJournal
 from pancakes.runtime.journal.record_table import RecordTable
 from pancakes.runtime.journal.seal import JournalEntry, JournalError, JournalLost, SetAside
@@ -10,6 +10,7 @@ from pancakes.runtime.journal.store import May, RecordStore, ThreadedStore, Virt
 
 __all__ = [
     "Disk",
+    "DiskUse",
     "JournalEntry",
     "FileJournal",
     "Journal",

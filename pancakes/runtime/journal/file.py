@@ -1,30 +1,43 @@
-"""A journal in a directory: one file for each entry, replaced atomically and fsynced."""
+"""A journal in a directory: one file for each entry, replaced atomically, and one that takes what is written first."""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import uuid
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from pancakes.runtime.journal.directory import StateDirectory
-from pancakes.runtime.journal.journal import SUFFIX, Journal
-from pancakes.runtime.journal.seal import JournalError
+from pancakes.runtime.journal.journal import BAD, SUFFIX, DiskUse, Journal, name_of
+from pancakes.runtime.journal.seal import JournalEntry, JournalError, seal
+from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead, seal_batch
 
 _LOCK: Final = "lock"
 _TEMPORARY: Final = ".tmp"
 CHECK_S: Final = 0.4
 """How often, in seconds, it is looked whether the directory is still there."""
+MOST_AHEAD_BYTES: Final = 4 * 2**20
+"""Where the write-ahead file would become longer, its entries get files of their own, ..."""
+MOST_AHEAD: Final = 1000
+"""... and where it would have more entries: a disk may take half a second for so many files."""
+MOST_AT_END: Final = 100
+"""A journal that is closed with more entries in it leaves them there: its agent has two seconds to end."""
+LARGE_BYTES: Final = 256 * 2**10
+"""A batch of so many bytes is not written ahead: it would be written twice."""
 
 
 class FileJournal(Journal):
     """The journal in an agent's state directory.
 
-    The directory is made if need be, for its owner alone (0700), and locked while the journal is open. An
-    entry is written to a temporary file, fsynced, renamed over the old one, and the directory is fsynced:
-    a reader finds the old entry or the new one, never a part of either. All of that is done in the directory that was
-    opened, never in another one that has its name since.
+    The directory is made if need be, for its owner alone (0700), and locked while the journal is open. Each entry has a
+    file of its own: it is written to a temporary file, fsynced, renamed over the old one, and the directory is fsynced,
+    so a reader finds the old entry or the new one, never a part of either. As that costs several rounds of the disk for
+    each entry, a batch is first appended to one file, with one fsync. What is in that gets files of its own once it is
+    long, when the journal is closed, where that takes no time, and else at the next opening. All of that is done in the
+    directory that was opened, never in another one that has its name since.
 
     Args:
         directory: the state directory.
@@ -43,12 +56,18 @@ class FileJournal(Journal):
         self.place = str(directory)
         self._opened: StateDirectory | None = None
         self._lock: int | None = None
+        self._ahead: dict[str, JournalEntry] = {}  # what is in the write-ahead file and has no file of its own, by name
+        self._ahead_bytes = 0
+        self._ahead_torn = False  # whether more is in it, which could not be written whole
         try:
             self._opened = StateDirectory(directory)
             self.remarks = self._opened.remarks
             self._lock = _locked(self._opened)
             self._clear_up()
-            self._open(lambda: new_uuid or str(uuid.uuid4()), agent)
+            doubt = self._recover()
+            self._open(lambda: new_uuid or str(uuid.uuid4()), agent, doubt)
+            if doubt:
+                self._rename(WRITE_AHEAD, WRITE_AHEAD + BAD)
         except OSError as error:
             self.close()
             raise JournalError(f"the state directory {directory} cannot be used: {error.strerror}") from None
@@ -61,6 +80,9 @@ class FileJournal(Journal):
             self._opened.check(_LOCK, self._lock)
 
     def close(self) -> None:
+        if 0 < len(self._ahead) <= MOST_AT_END:
+            with suppress(JournalError):  # the next opening does it
+                self._put_in_place()
         if self._lock is not None:
             # Closing the file gives the lock back.
             os.close(self._lock)
@@ -73,6 +95,72 @@ class FileJournal(Journal):
         """Removes temporary files: each is what a write had got to when the agent died, never an entry."""
         for name in self._names(SUFFIX + _TEMPORARY):
             os.unlink(name, dir_fd=self._handle)
+
+    def _recover(self) -> str:
+        """Gives files to what was written ahead before; returns why the journal cannot be believed, if it cannot."""
+        try:
+            batches, damaged = read_ahead(self._load(WRITE_AHEAD))
+        except FileNotFoundError:
+            return ""
+        self._replace({name_of(it.kind, it.key): seal(batch.journal, it) for batch in batches for it in batch.entries})
+        if damaged:
+            return f"is not believed: {WRITE_AHEAD} beside it is damaged, so later entries are lost"
+        of_others = [journal for journal in {batch.journal for batch in batches} if not self._is_of(journal)]
+        if of_others:
+            return f"is not believed: {WRITE_AHEAD} beside it is of the journal {of_others[0]}"
+        self._remove_ahead()
+        return ""
+
+    def _store(self, newest: Mapping[str, JournalEntry]) -> None:
+        data = seal_batch(self.uuid, list(newest.values()))
+        large = len(data) >= LARGE_BYTES
+        full = self._ahead_bytes + len(data) > MOST_AHEAD_BYTES or len(self._ahead) + len(newest) > MOST_AHEAD
+        if self._ahead_torn or full or (large and not self._ahead.keys().isdisjoint(newest)):
+            self._put_in_place()  # else an older entry would take the place of a newer one at the next opening
+        if large:
+            super()._store(newest)
+            return
+        self._ahead_torn = True  # until it is known that it is not
+        try:
+            length = self._append(data)
+        except OSError as error:
+            raise self._cannot_write(error) from None
+        self._ahead.update(newest)
+        self._ahead_bytes += len(data)
+        if length != self._ahead_bytes:
+            self._put_in_place()  # another program has changed the file
+        self._ahead_torn = False
+        self.check()
+
+    def _append(self, data: bytes) -> int:
+        """Appends to the write-ahead file; returns how long that is."""
+        with os.fdopen(self._open_file(WRITE_AHEAD, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "wb") as file:
+            file.write(data)
+            file.flush()
+            self._sync(file.fileno(), len(data))
+            length = os.fstat(file.fileno()).st_size
+        if length == len(data):
+            self._sync(self._handle)  # it is new, and so is its name
+        return length
+
+    def _put_in_place(self) -> None:
+        """Gives each entry that is written ahead a file of its own."""
+        super()._store(self._ahead)
+        try:
+            self._remove_ahead()
+        except OSError as error:
+            raise self._cannot_write(error) from None
+        self._ahead, self._ahead_bytes, self._ahead_torn = {}, 0, False
+
+    def _remove_ahead(self) -> None:
+        with suppress(FileNotFoundError):
+            os.unlink(WRITE_AHEAD, dir_fd=self._handle)
+        self._sync(self._handle)
+
+    def _cannot_write(self, error: OSError) -> JournalError:
+        # Of a directory that is gone the operating system says the same as of a file that is not there.
+        self.check()
+        return JournalError(f"the journal cannot write: {error.strerror} ({self.directory})")
 
     @property
     def _handle(self) -> int:
@@ -102,11 +190,9 @@ class FileJournal(Journal):
                 self._write_temporary(name, data)
             for name in contents:
                 os.replace(name + _TEMPORARY, name, src_dir_fd=handle, dst_dir_fd=handle)
-            os.fsync(handle)
+            self._sync(handle)
         except OSError as error:
-            # Of a directory that is gone the operating system says the same as of a file that is not there.
-            self.check()
-            raise JournalError(f"the journal cannot write: {error.strerror} ({self.directory})") from None
+            raise self._cannot_write(error) from None
         # What is on disk where the next start does not look for it is not on disk.
         self.check()
 
@@ -115,12 +201,16 @@ class FileJournal(Journal):
         with os.fdopen(handle, "wb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            self._sync(file.fileno(), len(data))
 
     def _rename(self, name: str, new: str) -> None:
         handle = self._handle
         os.rename(name, new, src_dir_fd=handle, dst_dir_fd=handle)
+        self._sync(handle)
+
+    def _sync(self, handle: int, written_bytes: int = 0) -> None:
         os.fsync(handle)
+        self.use = DiskUse(self.use.syncs + 1, self.use.written_bytes + written_bytes)
 
 
 def empty(directory: Path) -> bool:
@@ -140,7 +230,7 @@ def empty(directory: Path) -> bool:
             lock = _locked(opened)
             try:
                 # Without an identity the rest is not believed: what a kill leaves is not taken for a whole journal.
-                found = [name for name in os.listdir(opened.handle) if SUFFIX in name]
+                found = [it for it in os.listdir(opened.handle) if SUFFIX in it or it.startswith(WRITE_AHEAD)]
                 for name in sorted(found, key=lambda name: not name.startswith("identity.")):
                     os.unlink(name, dir_fd=opened.handle)
                 os.fsync(opened.handle)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain, count
 from typing import Final, NamedTuple
 from urllib.parse import quote, unquote
@@ -24,6 +24,18 @@ _IDENTITY: Final = "identity"
 _LONGEST_NAME: Final = 200
 
 
+class DiskUse(NamedTuple):
+    """What a journal has asked of its disk since it was opened: flash wears out by both.
+
+    Attributes:
+        syncs: how often it has waited until all was on the disk (`fsync`).
+        written_bytes: how much it has written.
+    """
+
+    syncs: int = 0
+    written_bytes: int = 0
+
+
 class Journal(ABC):
     """The durable entries of one agent.
 
@@ -40,6 +52,7 @@ class Journal(ABC):
         place: where it is kept, for people.
         remarks: what people should know about that place, each a sentence.
         check_s: how often, in seconds, `check` should be called; None: there is nothing to check.
+        use: what it has asked of the disk so far.
     """
 
     uuid: str
@@ -51,6 +64,7 @@ class Journal(ABC):
     place: str
     remarks: tuple[str, ...] = ()
     check_s: float | None = None
+    use: DiskUse = DiskUse()
 
     def entries(self, kind: str) -> list[JournalEntry]:
         """Returns all entries of a kind, in the order of their keys."""
@@ -70,13 +84,13 @@ class Journal(ABC):
             JournalError: the disk is full, gone, or read-only; or an entry's kind is no word.
             JournalLost: see `check`.
         """
-        newest: dict[tuple[str, str], JournalEntry] = {}
+        newest: dict[str, JournalEntry] = {}
         for entry in batch:
             if not re.fullmatch(r"[a-z]+", entry.kind) or entry.kind == _IDENTITY:
                 raise JournalError(f"{entry.kind!r} is no kind of journal entry: lower-case letters are")
-            newest[entry.kind, entry.key] = entry
-        self._replace({_name_of(entry.kind, entry.key): seal(self.uuid, entry) for entry in newest.values()})
-        self._entries.update(newest)
+            newest[name_of(entry.kind, entry.key)] = entry
+        self._store(newest)
+        self._entries.update(((entry.kind, entry.key), entry) for entry in newest.values())
 
     def check(self) -> None:
         """Looks whether the journal still is what was opened.
@@ -90,16 +104,28 @@ class Journal(ABC):
     def close(self) -> None:
         """Lets go of the journal, so that another process may open it. A second call does nothing."""
 
-    def _open(self, new_uuid: Callable[[], str], agent: str) -> None:
-        """Reads everything there is, puts aside what cannot be believed, and counts the boot."""
+    def _store(self, newest: Mapping[str, JournalEntry]) -> None:
+        """Makes entries durable, by the names under which each is stored."""
+        self._replace({name: seal(self.uuid, entry) for name, entry in newest.items()})
+
+    def _open(self, new_uuid: Callable[[], str], agent: str, doubt: str = "") -> None:
+        """Reads everything there is, puts aside what cannot be believed, and counts the boot.
+
+        Args:
+            new_uuid: makes the id of a new journal.
+            agent: the name of the agent that opens it.
+            doubt: why this is not believed to be the journal that it says it is; empty: it is.
+        """
         self._entries: dict[tuple[str, str], JournalEntry] = {}
         aside: list[SetAside] = []
         names = self._names(SUFFIX)
-        identity = _name_of(_IDENTITY, _IDENTITY)
+        identity = name_of(_IDENTITY, _IDENTITY)
         self.uuid, self.boot, self.life = "", 0, new_uuid()
         names_before: tuple[str, ...] = ()
         if identity in names:
             try:
+                if doubt:
+                    raise Unbelievable(doubt)
                 self.uuid, self.boot, names_before = _read_identity(self._load(identity))
             except Unbelievable as error:
                 aside.append(self._put_aside(identity, str(error)))
@@ -110,7 +136,7 @@ class Journal(ABC):
                 continue
             try:
                 entry = unseal(self.uuid, self._load(name))
-                if _name_of(entry.kind, entry.key) != name:
+                if name_of(entry.kind, entry.key) != name:
                     raise Unbelievable(f"has the entry {entry.kind} {entry.key}, which is not what its name says")
             except Unbelievable as error:
                 aside.append(self._put_aside(name, str(error)))
@@ -123,6 +149,14 @@ class Journal(ABC):
         names_now = (*self.former, agent) if agent else self.former
         contents = codecs.encode_small(_JournalIdentity(self.uuid, self.boot, names_now[-MOST_NAMES:]))
         self._replace({identity: seal(self.uuid, JournalEntry(_IDENTITY, _IDENTITY, contents))})
+
+    def _is_of(self, journal: str) -> bool:
+        """Returns whether the identity that is stored is that of the journal with this id."""
+        name = name_of(_IDENTITY, _IDENTITY)
+        try:
+            return name in self._names(SUFFIX) and bool(unseal(journal, self._load(name)))
+        except Unbelievable:
+            return False
 
     def _put_aside(self, name: str, reason: str) -> SetAside:
         kind, key = _parts_of(name)
@@ -198,10 +232,15 @@ def _readable(sealed: bytes, name: str) -> JournalEntry | None:
         entry = unseal("", sealed)
     except Unbelievable:
         return None
-    return entry if _name_of(entry.kind, entry.key) == name else None
+    return entry if name_of(entry.kind, entry.key) == name else None
 
 
-def _name_of(kind: str, key: str) -> str:
+def name_of(kind: str, key: str) -> str:
+    """Returns the name under which an entry is stored.
+
+    Raises:
+        JournalError: it would be too long.
+    """
     name = f"{kind}.{quote(key, safe='')}"
     if len(name) > _LONGEST_NAME:
         raise JournalError(f"the key {key!r} is too long for a journal entry: {len(name)} of {_LONGEST_NAME} letters")

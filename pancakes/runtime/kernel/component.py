@@ -6,6 +6,7 @@ import math
 import random
 from collections.abc import Callable
 from functools import cached_property, partial
+from time import thread_time
 from typing import TYPE_CHECKING, Any
 
 import pykka
@@ -13,6 +14,7 @@ import pykka
 from pancakes.errors import ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.events import Event, LogLine
 from pancakes.packet import CTRL, LOG, Cause, Fence, Packet, type_name
+from pancakes.runtime.foundation.local_time import READER, LocalTime
 from pancakes.runtime.foundation.signatures import check_called, check_overrides
 from pancakes.runtime.kernel.call import Call
 from pancakes.runtime.kernel.channel_queue import ChannelQueue
@@ -89,6 +91,19 @@ class Component(PykkaActor):
     def now(self) -> float:
         """Returns the mission time in seconds. Any thread."""
         return self.kernel.now()
+
+    def local_time(self, packet: Packet) -> LocalTime | None:
+        """Returns when a packet was published, on this agent's own mission clock, and how well that is known.
+
+        Its stamp is the mission time of its publisher's agent, whose clock began at another moment and runs at another
+        rate. The heartbeats of the link between the two tell how the clocks stand to each other (docs/time.md). Any
+        thread.
+
+        Returns:
+            None where that is not known: there was no link to that agent in its present life, or no heartbeat has come
+            back on it yet; one of the missions is held; the packet is from an earlier life of that agent.
+        """
+        return self.kernel.local_time(packet)
 
     @cached_property
     def random(self) -> random.Random:
@@ -280,6 +295,9 @@ class Component(PykkaActor):
         mailbox = self.actor_inbox
         deferred: list[Callable[[], None]] = []
         TURN.deferred = deferred
+        READER.set(self)
+        meter = self.kernel.meter
+        begun_s = thread_time() if meter is not None else 0.0
         try:
             if not self.__started:
                 self.__begin()
@@ -295,6 +313,9 @@ class Component(PykkaActor):
         for function in deferred:  # which may put off more
             self.__do_deferred(function)
         TURN.deferred = None
+        READER.set(None)
+        if meter is not None:
+            meter.turn(self.address, thread_time() - begun_s)
         # A component that has ended keeps the token, so that what is put from now on waits for the successor.
         if mailbox.component is self:
             mailbox.end_turn()

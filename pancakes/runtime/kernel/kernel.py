@@ -10,12 +10,17 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+from msgspec.structs import replace
+
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
 from pancakes.mesh.security.access import Access
-from pancakes.packet import LOG, Packet, type_name
-from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock, SkewedClock
+from pancakes.mesh.wire.link_messages import Timebase
+from pancakes.mesh.wire.peer_clock import PeerClock
+from pancakes.packet import LOG, Packet, agent_of, type_name
+from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock, SkewedClock, day_s
 from pancakes.runtime.folders import Folders
+from pancakes.runtime.foundation.local_time import LocalTime
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.counter import Counter
 from pancakes.runtime.kernel.dead_letters import DeadLetters
@@ -31,6 +36,7 @@ from pancakes.runtime.kernel.task_table import TaskTable
 from pancakes.runtime.kernel.task_timer import TaskTimer
 from pancakes.runtime.kernel.timer import Timer, VirtualTimer
 from pancakes.runtime.kernel.timer_table import TimerTable
+from pancakes.runtime.kernel.turn_meter import TurnMeter
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 _Made = TypeVar("_Made", bound=Component)
@@ -64,7 +70,12 @@ class Kernel:
         folders: where files may be written at the word of another; the agent sets it.
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the agent sets it.
+        life: names this life of the agent: its journal, and how often that was opened; the agent sets it.
+        disk_use: says how often this agent has waited for its disk, and what it has written; the agent sets it.
         links: says what is to be known about each link to another agent, as plain values; the agent sets it.
+        peer_clock: says what is known of the clocks of another agent; the agent sets it.
+        mission_changed: called once the mission has begun, or is known to begin; the agent sets it.
+        meter: times all turns; None: nothing measures, and none is timed.
         lateness_heard: told of each tick of a task how late it was, in the task's turn; see `hear_lateness`.
     """
 
@@ -96,7 +107,12 @@ class Kernel:
         self.access = Access(agent)
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
+        self.life = agent
+        self.disk_use: Callable[[], tuple[int, int]] = lambda: (0, 0)
         self.links: Callable[[], Sequence[dict[str, Any]]] = tuple
+        self.peer_clock: Callable[[str], PeerClock | None] = lambda agent: None
+        self.mission_changed: Callable[[], None] = lambda: None
+        self.meter: TurnMeter | None = None
         self.lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...] = ()
         self._seqs: dict[str, Counter] = {}
         self._lock = threading.Lock()
@@ -186,6 +202,55 @@ class Kernel:
         """Lets a mission that is held at 0 begin in `in_s` seconds of host time."""
         self.mission.begin(in_s)
         self.timer.wake()
+        self.mission_changed()
+
+    def join(self, zero_s: float) -> None:
+        """Lets a mission that is held go on as it has in other agents: there it was 0 at this host time."""
+        self.mission.join(zero_s)
+        self.timer.wake()
+        self.mission_changed()
+
+    def timebase(self) -> Timebase:
+        """Returns what the mission time and the time of day are, as the host clock counts. Any thread."""
+        base = self._mission_base()
+        # In virtual time there is none: a run must not depend on the day.
+        return base if self.virtual is not None else replace(base, day_s=day_s(self.host))
+
+    def utc_s(self, stamp_s: float | None = None) -> float | None:
+        """Returns the time of day, in seconds since 1970 (UTC). Any thread.
+
+        Args:
+            stamp_s: that at this mission time; None: the present one.
+
+        Returns:
+            None where the machine's clock was never set, in virtual time, and while the mission is held and 0.
+        """
+        base = self.timebase()
+        if base.day_s is None or stamp_s is None:
+            return None if base.day_s is None else base.day_s + self.host.now()
+        zero_s = base.zero_s()
+        return base.day_s + zero_s + stamp_s / base.speed if zero_s is not None else None
+
+    def local_time(self, packet: Packet) -> LocalTime | None:
+        """See `Component.local_time`. Any thread."""
+        agent = agent_of(packet.source)
+        if agent == self.agent:
+            return LocalTime(packet.stamp, 0.0)
+        clock = self.peer_clock(agent)
+        return clock.local_time(packet.stamp, self._mission_base()) if clock is not None else None
+
+    def restamped(self, agent: str, stamp_s: float) -> float:
+        """Returns a stamp of an agent on this one's mission clock; 0, which says nothing, where that is not known."""
+        if agent == self.agent:
+            return stamp_s
+        clock = self.peer_clock(agent)
+        found = clock.local_time(stamp_s, self._mission_base()) if clock is not None else None
+        return max(0.0, found.time_s) if found is not None else 0.0
+
+    def _mission_base(self) -> Timebase:
+        mission = self.mission
+        began_s = None if mission.held else mission.host_time(mission.start_s)
+        return Timebase(began_s, mission.start_s, mission.speed)
 
     def log(self, level: str, text: str, traceback: str = "") -> None:
         """Publishes a line on `log` in the kernel's own name; see `Component.log`. Any thread."""

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import thread_time
 from typing import Any, Protocol
 
 from pancakes.runtime.kernel.handlers import Tick
 from pancakes.runtime.kernel.mailbox import Runnable
+from pancakes.runtime.kernel.turn_meter import TurnMeter
 
 
 class Ticker(Protocol):
     """What a timer needs of the kernel."""
 
     lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...]
+    meter: TurnMeter | None
 
     def now(self) -> float:
         """Returns the mission time in seconds."""
@@ -107,4 +110,8 @@ class TaskTimer:
         self.lateness_max_s = max(lateness_s, self.lateness_max_s)
         for heard in self._ticker.lateness_heard:
             heard((self, lateness_s))
+        meter = self._ticker.meter
+        begun_s = thread_time() if meter is not None else 0.0
         self._handler(self.component, Tick(deadline_s, missed, lateness_s))
+        if meter is not None:
+            meter.tick(self.component.address, self.method, thread_time() - begun_s)

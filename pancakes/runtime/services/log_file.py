@@ -8,6 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from pancakes.packet import LOG, Packet
+from pancakes.runtime.clock import utc_text
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
 from pancakes.runtime.services.log_record import line_of, record_of
@@ -54,7 +55,8 @@ class LogFile(LogWriter):
         if broken_until_s is not None and self.kernel.host.now() < broken_until_s:
             self._missing += 1
             return 0
-        line = line_of(record_of(packet))
+        record, utc_s = record_of(packet), self.kernel.utc_s(packet.stamp)
+        line = line_of(record if utc_s is None else {**record, "utc": utc_text(utc_s)})
         try:
             self._file.write(line)
         except OSError as error:

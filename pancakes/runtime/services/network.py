@@ -109,7 +109,7 @@ class NetworkService(Service):
         busy_poll_s: Annotated[float, Meta(ge=0, le=0.01)] = BUSY_POLL_S
         insecure: bool = False
         keys: str = ""
-        transports: dict[str, dict[str, bool | int | float | str]] = field(default_factory=dict)
+        transports: dict[str, dict[str, bool | int | float | str | list[str]]] = field(default_factory=dict)
 
     def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
         super().__init__(*args, **others)

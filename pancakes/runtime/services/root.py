@@ -43,6 +43,7 @@ from pancakes.control import (
 )
 from pancakes.creation import Create, Remove
 from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
+from pancakes.measurement import Measure
 from pancakes.mesh.security.access import right_of
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.runtime.foundation.names import fault_of_name
@@ -54,6 +55,8 @@ from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.life.life_event import StartAsked, StopAsked
 from pancakes.runtime.life.request import Request
+from pancakes.runtime.services.measuring import Measuring
+from pancakes.runtime.services.mission_start import MissionStart
 from pancakes.runtime.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
 from pancakes.runtime.services.service_spec import ServiceSpec
 from pancakes.runtime.supervision.answers import Answers
@@ -80,6 +83,7 @@ class Root(Component):
         migrations: what `Migrations` is answered with.
         services_in_doubt: the services that have something to decide about a task of this name.
         ready: called in this actor once every service has started all that it should.
+        mission_start: has the mission begin before the services start; None: it has.
         shutdown: ends the agent, after this actor's turn; returns why it cannot. With True it only says that.
     """
 
@@ -94,6 +98,7 @@ class Root(Component):
         migrations: Callable[[], list[dict[str, Any]]] = list,
         services_in_doubt: Callable[[str], Collection[str]] = lambda name: (),
         ready: Callable[[], None] = lambda: None,
+        mission_start: MissionStart | None = None,
         shutdown: Callable[[bool], str] = lambda dry_run: "it was not started in a way that it could be ended by",
     ) -> None:
         super().__init__(kernel, address)
@@ -103,8 +108,10 @@ class Root(Component):
         self._migrations = migrations
         self._services_in_doubt = services_in_doubt
         self._on_ready = ready
+        self._mission_start = mission_start
         self._shutdown = shutdown
         self._answers = Answers(self)
+        self._measuring = Measuring(self, lambda: self._identity().get("battery_level"))
         self._number = 0
         self.ready = False
 
@@ -116,11 +123,16 @@ class Root(Component):
     def on_start(self) -> None:
         for body in CONTROLS:
             self.subscribe(SYSCTRL, body, self.on_control, keep=WAITING)
-        self._services.start_next()
+        if self._mission_start is None:
+            self._services.start_next()
+        else:
+            self._mission_start.begin(self, self._services.start_next)
 
     def _become_ready(self) -> None:
         self.ready = True
         self.event("ready")
+        if self._mission_start is not None:
+            self._mission_start.tell(self)
         self._on_ready()
 
     def on_receive(self, message: Any) -> Any:
@@ -206,6 +218,9 @@ class Root(Component):
             return
         if isinstance(body, Channels):
             self.reply(request, result=self.describe_channels(body.channel))
+            return
+        if isinstance(body, Measure):
+            self._measuring.begin(body.for_s, lambda result: self.reply(request, result=result))
             return
         if isinstance(body, Shutdown):
             self._end_agent(body, request)
@@ -425,6 +440,7 @@ class Root(Component):
             "agent": self.agent,
             "ready": self.ready,
             "mission_s": self.kernel.mission.now(),
+            "utc_s": self.kernel.utc_s(),
             "held": self.kernel.mission.held,
             "channels": self.kernel.stream.channels(),
             "devices": self.kernel.registry.device_types(),

@@ -131,7 +131,7 @@ class Changed(msgspec.Struct, frozen=True):
         task: the actor.
         change: what it was told.
         reason: why it refuses; empty: it is done.
-        result: what the reply says of it, as plain values.
+        result: what the reply says of it, as plain values; empty: nothing.
         carried: what the task carries after that; None: it was not asked, or cannot say.
     """
 

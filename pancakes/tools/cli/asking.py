@@ -115,8 +115,21 @@ def placed(client: Client, name: TaskName) -> TaskName:
         raise ControlRefused(f"{agent}/{name.task} is a service, not a task: see pancakes service --help")
     if any(row["state"] != "running" for row in described["services"]):
         order(client, agent, Describe(name.task))  # it refuses, and says so where the task's service stands still
+    elsewhere = _agent_of(client, f"{agent}/{name.task}", name.task)
+    if elsewhere:
+        raise ControlRefused(f"{agent}/{name.task} is on {elsewhere}: say {elsewhere}/{name.task}")
     hint = did_you_mean(name.task, [row["task"] for row in described["tasks"]])
     raise ControlRefused(f"{agent} has no task {name.task!r}{hint}")
+
+
+def _agent_of(client: Client, task_id: str, task: str) -> str:
+    """Returns the agent that has a task, given its identity and name; empty: none that answers."""
+    for row in client.tasks():
+        if row.task == task:
+            told = client.request(row.agent, Describe(f"{row.service}/{row.task}"))
+            if told.ok and told.result["fence"] and told.result["fence"]["task_id"] == task_id:
+                return row.agent
+    return ""
 
 
 def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str, body: Any, **others: Any) -> None:

@@ -285,12 +285,15 @@ class Conductor(Task):
         self._keep({"t_s": round(step.t_s, 6), "agent": agent, "source": self.address, "kind": step.kind})
 
     def _take_up(self, agent: str, description: Mapping[str, Any]) -> None:
-        """An agent is back that was killed: its mission begins anew, and what it has said so far is asked for."""
+        """An agent is back that was killed, and what it has said so far is asked for.
+
+        Its mission goes on at the fleet's time; where it could not hear that in time, it begins anew.
+        """
         self._returned.discard(agent)
         self._away.discard(agent)
         self._lost_s.pop(agent, None)
         self._mission.running[agent] = _running(description)
-        self._zero_s[agent] = self.now()
+        self._zero_s[agent] = self.now() if description["held"] else 0.0
         self.publish(SYSCTRL, Begin(), to=agent)
         self._follow(agent)
         self.publish(SYSCTRL, History(), to=agent)

@@ -30,7 +30,7 @@ from pancakes.tools.demo.demo_plan import LAUNCHER, DemoPlan
 from pancakes.tools.demo.losses import Losses, LossStep
 from pancakes.tools.demo.timeliness import late_ones
 from pancakes.tools.launch.afresh import check_alone, empty_state
-from pancakes.tools.launch.keys_of_run import keys_of_run
+from pancakes.tools.launch.keys_of_run import keys_of_run, set_keys
 from pancakes.tools.launch.process import end_all, start_agent
 from pancakes.tools.recording.virtual_recorder import VirtualRecorder
 
@@ -100,14 +100,14 @@ class Processes:
 
     def __init__(self, plan: DemoPlan) -> None:
         self._plan = plan
-        self._keys: Mapping[str, Sequence[str]] = {}
+        self._keys: Mapping[str, Path] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
-    def start(self, keys: Mapping[str, Sequence[str]]) -> None:
+    def start(self, keys: Mapping[str, Path]) -> None:
         """Starts them all.
 
         Args:
-            keys: what is set of each agent's file so that it finds its keys, as `--set` takes it.
+            keys: the folders with the keys of the agents that get some.
         """
         self._keys = keys
         (self._plan.out / "logs").mkdir(parents=True, exist_ok=True)
@@ -117,8 +117,9 @@ class Processes:
     def start_one(self, agent: str) -> None:
         """Starts one of them, as it was configured for this run; to be called in the thread that started them all."""
         plan = self._plan
+        sets = (*plan.sets[agent], *set_keys(self._keys.get(agent)))
         with (plan.out / "logs" / f"{agent}.txt").open("ab") as output:
-            self._processes[agent] = start_agent(plan.files[agent], (*plan.sets[agent], *self._keys[agent]), output)
+            self._processes[agent] = start_agent(plan.files[agent], sets, output)
 
     def kill(self, agent: str) -> None:
         """Ends one of them at once: it gets no word in. From then on it is none of those that should run."""

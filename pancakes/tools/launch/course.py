@@ -216,17 +216,18 @@ class Course:
             self._begin_if_all_are_ready()
         return self._done()
 
-    def ended(self, name: str, code: int, now_s: float) -> list[Action]:
+    def ended(self, name: str, code: int, now_s: float, how: str = "") -> list[Action]:
         """A process has ended.
 
         Args:
             name: the agent.
             code: its exit code; minus the number of the signal that ended it.
             now_s: the time.
+            how: the same as a phrase, where the exit code does not say it.
         """
         place = self._places[name]
         stopping = self._stopping_s is not None
-        place.how = _how(code) + (", killed because it took too long" if place.killed else "")
+        place.how = (how or _how(code)) + (", killed because it took too long" if place.killed else "")
         failed = code != 0 and not stopping
         story = f"has ended ({place.how})"
         self._feed(place, Finished(story, failed, code == BAD_CONFIGURATION, closing=stopping), now_s)

@@ -17,6 +17,7 @@ from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.life.restart import fault_of_pauses
 from pancakes.settings import check_settings
 from pancakes.tools.launch.member import ProcessRestart
+from pancakes.tools.launch.ssh import fault_of_host
 
 FLEET_FILE: Final = "fleet.toml"
 """The name of a folder's fleet file."""
@@ -48,12 +49,14 @@ class MemberTable:
         set: what is changed of that file, besides what `[fleet]` says.
         restart: what happens when its process ends; None: what `[fleet]` says.
         after: the agents that must be ready before it is started, and that end after it.
+        host: where it runs, as `ssh` takes it: `pi@robot1`, or a name of `~/.ssh/config`; empty: on this machine.
     """
 
     config: str = ""
     set: Mapping[str, Any] = field(default_factory=dict)
     restart: ProcessRestart | None = None
     after: tuple[str, ...] = ()
+    host: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +120,8 @@ class _FleetReader:
         for name, table in agents.items():
             self._check_after(name, table, agents)
             self._check_pauses(("agent", name), table.restart)
+            if table.host and (fault := fault_of_host(table.host)):
+                self._fault(("agent", name, "host"), fault)
         if not self.faults:
             self._check_circles(agents)
         return FleetFile(fleet, agents, self.places)

@@ -34,6 +34,7 @@ class _Draft:
     Attributes:
         said_at: where a fleet file says what is set, by the place that its configuration will name.
         after: None where no fleet file says it.
+        host: where it runs; empty: on this machine.
     """
 
     name: str
@@ -42,6 +43,7 @@ class _Draft:
     said_at: Mapping[str, str] = field(default_factory=dict)
     restart: ProcessRestart = ProcessRestart()
     after: tuple[str, ...] | None = None
+    host: str = ""
 
 
 def make_fleet(
@@ -60,7 +62,8 @@ def make_fleet(
             all of its `*.toml`, by name. Environments come first, where no fleet file gives the order.
         extra: `[AGENT:]table.key=value` from the command line.
         policy: whether an agent is started again when it ends; None: as the fleet file says.
-        plugins: where drivers and tasks come from; None leaves what they ask of the configurations unchecked.
+        plugins: where drivers and tasks come from; None leaves what they ask of the configurations unchecked, as that
+            of agents that run on another host.
         must_load: whether it is a fault where one of these that a configuration names cannot be imported.
         local: whether they speak within this machine alone, and take no TCP port.
 
@@ -79,20 +82,22 @@ def make_fleet(
         for agent in agents:
             sets[agent].append(rest)
     if local:
+        faults += _elsewhere(drafts)
         _stay_within(drafts, sets)
     members: list[Member] = []
     for draft in drafts:
         changes = tuple(sets[draft.name])
         restart = draft.restart if policy is None else replace(draft.restart, policy=policy)
         try:
-            config = load(draft.path, changes, plugins, must_load=must_load)
+            # What is installed here says nothing of another host.
+            config = load(draft.path, changes, None if draft.host else plugins, must_load=must_load)
         except ConfigError as error:
             faults += [fault._replace(where=draft.said_at.get(fault.where, fault.where)) for fault in error.faults]
             continue
         if config.agent.name != draft.name:
             problem = f"is another name than {draft.name!r}, by which the launcher knows this agent"
             faults.append(config.places.fault(("agent", "name"), problem))
-        members.append(Member(draft.name, draft.path, changes, config, restart, draft.after or ()))
+        members.append(Member(draft.name, draft.path, changes, config, restart, draft.after or (), draft.host))
     members = _in_order(members, [draft.name for draft in drafts if draft.after is None])
     faults += _clashes(members)
     if faults:
@@ -101,7 +106,7 @@ def make_fleet(
 
 
 def check_free(members: Sequence[Member]) -> Claim:
-    """Sees to it that no other agent has the name of a member, and no other program its port.
+    """Sees to it that on this machine no other agent has the name of a member, and no other program its port.
 
     Returns:
         What keeps other launchers from these ports.
@@ -111,7 +116,8 @@ def check_free(members: Sequence[Member]) -> Claim:
     """
     running = {(entry.fleet, entry.name): entry.pid for entry in entries()}
     problems = []
-    for member in members:
+    here = [member for member in members if not member.host]
+    for member in here:
         agent = member.config.agent
         pid = running.get((agent.fleet, agent.name))
         if pid is not None:
@@ -120,12 +126,19 @@ def check_free(members: Sequence[Member]) -> Claim:
         for address in _places(member):
             if fault := listening_fault(address.host, address.port):
                 problems.append(f"{agent.name} cannot listen at {address}: {fault}")
-    claim = Claim.to(address.port for member in members for address in _places(member))
+    claim = Claim.to(address.port for member in here for address in _places(member))
     if problems or claim is None:
         if claim is not None:
             claim.release()
         raise PancakesError("\n".join(problems) or "another launcher is about to use the ports of this fleet")
     return claim
+
+
+def _elsewhere(drafts: Sequence[_Draft]) -> Iterator[Fault]:
+    """What runs on another host cannot speak within this machine."""
+    for draft in drafts:
+        if draft.host:
+            yield Fault("--local", draft.name, f"runs on {draft.host}, which local:// does not reach")
 
 
 def _stay_within(drafts: Sequence[_Draft], sets: Mapping[str, list[str]]) -> None:
@@ -191,7 +204,7 @@ def _of_file(path: Path) -> Iterator[_Draft]:
         said_at.update(dict.fromkeys(overrides(found.fleet.set), found.places.where("fleet", "set")))
         said_at.update(dict.fromkeys(overrides(table.set), found.places.where("agent", name, "set")))
         places = {set_text(text): where for text, where in said_at.items()}
-        yield _Draft(name, file, tuple(said_at), places, table.restart or found.fleet.restart, table.after)
+        yield _Draft(name, file, tuple(said_at), places, table.restart or found.fleet.restart, table.after, table.host)
 
 
 def _name_in(values: Mapping[str, Any]) -> str:
@@ -215,6 +228,8 @@ def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
     """What two members cannot both have."""
     for index, member in enumerate(members):
         for other in members[:index]:
+            if other.host != member.host:
+                continue
             places = member.config.places
             for one, another in product(_places(member), _places(other)):
                 if _same_port(one, another):

@@ -46,6 +46,7 @@ class Member:
         config: the configuration that follows.
         restart: what happens when its process ends.
         after: the agents that must be ready before it is started, and that end after it.
+        host: where it runs, as `ssh` takes it: `pi@robot1`; empty: on this machine.
     """
 
     name: str
@@ -54,3 +55,4 @@ class Member:
     config: Config
     restart: ProcessRestart = field(default_factory=ProcessRestart)
     after: tuple[str, ...] = ()
+    host: str = ""

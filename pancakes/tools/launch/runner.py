@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol
 
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.tools.launch.course import Action, BeginMission, Course, Kill, SpawnProcess, TellPerson, Terminate
+from pancakes.tools.launch.host_agents import HostAgents
 from pancakes.tools.launch.lines import Lines
 from pancakes.tools.launch.member import Member
 from pancakes.tools.launch.process import end_all, start_agent
@@ -37,6 +38,9 @@ LetBegin = Callable[[dict[str, int]], list[str]]
 
 It may wait, in a thread of its own."""
 
+Elsewhere = Callable[[selectors.BaseSelector, Callable[[], float]], HostAgents]
+"""Returns what starts and ends the agents that run on other hosts."""
+
 
 class _Process:
     """One agent's process, and the pipes that lead to it."""
@@ -56,7 +60,6 @@ class _Process:
         os.set_blocking(self.output, False)
         self.lines = Lines()
         self.said = Lines()
-        self.rests: dict[str, str] = {}
 
 
 class Runner:
@@ -69,9 +72,17 @@ class Runner:
         course: what decides.
         voice: what is told to the person.
         let_begin: see `LetBegin`.
+        elsewhere: see `Elsewhere`; it is asked for where a member has a host.
     """
 
-    def __init__(self, members: Sequence[Member], course: Course, voice: Voice, let_begin: LetBegin) -> None:
+    def __init__(
+        self,
+        members: Sequence[Member],
+        course: Course,
+        voice: Voice,
+        let_begin: LetBegin,
+        elsewhere: Elsewhere | None = None,
+    ) -> None:
         self._members = {member.name: member for member in members}
         self._course = course
         self._voice = voice
@@ -79,6 +90,9 @@ class Runner:
         self._now = MonotonicClock().now
         self._processes: dict[str, _Process] = {}
         self._selector = selectors.DefaultSelector()
+        self._pids: dict[str, int] = {}
+        self._rests: dict[str, dict[str, str]] = {}
+        self._elsewhere = elsewhere(self._selector, self._now) if elsewhere is not None else None
         self._posted: deque[Callable[[], None]] = deque()
         self._mute = False
 
@@ -93,11 +107,15 @@ class Runner:
             if number == signal.SIGCHLD or signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
                 signal.signal(number, self._heard)
         self._selector.register(self._wake_reader, selectors.EVENT_READ, self._woken)
+        if self._elsewhere is not None:
+            self._elsewhere.attend(self)
         try:
             self._do(self._course.start(self._now()))
             while not self._course.over:
                 self._wait()
         finally:
+            if self._elsewhere is not None:
+                self._elsewhere.close()
             end_all([it.process for it in self._processes.values()], 0.0)
         return self._course.exit_code
 
@@ -106,13 +124,16 @@ class Runner:
             self._posted.append(lambda: self._do(self._course.stop(self._now())))
 
     def _wait(self) -> None:
-        deadline_s = self._course.deadline_s
+        times = [self._course.deadline_s, self._elsewhere.due_s if self._elsewhere is not None else None]
+        deadline_s = min((it for it in times if it is not None), default=None)
         timeout_s = None if deadline_s is None else max(0.0, deadline_s - self._now())
         for key, _ in self._selector.select(timeout_s):
             if self._selector.get_map().get(key.fd) is key:  # the end of a process closes its pipes
                 key.data()
         while self._posted:
             self._posted.popleft()()
+        if self._elsewhere is not None:
+            self._elsewhere.tick()
         self._do(self._course.tick(self._now()))
 
     def _woken(self) -> None:
@@ -136,27 +157,38 @@ class Runner:
                 case SpawnProcess(name):
                     self._spawn(name)
                 case Terminate(name):
-                    self._processes[name].process.terminate()
+                    if self._elsewhere is not None and self._members[name].host:
+                        self._elsewhere.end(name)
+                    else:
+                        self._processes[name].process.terminate()
                 case Kill(name):
-                    self._processes[name].process.kill()
+                    if self._elsewhere is not None and self._members[name].host:
+                        self._elsewhere.kill(name)
+                    else:
+                        self._processes[name].process.kill()
                 case BeginMission(names):
                     self._begin(names)
                 case TellPerson(name, event, text):
                     self._say(self._voice.told, name, event, text)
 
     def _spawn(self, name: str) -> None:
+        self._rests[name] = {}
+        if self._elsewhere is not None and self._members[name].host:
+            self._elsewhere.start(name)
+            return
         try:
             place = _Process(self._members[name])
         except OSError as error:
             self._do(self._course.unstartable(name, (error.strerror or str(error)).lower(), self._now()))
             return
         self._processes[name] = place
+        self._pids[name] = place.process.pid
         self._selector.register(place.output, selectors.EVENT_READ, lambda: self._read(name, place))
         self._selector.register(place.ready, selectors.EVENT_READ, lambda: self._read_ready(name, place))
         self._say(self._voice.told, name, "started", f"runs as process {place.process.pid}")
 
     def _begin(self, names: Sequence[str]) -> None:
-        pids = {name: self._processes[name].process.pid for name in names}
+        pids = {name: self._pids[name] for name in names}
 
         def let_begin() -> None:
             problems = self._let_begin(pids)
@@ -190,12 +222,15 @@ class Runner:
         if not data:
             self._selector.unregister(place.ready)
         for line in place.said.feed(data):
-            word, _, rest = line.partition(" ")
-            if word == "ready":
-                self._do(self._course.ready(name, self._now(), place.rests))
-            elif word == "rests":
-                task, _, why = rest.partition(" ")
-                place.rests[task] = why
+            self._said(name, line)
+
+    def _said(self, name: str, line: str) -> None:
+        word, _, rest = line.partition(" ")
+        if word == "ready":
+            self._do(self._course.ready(name, self._now(), self._rests[name]))
+        elif word == "rests":
+            task, _, why = rest.partition(" ")
+            self._rests[name][task] = why
 
     def _ended(self, name: str, place: _Process, code: int) -> None:
         """A process has ended. What it printed last is read; a child that it left may keep the pipe open for ever."""
@@ -213,6 +248,29 @@ class Runner:
         os.close(place.output)
         os.close(place.ready)
         self._do(self._course.ended(name, code, self._now()))
+
+    # What agents on other hosts do (`HostListener`) -----------------------------------------------------------------
+
+    def started_there(self, name: str, host: str, pid: int) -> None:
+        """See `HostListener`."""
+        self._pids[name] = pid
+        self._say(self._voice.told, name, "started", f"runs as process {pid} on {host}")
+
+    def printed_there(self, name: str, text: str) -> None:
+        """See `HostListener`."""
+        self._say(self._voice.line, name, text)
+
+    def said_there(self, name: str, line: str) -> None:
+        """See `HostListener`."""
+        self._said(name, line)
+
+    def ended_there(self, name: str, code: int, how: str) -> None:
+        """See `HostListener`."""
+        self._do(self._course.ended(name, code, self._now(), how))
+
+    def failed_there(self, name: str, reason: str) -> None:
+        """See `HostListener`."""
+        self._do(self._course.unstartable(name, reason, self._now()))
 
     def _say(self, say: Callable[..., None], *what: Any) -> None:
         """Says something. Where the reader of the output has ended (`| head`), the fleet ends, in silence."""

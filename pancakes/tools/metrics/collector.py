@@ -49,6 +49,13 @@ FAMILIES: Final[Sequence[tuple[str, Any, str, str]]] = (
     ("link_dropped_packets", CounterMetricFamily, "Packets that a slow peer missed.", "agent peer channel"),
     ("undelivered_packets", CounterMetricFamily, "Packets that no subscriber took.", "agent"),
     ("dead_letters", CounterMetricFamily, "Packets whose handler failed.", "agent"),
+    ("disk_syncs", CounterMetricFamily, "How often the agent has waited until its disk had all (fsync).", "agent"),
+    (
+        "disk_written_bytes",
+        CounterMetricFamily,
+        "What the agent has written to its journal.",
+        "agent",
+    ),
     ("mission_seconds", GaugeMetricFamily, "The agent's mission clock.", "agent"),
     ("battery_level_ratio", GaugeMetricFamily, "What is left of the battery.", "agent"),
 )
@@ -213,6 +220,9 @@ class AgentMetrics(Collector):
         kernel = self._kernel
         yield "undelivered_packets", [kernel.agent], kernel.stream.undelivered
         yield "dead_letters", [kernel.agent], kernel.dead_letters.count
+        syncs, written_bytes = kernel.disk_use()
+        yield "disk_syncs", [kernel.agent], syncs
+        yield "disk_written_bytes", [kernel.agent], written_bytes
         yield "mission_seconds", [kernel.agent], kernel.mission.now()
         if self.battery_level is not None:
             yield "battery_level_ratio", [kernel.agent], self.battery_level

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from mcap.exceptions import McapError
-from mcap.records import Chunk, McapRecord
+from mcap.records import Chunk, McapRecord, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from pancakes.runtime.runtime_dir import is_locked
@@ -50,6 +50,14 @@ def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
             damage.size_bytes += len(record.data)
         else:
             yield from inside
+
+
+def metadata_of(file: BinaryIO) -> Iterator[Metadata]:
+    """Gives the metadata records of a file as far as it is whole; what is between them is not looked at."""
+    with suppress(*READ_ERRORS):
+        for record in StreamReader(file, emit_chunks=True).records:
+            if isinstance(record, Metadata):
+                yield record
 
 
 def opened(path: Path) -> BinaryIO:

@@ -76,6 +76,10 @@ class RecordingParts:
         """Adds a message that is no packet; see `RecordingWriter.add`."""
         self._writer.add(topic, schema_name, schema, time_ns, data)
 
+    def note(self, name: str, row: Mapping[str, str]) -> None:
+        """Adds a metadata record; see `RecordingWriter.note`."""
+        self._writer.note(name, row)
+
     def flush(self) -> str:
         """Gives everything to the operating system, and begins a new file where it is time to.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -17,6 +18,7 @@ from pancakes.runtime.clock import wall_ns
 from pancakes.runtime.kernel.backlog import Backlog
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.stream import Tap
+from pancakes.tools.recording.alignment import CLOCKS, row_of
 from pancakes.tools.recording.description import CHANNEL, TaskDescription
 from pancakes.tools.recording.figures import figures_of
 from pancakes.tools.recording.latenesses import Latenesses
@@ -33,6 +35,10 @@ LATEST_S: Final = 0.75
 """After so long without a flush, in host time, the recording waits for no answer any more."""
 SYNC_S: Final = 4.9
 """How often, in host time, they are brought to the disk, which takes long: a power cut costs the packets since then."""
+CLOCKS_S: Final = 10.0
+"""How often, in host time, it is written how the clocks of peers stand; sooner at first, ..."""
+CLOCKS_SOON_S: Final = 1.0
+"""... after so long."""
 SAMPLE_S: Final = 0.99
 """How often, in host time, the figures of tasks and links are sampled: once a second."""
 
@@ -107,6 +113,8 @@ class Recording:
             "clock": "mission time" if virtual else "time of day",
             "speed": str(kernel.mission.speed),
             "task": settings.task,
+            "life": kernel.life,
+            "epoch_ns": str(self._epoch_ns),
         }
         path = goes_on or Path(settings.path.replace("{agent}", self._agent))
         drop_oldest = settings.at_limit == "drop_oldest"
@@ -114,6 +122,9 @@ class Recording:
         self._parts = RecordingParts(path, about, *limits, goes_on=goes_on is not None)
         self.first = self._parts.first
         self._flushed_s = self._synced_s = self._sampled_s = kernel.host.now()
+        # All agents in virtual time have one clock, unless theirs is skewed.
+        own_clock = kernel.virtual is None or kernel.host is not kernel.virtual.clock
+        self._clocks_due_s = self._flushed_s + CLOCKS_SOON_S if own_clock else math.inf
         self._tap_channels()
         kernel.stream.tap_outgoing(self._take)
         kernel.hear_lateness(self._latenesses.heard)
@@ -176,6 +187,9 @@ class Recording:
             if since_s < FLUSH_S:
                 return ""
             self._flushed_s = now_s
+            if now_s >= self._clocks_due_s:
+                self._clocks_due_s = now_s + CLOCKS_S
+                self._note_clocks()
             reason = self._parts.flush()
             if not reason and now_s - self._synced_s >= SYNC_S:
                 self._synced_s = now_s
@@ -199,6 +213,8 @@ class Recording:
         self._kernel.stream.untap_outgoing(self._take)
         try:
             self._write_waiting()
+            if self._clocks_due_s < math.inf:
+                self._note_clocks()
             self._parts.close()
         except OSError as error:
             self._say("warning", f"the recording {self.first} could not be closed: {error.strerror or error}")
@@ -210,6 +226,12 @@ class Recording:
                 return
             if self._everything or self._wanted(seen.packet):
                 self._put(RecordedPacket(self._time_ns(seen.host_s), self._agent, seen.packet))
+
+    def _note_clocks(self) -> None:
+        """Writes how the clocks of peers stand to this one, so that their recordings come in order with it."""
+        row = row_of(self._kernel.host.now(), self._kernel.links())
+        if row:
+            self._parts.note(CLOCKS, row)
 
     def _time_ns(self, host_s: float) -> int:
         return self._epoch_ns + int(host_s * NANOSECONDS)

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
+from msgspec.structs import replace
 
 from pancakes.errors import RemoteProtocolError
-from pancakes.tools.recording.mcap_records import READ_ERRORS, Damage, is_being_written, opened, records_of
+from pancakes.tools.recording.alignment import CLOCKS, Alignment, ClockLife, Shift
+from pancakes.tools.recording.mcap_records import (
+    READ_ERRORS,
+    Damage,
+    is_being_written,
+    metadata_of,
+    opened,
+    records_of,
+)
 from pancakes.tools.recording.message import packet_from_data
 from pancakes.tools.recording.mission_time import MissionTime
 from pancakes.tools.recording.parts import SUFFIX, first_name, part_number, parts_of
@@ -63,14 +72,18 @@ class RecordingReader:
         self.path = path
         self.files = files_of(path)
         self.readings = [FileReading(file) for file in self.files]
+        self._aligned: Alignment | None = None
 
     def entries(self) -> Iterator[RecordedPacket]:
         """Gives all packets, in the order in which they were recorded, over all files.
 
+        Their times are those of one clock, where the agents knew how their clocks stand to each other.
+
         Raises:
             RecordingError: a file is no recording at all.
         """
-        parts = [_entries(reading) for reading in self.readings]
+        shifts = self._alignment().shifts
+        parts = [_entries(reading, shifts) for reading in self.readings]
         yield from heapq.merge(*parts, key=lambda entry: entry.time_ns)
 
     def mission_time(self) -> MissionTime:
@@ -80,7 +93,13 @@ class RecordingReader:
             RecordingError: a file is no recording at all.
         """
         again = [FileReading(file) for file in self.files]
-        return MissionTime.of((reading.about, _entries(reading)) for reading in again)
+        shifts = self._alignment().shifts
+        return MissionTime.of((reading.about, _entries(reading, shifts)) for reading in again)
+
+    def _alignment(self) -> Alignment:
+        if self._aligned is None:
+            self._aligned = Alignment(_lives(self.files))
+        return self._aligned
 
     def notes(self) -> Sequence[str]:
         """Returns sentences on all that could not be read so far."""
@@ -94,6 +113,7 @@ class RecordingReader:
         live = [reading.path for reading in self.readings if reading.about.get("clock") == "time of day"]
         if virtual and live:
             notes.append(f"{virtual[0]} is in virtual time and {live[0]} is not: their times do not go together")
+        notes += self._alignment().remarks
         return notes + [
             f"{reading.path}: {text}" + (f" ({count} times)" if count > 1 else "")
             for reading in self.readings
@@ -118,7 +138,33 @@ def files_of(path: Path) -> list[Path]:
     return sorted(files, key=lambda file: (first_name(file), part_number(file)))
 
 
-def _entries(reading: FileReading) -> Iterator[RecordedPacket]:
+def _lives(files: Sequence[Path]) -> list[ClockLife]:
+    """Returns what recordings tell of the clocks of their agents; the times of older recordings stay as they are."""
+    lives: dict[str, ClockLife] = {}
+    if len(files) < 2:  # there is nothing to align
+        return []
+    for path in files:
+        own = None
+        with opened(path) as file:
+            for record in metadata_of(file):
+                if record.name == METADATA and (made := ClockLife.of(record.metadata)) is not None:
+                    own = lives.setdefault(made.key, made)
+                elif record.name == CLOCKS and own is not None:
+                    own.take(record.metadata)
+    return list(lives.values())
+
+
+def _entries(reading: FileReading, shifts: Mapping[str, Shift]) -> Iterator[RecordedPacket]:
+    shift: Shift | None = None
+    is_known = False
+    for entry in _recorded(reading):
+        if not is_known:  # what the recording says of itself stands before its first packet
+            is_known, life = True, ClockLife.of(reading.about)
+            shift = shifts.get(life.key) if life is not None else None
+        yield entry if shift is None else replace(entry, time_ns=shift(entry.time_ns))
+
+
+def _recorded(reading: FileReading) -> Iterator[RecordedPacket]:
     with opened(reading.path) as file:
         for schema, channel, message in messages(reading, file):
             if not schema.startswith(SCHEMAS):

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.records import Channel, McapRecord, Message, Schema
+from mcap.records import Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import CompressionType, IndexType, Writer
 
+from pancakes.tools.recording.alignment import CLOCKS
 from pancakes.tools.recording.mcap_records import READ_ERRORS, Damage, is_being_written, opened, records_of
 from pancakes.tools.recording.recorded_packet import RecordingError
 from pancakes.tools.recording.recording_reader import FileReading, messages
@@ -87,6 +88,8 @@ def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
                     channels[record.id] = writer.register_channel(
                         record.topic, record.message_encoding, schemas[record.schema_id], dict(record.metadata)
                     )
+            elif isinstance(record, Metadata) and record.name == CLOCKS:
+                writer.add_metadata(CLOCKS, dict(record.metadata))
             elif isinstance(record, Message):
                 if record.channel_id not in channels and damage.chunks:
                     continue

@@ -1,18 +1,30 @@
-"""What viewers draw without being told how: poses, paths and the world, in the schemas that Foxglove knows by name."""
+"""What viewers draw without being told how, in the schemas that Foxglove knows by name.
+
+| packet | schema and topic, below `/viewer/AGENT` |
+|---|---|
+| `pose` | `PoseInFrame` on `DEVICE`, `PosesInFrame` on `DEVICE/path`, `FrameTransforms` on `DEVICE/transform` |
+| `ir`, `sonar` | `LaserScan` on `DEVICE` |
+| `world_state` | `SceneUpdate` on `world` |
+| `event`, `line` | `Log` on `log` |
+
+Poses and the world are in the frame `world`, scans in that of the body, which bears the name of its agent.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any, Final, NamedTuple
 
+from pancakes.packet import LOG, SYSTEM
 from pancakes.runtime.foundation import codecs
+from pancakes.tools.recording.commands import body_text
 from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
-SHOWN: Final = ("pose", "world_state")
+SHOWN: Final = ("event", "ir", "line", "pose", "sonar", "world_state")
 """The packet types of which something is shown."""
 FRAME: Final = "world"
 TRAIL: Final = 300
@@ -21,6 +33,10 @@ TRAIL_NS: Final = 10 * NANOSECONDS
 """How often a path is written."""
 SHOWN_NS: Final = NANOSECONDS // 10
 """How often anything is shown at most: an eye sees no more, and the packets themselves are all in the recording."""
+STEP_DEG: Final = 3
+"""The angle between two values of a scan: 121 of them all around."""
+LEVELS: Final = {"debug": 1, "info": 2, "warning": 3, "error": 4}
+"""The levels of `foxglove.Log`; 0 is unknown."""
 COLOURS: Final = ((0.12, 0.47, 0.71), (0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.58, 0.40, 0.74), (1.0, 0.5, 0.05))
 GREY: Final = (0.5, 0.5, 0.5)
 
@@ -36,7 +52,7 @@ class ViewerMessage(NamedTuple):
 
 
 class Viewer:
-    """Makes viewer messages of packets: of the type `pose` a pose and a path, of the type `world_state` a scene."""
+    """Makes viewer messages of packets, see the table of this module; in one thread."""
 
     def __init__(self) -> None:
         self._trails: dict[str, deque[dict[str, Any]]] = {}
@@ -46,13 +62,20 @@ class Viewer:
     def messages(self, entry: RecordedPacket) -> Iterator[ViewerMessage]:
         """Gives what a viewer shows of a packet."""
         packet = entry.packet
-        if isinstance(packet.body, Mapping):
-            return  # of a type that is not known here
-        if packet.type == "pose" and packet.channel == "system" and packet.source.startswith(entry.agent + "/"):
+        if isinstance(packet.body, Mapping) or packet.type not in SHOWN:
+            return  # of a type that is not known here, or not shown
+        if packet.type == "world_state":
             if self._is_due(entry):
+                yield _scene(entry)
+        elif not packet.source.startswith(entry.agent + "/"):
+            return  # it only passes through
+        elif packet.channel == LOG:
+            yield _log(entry)
+        elif packet.channel == SYSTEM and self._is_due(entry):
+            if packet.type == "pose":
                 yield from self._pose(entry)
-        elif packet.type == "world_state" and self._is_due(entry):
-            yield _scene(entry)
+            elif packet.type in ("ir", "sonar"):
+                yield _scan(entry)
 
     def _is_due(self, entry: RecordedPacket) -> bool:
         source, time_ns = entry.packet.source, entry.time_ns
@@ -68,6 +91,14 @@ class Viewer:
         head = {"timestamp": _time(entry.time_ns), "frame_id": FRAME}
         topic = f"/viewer/{entry.agent}/{device}"
         yield _message(topic, "foxglove.PoseInFrame", entry.time_ns, {**head, "pose": pose})
+        frame = {
+            "timestamp": head["timestamp"],
+            "parent_frame_id": FRAME,
+            "child_frame_id": entry.agent,
+            "translation": pose["position"],
+            "rotation": pose["orientation"],
+        }
+        yield _message(f"{topic}/transform", "foxglove.FrameTransforms", entry.time_ns, {"transforms": [frame]})
         trail = self._trails.setdefault(topic, deque(maxlen=TRAIL))
         trail.append(pose)
         if entry.time_ns - self._told_ns.get(topic, -TRAIL_NS) >= TRAIL_NS:
@@ -107,6 +138,66 @@ def _scene(entry: RecordedPacket) -> ViewerMessage:
         )
     scene = {"deletions": [], "entities": entities}
     return _message(f"/viewer/{entry.agent}/world", "foxglove.SceneUpdate", entry.time_ns, scene)
+
+
+def _log(entry: RecordedPacket) -> ViewerMessage:
+    packet = entry.packet
+    if packet.type == "line":
+        level, text = packet.body.level, packet.body.text
+    else:
+        level, text = "info", f"{packet.body.kind.replace('_', ' ')}: {body_text(packet.body.fields)}"
+    plain = {
+        "timestamp": _time(entry.time_ns),
+        "level": LEVELS.get(level, 0),
+        "message": text,
+        "name": packet.source,
+        "file": "",
+        "line": 0,
+    }
+    return _message(f"/viewer/{entry.agent}/log", "foxglove.Log", entry.time_ns, plain)
+
+
+def _scan(entry: RecordedPacket) -> ViewerMessage:
+    ring, device = entry.packet.body, entry.packet.source.rpartition("/")[2]
+    start_deg, ranges_m, seen = scan(ring.bearings_rad, ring.ranges_m, ring.max_range_m)
+    plain = {
+        "timestamp": _time(entry.time_ns),
+        "frame_id": entry.agent,
+        "pose": _pose(0.0, 0.0, 0.0),
+        "start_angle": math.radians(start_deg),
+        "end_angle": math.radians(start_deg + STEP_DEG * (len(ranges_m) - 1)),
+        "ranges": ranges_m,
+        "intensities": seen,
+    }
+    return _message(f"/viewer/{entry.agent}/{device}", "foxglove.LaserScan", entry.time_ns, plain)
+
+
+def scan(
+    bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float
+) -> tuple[int, list[float], list[float]]:
+    """Puts the readings of a ring of sensors on a grid of equal angles, as a `LaserScan` has them.
+
+    Args:
+        bearings_rad: the direction of each sensor, in the frame of the body.
+        ranges_m: what each of them sees, from its edge.
+        max_range_m: the full range, which a sensor says that sees nothing.
+
+    Returns:
+        The first angle in whole degrees, and for each step of `STEP_DEG` from there the range and the intensity: 1
+        where a sensor sees something; 0, at the full range, where none does or none looks.
+
+    Raises:
+        ValueError: there are not as many ranges as bearings.
+    """
+    degrees = [STEP_DEG * round(math.degrees(it) / STEP_DEG) for it in bearings_rad]
+    start_deg = min(degrees, default=0)
+    count = (max(degrees, default=0) - start_deg) // STEP_DEG + 1
+    grid_m, seen = [max_range_m if math.isfinite(max_range_m) else 0.0] * count, [0.0] * count  # JSON has no infinity
+    for angle, range_m in zip(degrees, ranges_m, strict=True):
+        place = (angle - start_deg) // STEP_DEG
+        if range_m < max_range_m:
+            grid_m[place], seen[place] = min(range_m, grid_m[place]), 1.0
+    return start_deg, grid_m, seen
 
 
 def _message(topic: str, name: str, time_ns: int, plain: Mapping[str, Any]) -> ViewerMessage:

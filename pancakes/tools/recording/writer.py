@@ -87,6 +87,14 @@ class RecordingWriter:
             self._channels[key] = self._mcap.register_channel(topic, "json", number)
         self._add_message(self._channels[key], time_ns, data, 0)
 
+    def note(self, name: str, row: Mapping[str, str]) -> None:
+        """Adds a metadata record.
+
+        Raises:
+            OSError: the disk is full, ...
+        """
+        self._mcap.add_metadata(name, dict(row))
+
     def size_bytes(self) -> int:
         """Returns how large the file was after the last `flush`."""
         return self._file.tell()

@@ -117,5 +117,5 @@ def _virtual(config: Config, seed: int) -> Config:
     agent = replace(config.agent, seed=seed, birth_wait_s=0.0)  # its peers are not here
     log = config.services["log"]
     services = {**config.services, "log": replace(log, settings={**log.settings, "console": False})}
-    clock = replace(config.clock, hold=False, speed=1.0)
+    clock = replace(config.clock, hold=False, speed=1.0, join_s=0.0)
     return replace(config, agent=agent, record=None, clock=clock, services=services)

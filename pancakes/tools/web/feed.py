@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 from pancakes.runtime.foundation import codecs
+from pancakes.tools.short_state import shortened
 from pancakes.tools.web.fleet_model import FleetModel
 from pancakes.tools.web.history import FrameHistory
+from pancakes.tools.web.state_history import StateHistory
 
+LONGEST_VALUE: Final = 80
+"""A value in the state of a task is cut after so many characters."""
 FRAMES_HZ: Final = 10.0
 """How often, each second, pages get news and the history gets a frame."""
 
@@ -36,7 +40,8 @@ class Feed:
 
     Attributes:
         model: what is known; under the lock only.
-        lock: guards the model.
+        states: the states that tasks were seen with; under the lock only.
+        lock: guards both.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -45,6 +50,7 @@ class Feed:
         self._gap_s = 0.0
         self.lock = threading.Lock()
         self.model = FleetModel()
+        self.states = StateHistory()
         self._history = FrameHistory()
         self._recorded = 0
         self._recorded_s = -1.0
@@ -89,6 +95,15 @@ class Feed:
             frame = self._frame(t, None if whole else self._recorded)
             self._recorded = board.version
             self._history.add(t, frame)
+
+    def take_detail(self, agent: str, description: Mapping[str, Any]) -> None:
+        """Takes what is known about one task: the result of `Describe` of it, with its state."""
+        state = description["state"]  # of a task that does not run, that is the word for it
+        short = shortened(state, most_chars=LONGEST_VALUE) if isinstance(state, Mapping) else None
+        with self.lock:
+            self.model.detail(agent, description)
+            if short is not None:
+                self.states.add(f"{agent}/{description['service']}/{description['task']}", self.now(), short)
 
     def chunk(self, t: float) -> bytes:
         """Returns the piece of the history in which `t` lies, see `FrameHistory.at`."""

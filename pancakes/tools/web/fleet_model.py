@@ -222,6 +222,7 @@ class FleetModel:
                 "dropped": row["dropped"],
                 "links": row["links"],
                 "insecure": answer["insecure"],
+                "version": _version(answer["process"]),
                 "dead_letters": answer["dead_letters"],
                 "undelivered": answer["undelivered"],
                 "devices": list(answer["devices"]),
@@ -316,6 +317,11 @@ def _is_point(value: Any) -> TypeGuard[Sequence[float]]:
 
 def _rounded(value: float | None) -> float | None:
     return round(value, 3) if value is not None else None
+
+
+def _version(process: Mapping[str, Any] | None) -> str | None:
+    """Returns which version an agent runs; None: it shares the process of others, and their version."""
+    return None if process is None else process.get("build") or process["version"]
 
 
 def _short(value: float | None, digits: int = 3) -> float | None:

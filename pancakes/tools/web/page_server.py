@@ -28,8 +28,9 @@ from pancakes.tools.web.connection import PageConnection
 from pancakes.tools.web.feed import FRAMES_HZ, Cursor
 from pancakes.tools.web.files import static_files
 from pancakes.tools.web.http import refused, response
-from pancakes.tools.web.page_orders import order_from
+from pancakes.tools.web.page_orders import AgentName, ServiceTask, order_from
 from pancakes.tools.web.shown import Shown
+from pancakes.tools.web.task_looks import TaskLooks
 
 ADDRESS: Final = "127.0.0.1"
 PORT: Final = 7480
@@ -77,6 +78,7 @@ class PageServer:
         self._shown = shown
         self._files = static_files()
         self._pages: set[ServerConnection] = set()
+        self._looks = TaskLooks()
         self._aside: dict[ServerConnection, asyncio.Future[str | bytes]] = {}
         self._loop = asyncio.new_event_loop()
         self._stop: asyncio.Event | None = None
@@ -289,6 +291,9 @@ class PageServer:
             return msgspec.Raw(shown.feed.chunk(_moment_of(asked)))
         if what == "explain":
             return await self._loop.run_in_executor(None, shown.explain, *_command_of(asked))
+        if what == "task":
+            wanted = codecs.convert(asked, _TaskLookRequest)
+            return await self._looks.look(shown, wanted.agent, wanted.task, wanted.t)
         if what == "order":
             if shown.order is None:
                 raise ControlRefused("this page may only look: start it with --control to change something")
@@ -325,6 +330,14 @@ def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | 
 
 _ENCODE: Final = codecs.json_encoder(as_list)
 _ASKED: Final[Callable[[bytes | str], dict[str, Any]]] = codecs.json_decoder(dict[str, Any])
+
+
+class _TaskLookRequest(msgspec.Struct):
+    """Which task a page asks about, and at which moment of the timeline; None: now."""
+
+    agent: AgentName
+    task: ServiceTask
+    t: float | None = None
 
 
 class _ExplainRequest(msgspec.Struct):

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
-from collections.abc import Iterable, Mapping
+from collections import deque
+from collections.abc import Iterable
+from concurrent.futures import Future
 from typing import Any, Final
 
 from pancakes.client.looks import Looks
+from pancakes.control import Describe, Reply
+from pancakes.errors import ControlRefused, PancakesError, Unreachable
 from pancakes.fleet import VirtualFleet
 from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
 from pancakes.runtime.agent import Agent
 from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.life.life import State
 from pancakes.runtime.services.root import Root
 from pancakes.service import Service
 from pancakes.task import Task
@@ -53,6 +57,7 @@ class VirtualWatch:
         self._looked_s = -LOOK_S
         self._detailed_s: dict[tuple[str, str, str], float] = {}
         self._stale: set[tuple[str, str, str]] = set()
+        self._questions: deque[tuple[str, Describe, Future[Reply]]] = deque()
         self._chains = CommandChains()
         self._explaining = Explaining()
 
@@ -75,12 +80,14 @@ class VirtualWatch:
         assert self._fleet is not None
         self._time_s = self._fleet.now()
         self._look()
+        self._answer()
         self.feed.record()
         self._stopping.wait(max(0.0, self._began_s + self._now() - HOST.now()))
 
     def end(self) -> None:
         """Looks no more: that agents stop once a mission is over is no part of it."""
         self._over = True
+        self._answer()
         with self.feed.lock:
             self._explain(self._chains.close())
 
@@ -90,6 +97,57 @@ class VirtualWatch:
         """Returns why an agent's actuator was commanded, see `Explaining.explain`. Any thread."""
         with self.feed.lock:
             return self._explaining.explain(agent, type_, t, command, step)
+
+    def look(self, agent: str, body: Describe, timeout_s: float) -> Future[Reply]:
+        """Describes a task between two turns, see `Watch.order`. Any thread.
+
+        Args:
+            agent: the agent's name.
+            body: what is asked; its target is `service/task`.
+            timeout_s: the mission runs in this process, so the answer takes no longer than until the next `pace`.
+        """
+        answer: Future[Reply] = Future()
+        self._questions.append((agent, body, answer))
+        if self._over:  # it looks no more, and may have answered the last of them before this one
+            self._answer()
+        return answer
+
+    def _answer(self) -> None:
+        while True:
+            try:
+                agent, body, answer = self._questions.popleft()
+            except IndexError:
+                return
+            try:
+                answer.set_result(Reply(True, "", self._described(agent, body)))
+            except ControlRefused as error:
+                answer.set_result(Reply(False, str(error)))
+            except PancakesError as error:
+                answer.set_exception(error)
+
+    def _described(self, agent: str, body: Describe) -> dict[str, Any]:
+        """Returns what there is to be known of a task.
+
+        Raises:
+            ControlRefused: there is none, or it does not run and so has no state, or that cannot be written down.
+            Unreachable: the mission is over, or its agent was killed.
+        """
+        if self._over:
+            raise Unreachable("the mission is over: no agent can be asked any more")
+        assert self._fleet is not None
+        if agent not in self._fleet.agents:
+            raise Unreachable(f"{agent} cannot be reached")
+        service, _, name = body.target.partition("/")
+        owner = self._fleet.agents[agent].kernel.registry.get(f"{agent}/{service}")
+        if not isinstance(owner, Service) or name not in owner.slots:
+            raise ControlRefused(f"{agent} has no task {body.target!r}")
+        slot = owner.slots[name]
+        described = owner.describe_in_detail(slot)
+        if not body.state:
+            return described
+        if not isinstance(slot.task, Task) or slot.life.state is not State.RUNNING:
+            raise ControlRefused(f"{slot.address} is {slot.life.word}, not running")
+        return {**described, **slot.task.describe_state(body)}
 
     def _now(self) -> float:
         return self._time_s / self.speed
@@ -156,16 +214,9 @@ class VirtualWatch:
         self._stale.clear()
 
     def _detail(self, agent: str, service: str, task: str) -> None:
-        assert self._fleet is not None
-        there = self._fleet.agents.get(agent)  # none where it was killed
-        owner = there.kernel.registry.get(f"{agent}/{service}") if there is not None else None
-        if not isinstance(owner, Service) or task not in owner.slots:
-            return
-        slot = owner.slots[task]
-        description: Mapping[str, Any] = owner.describe_in_detail(slot)
-        if isinstance(slot.task, Task):
-            # What a task keeps in its state may be anything; what cannot be written down is not shown.
-            with contextlib.suppress(Exception):
-                description = {**description, "state": slot.task.carry().state}
-        with self.feed.lock:
-            self.feed.model.detail(agent, description)
+        for state in (True, False):  # what a task keeps in its state may be anything; what cannot be told is not shown
+            try:
+                self.feed.take_detail(agent, self._described(agent, Describe(f"{service}/{task}", state)))
+                return
+            except PancakesError:  # or its agent was killed
+                continue

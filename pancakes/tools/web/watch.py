@@ -311,10 +311,10 @@ class Watch:
         self._take_looks([(asked, result) for asked, result in answered if asked.about == "look"], now_s)
         now = self._feed.now()
         for asked, result in answered:
+            if asked.about == "detail":
+                self._feed.take_detail(asked.agent, result)
             with self._feed.lock:
-                if asked.about == "detail":
-                    self._feed.model.detail(asked.agent, result)
-                elif asked.about == "recall":
+                if asked.about == "recall":
                     self._feed.model.recall(result, now)
                 elif asked.about == "traces":
                     self._traces.take(asked.agent, asked.packets, result, now)

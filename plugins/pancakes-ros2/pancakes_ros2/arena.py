@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes.bodies.sim.physics import Incident
 from pancakes.bodies.sim.quantities import Positive
 from pancakes.bodies.sim.settings import ContentSettings
-from pancakes.bodies.sim.simulation import Incident
 from pancakes.bodies.sim.state import WorldState
 from pancakes.errors import PancakesError
 from pancakes.packet import SYSTEM

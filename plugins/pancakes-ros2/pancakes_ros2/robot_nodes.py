@@ -15,8 +15,8 @@ from typing import IO, Any, Final
 import msgspec
 
 from pancakes.bodies.sim.models import robot_model
+from pancakes.bodies.sim.physics import STEP_S, Physics
 from pancakes.bodies.sim.settings import ContentSettings
-from pancakes.bodies.sim.simulation import STEP_S, Simulation
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.foundation import codecs
 from pancakes.settings import make_settings
@@ -64,7 +64,7 @@ def main() -> None:
         return
     contents = codecs.json_decoder(Contents)(first)
     settings = make_settings(ContentSettings, contents.world, owner="the arena")
-    _serve(settings, Simulation(settings, random.Random(contents.seed)), contents.state_hz, lines)
+    _serve(settings, Physics(settings, random.Random(contents.seed)), contents.state_hz, lines)
 
 
 def _read(stream: IO[bytes], lines: queue.SimpleQueue[bytes | None]) -> None:
@@ -79,7 +79,7 @@ def _say(line: TruthLine) -> None:
 
 
 def _serve(
-    settings: ContentSettings, simulation: Simulation, state_hz: float, lines: queue.SimpleQueue[bytes | None]
+    settings: ContentSettings, physics: Physics, state_hz: float, lines: queue.SimpleQueue[bytes | None]
 ) -> None:
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
@@ -93,11 +93,11 @@ def _serve(
         executor.add_node(node)
         robot = settings.robots.get(name)
         if robot is None:
-            robots.append(SimulatedRobot(node, name, simulation, None, ("motion",)))
+            robots.append(SimulatedRobot(node, name, physics, None, ("motion",)))
             continue
         model = robot_model(robot.model)
         rings = (*("ir",) * (model.ir is not None), *("sonar",) * (model.sonar is not None))
-        robots.append(SimulatedRobot(node, name, simulation, model.drive, ("battery", *rings)))
+        robots.append(SimulatedRobot(node, name, physics, model.drive, ("battery", *rings)))
     host = MonotonicClock().now
     steps, state_step = round(1.0 / (state_hz * STEP_S)), 0
     beginning: Beginning | None = None
@@ -113,11 +113,11 @@ def _serve(
         if beginning is not None:
             now_s = beginning.mission_at(host())
             while state_step * STEP_S <= now_s:
-                simulation.advance(state_step * STEP_S)
-                _say(TruthLine(state=simulation.state()))
+                physics.advance(state_step * STEP_S)
+                _say(TruthLine(state=physics.state()))
                 state_step += steps
-            simulation.advance(now_s)
-            for incident in simulation.take_happenings():
+            physics.advance(now_s)
+            for incident in physics.take_happenings():
                 _say(TruthLine(incident=incident))
             for each in robots:
                 each.publish(now_s)

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from pancakes.bodies.devices.types import Twist
 from pancakes.bodies.sim.drive import DriveKinematics
-from pancakes.bodies.sim.simulation import Simulation
+from pancakes.bodies.sim.physics import Physics
 from pancakes_ros2.conversion import (
     BATTERY,
     BOOL,
@@ -41,17 +41,17 @@ class SimulatedRobot:
     Args:
         node: its rclpy node.
         name: its name in the world.
-        simulation: the world.
+        physics: the world.
         wheels: what its wheels are like; None: it has none.
         types: the types of its sensors, as the world knows them.
     """
 
     def __init__(
-        self, node: Any, name: str, simulation: Simulation, wheels: DriveKinematics | None, types: tuple[str, ...]
+        self, node: Any, name: str, physics: Physics, wheels: DriveKinematics | None, types: tuple[str, ...]
     ) -> None:
         self._node = node
         self._name = name
-        self._simulation = simulation
+        self._physics = physics
         self._wheels = wheels
         self._task = ""
         self._publishers: dict[str, Any] = {}
@@ -70,9 +70,9 @@ class SimulatedRobot:
     def _heard_command(self, message: Any) -> None:
         command = read_twist(message)
         if command == Twist(0.0, 0.0):
-            self._simulation.hold(self._name)
+            self._physics.hold(self._name)
         elif self._wheels is not None:
-            self._simulation.drive(self._name, self._wheels.wheels(command), TIMES_OUT_S, self._task)
+            self._physics.drive(self._name, self._wheels.wheels(command), TIMES_OUT_S, self._task)
 
     def publish(self, now_s: float) -> None:
         """Publishes the readings that are due."""
@@ -80,7 +80,7 @@ class SimulatedRobot:
             if now_s < due_s:
                 continue
             self._due[kind] = (max(due_s + period_s, now_s), period_s)
-            body = self._simulation.sample(self._name, kind)
+            body = self._physics.sample(self._name, kind)
             if kind == "pose":
                 for topic, message in POSES:
                     self._say("pose", message, topic, body, 0)

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from pancakes.control import ReloadKeys
+from pancakes.runtime.clock import utc_text
 from pancakes.tools.cli.asking import ask_each, survey
 from pancakes.tools.cli.name_types import agents, the_agent
 from pancakes.tools.cli.options import Ask, asks_agents, orders_agents
@@ -140,7 +141,8 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
             "dead letters": found["dead_letters"],
             "packets for agents that were away": found["undelivered"],
         },
-        "process": found["process"] or {},
+        "process": {**(found["process"] or {}), **_disk(found)},
+        "ways": mesh["ways"],
         "services": [
             {key: row[key] for key in ("service", "type", "state", "tasks", "reason")} for row in found["services"]
         ],
@@ -150,17 +152,37 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
 
 def _clock(found: dict[str, Any]) -> str:
     state = ", held until Begin" if found["held"] else ""
-    return f"{found['mission_s']:.3f} s of the mission, at speed {found['speed']:g}{state}"
+    day = f"{utc_text(found['utc_s'])} UTC" if found["utc_s"] is not None else "no time of day"
+    return f"{found['mission_s']:.3f} s of the mission, at speed {found['speed']:g}{state}; {day}"
+
+
+def _disk(found: dict[str, Any]) -> dict[str, str]:
+    disk, hours = found.get("disk"), ((found["process"] or {}).get("uptime_s") or 0.0) / 3600.0
+    if disk is None or not hours:
+        return {}
+    syncs, written_mb = disk["syncs"] / hours, disk["written_bytes"] / 1e6 / hours
+    return {"disk, an hour": f"{syncs:.0f} fsyncs, {written_mb:.1f} MB written"}
 
 
 def _link(peer: dict[str, Any]) -> dict[str, Any]:
-    rtt_s = peer["rtt_s"]
+    rtt_s, clock = peer["rtt_s"], peer["clock"] or {}
+
+    def ms(key: str) -> float | None:
+        return None if (value_s := clock.get(key)) is None else 1e3 * value_s
+
     return {
         "link to": peer["name"],
         "role": peer["role"],
         "address": ", ".join(peer["addresses"]) or peer["remote"],
+        "reach": peer["reach"],
+        "encrypted": peer["encrypted"],
+        "cost": peer["cost"],
         "certificate": peer["certificate"],
         "rtt_ms": None if rtt_s is None else 1e3 * rtt_s,
+        "clock ± ms": ms("bound_s"),
+        "clock gains ppm": None if not clock else 1e6 * clock["drift"],
+        "mission ahead ms": ms("mission_ahead_s"),
+        "day ahead ms": ms("day_ahead_s"),
         "packets out": peer["packets_out"],
         "packets in": peer["packets_in"],
         "kB out": peer["bytes_out"] / 1e3,

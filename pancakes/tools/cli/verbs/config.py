@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from pancakes.control import Describe
-from pancakes.errors import ConfigError, Unreachable
+from pancakes.errors import ConfigError, ControlRefused, Unreachable
 from pancakes.runtime.foundation.printable import printable_data
 from pancakes.tools.cli.asking import order
 from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
@@ -134,7 +134,10 @@ def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
         if not client.is_there(agent):
             no_file = "that is a folder" if Path(agent).is_dir() else f"there is no file {agent!r}"
             raise Unreachable(f"no agent {agent!r} answers, and {no_file}")
-        found = order(client, agent, Describe(config=True))
+        try:
+            found = order(client, agent, Describe(config=True))
+        except ControlRefused as error:
+            raise ControlRefused(f"{error}; pancakes task info {agent}/TASK shows the settings of one task") from None
 
     def origin(keys: tuple[str, ...]) -> str:
         of_task = keys[0] == "task" and len(keys) > 1 and keys[1] in found["created"]
@@ -198,7 +201,7 @@ def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
 def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """A row for each key, with the table that it stands in."""
     from pancakes.runtime.config.toml_text import value_text
-    from pancakes.tools.cli.verbs.schema_rows import rows_of
+    from pancakes.tools.schema_rows import rows_of
 
     for table, part in schema["properties"].items():
         inner = part.get("additionalProperties")

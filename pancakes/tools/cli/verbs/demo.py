@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import threading
@@ -12,14 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
+from click.core import ParameterSource
 
 from pancakes.errors import PancakesError
 from pancakes.runtime.plugins import Plugins, UnknownPlugin
 from pancakes.tools.cli import interpreter
 from pancakes.tools.cli.interrupts import end_by_signals, event_at
-from pancakes.tools.cli.options import FiniteRange, agent_sets_option
+from pancakes.tools.cli.options import FiniteRange, agent_sets_option, format_option
 from pancakes.tools.cli.output import show_text
 from pancakes.tools.cli.verbs.demo_page import DemoPage
+from pancakes.tools.cli.verbs.demo_seeds import Seeds, nice_path, run_seeds
 from pancakes.tools.cli.verbs.view import port_option
 
 if TYPE_CHECKING:
@@ -52,6 +53,10 @@ class DemoNames(click.ParamType):
     "--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws noise, the mover's way, the start."
 )
 @click.option(
+    "--seeds", type=Seeds(), help="Many missions, one for each seed of a range: 1-200, or 3,17,20-29 (virtual)."
+)
+@click.option("--jobs", type=click.IntRange(1), help="So many of them at once. [default: one for each core]")
+@click.option(
     "--speed",
     default=5.0,
     show_default=True,
@@ -70,18 +75,24 @@ class DemoNames(click.ParamType):
     help="Folder with the agents' configurations. [default: those that come with the demo]",
 )
 @agent_sets_option
-@click.option("--headless", is_flag=True, help="Plain lines instead of the live view.")
+@click.option("--headless", is_flag=True, help="Plain lines instead of the live view, or of the bar of many missions.")
 @click.option("--record", is_flag=True, help="Record what all agents say, into the folder for the results.")
 @click.option("--view", "view_", is_flag=True, help="Show it on a page in the browser, which stays until Ctrl-C.")
-@click.option("--control", is_flag=True, help="Let that page move and stop tasks and change rates (live).")
+@click.option("--control", is_flag=True, help="Let that page move and stop tasks and change settings (live).")
 @port_option
 @click.option("--local", is_flag=True, help="The agents speak within this machine alone, and take no port (live).")
 @click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")
+@format_option
+@click.pass_context
 def demo(
+    ctx: click.Context,
     name: str | None,
     list_: bool,
     virtual: bool | None,
     seed: int,
+    seeds: tuple[int, ...] | None,
+    jobs: int | None,
+    format_: str,
     speed: float,
     out: Path | None,
     view_: bool,
@@ -98,6 +109,7 @@ def demo(
         pancakes demo encirclement
         pancakes demo encirclement --virtual --seed 7 --out runs/seven
         pancakes demo encirclement --view
+        pancakes demo encirclement --virtual --seeds 1-200
     """
     plugins = Plugins()
     if list_ or name is None:
@@ -117,6 +129,11 @@ def demo(
     mission = _mission(found)
     if virtual and mission.live_only:
         raise click.UsageError(f"the demo {name!r} runs live alone: {mission.live_only}")
+    if seeds is None and (jobs is not None or format_ != "table"):
+        raise click.UsageError("--jobs and --format are about many missions: they need --seeds")
+    if seeds is not None:
+        _refuse_beside_seeds(ctx, virtual, view_)
+        sys.exit(_many(found, seeds, jobs, format_, out, faults, plugins, **asked))
     fastest = mission.fastest
     if not virtual and speed > fastest:
         raise click.UsageError(
@@ -146,6 +163,41 @@ def demo(
     if page is None and interrupted.is_set():  # a page is ended in this way
         code = INTERRUPTED
     sys.exit(code)
+
+
+def _refuse_beside_seeds(ctx: click.Context, virtual: bool, view: bool) -> None:
+    """Refuses what does not go with many missions."""
+    if not virtual:
+        raise click.UsageError("--seeds needs --virtual: live missions would share the machine, and its time")
+    if view:
+        raise click.UsageError("--view shows one mission: it does not go with --seeds")
+    if ctx.get_parameter_source("seed") is not ParameterSource.DEFAULT:
+        raise click.UsageError("--seed and --seeds do not go together: name all seeds in --seeds, as 3,17,20-29")
+
+
+def _many(
+    found: Demo | Comparison,
+    seeds: tuple[int, ...],
+    jobs: int | None,
+    format_: str,
+    out: Path | None,
+    faults: bool,
+    plugins: Plugins,
+    *,
+    duration: float | None,
+    configs: Path | None,
+    sets: tuple[str, ...],
+    headless: bool,
+    record: bool,
+) -> int:
+    from pancakes.tools.demo.unattended import MissionWishes
+
+    interrupted = event_at(*SIGNALS, again=INTERRUPTED)
+    wishes = MissionWishes(found.name, duration, configs, sets, faults, record)
+    folder = (out or Path("runs") / f"{found.name}-seeds").absolute()
+    whole, failed = run_seeds(found, seeds, folder, wishes, jobs, headless, format_, plugins, interrupted.is_set)
+    end_by_signals(*SIGNALS)
+    return INTERRUPTED if not whole else FAILED if failed else PASSED
 
 
 def _mission(found: Demo | Comparison) -> Demo:
@@ -207,12 +259,12 @@ def _run(found: Demo | Comparison, out: Path, options: _Options) -> int:
     if options.interrupted.is_set():
         return _interrupted_late(out)
     _say_pace(timing)
-    results = f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {_nice(out)}"
+    results = f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {nice_path(out)}"
     return _verdict(summary, how_slow(timing), results)
 
 
 def _interrupted_late(out: Path) -> int:
-    show_text(f"interrupted after the mission: no verdict; what is written so far is in {_nice(out)}", err=True)
+    show_text(f"interrupted after the mission: no verdict; what is written so far is in {nice_path(out)}", err=True)
     return INTERRUPTED
 
 
@@ -235,7 +287,7 @@ def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any]
     fresh(out, (*found.records.values(), "paths.png"))
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()
-    show_text(f"{found.title}: seed {seed}, {duration_s:g} s, results in {_nice(out)}")
+    show_text(f"{found.title}: seed {seed}, {duration_s:g} s, results in {nice_path(out)}")
     # The page first: what is printed while the live view draws would stand in its way, and be erased.
     onlooker = None
     if page is not None and virtual:
@@ -288,17 +340,14 @@ def _compare(found: Comparison, out: Path, options: _Options) -> int:
     slow = [(variant.title, how_slow(timings[variant.name])) for variant in found.variants]
     folders = _listed(variant.name for variant in found.variants)
     where = "; ".join(f"{title}: {text}" for title, text in slow if text)
-    return _verdict(summary, where, f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}")
+    return _verdict(
+        summary, where, f"summary.json and {found.picture}, and the folders {folders}, are in {nice_path(out)}"
+    )
 
 
 def _listed(names: Iterable[str]) -> str:
     *others, last = sorted(names)
     return f"{', '.join(others)} and {last}" if others else last
-
-
-def _nice(path: Path) -> str:
-    relative = os.path.relpath(path)
-    return relative if not relative.startswith("..") else str(path)
 
 
 def _say_pace(timing: dict[str, Any]) -> None:

@@ -53,7 +53,7 @@ class DemoPage:
         feed.wait_for("the agents start")
         fleet = next(iter(plan.configs.values())).agent.fleet
         watch = Watch(feed, plan.peers(within_machine=True), fleet, over=lambda: mission.ended)
-        self._show(Shown(feed, watch.explain, watch.order if self._control else None, plan.demo.title))
+        self._show(Shown(feed, watch.explain, watch.order, watch.order if self._control else None, plan.demo.title))
         self._stop_watching()
         self._watch = watch
         watch.start()
@@ -64,7 +64,7 @@ class DemoPage:
         from pancakes.tools.web.virtual_watch import VirtualWatch
 
         watch = VirtualWatch(self._speed, self._interrupted)
-        self._show(Shown(watch.feed, watch.explain, None, title))
+        self._show(Shown(watch.feed, watch.explain, watch.look, None, title))
         return watch
 
     def end(self, sentence: str) -> None:

@@ -32,8 +32,8 @@ def doctor(no_machine: bool, ask: Ask) -> None:
 
     On the machine: Python and its libraries, plug-ins, the directories that agents use, open files, clock, loopback.
     In agents: those that do not answer, are suspended, or have another's name or version; peers that are away;
-    services and tasks that were given up or are stuck; missed ticks and lost packets; actuators that refuse a task. The
-    exit code is 1 where there is an error.
+    services and tasks that were given up or are stuck; missed ticks and lost packets; actuators that refuse a task;
+    clocks that are off (time of day, rate, mission time). The exit code is 1 where there is an error.
 
     \b
     Example:
@@ -72,8 +72,10 @@ def _look(machine: bool, ask: Ask) -> Iterator[Finding]:
 def _look_at_agents(ask: Ask) -> Iterator[Finding]:
     from pancakes.control import Describe, Guarding
     from pancakes.errors import PancakesError
+    from pancakes.runtime.clock import wall_ns
     from pancakes.runtime.runtime_dir import entries
     from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
+    from pancakes.tools.cli.verbs.clock_checks import check_clocks
     from pancakes.tools.cli.verbs.finding import Finding
     from pancakes.tools.cli.verbs.guard_checks import check_guards
 
@@ -89,6 +91,7 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
             return
         yield from check_entries(there)
     with ask.client() as client:
+        asked_s = wall_ns() / 1e9
         try:
             found = client.survey()
         except Unreachable as error:
@@ -102,6 +105,7 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
             except PancakesError:
                 return None
 
+        yield from check_clocks(found.agents, asked_s)
         yield from check_fleet(found.agents, found.silent, told, found.asleep)
         guarded = client.ask_each(Guarding(), *(agent["agent"] for agent in found.agents))
         yield from check_guards([row for _, reply in guarded.replies if reply.ok for row in reply.result])

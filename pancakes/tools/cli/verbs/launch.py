@@ -1,11 +1,15 @@
-"""`pancakes launch`: runs the agents of a fleet on this machine, and stands by them."""
+"""`pancakes launch`: runs the agents of a fleet, on this machine and on others, and stands by them."""
 
 from __future__ import annotations
 
 import os
+import selectors
 import sys
-from collections.abc import Mapping, Sequence
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -19,6 +23,9 @@ from pancakes.tools.cli.options import agent_sets_option, format_option
 from pancakes.tools.cli.output import show, show_text
 
 if TYPE_CHECKING:
+    from pancakes.client import Client
+    from pancakes.tools.launch.host_agents import HostAgents, HostStart
+    from pancakes.tools.launch.hosts import Host
     from pancakes.tools.launch.member import Member, Policy
 
 COUNTDOWN_S: Final = 0.25
@@ -63,12 +70,15 @@ def launch(
     dry_run: bool,
     format_: str,
 ) -> None:
-    """Run a fleet: agents of this machine, each a process of its own, until Ctrl-C.
+    """Run a fleet: its agents, each a process of its own, until Ctrl-C.
 
     A FILE is an agent's configuration, or a fleet file that names several (docs/configuration.md). Of a DIR, its
     fleet.toml is taken, or else all of its *.toml. All of them are checked before anything starts. What the agents
     print has their names in front; what becomes of them is told on standard error. With --format json each line is a
     JSON object.
+
+    An agent whose fleet file names a host runs there, over the ssh of this machine, with the Pancakes that
+    `pancakes deploy` has brought there or that is installed (docs/deployment.md). It ends with this command.
 
     An agent goes on where it was: a task that moved away, was stopped or failed does not start again with it. Each such
     task is told, with the reason. With --fresh all begin as their files say.
@@ -86,20 +96,49 @@ def launch(
     from pancakes.runtime.plugins import Plugins
     from pancakes.tools.launch.afresh import check_alone
     from pancakes.tools.launch.fleet_plan import check_free, make_fleet
+    from pancakes.tools.launch.hosts import open_hosts
 
     if traceback:
         sets = (*sets, SHOW_TRACEBACKS)
     members = make_fleet(paths, sets, policy, Plugins(), local=local)
-    claim = check_free(members)
-    try:
+    with ExitStack() as stack:
+        stack.callback(check_free(members).release)
+        hosts = stack.enter_context(open_hosts(members))
+        check_hosts(members, hosts, fresh)
         if fresh:
             check_alone(member.config for member in members)
         if dry_run:
             _show(members, format_)
         else:
-            sys.exit(_run(members, hold, fresh, format_))
-    finally:
-        claim.release()
+            sys.exit(_run(members, hosts, hold, fresh, format_))
+
+
+def check_hosts(members: Sequence[Member], hosts: Mapping[str, Host], fresh: bool) -> None:
+    """Sees to it that agents can be started on other hosts.
+
+    Raises:
+        PancakesError: one of them runs there already, or Pancakes is not there; or, with `fresh`, another agent of the
+            fleet runs.
+    """
+    from pancakes.errors import PancakesError
+
+    problems = []
+    for member in (it for it in members if it.host):
+        host, agent = hosts[member.host], member.config.agent
+        if pid := host.runs(member):
+            advice = "end it with pancakes down --fleet-file"
+            runs = f"the agent {agent.name} of the fleet {agent.fleet} runs already on {host.name} (process {pid})"
+            problems.append(f"{runs}: {advice}")
+        elif not host.agent(member.name)["python"]:
+            problems.append(f"{host.name} has no Pancakes to run {member.name} with: pancakes deploy brings it there")
+    fleets = {member.config.agent.fleet for member in members}
+    for host in hosts.values() if fresh else ():
+        for it in host.is_["running"]:
+            if it["role"] == "agent" and it["fleet"] in fleets and it["name"] not in host.is_["agents"]:
+                outside = f"{it['name']} of the fleet {it['fleet']} runs outside this launch on {host.name}"
+                problems.append(f"{outside}, and may have tasks that moved there: begun afresh, they would run twice")
+    if problems:
+        raise PancakesError("\n".join(problems))
 
 
 def _show(members: Sequence[Member], format_: str) -> None:
@@ -108,6 +147,7 @@ def _show(members: Sequence[Member], format_: str) -> None:
             "agent": member.name,
             "fleet": member.config.agent.fleet,
             "role": member.config.agent.role,
+            "host": member.host,
             "config": str(member.path),
             "set": list(member.sets),
             "listen": member.config.agent.addresses,
@@ -119,20 +159,30 @@ def _show(members: Sequence[Member], format_: str) -> None:
     show(rows, tuple(rows[0]), format_)
 
 
-def _run(members: Sequence[Member], hold: bool, fresh: bool, format_: str) -> int:
+def _run(members: Sequence[Member], hosts: Mapping[str, Host], hold: bool, fresh: bool, format_: str) -> int:
     from pancakes.tools.launch.afresh import empty_state
     from pancakes.tools.launch.course import Course
-    from pancakes.tools.launch.keys_of_run import keys_of_run
+    from pancakes.tools.launch.keys_of_run import keys_of_run, set_keys
     from pancakes.tools.launch.runner import Runner
 
     voice = _Objects() if format_ == "json" else _Prefixed([member.name for member in members])
+    away = [member for member in members if member.host]
     for member in members if fresh else ():
+        if member.host:
+            continue
         directory = empty_state(member.config)
         if directory is not None:
             voice.told(member.name, "fresh", f"begins afresh: what it remembered in {directory} is removed")
-    with keys_of_run({member.name: member.config for member in members}) as keys:
-        members = [replace(member, sets=(*member.sets, *keys[member.name])) for member in members]
-        code = Runner(members, Course(members, begin=not hold), voice, let_begin).run()
+    there = {member.name: bool(hosts[member.host].agent(member.name)["keys"]) for member in away}
+    with keys_of_run({member.name: member.config for member in members}, there) as keys:
+        starts = {member.name: _start(member, keys.get(member.name), fresh) for member in away}
+        members = [
+            member if member.host else replace(member, sets=(*member.sets, *set_keys(keys.get(member.name))))
+            for member in members
+        ]
+        elsewhere = partial(_elsewhere, away, starts, hosts) if away else None
+        begin = partial(let_begin, members=members, hosts=hosts)
+        code = Runner(members, Course(members, begin=not hold), voice, begin, elsewhere).run()
     try:
         sys.stdout.flush()
     except OSError:
@@ -140,41 +190,72 @@ def _run(members: Sequence[Member], hold: bool, fresh: bool, format_: str) -> in
     return code
 
 
-def let_begin(pids: Mapping[str, int]) -> list[str]:
-    """Lets the missions of agents of this machine begin, all at the same moment.
+def _start(member: Member, keys: Path | None, fresh: bool) -> HostStart:
+    from pancakes.tools.launch.host_agents import HostStart
+
+    files = sorted(keys.iterdir()) if keys is not None else ()
+    told = {path.name: b64encode(path.read_bytes()).decode() for path in files}
+    return HostStart(member.path.read_text(encoding="utf-8-sig"), member.sets, told, fresh)
+
+
+def _elsewhere(
+    members: Sequence[Member],
+    starts: Mapping[str, HostStart],
+    hosts: Mapping[str, Host],
+    selector: selectors.BaseSelector,
+    now: Callable[[], float],
+) -> HostAgents:
+    from pancakes.tools.launch.host_agents import HostAgents
+
+    return HostAgents(members, starts, {name: host.link for name, host in hosts.items()}, selector, now)
+
+
+def let_begin(pids: Mapping[str, int], members: Sequence[Member], hosts: Mapping[str, Host]) -> list[str]:
+    """Lets the missions of agents begin, all at the same moment.
 
     Args:
         pids: their processes, by name.
+        members: all agents of the launch.
+        hosts: the hosts of those that run elsewhere.
 
     Returns:
         A sentence for each that could not be told.
     """
-    from pancakes.client import Client
-    from pancakes.control import Begin
     from pancakes.errors import PancakesError
+    from pancakes.tools.launch.tunnels import tunnels
+
+    held = [member for member in members if member.name in pids]
+    try:
+        with ExitStack() as stack:
+            ways = stack.enter_context(tunnels(hosts[name] for name in {it.host for it in held if it.host}))
+            return _begin(stack, held, pids, ways)
+    except PancakesError as error:
+        return [str(error)]
+
+
+def _begin(stack: ExitStack, held: Sequence[Member], pids: Mapping[str, int], ways: Mapping[str, str]) -> list[str]:
+    from pancakes.client import Client, Where
+    from pancakes.control import Begin
     from pancakes.runtime.clock import MonotonicClock
     from pancakes.runtime.runtime_dir import entries
 
     now = MonotonicClock().now
-    problems = []
-    try:
-        there = {entry.pid: next(iter(entry.listen), "") for entry in entries()}
-        places = {name: there.get(pid, "") for name, pid in pids.items()}
-        problems += [
-            f"the mission of {name} waits at 0: it cannot be reached from here" for name in places if not places[name]
-        ]
-        reached = [name for name in places if places[name]]
-        if not reached:
-            return problems
-        with Client([places[name] for name in reached], REACH_S) as client:
-            client.survey(*reached)
-            begin_s = now() + COUNTDOWN_S
-            for name in reached:
-                reply = client.request(name, Begin(max(0.0, begin_s - now())))
-                if not reply.ok:
-                    problems.append(f"the mission of {name} does not begin: {reply.reason}")
-    except PancakesError as error:
-        problems.append(str(error))
+    here = {entry.pid: next(iter(entry.listen), "") for entry in entries()}
+    places = {it.name: ways.get(it.name, "") if it.host else here.get(pids[it.name], "") for it in held}
+    problems = [
+        f"the mission of {name} waits at 0: it cannot be reached from here" for name in places if not places[name]
+    ]
+    clients: dict[str, Client] = {}
+    for fleet in dict.fromkeys(it.config.agent.fleet for it in held if places[it.name]):
+        names = [it.name for it in held if it.config.agent.fleet == fleet and places[it.name]]
+        client = stack.enter_context(Client(Where(tuple(places[name] for name in names), fleet), REACH_S))
+        client.survey(*names)
+        clients.update(dict.fromkeys(names, client))
+    begin_s = now() + COUNTDOWN_S
+    for name, client in clients.items():
+        reply = client.request(name, Begin(max(0.0, begin_s - now())))
+        if not reply.ok:
+            problems.append(f"the mission of {name} does not begin: {reply.reason}")
     return problems
 
 

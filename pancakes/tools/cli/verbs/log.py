@@ -146,7 +146,7 @@ def _history(client: Client, agents: Sequence[str], since_s: float | None) -> It
 def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: float | None) -> list[Record]:
     """Returns what agents remember, by the time at which it was said.
 
-    No two agents share a clock, so it counts how long ago something was said, on the clock of its own agent.
+    The clocks of two agents differ, so it counts how long ago something was said, on the clock of its own agent.
     """
     dated: list[tuple[float, Record]] = []
     refusals = []

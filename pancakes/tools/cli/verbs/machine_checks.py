@@ -191,8 +191,9 @@ def check_state_dirs(base: Path) -> Iterator[Finding]:
 def _check_journal(directory: Path) -> Finding:
     """Looks at one agent's journal without opening it: to open it would count a boot and lock the agent out."""
     from pancakes.runtime.journal.directory import fault_of
-    from pancakes.runtime.journal.journal import BAD, SUFFIX
+    from pancakes.runtime.journal.journal import BAD, SUFFIX, name_of
     from pancakes.runtime.journal.seal import Unbelievable, unseal
+    from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead
 
     about = f"state of {directory.parent.name}/{directory.name}"
     torn = []
@@ -206,6 +207,10 @@ def _check_journal(directory: Path) -> Finding:
                 continue  # an agent that runs replaces its entries
             except Unbelievable as error:
                 torn.append(f"{path.name} {error}")
+        ahead = read_ahead((directory / WRITE_AHEAD).read_bytes() if (directory / WRITE_AHEAD).exists() else b"")
+        there |= {name_of(entry.kind, entry.key) for batch in ahead.batches for entry in batch.entries}
+        if ahead.damaged:
+            torn.append(f"{WRITE_AHEAD} is damaged, so nothing that the agent knew of its tasks is believed")
     except OSError as error:
         text = f"{directory} cannot be read: {(error.strerror or str(error)).lower()}"
         return Finding("error", about, text, f"make it yours: chown -R {os.getuid()} {directory}")

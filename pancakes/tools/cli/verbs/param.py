@@ -118,7 +118,7 @@ def describe(name: TaskName, setting: str, ask: Ask) -> None:
         pancakes param describe agent1/ScanTarget
         pancakes param describe agent1/ScanTarget radius_m --format json
     """
-    from pancakes.tools.cli.verbs.schema_rows import rows_of
+    from pancakes.tools.schema_rows import rows_of
 
     with ask.client() as client:
         (described,) = _described(client, name)

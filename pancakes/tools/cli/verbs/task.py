@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
+from pancakes.errors import NoAnswer
 from pancakes.runtime.life.restart import tries
 from pancakes.tools.cli.asking import order, placed, show_done, survey
 from pancakes.tools.cli.name_types import TaskName, a_task, agents
@@ -22,6 +23,10 @@ from pancakes.tools.cli.verbs.param_names import Changes, set_option
 from pancakes.tools.cli.verbs.resolve import resolve
 from pancakes.tools.cli.verbs.revive import revive
 from pancakes.tools.cli.verbs.task_completion import timers
+from pancakes.tools.short_state import MOST_BYTES, shortened
+
+if TYPE_CHECKING:
+    from pancakes.client import Client
 
 COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
 LONG = (*COLUMNS, "incarnation", "ticks", "missed", "lateness_max_s", "dropped", "reason")
@@ -79,26 +84,33 @@ def list_(agents: tuple[str, ...], service: str, type_: str, state: str | None, 
 
 @task.command()
 @a_task
+@click.option("--state", "with_state", is_flag=True, help="Also what the task keeps in its state now.")
 @asks_agents
-def info(name: TaskName, ask: Ask) -> None:
+def info(name: TaskName, with_state: bool, ask: Ask) -> None:
     """Show all that is known of a task: its timers, what it reads, its settings, when it is started again, and how it
     failed the last time, with the whole traceback. Of a guarded task that AGENT owns: its permit, its guardians, and
     how old the checkpoint is that each of them has.
 
-    As JSON, it is the answer of its agent as it stands, with the JSON Schema of the settings.
+    With --state, also what it keeps in its state, between two of its turns. In the table long values are cut.
+
+    As JSON, it is the answer of its agent as it stands, with the JSON Schema of the settings. With --state it has the
+    whole state as "kept_state", when that was told as "kept_state_s" (mission time), and as "kept_state_reason" why
+    there is none.
 
     \b
     Example:
         pancakes task info agent1/ScanTarget
+        pancakes task info agent1/ScanTarget --state
         pancakes task info agent1/pose --format json
     """
     with ask.client() as client:
         name = placed(client, name)
         found = order(client, name.agent, Describe(name.target))
+        kept = _kept(client, name, ask.timeout_s) if with_state else {}
     if ask.format_ == "json":
-        show_json([found])
+        show_json([{**found, **kept}])
     else:
-        show_sections(_sections(str(name), found))
+        show_sections({**_sections(str(name), found), **(_state_section(kept) if kept else {})})
 
 
 @task.command()
@@ -181,6 +193,28 @@ def _order(ask: Ask, name: TaskName, done: str, body: Callable[[str], Start | St
     with ask.client() as client:
         name = placed(client, name)
         show_done(ask, client, name, done, body(name.target))
+
+
+def _kept(client: Client, name: TaskName, timeout_s: float) -> dict[str, Any]:
+    """Returns what a task keeps in its state, and when it said so; or why that is not known."""
+    try:
+        reply = client.request(name.agent, Describe(name.target, state=True))
+    except NoAnswer:  # its service has just answered
+        busy = f"{name} has not told its state within {timeout_s:g} s: it may be busy, try again or with --timeout"
+        return {"kept_state": None, "kept_state_s": None, "kept_state_reason": busy}
+    if not reply.ok:
+        return {"kept_state": None, "kept_state_s": None, "kept_state_reason": reply.reason}
+    return {"kept_state": reply.result["state"], "kept_state_s": reply.result["mission_s"], "kept_state_reason": ""}
+
+
+def _state_section(kept: Mapping[str, Any]) -> dict[str, Any]:
+    """The state of a task, for people."""
+    if kept["kept_state"] is None:
+        return {"keeps in its state": kept["kept_state_reason"]}
+    short = shortened(kept["kept_state"], most_bytes=4 * MOST_BYTES)
+    cut = " (what is cut is whole with --format json)" if short.cut else ""
+    title = f"keeps in its state, at {kept['kept_state_s']:.3f} s{cut}"
+    return {title: dict(short.rows) or "nothing: it has no state"}
 
 
 def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:

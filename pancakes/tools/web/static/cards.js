@@ -152,7 +152,8 @@ class Card {
     this.#figure("missed ticks", row.missed || null);
     this.#figure("dropped", row.dropped || null);
     this.#figure("dead letters", row.dead_letters || null, true);
-    this.#figure("over TCP", row.insecure ? "not encrypted" : null, true);
+    this.#figure("not encrypted", row.insecure || null, true);
+    this.#figure("version", picture.versions().size > 1 ? row.version : null, true);
     const links = picture.linksOf(this.name);
     const few = links.slice(0, 6).map(([peer, ms]) => (ms < 0 ? peer : `${peer} ${ms} ms`));
     say(this.links, links.length ? `links: ${few.join(" · ")}${links.length > 6 ? ` and ${links.length - 6} more` : ""}` : "no links");
@@ -225,7 +226,7 @@ class Chip {
     this.rate = h("span.figure.dim");
     this.notes = h("span.notes.warn");
     this.name = h("span.name", {}, this.task);
-    this.button = h("button.task", { type: "button", onclick: () => cards.asks.act(agent, key, this.row) }, h("i.state"), this.name, this.notes, this.rate, h("span.grip", { "aria-hidden": "true" }, "⠿"));
+    this.button = h("button.task", { type: "button", onclick: () => cards.asks.act(agent, key) }, h("i.state"), this.name, this.notes, this.rate, h("span.grip", { "aria-hidden": "true" }, "⠿"));
     this.guards = h("p.guards.dim");
     this.root = h("li", { "data-task": this.task, "data-key": key }, this.button, this.guards);
     this.allow(cards.control);

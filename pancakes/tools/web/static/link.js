@@ -2,6 +2,8 @@
 
 const AGAIN_MS = 1000;
 const PATIENCE_MS = 35000;
+/** The server takes no longer message, in bytes. */
+const LONGEST = 16 * 1024;
 
 export class Link {
   /**
@@ -25,9 +27,14 @@ export class Link {
         resolve({ ok: false, reason: "the page has lost its server", result: null });
         return;
       }
+      const message = JSON.stringify({ ...fields, id, ask: what });
+      if (new Blob([message]).size > LONGEST) {
+        resolve({ ok: false, reason: "that is too long for a page: use pancakes param set", result: null });
+        return;
+      }
       const timer = setTimeout(() => this.#settle(id, "no answer came"), PATIENCE_MS);
       this.waiting.set(id, { resolve, timer });
-      this.socket.send(JSON.stringify({ ...fields, id, ask: what }));
+      this.socket.send(message);
     });
   }
 

@@ -8,6 +8,7 @@ import { Mesh } from "./mesh.js";
 import { Orders } from "./orders.js";
 import { Past } from "./past.js";
 import { Picture } from "./state.js";
+import { TaskPanel } from "./task_panel.js";
 import { Timeline } from "./timeline.js";
 import { Why } from "./why.js";
 import { clock, dark, say, set, show } from "./words.js";
@@ -45,11 +46,12 @@ const past = new Past(link);
 const timeline = new Timeline(past, { present: showPresent, past: showPast, mission: () => shown.m });
 const events = new Events(find("events"), find("filter"), (t) => timeline.go(t));
 const orders = new Orders(link, dialog, () => present.agents().filter((name) => present.get("agent", name).role === "agent"));
+const panel = new TaskPanel(link, dialog, orders, timeline, () => shown);
 const why = new Why(link, dialog, timeline);
 const cards = new Cards(find("agents"), {
   select,
   why: (agent) => why.open(agent),
-  act: (agent, key, row) => orders.open(agent, key, row),
+  act: (agent, key) => panel.open(agent, key),
 });
 
 // News -----------------------------------------------------------------------------------------------------------
@@ -97,8 +99,8 @@ function state(what, greeting) {
   say(
     find("help-control"),
     control
-      ? "This page may change what the agents do: drag a task onto another agent (by its ⠿ with a finger; escape lets go), or open it. You are asked before it moves."
-      : "This page only looks. Started with --control it lets you move tasks between agents, change rates, stop and start.",
+      ? "This page may change what the agents do: drag a task onto another agent (by its ⠿ with a finger; escape lets go), or open it to change its rates and settings. You are asked before it moves."
+      : "This page only looks. Started with --control it lets you move tasks between agents, change rates and settings, stop and start.",
   );
 }
 
@@ -262,7 +264,7 @@ dark.addEventListener("change", () => (touched = null));
 
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
-  const typing = event.target.closest("input[type=number], select, textarea");
+  const typing = event.target.closest("input[type=number], input[type=text], select, textarea");
   const presses = event.target.closest("button, summary, input");
   if (typing) return;
   const key = event.key.toLowerCase();

@@ -1,7 +1,7 @@
-// What a person may ask for on a page with control: to move a task, to change its rate, to stop and start it.
+// What a person may ask for on a page with control: to move a task, to stop and start it.
 
 import { OWN_SERVICES, RUNNING } from "./state.js";
-import { guardians, h, hertz } from "./words.js";
+import { h, hertz } from "./words.js";
 
 const FAR_PX = 6;
 const EDGE_PX = 56;
@@ -107,40 +107,14 @@ export class Orders {
 
   // Dialogs -----------------------------------------------------------------------------------------------------
 
-  /** Shows what is known of a task, and what can be done with it. */
-  open(agent, key, row) {
+  /** Returns what can be done with a task besides changing it; `said`: where the answers are told. */
+  actions(agent, key, row, said) {
     const runs = row.state === RUNNING;
-    const facts = h("dl.facts");
-    const fact = (name, text) => text !== null && text !== undefined && text !== "" && facts.append(h("dt", {}, name), h("dd", {}, String(text)));
-    fact("agent", agent);
-    fact("service", key.split("/")[0]);
-    fact("type", row.type);
-    fact("state", `${row.rest || row.state}${row.reason ? `: ${row.reason}` : ""}`);
-    fact("needs", (row.requires || []).join(", "));
-    if (row.guards) {
-      fact("guardians", guardians(row.guards).replace("guarded by ", ""));
-      fact("permit", row.guards.permit_s > 0 ? `${row.guards.permit_s.toFixed(1)} s` : "none: it stands still");
-      fact("checkpoint", row.guards.age_s === null ? null : `${row.guards.age_s} s old at more than half of them`);
-    }
-    fact("rate wanted", row.rate_hz === null || row.rate_hz === undefined ? null : `${hertz(row.rate_hz)} Hz`);
-    fact("rate reached", row.achieved_hz === null || row.achieved_hz === undefined ? null : `${hertz(row.achieved_hz)} Hz`);
-    fact("late in the mean", row.late_ms === null || row.late_ms === undefined ? null : `${row.late_ms} ms`);
-    fact("ticks missed", row.missed);
-    fact("packets dropped", row.dropped);
-    fact("restarts", row.restarts);
-    const said = h("p.said", { role: "status" });
-    const content = [facts];
-    if (this.control) content.push(this.#actions(agent, key, row, runs, said));
-    content.push(said);
-    this.#show(`${key.split("/")[1]} on ${agent}`, content);
-  }
-
-  #actions(agent, key, row, runs, said) {
     const box = h("div.actions");
     const button = (text, action) => h("button", { type: "button", onclick: action }, text);
-    const tell = async (what, fields, done) => {
+    const tell = async (what, done) => {
       said.textContent = "asking …";
-      const { ok, reason } = await this.#ask(agent, key, what, fields);
+      const { ok, reason } = await this.#ask(agent, key, what);
       said.textContent = ok ? done : reason;
       said.classList.toggle("warn", !ok);
     };
@@ -150,15 +124,9 @@ export class Orders {
       const where = h("select", { "aria-label": "Agent to move it to" }, ...others.map((name) => h("option", {}, name)));
       box.append(h("div.action", {}, h("span", {}, "Move to"), where, button("Ask …", () => this.move(agent, key, where.value))));
     }
-    if (runs && row.rate_hz !== null && row.rate_hz !== undefined) {
-      const rate = h("input", { type: "number", min: 0, max: 1000, step: "any", value: String(row.rate_hz), "aria-label": "Rate in hertz" });
-      const change = () => tell("rate", { rate_hz: Number(rate.value) }, `it ticks at ${hertz(Number(rate.value))} Hz from now on`);
-      rate.addEventListener("keydown", (event) => event.key === "Enter" && change());
-      box.append(h("div.action", {}, h("span", {}, "Rate in Hz"), rate, button("Change", change)));
-    }
     const life = h("div.action", {}, h("span", {}, runs ? "It runs" : `It is ${row.rest || row.state}`));
-    if (runs) life.append(button("Restart", () => tell("restart", {}, "it runs again")), button("Stop", () => tell("stop", {}, "it has stopped")));
-    else life.append(button("Start", () => tell("start", {}, "it runs")));
+    if (runs) life.append(button("Restart", () => tell("restart", "it runs again")), button("Stop", () => tell("stop", "it has stopped")));
+    else life.append(button("Start", () => tell("start", "it runs")));
     box.append(life);
     return box;
   }
@@ -170,7 +138,8 @@ export class Orders {
     const bids = h("div");
     const confirm = h("button.primary", { type: "button", disabled: true }, `Move it to ${to}`);
     const cancel = h("button", { type: "button", onclick: () => this.dialog.close() }, "Cancel");
-    this.#show(`Move ${task} from ${agent} to ${to}?`, [said, bids, h("div.buttons", {}, cancel, confirm)], false);
+    this.dialog.replaceChildren(h("h2", { id: "dialog-title" }, `Move ${task} from ${agent} to ${to}?`), said, bids, h("div.buttons", {}, cancel, confirm));
+    if (!this.dialog.open) this.dialog.showModal();
     const dry = await this.#ask(agent, key, "migrate", { to, dry_run: true });
     if (dry.result && dry.result.lines) bids.append(ledger(dry.result.lines));
     said.textContent = dry.ok ? `${to} would take it; no other agent was asked. Nothing has been moved yet.` : dry.reason;
@@ -195,12 +164,6 @@ export class Orders {
       said.classList.add("warn");
       cancel.textContent = "Close";
     });
-  }
-
-  #show(title, content, closes = true) {
-    const close = h("form", { method: "dialog" }, h("button", {}, "Close"));
-    this.dialog.replaceChildren(h("h2", { id: "dialog-title" }, title), ...content, ...(closes ? [close] : []));
-    if (!this.dialog.open) this.dialog.showModal();
   }
 }
 

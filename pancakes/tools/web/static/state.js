@@ -76,6 +76,11 @@ export class Picture {
     return [...this.table("agent").keys()].sort(byRole(this));
   }
 
+  /** Returns the versions that agents run. */
+  versions() {
+    return new Set([...this.table("agent").values()].map((row) => row.version).filter(Boolean));
+  }
+
   tasksOf(agent) {
     return this.tasks.get(agent) || new Map();
   }

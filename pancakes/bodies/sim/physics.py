@@ -56,7 +56,7 @@ class Incident:
     y_m: float
 
 
-class Simulation:
+class Physics:
     """A world with everything that its settings put into it.
 
     Args:

@@ -65,7 +65,7 @@ def parts(
             made[table] = codecs.convert({"name": table, key: cls or table, **fields}, kind)
         return made
 
-    clock = {key: agent[key] for key in ("speed", "hold") if key in agent}
+    clock = {key: agent[key] for key in ("speed", "hold", "join_s") if key in agent}
     others = {key: value for key, value in agent.items() if key not in clock}
     if isinstance(at := others.get("listen"), str):
         others["listen"] = (at,) if at else ()

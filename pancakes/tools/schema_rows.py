@@ -73,10 +73,10 @@ def rows_of(
         path = (*keys, name)
         yield {
             "param": key_text(path),
-            "type": _type_of(part, definitions),
+            "type": type_of(part, definitions),
             "default": part.get("default"),
             "required": name in required,
-            "bounds": _bounds_of(_resolved(part, definitions)),
+            "bounds": bounds_of(resolved(part, definitions)),
             "unit": part.get("unit") or unit_of(name),
             "description": part.get("description", ""),
         }
@@ -89,17 +89,17 @@ def unit_of(name: str) -> str:
 
 
 def _inside(part: Mapping[str, Any], path: tuple[str, ...], definitions: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    for arm in _arms(_resolved(part, definitions), definitions):
+    for arm in arms_of(resolved(part, definitions), definitions):
         if "properties" in arm:
             yield from rows_of(arm, path, definitions)
         values = arm.get("additionalProperties")
         if isinstance(values, Mapping):
-            for inner in _arms(_resolved(values, definitions), definitions):
+            for inner in arms_of(resolved(values, definitions), definitions):
                 if "properties" in inner:
                     yield from rows_of(inner, (*path, "NAME"), definitions)
 
 
-def _resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mapping[str, Any]:
+def resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mapping[str, Any]:
     """Follows a reference; what stands beside it goes before what it leads to."""
     reference = part.get("$ref")
     if not isinstance(reference, str) or not reference.startswith(_REF):
@@ -108,13 +108,15 @@ def _resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mappin
     return {**found, **{key: value for key, value in part.items() if key != "$ref"}}
 
 
-def _arms(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def arms_of(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Returns the schemas of which a value has to fit one."""
     arms = part.get("anyOf") or part.get("oneOf")
-    return [_resolved(arm, definitions) for arm in arms] if arms else [part]
+    return [resolved(arm, definitions) for arm in arms] if arms else [part]
 
 
-def _type_of(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    words = dict.fromkeys(_word(arm, definitions) for arm in _arms(_resolved(part, definitions), definitions))
+def type_of(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    """Returns the type of a value, in words."""
+    words = dict.fromkeys(_word(arm, definitions) for arm in arms_of(resolved(part, definitions), definitions))
     # What may be left out is said by its having no default; TOML has no word for it.
     return " or ".join(word for word in words if word != "nothing" or len(words) == 1)
 
@@ -128,11 +130,12 @@ def _word(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     if isinstance(kind, list):
         return " or ".join(_TYPES.get(str(one), str(one)) for one in kind)
     if kind == "array" and isinstance(part.get("items"), Mapping) and part["items"]:
-        return f"list of {_type_of(part['items'], definitions)}"
+        return f"list of {type_of(part['items'], definitions)}"
     return _TYPES.get(str(kind), "anything")
 
 
-def _bounds_of(part: Mapping[str, Any]) -> str:
+def bounds_of(part: Mapping[str, Any]) -> str:
+    """Returns within what a value has to lie, in words; `part` is resolved."""
     arms = part.get("anyOf") or [part]
     found = []
     for arm in arms:

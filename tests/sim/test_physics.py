@@ -10,6 +10,7 @@ from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Sonar
 from pancakes.bodies.sim.battery import BatterySettings
 from pancakes.bodies.sim.drive import Wheels
 from pancakes.bodies.sim.khepera import KHEPERA_III
+from pancakes.bodies.sim.physics import Physics
 from pancakes.bodies.sim.settings import (
     ArenaSettings,
     ContentSettings,
@@ -18,7 +19,6 @@ from pancakes.bodies.sim.settings import (
     RobotSettings,
     SensorSettings,
 )
-from pancakes.bodies.sim.simulation import Simulation
 from pancakes.bodies.sim.wayfinder import MoverSettings
 from pancakes.errors import PancakesError
 from pancakes.settings import SettingsError, check_settings, make_settings
@@ -31,7 +31,7 @@ def robot(x_m, y_m, theta_rad=0.0, **others):
 
 
 def simulation(seed=1, **contents):
-    return Simulation(ContentSettings(**{"noise": QUIET, **contents}), random.Random(seed))
+    return Physics(ContentSettings(**{"noise": QUIET, **contents}), random.Random(seed))
 
 
 def body(world, name):

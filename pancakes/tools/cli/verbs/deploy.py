@@ -1,0 +1,153 @@
+"""`pancakes deploy`: brings a fleet to its hosts, and keeps it running there."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pancakes.tools.cli.options import Duration, agent_sets_option, format_option
+from pancakes.tools.cli.output import show, show_text
+
+if TYPE_CHECKING:
+    from pancakes.tools.deploy.planning import DeploymentPlan
+    from pancakes.tools.deploy.task_moves import TaskMoves
+    from pancakes.tools.launch.hosts import Host
+    from pancakes.tools.launch.member import Member
+
+COLUMNS = ("agent", "host", "what", "from", "to", "environment", "brought_mb", "manager", "tasks")
+
+
+@click.command()
+@click.argument("paths", metavar="FLEET...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@agent_sets_option
+@click.option(
+    "--wheels",
+    metavar="FILE|DIR",
+    multiple=True,
+    type=click.Path(exists=True, path_type=Path),
+    help="Bring these wheels of Pancakes and of plug-ins, instead of what is installed here. Repeatable.",
+)
+@click.option(
+    "--extra", "extras", metavar="NAME", multiple=True, help="Install this extra of Pancakes as well. Repeatable."
+)
+@click.option(
+    "--upgrade", is_flag=True, help="Look for newer libraries. Without, a fleet keeps those that it was given before."
+)
+@click.option(
+    "--calm",
+    "calm_s",
+    type=Duration(),
+    default="3s",
+    show_default=True,
+    help="How long the tasks of an agent must run before the next agent's turn.",
+)
+@click.option("--dry-run", is_flag=True, help="Only check, and show what would be done where.")
+@format_option
+def deploy(
+    paths: tuple[Path, ...],
+    sets: tuple[str, ...],
+    wheels: tuple[Path, ...],
+    extras: tuple[str, ...],
+    upgrade: bool,
+    calm_s: float,
+    dry_run: bool,
+    format_: str,
+) -> None:
+    """Bring a fleet to its hosts: wheels, plug-ins and configurations, and keep its agents running there.
+
+    A FLEET is a fleet file whose agents name hosts, or a folder with one. Each host is reached by the ssh of this
+    machine.
+    All hosts are prepared before anything that runs is touched: wheels are brought, an environment is made of them,
+    and each configuration is checked in it. Then one agent after the other gives its tasks to neighbours, is stopped,
+    switched and started, and gets its tasks back. Where one does not become ready, or its tasks do not run, all agents
+    go back to the versions that they had. The exit code is then 1.
+
+    An agent is kept running by the systemd of its user, or by a supervisor of Pancakes where there is none.
+
+    \b
+    Example:
+        pancakes deploy field.toml --dry-run
+        pancakes deploy field.toml --wheels dist --extra record
+    """
+    from pancakes.errors import PancakesError
+    from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.deploy.deployment import Deployment
+    from pancakes.tools.deploy.planning import plan_of
+    from pancakes.tools.deploy.wheels import given_wheels, installed_wheels
+    from pancakes.tools.launch.fleet_plan import make_fleet
+    from pancakes.tools.launch.hosts import open_hosts
+    from pancakes.tools.launch.tunnels import tunnels
+
+    fleet = make_fleet(paths, sets, None, Plugins())
+    members = [member for member in fleet if member.host]
+    if not members:
+        raise PancakesError(f'no agent of {paths[0]} has a host: write one as host = "pi@robot1" in its table')
+    with ExitStack() as stack:
+        hosts = stack.enter_context(open_hosts(members))
+        if not dry_run:
+            for host in hosts.values():
+                host.link.obtain("lock")
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pancakes-wheels-")))
+        own = given_wheels(wheels) if wheels else installed_wheels(folder)
+        plan = plan_of(members, hosts, own, extras, upgrade)
+        ways = {**_here(fleet), **stack.enter_context(tunnels(hosts.values()))}
+        moves = _moves(fleet, ways)
+        if dry_run:
+            show(_rows(plan, hosts, moves), COLUMNS, format_)
+            return
+        for member in fleet:
+            if not member.host:
+                _tell(member.name, "has no host, and is left as it is")
+        deployment = Deployment(plan.supplies, plan.changes, moves, _tell, calm_s)
+        deployment.prepare()
+        deployment.switch()
+
+
+def _tell(name: str, text: str) -> None:
+    show_text(f"{name} {text}", err=True)
+
+
+def _here(fleet: Sequence[Member]) -> dict[str, str]:
+    """Returns the addresses of the agents that run on this machine."""
+    from pancakes.runtime.runtime_dir import entries
+
+    here = {(it.fleet, it.name): next(iter(it.listen), "") for it in entries()}
+    found = {it.name: here.get((it.config.agent.fleet, it.name), "") for it in fleet if not it.host}
+    return {name: address for name, address in found.items() if address}
+
+
+def _moves(fleet: Sequence[Member], ways: Mapping[str, str]) -> dict[str, TaskMoves]:
+    from pancakes.tools.deploy.task_moves import TaskMoves
+
+    made: dict[str, TaskMoves] = {}
+    for name in dict.fromkeys(member.config.agent.fleet for member in fleet):
+        own = {it.name: ways[it.name] for it in fleet if it.config.agent.fleet == name and it.name in ways}
+        made[name] = TaskMoves(own, name, partial(_tell))
+    return made
+
+
+def _rows(plan: DeploymentPlan, hosts: Mapping[str, Host], moves: Mapping[str, TaskMoves]) -> list[dict[str, Any]]:
+    rows = []
+    for change in plan.changes:
+        supply = plan.supplies[change.host]
+        leaves = moves[change.fleet].movable(change.name) if change.ran and change.what == "switch" else ()
+        rows.append(
+            {
+                "agent": change.name,
+                "host": change.host,
+                "what": change.what,
+                "from": change.was,
+                "to": change.version,
+                "environment": supply.environment,
+                "brought_mb": round(supply.brought_bytes / 1e6, 1),
+                "manager": "systemd" if hosts[change.host].is_["systemd"] else "supervisor",
+                "tasks": [f"{task} → {winner}" if winner else f"{task} stays" for task, winner in leaves],
+            }
+        )
+    return rows

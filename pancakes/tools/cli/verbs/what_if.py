@@ -1,0 +1,239 @@
+"""`pancakes what-if move|rate|without`: what a change would do, before it is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import click
+import msgspec
+
+from pancakes.control import Describe, Migrate, Reschedule
+from pancakes.errors import ControlRefused, RemoteProtocolError
+from pancakes.measurement import LONGEST_S, SHORTEST_S, Measure
+from pancakes.runtime.foundation import codecs
+from pancakes.tools.cli.asking import accepted, order, placed
+from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task, the_agent
+from pancakes.tools.cli.options import Ask, Duration, FiniteRange, asks_agents_for
+from pancakes.tools.cli.output import show_json, show_sections, show_text
+from pancakes.tools.cli.verbs.task_completion import costs
+
+if TYPE_CHECKING:
+    from pancakes.client import Client
+    from pancakes.tools.forecast import Expected, Forecast, MeasuredAgent
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+BIDDING_S: Final = 10.0
+"""How long the answer to a question takes at the most that asks for bids."""
+KEPT_APART: Final = ("device", "network", "log")
+"""The services whose tasks belong to their agent, and never go to another."""
+
+
+class MeasuredTime(Duration):
+    """A time such as `5s`, as long as a measurement may take."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        for_s = super().convert(value, param, ctx)
+        if not SHORTEST_S <= for_s <= LONGEST_S:
+            self.fail(f"a measurement takes from {SHORTEST_S:g} to {LONGEST_S:g} s, not {for_s:g} s", param, ctx)
+        return for_s
+
+
+_for_option = click.option(
+    "--for", "for_s", metavar="TIME", type=MeasuredTime(), default=5.0, help="Measure for so long. [default: 5s]"
+)
+_cost_option = click.option(
+    "--cost", metavar="NAME", default="tasks", show_default=True, shell_complete=costs, help="The cost to bid with."
+)
+
+
+@click.group("what-if")
+def what_if() -> None:
+    """What a change would do, before it is done: loads, ticks that would be missed, batteries.
+
+    All agents are measured for some seconds: the processor time of each turn of each task. What would be follows from
+    that, with bounds; the answer says what it is known from. Nothing is changed.
+    """
+
+
+@what_if.command()
+@a_task
+@click.option("--to", metavar="AGENT", type=AGENT_NAME, default="", help="To this agent. [default: the lowest bid]")
+@_cost_option
+@_for_option
+@asks_agents_for(BIDDING_S)
+def move(name: TaskName, to: str, cost: str, for_s: float, ask: Ask) -> None:
+    """A running task moves to another agent.
+
+    Its neighbours are asked for bids first, as the move itself would. The exit code is 1 where none would take it.
+
+    \b
+    Example:
+        pancakes what-if move agent1/ScanTarget
+        pancakes what-if move agent1/ScanTarget --to agent2 --for 20s
+    """
+    from pancakes.tools.forecast import forecast_move
+
+    with ask.client() as client:
+        name = placed(client, name)
+        ledger = _bids(client, name.agent, name.target, to, cost)
+        fleet = _measured(client, ask, for_s)
+    winner = str(ledger["winner"])
+    forecast = forecast_move(fleet, name.agent, name.task, winner, name.service)
+    _show(f"{name} moves to {winner}", forecast, ask.format_, {"bids": _bid_rows(ledger)})
+
+
+@what_if.command()
+@a_task
+@click.argument("rate_hz", metavar="HZ", type=FiniteRange(min=0.0))
+@click.option("--timer", metavar="NAME", default="", help="Which of its timers. [default: its first]")
+@_for_option
+@asks_agents_for(BIDDING_S)
+def rate(name: TaskName, rate_hz: float, timer: str, for_s: float, ask: Ask) -> None:
+    """A running task ticks at another rate, in ticks for each second of mission time.
+
+    \b
+    Example:
+        pancakes what-if rate agent1/ScanTarget 20
+    """
+    from pancakes.tools.forecast import forecast_rate
+
+    with ask.client() as client:
+        name = placed(client, name)
+        accepted(client, name.agent, Reschedule(name.target, rate_hz, timer, dry_run=True))
+        fleet = _measured(client, ask, for_s)
+    forecast = forecast_rate(fleet, name.agent, name.task, rate_hz, timer, name.service)
+    _show(f"{name} ticks at {rate_hz:g} Hz", forecast, ask.format_, {})
+
+
+@what_if.command()
+@the_agent
+@_cost_option
+@_for_option
+@asks_agents_for(BIDDING_S)
+def without(agent: str, cost: str, for_s: float, ask: Ask) -> None:
+    """An agent goes, and its tasks move to others before, each to the lowest bid of now.
+
+    A task that no other agent takes, or that cannot move, ends with it. A later bid may differ from that of now: a
+    cost may depend on the tasks that an agent has got meanwhile.
+
+    \b
+    Example:
+        pancakes what-if without agent1
+    """
+    from pancakes.tools.forecast import forecast_without
+
+    with ask.client() as client:
+        described = order(client, agent, Describe())
+        running = [
+            f"{row['service']}/{row['task']}"
+            for row in described["tasks"]
+            if row["state"] == "running" and row["service"] not in KEPT_APART
+        ]
+        places, rows = {}, []
+        for target in running:
+            try:
+                ledger = _bids(client, agent, target, "", cost)
+            except ControlRefused as error:
+                rows.append({"task": target, "goes to": "", "cost": None, "reason": str(error)})
+                continue
+            places[target] = str(ledger["winner"])
+            (bid,) = [line for line in ledger["lines"] if line["peer"] == ledger["winner"]]
+            rows.append({"task": target, "goes to": places[target], "cost": bid["cost"], "reason": ""})
+        fleet = _measured(client, ask, for_s)
+    _show(f"{agent} goes", forecast_without(fleet, agent, places), ask.format_, {"tasks": rows})
+
+
+def _bids(client: Client, agent: str, target: str, to: str, cost: str) -> Mapping[str, Any]:
+    """Returns the account of a move that is only asked about.
+
+    Raises:
+        ControlRefused: no agent would take the task; the message says why.
+    """
+    ledger: Mapping[str, Any] = accepted(client, agent, Migrate(target, to, "", cost, dry_run=True)).result
+    return ledger
+
+
+def _bid_rows(ledger: Mapping[str, Any]) -> list[dict[str, Any]]:
+    return [
+        {
+            "neighbour": line["peer"],
+            "answer": line["answer"],
+            "cost": line["cost"],
+            "terms": ", ".join(f"{name} {value:g}" for name, value in line["terms"].items()),
+            "reason": line["reason"],
+        }
+        for line in ledger["lines"]
+    ]
+
+
+def _measured(client: Client, ask: Ask, for_s: float) -> list[MeasuredAgent]:
+    """Measures all agents that can be reached, at the same time; names on standard error those that did not answer."""
+    from pancakes.tools.forecast import MeasuredAgent
+
+    show_text(f"measuring for {for_s:g} s ...", err=True)
+    found = client.ask_each(Measure(for_s), timeout_s=for_s + ask.timeout_s)
+    for sentence in [*found.silent, *(f"{agent} refused: {it.reason}" for agent, it in found.replies if not it.ok)]:
+        show_text(sentence, err=True)
+    figures = []
+    for agent, reply in found.replies:
+        if not reply.ok:
+            continue
+        try:
+            figures.append(codecs.convert(reply.result, MeasuredAgent))
+        except msgspec.ValidationError as error:
+            raise RemoteProtocolError(
+                f"{agent} answers what cannot be read here, so it is of another version: {error}"
+            ) from None
+    return figures
+
+
+def _show(change: str, forecast: Forecast, format_: str, more: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    if format_ == "json":
+        show_json({"change": change, **asdict(forecast), **more})
+        return
+    rows = [
+        {
+            "agent": it.agent,
+            "load": round(it.load, 4),
+            "load then": _expected(it.load_after),
+            "host": round(it.host_load, 4),
+            "host then": _expected(it.host_load_after),
+            "missed/s": round(it.missed_hz, 3),
+            "missed/s then": _expected(it.missed_hz_after),
+            "battery": _left(it.battery_s),
+            "battery then": _left(it.battery_after_s),
+        }
+        for it in forecast.agents
+    ]
+    titles = {"bids": "Bids", "tasks": "Its tasks"}
+    tables = {titles[key]: value for key, value in more.items()}
+    sure = [
+        f"{it.agent}: load {_share(it.load_after.sure_share)}, host {_share(it.host_load_after.sure_share)}"
+        for it in forecast.agents
+        if it.load_after.value or it.load_after.high
+    ]
+    facts = {"Known from": "\n".join(forecast.known_from), "How sure": "\n".join(sure)}
+    show_sections({**tables, f"If {change}": rows, **facts, "Notes": "\n".join(forecast.notes)})
+
+
+def _share(share: float) -> str:
+    return f"±{100 * share:.1f} %" if share <= 1.0 else "not known well"
+
+
+def _expected(expected: Expected) -> str:
+    value, low, high = (f"{it:.3f}".rstrip("0").rstrip(".") for it in (expected.value, expected.low, expected.high))
+    return value if low == high else f"{value} ({low} to {high})"
+
+
+def _left(left_s: float | Expected | None) -> str:
+    """Returns how long a battery lasts, in words."""
+    if left_s is None:
+        return "not known"
+    if isinstance(left_s, (int, float)):
+        minutes = left_s / 60.0
+        return f"{minutes / 60.0:.1f} h" if minutes >= 120.0 else f"{minutes:.0f} min"
+    low, high = _left(left_s.low), _left(left_s.high)
+    return low if low == high else f"{low} to {high}"

@@ -1,0 +1,256 @@
+"""Carries a deployment out: all hosts are prepared; then agents are switched, each in its turn, or all go back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+
+from pancakes.errors import PancakesError
+from pancakes.tools.deploy.change import AgentChange
+from pancakes.tools.deploy.task_moves import TaskMoves
+from pancakes.tools.deploy.wheels import Wheel, digests
+from pancakes.tools.launch.hosts import Host
+
+MARGIN: Final = 1.1
+"""What a disk loses beside the bytes of files."""
+
+
+@dataclass(frozen=True)
+class Supply:
+    """What is brought to one host.
+
+    Attributes:
+        host: the host.
+        build: the build of Pancakes and its plug-ins.
+        environment: the environment that is made of it there.
+        own: the wheels of Pancakes and its plug-ins, and that of pip.
+        libraries: the folder with what they need.
+        others: the wheels that are unpacked there, and that of pip.
+        missing: those of the wheels that are to be sent.
+    """
+
+    host: Host
+    build: str
+    environment: str
+    own: Sequence[Wheel]
+    libraries: str
+    others: Sequence[Wheel]
+    missing: Sequence[Wheel]
+
+    @property
+    def brought_bytes(self) -> int:
+        """How much is sent."""
+        return sum(wheel.path.stat().st_size for wheel in self.missing)
+
+    def shortage(self) -> str:
+        """Returns a sentence where the disk over there has too little room; empty: it has enough."""
+        unpacked = 0
+        if self.environment not in self.host.is_["environments"]:
+            unpacked += sum(wheel.unpacked_bytes for wheel in self.own)
+        if self.libraries not in self.host.is_["libraries"]:
+            unpacked += sum(wheel.unpacked_bytes for wheel in self.others)
+        needed, free = MARGIN * (self.brought_bytes + unpacked), self.host.is_["free_bytes"]
+        if free >= needed:
+            return ""
+        left, wanted = (f"{value / 1e6:.0f} MB" for value in (free, needed))
+        disk = f"its disk ({self.host.is_['data']})"
+        return f"{self.host.name} has {left} left on {disk} and needs {wanted}: make room there"
+
+
+@dataclass
+class _Done:
+    """How far one agent was taken, and what is to be undone of it."""
+
+    change: AgentChange
+    stopped: bool = False
+    runs: bool = False
+
+
+class Deployment:
+    """One deployment.
+
+    Args:
+        supplies: what is brought, by host.
+        changes: the agents, in the order in which they are switched.
+        moves: what moves their tasks, by fleet.
+        tell: takes a clause about a host or an agent, to be read after its name. Any thread may call it.
+        calm_s: so long the tasks of an agent have to run before the next one's turn.
+    """
+
+    def __init__(
+        self,
+        supplies: Mapping[str, Supply],
+        changes: Sequence[AgentChange],
+        moves: Mapping[str, TaskMoves],
+        tell: Callable[[str, str], None],
+        calm_s: float,
+    ) -> None:
+        self._supplies = supplies
+        self._changes = changes
+        self._moves = moves
+        self._tell = tell
+        self._calm_s = calm_s
+
+    def prepare(self) -> None:
+        """Brings everything to all hosts and checks it there; nothing that runs is touched.
+
+        Raises:
+            PancakesError: a host cannot be prepared. What was brought is taken away again, everywhere.
+        """
+        shortages = [text for supply in self._supplies.values() if (text := supply.shortage())]
+        if shortages:
+            raise PancakesError("\n".join(shortages))
+        try:
+            self._everywhere(self._prepare)
+        except BaseException:
+            self.clean()
+            raise
+
+    def switch(self) -> None:
+        """Switches one agent after the other.
+
+        Raises:
+            PancakesError: one of them does not run as it should. All are as they were before.
+        """
+        done: list[_Done] = []
+        try:
+            for change in self._changes:
+                if change.what == "nothing":
+                    self._tell(change.name, f"has the version {change.version} and runs")
+                    continue
+                done.append(_Done(change))
+                self._exchange(done[-1])
+            self._all_back()
+        except BaseException as error:
+            what = str(error) if isinstance(error, PancakesError) else "the deployment is called off"
+            raise PancakesError("\n".join([what, *self._undo(done)])) from None
+        finally:
+            self.clean()
+
+    def clean(self) -> None:
+        """Removes from all hosts what no version needs."""
+        for supply in self._supplies.values():
+            with suppress(PancakesError):  # a host that is gone keeps what it has
+                supply.host.link.obtain("clean")
+
+    # A host ----------------------------------------------------------------------------------------------------
+
+    def _everywhere(self, act: Callable[[Supply], None]) -> None:
+        """Does something at all hosts at once; raises what has failed."""
+
+        def tried(supply: Supply) -> str:
+            try:
+                act(supply)
+            except PancakesError as error:
+                return str(error)
+            return ""
+
+        with ThreadPoolExecutor(max_workers=max(1, len(self._supplies))) as threads:
+            failed = [text for text in threads.map(tried, self._supplies.values()) if text]
+        if failed:
+            raise PancakesError("\n".join(failed))
+
+    def _prepare(self, supply: Supply) -> None:
+        host, link = supply.host.name, supply.host.link
+        for wheel in supply.missing:
+            link.send_file(wheel.name, wheel.digest, wheel.path.read_bytes())
+        if supply.missing:
+            self._tell(host, f"has {len(supply.missing)} wheels more ({supply.brought_bytes / 1e6:.1f} MB)")
+        own = digests(supply.own)
+        link.obtain("libraries", name=supply.libraries, wheels=digests(supply.others))
+        made = link.obtain(
+            "environment", name=supply.environment, libraries=supply.libraries, wheels=own, build=supply.build
+        )
+        self._tell(host, f"{'has a new' if made else 'has the'} environment {supply.environment}")
+        for change in self._changes:
+            if change.host != host:
+                continue
+            link.obtain(
+                "version",
+                fleet=change.fleet,
+                name=change.name,
+                version=change.version,
+                environment=change.environment,
+                config=change.config,
+                about={"build": supply.build, "libraries": supply.libraries, "wheels": own},
+            )
+            fault = link.obtain("check", fleet=change.fleet, name=change.name, version=change.version)
+            if fault:
+                raise PancakesError(f"{change.name} cannot run on {host}: {fault}")
+
+    # An agent --------------------------------------------------------------------------------------------------
+
+    def _exchange(self, done: _Done) -> None:
+        change = done.change
+        moves = self._moves[change.fleet]
+        before = self._states(change) if change.ran else {}
+        if change.ran:
+            moves.away(change.name)
+        done.stopped = True
+        self._restart(change)
+        done.runs = True
+        moves.back(change.name)
+        fault = moves.settle(change.name, before, self._calm_s)
+        if fault:
+            raise PancakesError(f"{change.name} does not run on {change.host} as it should: {fault}")
+        self._tell(change.name, f"runs the version {change.version} on {change.host}")
+
+    def _restart(self, change: AgentChange) -> None:
+        """Stops an agent, has it use a version, and starts it."""
+        self._ask(change, "stop_service")
+        self._use(change, change.version, change.last if change.what == "start" else change.was)
+        self._ask(change, "install_service")
+        self._ask(change, "start_service")
+
+    def _use(self, change: AgentChange, version: str, last: str) -> None:
+        self._supplies[change.host].host.link.obtain(
+            "switch", fleet=change.fleet, name=change.name, version=version, last=last
+        )
+
+    def _states(self, change: AgentChange) -> dict[str, str]:
+        try:
+            tasks = self._moves[change.fleet].tasks(change.name)
+        except PancakesError:
+            return {}
+        return {f"{row.service}/{row.task}": row.state for row in tasks}
+
+    def _undo(self, done: Iterable[_Done]) -> list[str]:
+        """Takes agents back to where they were, the last one first; returns a sentence for each that could not be."""
+        problems = []
+        for it in reversed(list(done)):
+            change = it.change
+            moves = self._moves[change.fleet]
+            try:
+                if it.stopped:
+                    if it.runs and change.ran:
+                        moves.away(change.name)
+                    self._take_back(change)
+                if change.ran:
+                    moves.back(change.name)
+                where = f"the version {change.was}" if change.was else "what it was: not there"
+                self._tell(change.name, f"is back at {where}")
+            except PancakesError as error:
+                problems.append(f"{change.name} could not be taken back on {change.host}: {error}")
+        self._all_back()
+        return problems
+
+    def _all_back(self) -> None:
+        for moves in self._moves.values():
+            moves.all_back()
+
+    def _take_back(self, change: AgentChange) -> None:
+        if not change.was:
+            self._ask(change, "forget_service")
+            self._use(change, "", "")
+            return
+        self._ask(change, "stop_service")
+        self._use(change, change.was, change.last)
+        self._ask(change, "install_service")
+        if change.ran:
+            self._ask(change, "start_service")
+
+    def _ask(self, change: AgentChange, what: str) -> None:
+        self._supplies[change.host].host.link.obtain(what, fleet=change.fleet, name=change.name)

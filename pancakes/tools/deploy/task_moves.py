@@ -1,0 +1,163 @@
+"""The tasks of an agent that is restarted: they move to neighbours before, and come back after."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from pancakes.client import Client, TaskRow, Where
+from pancakes.errors import PancakesError
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.tools.deploy.steadiness import Steadiness
+
+ANSWER_S: Final = 10.0
+SOON_S: Final = 5.0
+"""So long an agent that is ready again may take until its neighbours are linked to it, and its tasks are back."""
+BACK_S: Final = 20.0
+"""So long it may take at the end, when all agents have their versions."""
+SETTLE_S: Final = 60.0
+"""So long the tasks of an agent may take until all of them run."""
+LOOK_S: Final = 0.5
+HOSTED: Final = "client"
+"""The service that has the tasks which can move."""
+
+
+@dataclass(frozen=True)
+class MovedTask:
+    """A task that is away from its agent.
+
+    Attributes:
+        task: its name.
+        home: the agent that it belongs to.
+        at: the agent that has it now.
+    """
+
+    task: str
+    home: str
+    at: str
+
+
+class TaskMoves:
+    """Moves tasks, and looks how they are.
+
+    Args:
+        ways: the address of each agent of the fleet that can be reached from here, by name.
+        fleet: their fleet.
+        tell: takes a clause about an agent, to be read after its name.
+    """
+
+    def __init__(self, ways: Mapping[str, str], fleet: str, tell: Callable[[str, str], None]) -> None:
+        self._ways = ways
+        self._fleet = fleet
+        self._tell = tell
+        self._moved: list[MovedTask] = []
+        self._now = MonotonicClock().now
+
+    def tasks(self, agent: str) -> list[TaskRow]:
+        """Returns the tasks of an agent.
+
+        Raises:
+            PancakesError: it does not answer.
+        """
+        with self._client(agent) as client:
+            return client.tasks(agent)
+
+    def movable(self, agent: str) -> list[tuple[str, str]]:
+        """Returns the running tasks that could move, each with the agent that would take it now; empty: none would."""
+        found = []
+        for row in self._hosted(agent):
+            with self._client(agent) as client:
+                try:
+                    found.append((row.task, client.migrate(row, dry_run=True, timeout_s=ANSWER_S).winner))
+                except PancakesError:
+                    found.append((row.task, ""))
+        return found
+
+    def away(self, agent: str) -> None:
+        """Moves the running tasks of an agent to its neighbours, where these can take them; says which stay.
+
+        Those of others that wait there move on, and go home from where they are then.
+        """
+        for row in self._hosted(agent):
+            guest = next((it for it in self._moved if (it.task, it.at) == (row.task, agent)), None)
+            try:
+                with self._client(agent) as client:
+                    ledger = client.migrate(row)
+            except PancakesError as error:
+                self._tell(agent, f"keeps {row.task} while it is restarted: {error}")
+                continue
+            self._tell(agent, f"gives {row.task} to {ledger.winner}")
+            if guest is not None:
+                self._moved.remove(guest)
+            home = guest.home if guest is not None else agent
+            if home != ledger.winner:
+                self._moved.append(MovedTask(row.task, home, ledger.winner))
+
+    def back(self, agent: str, within_s: float = SOON_S) -> None:
+        """Moves tasks back to an agent that runs again.
+
+        One that is refused waits where it is: tasks move between equal versions alone.
+        """
+        until_s = self._now() + within_s
+        for it in [it for it in self._moved if it.home == agent]:
+            if it.at not in self._ways:
+                self._moved.remove(it)
+                self._tell(agent, f"does not get {it.task} back: {it.at} has no host in the fleet file")
+            elif not (fault := self._back(it, until_s)):
+                self._moved.remove(it)
+                self._tell(agent, f"gets {it.task} back from {it.at}")
+            elif within_s > SOON_S:
+                self._moved.remove(it)
+                self._tell(agent, f"does not get {it.task} back from {it.at}: {fault}")
+
+    def all_back(self) -> None:
+        """Moves all tasks back that are still away, once all agents run; says which stay away."""
+        for agent in dict.fromkeys(it.home for it in self._moved):
+            self.back(agent, BACK_S)
+
+    def settle(self, agent: str, before: Mapping[str, str], calm_s: float) -> str:
+        """Waits until the tasks of an agent run; returns what is wrong, empty: nothing.
+
+        Args:
+            agent: the agent.
+            before: the states of its tasks before, by name.
+            calm_s: so long they have to run without one beginning anew.
+        """
+        steadiness, until_s = Steadiness(before, calm_s), self._now() + SETTLE_S
+        with self._client(agent) as client:
+            while True:
+                try:
+                    tasks = client.tasks(agent)
+                except PancakesError as error:
+                    if self._now() >= until_s:
+                        return str(error)
+                    client.wait(lambda: False, LOOK_S)
+                    continue
+                if steadiness.look(tasks, self._now()):
+                    return ""
+                if steadiness.is_hopeless(tasks) or self._now() >= until_s:
+                    return "; ".join(steadiness.faults(tasks)) or "its tasks begin anew again and again"
+                client.wait(lambda: False, LOOK_S)
+
+    def _hosted(self, agent: str) -> list[TaskRow]:
+        try:
+            return [row for row in self.tasks(agent) if row.service == HOSTED and row.state == "running"]
+        except PancakesError as error:
+            self._tell(agent, f"is not asked for its tasks: {error}")
+            return []
+
+    def _back(self, it: MovedTask, until_s: float) -> str:
+        """Moves a task home; returns why not, empty: it is there."""
+        with self._client(it.at) as client:
+            while True:
+                try:
+                    client.migrate(f"{it.at}/{HOSTED}/{it.task}", it.home)
+                    return ""
+                except PancakesError as error:
+                    if self._now() >= until_s:
+                        return str(error)
+                client.wait(lambda: False, LOOK_S)
+
+    def _client(self, agent: str) -> Client:
+        return Client(Where((self._ways[agent],), self._fleet), ANSWER_S, lambda text: None)

@@ -1,0 +1,217 @@
+"""The agents of a launch that run on other hosts: what a `Runner` does for them, over one connection to each host."""
+
+from __future__ import annotations
+
+import selectors
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+from pancakes.errors import PancakesError
+from pancakes.tools.launch.host_link import HostLink
+from pancakes.tools.launch.member import Member
+
+ALIVE_S: Final = 5.0
+"""So often a host hears that the launcher lives: where it hears nothing, it ends the agents."""
+KILL_S: Final = 2.0
+"""A connection over which no agent that was killed has ended for so long is given up."""
+LOST: Final = 255
+"""The exit code of an agent whose connection has ended, as that of `ssh`."""
+
+
+class HostListener(Protocol):
+    """Learns what becomes of agents, in the thread that runs the launch."""
+
+    def started_there(self, name: str, host: str, pid: int) -> None:
+        """An agent's process runs."""
+
+    def printed_there(self, name: str, text: str) -> None:
+        """It has printed a line."""
+
+    def said_there(self, name: str, line: str) -> None:
+        """It says how far it is, as `pancakes-agent --ready-fd` does."""
+
+    def ended_there(self, name: str, code: int, how: str) -> None:
+        """It has ended; `how` says it where the exit code does not."""
+
+    def failed_there(self, name: str, reason: str) -> None:
+        """It could not be started."""
+
+
+@dataclass(frozen=True)
+class HostStart:
+    """What a host needs to start an agent.
+
+    Attributes:
+        config: its configuration, as TOML.
+        sets: what is changed of it, as `--set` takes it.
+        keys: the files of its keys for this run, in base64.
+        fresh: whether it forgets what it remembers of its tasks, the first time.
+    """
+
+    config: str
+    sets: tuple[str, ...]
+    keys: Mapping[str, str]
+    fresh: bool = False
+
+
+class HostAgents:
+    """Starts and ends agents on hosts.
+
+    Args:
+        members: the agents that have a host.
+        starts: what each needs.
+        links: the connections that are open already, by host; they are closed here.
+        selector: is told which file descriptors are waited for; what it has for each is to be called.
+        now: the host time.
+    """
+
+    def __init__(
+        self,
+        members: Sequence[Member],
+        starts: Mapping[str, HostStart],
+        links: Mapping[str, HostLink],
+        selector: selectors.BaseSelector,
+        now: Callable[[], float],
+    ) -> None:
+        self._members = {member.name: member for member in members}
+        self._starts = dict(starts)
+        self._links = dict(links)
+        self._selector = selector
+        self._now = now
+        self._asked: dict[tuple[str, int], str] = {}
+        self._run: set[str] = set()
+        self._kill_s: dict[str, float] = {}
+        self._alive_s = now() + ALIVE_S
+
+    def attend(self, listener: HostListener) -> None:
+        """Begins to listen to the hosts."""
+        self._listener = listener
+        for host in self._links:
+            self._register(host)
+
+    @property
+    def due_s(self) -> float:
+        """When `tick` is due."""
+        return min([self._alive_s, *self._kill_s.values()])
+
+    def start(self, name: str) -> None:
+        """Starts an agent; the connection to its host is made anew where it was lost."""
+        member, start = self._members[name], self._starts[name]
+        link = self._links.get(member.host)
+        if link is None or link.lost:
+            try:
+                link = self._links[member.host] = HostLink(member.host)
+            except PancakesError as error:
+                self._listener.failed_there(name, str(error))
+                return
+            self._register(member.host)
+        self._run.add(name)
+        number = link.send(
+            "start",
+            fleet=member.config.agent.fleet,
+            agent=name,
+            config=start.config,
+            sets=list(start.sets),
+            keys=dict(start.keys),
+            fresh=start.fresh,
+        )
+        self._asked[member.host, number] = name
+        self._starts[name] = HostStart(start.config, start.sets, start.keys)
+        self._watch_writes(link)
+
+    def end(self, name: str) -> None:
+        """Tells an agent to end."""
+        self._order(name, "end")
+
+    def kill(self, name: str) -> None:
+        """Ends an agent by force."""
+        self._kill_s[name] = self._now() + KILL_S
+        self._order(name, "kill")
+
+    def tick(self) -> None:
+        """Time has passed."""
+        now_s = self._now()
+        if now_s >= self._alive_s:
+            self._alive_s = now_s + ALIVE_S
+            for link in self._links.values():
+                if not link.lost:
+                    link.send("alive")
+                    self._watch_writes(link)
+        for name, at_s in list(self._kill_s.items()):
+            if now_s >= at_s:
+                del self._kill_s[name]
+                host = self._members[name].host
+                if name in self._run and not self._links[host].lost:
+                    self._lose(host, within_s=0.0)
+
+    def close(self) -> None:
+        """Ends all connections, and with them all agents."""
+        for link in self._links.values():
+            link.close()
+
+    def _order(self, name: str, word: str) -> None:
+        link = self._links[self._members[name].host]
+        if not link.lost:
+            link.send(word, agent=name)
+            self._watch_writes(link)
+
+    def _register(self, host: str) -> None:
+        link = self._links[host]
+        self._selector.register(link.reads, selectors.EVENT_READ, lambda: self._read(host))
+        self._watch_writes(link)
+
+    def _watch_writes(self, link: HostLink) -> None:
+        """Waits until the connection takes more, where requests wait."""
+        registered = link.writes in self._selector.get_map()
+        if link.has_more and not registered:
+            self._selector.register(link.writes, selectors.EVENT_WRITE, lambda: self._write(link))
+        elif registered and not link.has_more:
+            self._selector.unregister(link.writes)
+
+    def _write(self, link: HostLink) -> None:
+        link.flush()
+        self._watch_writes(link)
+
+    def _read(self, host: str) -> None:
+        link = self._links[host]
+        handles = (link.reads, link.writes)
+        told = link.read()
+        if link.lost:
+            self._lost(host, handles)
+            return
+        for it in told:
+            self._take(host, it)
+
+    def _lose(self, host: str, within_s: float) -> None:
+        link = self._links[host]
+        handles = (link.reads, link.writes)
+        link.close(within_s)
+        self._lost(host, handles)
+
+    def _lost(self, host: str, handles: Sequence[int]) -> None:
+        for handle in handles:
+            if handle in self._selector.get_map():
+                self._selector.unregister(handle)
+        self._asked = {key: name for key, name in self._asked.items() if key[0] != host}
+        for name in [name for name in self._run if self._members[name].host == host]:
+            self._run.discard(name)
+            self._listener.ended_there(name, LOST, self._links[host].lost)
+
+    def _take(self, host: str, told: dict[str, Any]) -> None:
+        name = told.get("agent") or self._asked.pop((host, told.get("id", 0)), "")
+        if name not in self._run:
+            return
+        if "fault" in told:
+            self._run.discard(name)
+            self._listener.failed_there(name, f"{host} {told['fault']}")
+        elif "result" in told:
+            self._listener.started_there(name, host, told["result"]["pid"])
+        elif told["event"] == "line":
+            self._listener.printed_there(name, told["text"])
+        elif told["event"] == "said":
+            self._listener.said_there(name, told["text"])
+        elif told["event"] == "ended":
+            self._run.discard(name)
+            self._kill_s.pop(name, None)
+            self._listener.ended_there(name, told["code"], "")

@@ -1,0 +1,176 @@
+"""A connection to a host over SSH, and the program of `pancakes.tools.there` at its other end."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import os
+import select
+import subprocess
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+from pancakes.errors import PancakesError, Unreachable
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.tools.launch.ssh import no_ssh, open_host, scratch_file, sentence_of, source
+
+OPEN_S: Final = 30.0
+"""A host that has not answered for so long cannot be reached."""
+CALL_S: Final = 900.0
+"""The longest that anything asked of a host takes: a slow disk unpacks wheels."""
+PIECE_BYTES: Final = 192 * 1024
+"""Files are sent in pieces of so many bytes."""
+_CHUNK: Final = 1 << 16
+_NOW: Final = MonotonicClock().now
+
+
+class HostError(PancakesError):
+    """A host cannot do what it was asked for. The sentence names it, and what to do."""
+
+
+class HostLink:
+    """One connection to a host, for the thread that has it. Nothing here waits but `obtain`.
+
+    Args:
+        host: the host, as `ssh` takes it.
+
+    Attributes:
+        host: the same.
+        lost: a sentence about the end of the connection; empty: it has not ended.
+
+    Raises:
+        PancakesError: there is no `ssh` on this machine.
+    """
+
+    def __init__(self, host: str) -> None:
+        self.host = host
+        self.lost = ""
+        self._errors = scratch_file()
+        try:
+            self._process = open_host(host, self._errors)
+        except OSError as error:
+            os.close(self._errors)
+            raise PancakesError(no_ssh(error)) from None
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._in, self._out = self._process.stdout.fileno(), self._process.stdin.fileno()
+        for end in (self._in, self._out):
+            os.set_blocking(end, False)
+        self._waiting = bytearray(source())
+        self._begun = b""
+        self._number = 0
+
+    @property
+    def reads(self) -> int:
+        """The file descriptor at which answers come."""
+        return self._in
+
+    @property
+    def writes(self) -> int:
+        """The file descriptor to which requests go."""
+        return self._out
+
+    @property
+    def has_more(self) -> bool:
+        """Whether requests wait to be written (`flush`)."""
+        return bool(self._waiting)
+
+    def send(self, do: str, **arguments: Any) -> int:
+        """Asks for something; returns the number that its answer bears."""
+        self._number += 1
+        self._waiting += json.dumps({"id": self._number, "do": do, **arguments}).encode() + b"\n"
+        self.flush()
+        return self._number
+
+    def flush(self) -> None:
+        """Writes as much of what waits as the connection takes now."""
+        try:
+            while self._waiting and not self.lost:
+                del self._waiting[: os.write(self._out, self._waiting[:_CHUNK])]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._waiting.clear()  # its end is read where answers come
+
+    def read(self) -> list[dict[str, Any]]:
+        """Returns the answers and the events that have come; where the connection has ended, `lost` says why."""
+        if self.lost:
+            return []
+        try:
+            data = os.read(self._in, _CHUNK)
+        except BlockingIOError:
+            return []
+        if not data:
+            self._end()
+            return []
+        *lines, self._begun = (self._begun + data).split(b"\n")
+        return [found for line in lines for found in _parsed(line)]
+
+    def obtain(self, do: str, within_s: float = CALL_S, **arguments: Any) -> Any:
+        """Asks for something, and waits for the answer; what the host tells meanwhile is passed over.
+
+        Raises:
+            HostError: the host cannot do it.
+            Unreachable: the connection has ended, or no answer comes in time.
+        """
+        number, until_s = self.send(do, **arguments), _NOW() + within_s
+        while not self.lost:
+            left_s = until_s - _NOW()
+            if left_s <= 0:
+                self.close()
+                raise Unreachable(f"{self.host} does not answer within {within_s:g} s: see whether it runs")
+            writes = [self._out] if self._waiting else []
+            readable, writable, _ = select.select([self._in], writes, [], left_s)
+            if writable:
+                self.flush()
+            for answer in self.read() if readable else ():
+                if answer.get("id") != number:
+                    continue
+                if "fault" in answer:
+                    raise HostError(f"{self.host} {answer['fault']}")
+                return answer["result"]
+        raise Unreachable(self.lost)
+
+    def send_file(self, name: str, digest: str, data: bytes, told: Callable[[int], None] = lambda sent: None) -> None:
+        """Sends a wheel; `told` gets how many bytes of it are there by now. The errors are those of `obtain`."""
+        for start in range(0, len(data), PIECE_BYTES):
+            piece, end = data[start : start + PIECE_BYTES], start + PIECE_BYTES
+            encoded = base64.b64encode(piece).decode()
+            self.obtain("put", name=name, digest=digest, data=encoded, last=end >= len(data))
+            told(min(end, len(data)))
+
+    def close(self, within_s: float = 5.0) -> None:
+        """Ends the connection, and with it what was launched over it."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(within_s)
+        self._end(0.0)
+
+    def _end(self, within_s: float = 1.0) -> None:
+        if self.lost:
+            return
+        try:
+            code = self._process.wait(within_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
+        size = os.lseek(self._errors, 0, os.SEEK_END)
+        said = os.pread(self._errors, _CHUNK, max(0, size - _CHUNK)).decode("utf-8", "replace")
+        self.lost = sentence_of(self.host, code, said)
+        os.close(self._errors)
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            with contextlib.suppress(OSError):
+                pipe.close()
+
+
+def _parsed(line: bytes) -> Iterator[dict[str, Any]]:
+    """Yields what a line says; the user's shell over there may have printed others."""
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return
+    if isinstance(found, dict):
+        yield found

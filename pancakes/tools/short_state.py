@@ -1,0 +1,128 @@
+"""The state of a task as people look at it: a name and a short text for each value in it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.runtime.foundation.arrays import is_array
+from pancakes.runtime.foundation.printable import printable
+from pancakes.settings import dotted
+
+MOST_CHARS: Final = 160
+"""The text of one value is cut after so many characters."""
+MOST_BYTES: Final = 4096
+"""So long are all names and texts together, at most; what comes after that is left out."""
+MOST_DEEP: Final = 6
+"""A table that lies in so many others is one value."""
+
+
+class ShortState(msgspec.Struct, frozen=True):
+    """What there is room for of a state.
+
+    Attributes:
+        rows: name and text of each value; the name of one in a table has dots, as in TOML.
+        cut: whether there is more than that.
+    """
+
+    rows: tuple[tuple[str, str], ...]
+    cut: bool
+
+    def size(self) -> int:
+        """Returns about how much memory it takes."""
+        return sum(len(name) + len(text) for name, text in self.rows)
+
+
+def shortened(state: Mapping[str, Any], most_chars: int = MOST_CHARS, most_bytes: int = MOST_BYTES) -> ShortState:
+    """Shortens a state; it takes no longer where the state is large.
+
+    Args:
+        state: plain values, and numpy arrays among them.
+        most_chars: see `MOST_CHARS`.
+        most_bytes: see `MOST_BYTES`.
+    """
+    rows: list[tuple[str, str]] = []
+    left = most_bytes
+    cut = False
+    for keys, value in _leaves(state, ()):
+        name, text, whole = printable(dotted(keys)), *_text(value, most_chars)
+        if len(name) > most_chars:
+            name, whole = f"{name[: most_chars - 1]}…", False
+        left -= len(name.encode()) + len(text.encode())
+        if left < 0:
+            return ShortState(tuple(rows), True)
+        rows.append((name, text))
+        cut = cut or not whole
+    return ShortState(tuple(rows), cut)
+
+
+def _leaves(value: Mapping[Any, Any], keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for key, item in value.items():
+        inside = (*keys, str(key))
+        if isinstance(item, Mapping) and item and len(inside) < MOST_DEEP:
+            yield from _leaves(item, inside)
+        else:
+            yield inside, item
+
+
+def _text(value: Any, most: int) -> tuple[str, bool]:
+    """Returns a value as a text, and whether that is all of it."""
+    if isinstance(value, str):  # alone it needs no quotes
+        head = printable(value[:most])
+        return (head, True) if len(value) <= most else (f"{head}… ({len(value)} characters)", False)
+    text, whole = "", True
+    for piece in _pieces(value):
+        if len(text) + len(piece) > most:
+            text, whole = f"{text}{piece[: most - len(text)]}…", False
+            break
+        text += piece
+    return f"{text}{_note(value, whole)}", whole
+
+
+def _note(value: Any, whole: bool) -> str:
+    """Returns what there is to be said of a value besides: the kind of an array, the length of what is cut."""
+    if is_array(value):
+        return f" ({value.dtype}, {' x '.join(map(str, value.shape)) or 'one number'})"
+    return f" ({len(value)} items)" if not whole and isinstance(value, (list, tuple, Mapping)) else ""
+
+
+def _pieces(value: Any) -> Iterator[str]:
+    """Yields the text of a value, piece by piece: of a large one the rest need not be made."""
+    if is_array(value):
+        if value.ndim == 0:
+            yield from _pieces(value.item())
+        else:
+            yield from _listed(value if value.ndim > 1 else (item.item() for item in value))
+    elif isinstance(value, Mapping):
+        yield "{"
+        for index, (key, item) in enumerate(value.items()):
+            yield f"{', ' if index else ''}{printable(str(key))} = "
+            yield from _pieces(item)
+        yield "}"
+    elif isinstance(value, (list, tuple)):
+        yield from _listed(value)
+    else:
+        yield _word(value)
+
+
+def _listed(items: Any) -> Iterator[str]:
+    yield "["
+    for index, item in enumerate(items):
+        if index:
+            yield ", "
+        yield from _pieces(item)
+    yield "]"
+
+
+def _word(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, (bytes, bytearray, memoryview)):
+        return f"{bytes(value[:32]).hex(' ')}{'…' if len(value) > 32 else ''} ({len(value)} bytes)"
+    return f'"{printable(value[:MOST_BYTES])}"' if isinstance(value, str) else printable(str(value))

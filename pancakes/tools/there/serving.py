@@ -1,0 +1,123 @@
+"""The program that Pancakes runs on a host: it is asked over its standard input, and ends with that.
+
+A request is a line of JSON, `{"id": 1, "do": "look", ...}`, and so is its reply, `{"id": 1, "result": ...}` or
+`{"id": 1, "fault": "a clause about the host"}`. What happens there by itself is told as `{"event": "ended", ...}`.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import select
+import signal
+import time
+from collections.abc import Callable
+from typing import Any
+
+from pancakes.tools.there.deploying import Deploying
+from pancakes.tools.there.host_folders import HostFault, end_process, prepare_environment
+from pancakes.tools.there.launched_agents import LaunchedAgents
+from pancakes.tools.there.looking import look
+
+SILENCE_S = 20.0
+"""A launcher from which nothing came for so long has gone, with its network perhaps: its agents end."""
+MOST_WAITING = 1 << 20
+"""So many bytes wait for the launcher; then the agents wait until they can print on."""
+_CHUNK = 65_536
+
+
+class Serving:
+    """Reads requests and carries them out, in one thread, until the standard input ends."""
+
+    def __init__(self) -> None:
+        self._out = bytearray()
+        self._begun = b""
+        self._ends = False
+        self._heard_s = time.monotonic()
+        self._agents = LaunchedAgents(self._emit)
+        deploying = Deploying()
+        self._calls: dict[str, Callable[..., Any]] = {
+            "alive": lambda: None,
+            "look": look,
+            "end_process": end_process,
+            "start": self._agents.start,
+            "end": self._agents.end,
+            "kill": self._agents.kill,
+            **deploying.calls,
+        }
+
+    def run(self) -> None:
+        """Serves until the launcher has gone, and leaves no agent of a launch behind."""
+        reader, writer = os.pipe()
+        for end in (reader, writer):
+            os.set_blocking(end, False)
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+            signal.signal(number, self._told_to_end)
+        signal.signal(signal.SIGCHLD, lambda number, frame: None)
+        os.set_blocking(1, False)
+        try:
+            while not self._ends:
+                self._turn(reader)
+        finally:
+            self._agents.end_all()
+
+    def _turn(self, woken: int) -> None:
+        calls: dict[int, Callable[[], Any]] = {0: self._read, woken: lambda: os.read(woken, _CHUNK)}
+        if len(self._out) < MOST_WAITING:
+            calls.update(self._agents.pipes())
+        readable, writable, _ = select.select(list(calls), [1] if self._out else [], [], 1.0)
+        for handle in readable:
+            calls[handle]()
+        self._agents.look()
+        if writable:
+            try:
+                del self._out[: os.write(1, self._out[:_CHUNK])]
+            except BlockingIOError:
+                pass
+            except OSError:
+                self._ends = True
+        if self._agents and time.monotonic() - self._heard_s > SILENCE_S:
+            self._ends = True
+
+    def _told_to_end(self, number: int, frame: Any) -> None:
+        self._ends = True
+
+    def _read(self) -> None:
+        data = os.read(0, 1 << 20)
+        self._heard_s = time.monotonic()
+        if not data:
+            self._ends = True
+        *lines, self._begun = (self._begun + data).split(b"\n")
+        for line in lines:
+            self._carry_out(json.loads(line))
+        self._heard_s = time.monotonic()  # what was asked for may have taken long
+
+    def _carry_out(self, request: dict[str, Any]) -> None:
+        number, call = request.pop("id"), self._calls[request.pop("do")]
+        try:
+            self._say({"id": number, "result": call(**request)})
+        except HostFault as fault:
+            self._say({"id": number, "fault": str(fault)})
+        except OSError as error:
+            self._say({"id": number, "fault": _fault_of(error)})
+
+    def _emit(self, event: str, **values: Any) -> None:
+        self._say({"event": event, **values})
+
+    def _say(self, what: dict[str, Any]) -> None:
+        self._out += json.dumps(what).encode() + b"\n"
+
+
+def _fault_of(error: OSError) -> str:
+    where = f" ({os.fsdecode(error.filename)})" if error.filename else ""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"has no room left on its disk{where}: make room there"
+    return f"refuses: {(error.strerror or str(error)).lower()}{where}"
+
+
+def main() -> None:
+    """Begins."""
+    prepare_environment()
+    Serving().run()

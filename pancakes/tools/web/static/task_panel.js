@@ -1,0 +1,191 @@
+// All that is known of one task while a person looks at it: its state as it changes, its rates and its settings.
+
+import { FieldForm, changesOf } from "./field_form.js";
+import { RUNNING } from "./state.js";
+import { guardians, h, hertz, say, show } from "./words.js";
+
+const LOOK_MS = 1000;
+/** A task whose state takes long to tell is asked so much less often. */
+const SHARE = 10;
+const FACTS_MS = 250;
+const RATE = { kind: "number", type: "number", bounds: "from 0 to 10,000", unit: "Hz", min: 0, nullable: false };
+
+export class TaskPanel {
+  /**
+   * @param {Link} link Asks the server.
+   * @param {HTMLDialogElement} dialog Where it is shown.
+   * @param {Orders} orders What else can be done with a task.
+   * @param {Timeline} timeline Says which moment is looked at.
+   * @param {Function} shown Returns the picture of that moment.
+   */
+  constructor(link, dialog, orders, timeline, shown) {
+    this.link = link;
+    this.dialog = dialog;
+    this.orders = orders;
+    this.timeline = timeline;
+    this.shown = shown;
+    this.root = null;
+  }
+
+  /** Shows a task, until the dialog is closed or shows something else. */
+  open(agent, key) {
+    [this.agent, this.key] = [agent, key];
+    this.told = null;
+    this.facts = new Rows();
+    this.actions = h("div");
+    this.did = "";
+    this.age = h("small.dim");
+    this.missing = h("p.dim.missing");
+    this.rows = new Rows();
+    this.kept = h("div.state", { tabindex: 0, role: "group", "aria-label": "Fields of the state" }, this.rows.root);
+    this.state = h("section", { "aria-label": "State" }, h("h3", {}, "State ", this.age), this.kept, this.missing);
+    this.rates = new FieldForm("Rates", (fields, dry) => this.#setRates(fields, dry));
+    this.settings = new FieldForm("Settings", (fields, dry) => this.#configure(fields, dry));
+    this.said = h("p.said", { role: "status" });
+    const close = h("form.closing", { method: "dialog" }, h("button", {}, "Close"));
+    this.root = h("div", {}, this.facts.root, this.actions, this.said, this.state, this.rates.root, this.settings.root);
+    this.dialog.replaceChildren(h("h2", { id: "dialog-title" }, `${key.split("/")[1]} on ${agent}`), this.root, close);
+    say(this.missing, "asking …");
+    this.#draw();
+    if (!this.dialog.open) this.dialog.showModal();
+    this.#follow(this.root);
+  }
+
+  #isOpen(root) {
+    return this.root === root && this.dialog.open && root.isConnected;
+  }
+
+  async #follow(root) {
+    const timer = setInterval(() => (this.#isOpen(root) ? this.#draw() : clearInterval(timer)), FACTS_MS);
+    while (this.#isOpen(root)) {
+      const began = performance.now();
+      const moment = this.timeline.live ? {} : { t: this.timeline.t };
+      const asked = (this.asked = Symbol());
+      const answer = await this.link.ask("task", { agent: this.agent, task: this.key, ...moment });
+      // What was asked before something was changed says nothing of it.
+      if (this.#isOpen(root) && asked === this.asked) this.#take(answer, moment.t === undefined);
+      await new Promise((resolve) => setTimeout(resolve, Math.max(LOOK_MS, SHARE * (performance.now() - began))));
+    }
+  }
+
+  // What is shown -----------------------------------------------------------------------------------------------
+
+  #take({ ok, reason, result }, live) {
+    this.told = ok ? result : { state: null, no_state: reason };
+    const { state, no_state, settings, timers, left_out } = this.told;
+    this.rows.show(state ? state.rows : []);
+    show(this.kept, Boolean(state && state.rows.length));
+    const nothing = state && !state.rows.length ? "It keeps nothing in its state." : "";
+    const cut = state && state.cut ? `What is cut: pancakes task info ${this.agent}/${this.key} --state --format json` : "";
+    say(this.missing, [no_state, nothing, cut].filter(Boolean).join(" "));
+    show(this.missing, Boolean(no_state || nothing || cut));
+    if (!live) {
+      this.rates.show([], false);
+      this.settings.show([], false, "Go back to live to see its settings.");
+    } else if (settings) {
+      const runs = this.#row()?.state === RUNNING;
+      const editable = this.orders.control && runs;
+      const still = this.orders.control && !runs ? "It does not run: settings change while it does." : "";
+      const more = left_out ? `${left_out} more are too long for a page: pancakes param get ${this.agent}/${this.key}` : "";
+      const rates = timers.map((it) => ({ ...RATE, path: [it.timer], name: it.timer, value: it.rate_hz, description: `${it.ticks} ticks, ${it.missed} missed` }));
+      this.rates.show(rates, editable);
+      this.settings.show(settings, editable, [settings.length ? "" : "It has none.", still, more].filter(Boolean).join(" "));
+    }
+    this.#draw();
+  }
+
+  #row() {
+    return this.shown().tasksOf(this.agent).get(this.key);
+  }
+
+  /** Shows what changes by itself: the facts, what can be done, how old the state is. */
+  #draw() {
+    const row = this.#row();
+    this.facts.show(row ? factsOf(this.agent, this.key, row) : [["agent", this.agent], ["state", "it is not on this agent"]]);
+    const { live } = this.timeline;
+    const does = this.orders.control && live && row ? row.state : "";
+    if (does !== this.did) {
+      const held = this.actions.contains(document.activeElement);
+      this.did = does;
+      this.actions.replaceChildren(...(does ? [this.orders.actions(this.agent, this.key, row, this.said)] : []));
+      if (held) this.actions.querySelector("button")?.focus();
+    }
+    const seen = this.told?.state;
+    if (!seen) say(this.age, "");
+    else if (live) say(this.age, `${Math.max(0, this.timeline.end - seen.t).toFixed(1)} s old`);
+    else say(this.age, `as seen ${Math.max(0, this.timeline.t - seen.t).toFixed(1)} s before this moment`);
+  }
+
+  // What is changed ---------------------------------------------------------------------------------------------
+
+  #order(what, fields) {
+    this.asked = null;
+    return this.link.ask("order", { do: what, agent: this.agent, task: this.key, ...fields });
+  }
+
+  async #configure(fields, dry) {
+    const { ok, reason, result } = await this.#order("configure", { settings: changesOf(fields), dry_run: dry });
+    const problems = ((!ok && result && result.problems) || []).map(({ path, text }) => [nameAt(fields, path), text]);
+    return { ok, reason, problems };
+  }
+
+  /** Changes rates one after the other, once the agent has said of all of them that they are good. */
+  async #setRates(fields, dry) {
+    const changed = fields.filter((it) => it.changed).map((it) => ({ timer: it.field.name, rate_hz: it.value() }));
+    for (const dry_run of dry ? [true] : [true, false]) {
+      for (const change of changed) {
+        const { ok, reason } = await this.#order("rate", { ...change, dry_run });
+        if (!ok) return { ok, reason, problems: [[change.timer, reason]] };
+      }
+    }
+    return { ok: true, reason: "", problems: [] };
+  }
+}
+
+/** Names with texts, of which those alone are laid out again that change. */
+class Rows {
+  constructor() {
+    this.root = h("dl.facts");
+    this.names = "";
+  }
+
+  show(rows) {
+    const names = JSON.stringify(rows.map(([name]) => name));
+    if (names !== this.names) {
+      this.names = names;
+      this.root.replaceChildren(...rows.flatMap(([name]) => [h("dt", {}, name), h("dd")]));
+    }
+    rows.forEach(([, text], index) => say(this.root.children[2 * index + 1], text));
+  }
+}
+
+/** Returns the name of the field that a bad value belongs to: of the value itself, or of the table around it. */
+function nameAt(fields, path) {
+  const beginsWith = (keys) => keys.length <= path.length && keys.every((key, index) => key === path[index]);
+  return fields.find((it) => beginsWith(it.field.path))?.field.name ?? path.join(".");
+}
+
+function factsOf(agent, key, row) {
+  const known = (value) => value !== null && value !== undefined;
+  const facts = [
+    ["agent", agent],
+    ["service", key.split("/")[0]],
+    ["type", row.type],
+    ["state", `${row.rest || row.state}${row.reason ? `: ${row.reason}` : ""}`],
+    ["needs", (row.requires || []).join(", ")],
+  ];
+  if (row.guards) {
+    facts.push(["guardians", guardians(row.guards).replace("guarded by ", "")]);
+    facts.push(["permit", row.guards.permit_s > 0 ? `${row.guards.permit_s.toFixed(1)} s` : "none: it stands still"]);
+    facts.push(["checkpoint", row.guards.age_s === null ? null : `${row.guards.age_s} s old at more than half of them`]);
+  }
+  facts.push(
+    ["rate wanted", known(row.rate_hz) ? `${hertz(row.rate_hz)} Hz` : null],
+    ["rate reached", known(row.achieved_hz) ? `${hertz(row.achieved_hz)} Hz` : null],
+    ["late in the mean", known(row.late_ms) ? `${row.late_ms} ms` : null],
+    ["ticks missed", row.missed],
+    ["packets dropped", row.dropped],
+    ["restarts", row.restarts],
+  );
+  return facts.filter(([, text]) => known(text) && text !== "").map(([name, text]) => [name, String(text)]);
+}

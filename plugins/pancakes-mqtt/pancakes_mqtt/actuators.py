@@ -1,0 +1,198 @@
+"""Actuators that others have made and that take commands by MQTT, as drivers.
+
+A command is good for a moment, so none waits for a broker that is not there, and the broker keeps none. What waits is
+the safe hold alone: a device that could not be told hears it as soon as its broker is back.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+from msgspec import Meta
+
+from pancakes.bodies.devices.driver import Actuator, DeviceContext
+from pancakes.bodies.devices.types import Twist
+from pancakes.errors import PancakesError
+from pancakes_mqtt.broker_settings import BrokerSettings
+from pancakes_mqtt.forms import FORMS, FormName, dark_payload, fault_of_device, light_payload, named
+from pancakes_mqtt.message import Message
+from pancakes_mqtt.packets import Light, Switch
+from pancakes_mqtt.payloads import written
+from pancakes_mqtt.sensors import refuse_virtual_time
+from pancakes_mqtt.shared_broker import SharedBroker, shared_broker
+from pancakes_mqtt.topics import fault_of_topic
+
+
+class MqttActuator(Actuator):
+    """An actuator that takes commands by MQTT; a type of one's own is a subclass.
+
+    Attributes:
+        kind: what a form calls its commands; empty: no form has such.
+    """
+
+    kind: ClassVar[str] = ""
+
+    @dataclass(kw_only=True)
+    class Settings(BrokerSettings):
+        """Where it takes commands.
+
+        Attributes:
+            form: which program or firmware the device speaks by; without it, `topic` says where.
+            device: its name there: `lamp`, or with esphome `node/id`.
+            topic: the topic of its commands, where it is another than the form's.
+            holds_after_s: after so long without a command, in seconds, the device goes to its safe hold by itself
+                (its firmware's own time-out); without it, it keeps its last command.
+        """
+
+        form: FormName = ""
+        device: str = ""
+        topic: str = ""
+        holds_after_s: Annotated[float, Meta(gt=0)] | None = None
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            if fault := fault_of_device(self.form, self.device) or (self.topic and fault_of_topic(self.topic)):
+                raise ValueError(fault)
+            if not self.form and not self.topic:
+                raise ValueError("topic is missing, or form and device")
+
+    settings: Any
+
+    def __init__(self, context: DeviceContext, settings: Any) -> None:
+        super().__init__(context, settings)
+        of_form = FORMS[settings.form].commands.get(self.kind, "") if settings.form else ""
+        self._topic = settings.topic or named(of_form, settings.device)
+        self._broker: SharedBroker | None = None
+        self._unheard = False
+
+    @abstractmethod
+    def command_payload(self, command: Any, ttl_s: float) -> bytes:
+        """Returns what the device is told."""
+
+    @abstractmethod
+    def hold_payload(self) -> bytes:
+        """Returns what the device is told at its safe hold; empty: nothing."""
+
+    def open(self) -> None:
+        refuse_virtual_time(self.context)
+        if not self._topic:
+            raise PancakesError(f"devices of {self.settings.form} take no commands of the type {self.type}: set topic")
+        self._broker = shared_broker(self.context, self.settings)
+        self._broker.join(self.context.device, self.context.log)
+
+    def close(self) -> None:
+        if self._broker is not None:
+            self._broker.leave(self.context.device, None)
+
+    def apply(self, command: Any, ttl_s: float, source: str) -> None:
+        payload = self.command_payload(command, ttl_s)
+        if self._broker is None:
+            return
+        heard = self._broker.publish(Message(self._topic, payload))
+        if not heard and not self._unheard:
+            self.context.log("warning", "commands are lost: there is no broker that takes them")
+        elif heard and self._unheard:
+            self.context.log("info", "commands are taken again")
+        self._unheard = not heard
+
+    def holds_by_itself(self, hold_after_s: float) -> float | None:
+        """The time-out of the firmware, as the settings say it."""
+        holds_after_s: float | None = self.settings.holds_after_s
+        return holds_after_s
+
+    def hold(self) -> None:
+        payload = self.hold_payload()
+        if payload and self._broker is not None:
+            self._broker.publish(Message(self._topic, payload, qos=1))
+
+
+class MqttSwitch(MqttActuator):
+    """A switch, such as a plug (`mqtt.switch`)."""
+
+    type = "mqtt.switch"
+    kind = "switch"
+
+    @dataclass(kw_only=True)
+    class Settings(MqttActuator.Settings):
+        """Where it takes commands, and which.
+
+        Attributes:
+            on: the payload that switches it on; empty: the form's, or `ON`.
+            off: the payload that switches it off.
+            hold: its safe hold: off, on, or as it is.
+        """
+
+        on: str = ""
+        off: str = ""
+        hold: Literal["off", "on", "keep"] = "off"
+
+    def command_payload(self, command: Switch, ttl_s: float) -> bytes:
+        return self._payload(command.on)
+
+    def hold_payload(self) -> bytes:
+        return b"" if self.settings.hold == "keep" else self._payload(self.settings.hold == "on")
+
+    def _payload(self, on: bool) -> bytes:
+        settings = self.settings
+        form = FORMS[settings.form] if settings.form else FORMS["tasmota"]
+        return ((settings.on or form.on) if on else (settings.off or form.off)).encode()
+
+
+class MqttLight(MqttActuator):
+    """A light that can be dimmed (`mqtt.light`). It goes out at its safe hold."""
+
+    type = "mqtt.light"
+    kind = "light"
+
+    @dataclass(kw_only=True)
+    class Settings(MqttActuator.Settings):
+        """Where it takes commands, and which.
+
+        Attributes:
+            command: without a form, what it is told, with the place `{brightness}`, from 0 to `full`.
+            full: without a form, full brightness.
+        """
+
+        command: str = "{brightness}"
+        full: Annotated[float, Meta(gt=0)] = 100.0
+
+    def command_payload(self, command: Light, ttl_s: float) -> bytes:
+        share = min(1.0, max(0.0, command.brightness))
+        form = self.settings.form
+        if form:
+            return (light_payload(form, share) if share > 0 else dark_payload(form)).encode()
+        return written(self.settings.command, {"brightness": self.settings.full * share})
+
+    def hold_payload(self) -> bytes:
+        return self.command_payload(Light(0.0), 0.0)
+
+
+class MqttMotors(MqttActuator):
+    """Wheels whose controller takes speeds by MQTT (`mqtt.motors`). They stand still at their safe hold."""
+
+    type = "motors"
+
+    @dataclass(kw_only=True)
+    class Settings(MqttActuator.Settings):
+        """Where they take commands, and which.
+
+        Attributes:
+            command: what they are told, with the places `{v_mps}`, `{omega_radps}` and `{ttl_s}`; the controller should
+                stand still by itself when no other command comes within `ttl_s` seconds.
+        """
+
+        command: str = '{"v_mps": {v_mps}, "omega_radps": {omega_radps}, "ttl_s": {ttl_s}}'
+
+    def command_payload(self, command: Twist, ttl_s: float) -> bytes:
+        values = {"v_mps": command.v_mps, "omega_radps": command.omega_radps, "ttl_s": ttl_s}
+        return written(self.settings.command, values)
+
+    def hold_payload(self) -> bytes:
+        return self.command_payload(Twist(0.0, 0.0), 0.0)
+
+    def holds_by_itself(self, hold_after_s: float) -> float | None:
+        """A controller that is told `ttl_s` counts it; else its own time-out, as the settings say it."""
+        stated = super().holds_by_itself(hold_after_s)
+        return hold_after_s if stated is None and "{ttl_s}" in self.settings.command else stated

@@ -1,0 +1,435 @@
+"""One connection to one broker, and the thread that keeps it."""
+
+from __future__ import annotations
+
+import atexit
+import random
+import select
+import socket
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+from pancakes.runtime.clock import MonotonicClock
+from pancakes_mqtt.broker_settings import BrokerSettings, check_files, password_of
+from pancakes_mqtt.message import Message
+from pancakes_mqtt.refusals import TAKEN_OVER, why_refused, why_unreachable
+from pancakes_mqtt.spool import Spool
+from pancakes_mqtt.subscriptions import Subscriptions, Taker
+from pancakes_mqtt.tls_context import tls_context
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client
+
+FIRST_PAUSE_S: Final = 0.2
+LONGEST_PAUSE_S: Final = 10.0
+"""How long, in host time, a broker that is not there is left alone before it is tried again."""
+STEADY_S: Final = 5.0
+"""A connection that stood for less is no good sign: the pause before the next grows on."""
+CONNECT_S: Final = 3.0
+"""So long a connection may take."""
+LAST_WORDS_S: Final = 1.0
+"""So long what waits may take to leave once the connection is to end."""
+IN_FLIGHT: Final = 20
+"""So many messages (QoS 1 and 2) are under way to the broker at a time."""
+MANY: Final = 3
+"""So many connections in a row that stood for a moment only are one too many."""
+UNSPECIFIED: Final = 0x80
+ONLINE: Final = b"online"
+OFFLINE: Final = b"offline"
+GROUND_S: Final = 0.5
+
+Say = Callable[[str, str], None]
+"""Says a line on `log`: its level, and its text. Any thread."""
+
+
+class Counts(msgspec.Struct, frozen=True):
+    """What has become of the messages of a connection so far; see `pancakes_mqtt.packets.BrokerTraffic`."""
+
+    connected: bool = False
+    connections: int = 0
+    published: int = 0
+    unsent: int = 0
+    waiting: int = 0
+
+
+class BrokerConnection:
+    """Keeps a connection to a broker, in a thread of its own; all that is paho's happens there.
+
+    A broker that is not there, or goes away, is tried again until it is there. What is promised (QoS 1 and 2) waits
+    meanwhile, in both directions, as far as it fits; what is not is dropped and counted.
+
+    Args:
+        settings: which broker.
+        client_id: its name where the settings say none.
+        say: says lines on `log`.
+        status: the topic of the status, with a last will; empty: none.
+        lasting: whether the broker shall keep what comes also once this connection was closed, for the next one.
+
+    Raises:
+        PancakesError: a file that the settings name cannot be used.
+    """
+
+    def __init__(self, settings: BrokerSettings, client_id: str, say: Say, status: str = "", lasting: bool = False):
+        self._settings = settings
+        self._say = say
+        self._status = status
+        self._lasting = lasting
+        self._client_id = settings.client_id or client_id
+        self._spool = Spool(settings.queue)
+        self._lock = threading.Lock()
+        self._counts = Counts()
+        self._subscriptions = Subscriptions()
+        self._wake_in, self._wake_out = socket.socketpair()
+        for end in (self._wake_in, self._wake_out):
+            end.setblocking(False)
+        self._ending = threading.Event()
+        # What follows is the thread's own.
+        self._in_flight: set[int] = set()
+        self._window = IN_FLIGHT
+        self._best_qos = 2
+        self._largest: int | None = None
+        self._refused = ""
+        self._why = ""
+        self._said: set[str] = set()
+        self._pause_s = FIRST_PAUSE_S
+        self._since_s = 0.0
+        self._brief = 0
+        self._random = random.Random(self._client_id)  # agents that lost one broker do not return together
+        self._clock = MonotonicClock()
+        try:
+            self._client = self._make_client()
+        except BaseException:
+            self._wake_in.close()
+            self._wake_out.close()
+            raise
+        self._thread = threading.Thread(target=self._run, name=f"mqtt-{self._client_id}", daemon=True)
+        # A process that ends waits for the last words: a switch may have to be told to go off.
+        atexit.register(self._outlast)
+        self._thread.start()
+
+    # Any thread ------------------------------------------------------------------------------------------------
+
+    def publish(self, message: Message) -> bool:
+        """Sends a message, as soon as there is a broker where it is promised; returns False where it is lost."""
+        with self._lock:
+            connected = self._counts.connected
+        if not connected and not message.promised:
+            self._count(unsent=1)
+            return False
+        if not self._spool.put(message):
+            return False
+        self._wake()
+        return True
+
+    def listen(self, filter_: str, qos: int, taker: Taker) -> None:
+        """Gives `taker` each message that the filter means, in this connection's thread, also after it was lost."""
+        self._subscriptions.add(filter_, qos, taker)
+        self._wake()
+
+    def unlisten(self, taker: Taker) -> None:
+        """Ends what `listen` began."""
+        self._subscriptions.remove(taker)
+        self._wake()
+
+    def counts(self) -> Counts:
+        """Returns what has become of the messages so far."""
+        with self._lock:
+            counts = self._counts
+        return msgspec.structs.replace(
+            counts, waiting=len(self._spool) + len(self._in_flight), unsent=counts.unsent + self._spool.fallen_out
+        )
+
+    def close(self) -> None:
+        """Lets what waits leave, says `offline`, and ends. Does not wait for that."""
+        self._ending.set()
+        self._wake()
+
+    def _outlast(self) -> None:
+        if self.counts().connected:
+            self._thread.join(LAST_WORDS_S)
+
+    def _wake(self) -> None:
+        try:
+            self._wake_in.send(b"\0")
+        except OSError:
+            pass  # it is full, so the thread wakes; or it is closed, as the thread has ended
+
+    def _count(self, **more: int) -> None:
+        with self._lock:
+            sums = {name: getattr(self._counts, name) + count for name, count in more.items()}
+            self._counts = msgspec.structs.replace(self._counts, **sums)
+
+    # The thread ------------------------------------------------------------------------------------------------
+
+    def _make_client(self) -> Client:
+        import paho.mqtt.client as paho
+
+        settings = self._settings
+        five = settings.protocol == "5"
+        client = paho.Client(
+            paho.CallbackAPIVersion.VERSION2,
+            self._client_id,
+            protocol=paho.MQTTv5 if five else paho.MQTTv311,
+            reconnect_on_failure=False,
+            clean_session=None if five else settings.session_s == 0,
+        )
+        client.connect_timeout = CONNECT_S
+        if settings.user:
+            client.username_pw_set(settings.user, password_of(settings) or None)
+        if settings.encrypted:
+            check_files(settings)
+            client.tls_set_context(tls_context(settings))
+        if self._status:
+            client.will_set(self._status, OFFLINE, qos=1, retain=True)
+        # From here on `reconnect` connects: `connect` would begin a new session each time.
+        client.connect_async(settings.host, settings.port, settings.keepalive_s, **self._session())
+        client.on_connect = self._connected
+        client.on_disconnect = self._disconnected
+        client.on_subscribe = self._subscribed
+        client.on_publish = self._published
+        client.on_message = self._came
+        return client
+
+    def _session(self) -> dict[str, Any]:
+        """Returns what MQTT 5.0 wants to know of the session; 3.1.1 knows whether there is to be one."""
+        from paho.mqtt.packettypes import PacketTypes
+        from paho.mqtt.properties import Properties
+
+        settings = self._settings
+        if settings.protocol != "5":
+            return {}
+        properties = Properties(PacketTypes.CONNECT)
+        properties.SessionExpiryInterval = settings.session_s
+        # Never a clean start: mosquitto 2.0 does not write the session of one that began so to its disk.
+        return {"properties": properties, "clean_start": settings.session_s == 0}
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.is_set():
+                self._refused = self._why = ""
+                try:
+                    self._client.reconnect()
+                    self._attend()
+                except OSError as error:
+                    self._why = why_unreachable(error, self._settings.encrypted)
+                except ValueError as error:  # of paho: the broker breaks the protocol
+                    self._why = f"it does not speak MQTT ({error})"
+                self._lost()
+        finally:
+            atexit.unregister(self._outlast)
+            self._spool.close()
+            self._wake_in.close()
+            self._wake_out.close()
+
+    def _attend(self) -> None:
+        """Speaks with the broker until the connection is gone."""
+        client = self._client
+        until_s = None
+        while (broker := client.socket()) is not None:
+            if self._ending.is_set():
+                until_s = until_s or self._say_good_bye()
+                if self._clock.now() > until_s or not (self._in_flight or len(self._spool) or client.want_write()):
+                    self._hang_up()
+                    return
+            self._feed()
+            if (broker := client.socket()) is None:
+                return
+            poll = select.poll()
+            poll.register(broker, select.POLLIN | (select.POLLOUT if client.want_write() else 0))
+            poll.register(self._wake_out, select.POLLIN)
+            more = getattr(broker, "pending", lambda: 0)()  # TLS has decoded more than was read
+            events = dict(poll.poll(0 if more else 1000 * GROUND_S if until_s is None else 50))
+            if self._wake_out.fileno() in events:
+                self._sleep_on()
+            if more or events.get(broker.fileno(), 0) & ~select.POLLOUT:
+                client.loop_read()
+            if client.want_write():
+                client.loop_write()
+            client.loop_misc()
+
+    def _sleep_on(self) -> None:
+        try:
+            while self._wake_out.recv(4096):
+                pass
+        except OSError:
+            pass
+
+    def _feed(self) -> None:
+        """Hands paho what waits, so much that little waits there."""
+        client = self._client
+        if not client.is_connected():
+            return
+        self._subscribe()
+        while len(self._in_flight) < self._window and not client.want_write():
+            message = self._spool.take()
+            if message is None:
+                return
+            self._send(message)
+
+    def _send(self, message: Message) -> None:
+        qos = min(message.qos, self._best_qos)
+        if qos < message.qos:
+            self._say_once("warning", f"the broker takes QoS {qos} at the most: {message.topic} is published with that")
+        if self._largest is not None and message.weight + 16 > self._largest:
+            self._count(unsent=1)
+            self._say_once(
+                "error", f"a message on {message.topic} has {message.weight} bytes; the broker takes {self._largest}"
+            )
+            return
+        try:
+            told = self._client.publish(message.topic, message.payload, qos, message.retain)
+        except ValueError as error:
+            self._count(unsent=1)
+            self._say_once("error", f"nothing can be published on {message.topic!r}: {error}")
+            return
+        if qos:
+            self._in_flight.add(told.mid)  # paho sends it again where the connection is lost
+        elif told.rc:
+            self._count(unsent=1)
+        else:
+            self._count(published=1)
+
+    def _subscribe(self) -> None:
+        from paho.mqtt.subscribeoptions import SubscribeOptions
+
+        wanted, given_up = self._subscriptions.changes()
+        for filter_, qos in wanted.items():
+            more: dict[str, Any] = (
+                {"options": SubscribeOptions(qos=qos)} if self._settings.protocol == "5" else {"qos": qos}
+            )
+            _, mid = self._client.subscribe(filter_, **more)
+            if mid is not None:
+                self._subscriptions.asked(filter_, mid)
+        for filter_ in given_up:
+            self._client.unsubscribe(filter_)
+
+    def _say_good_bye(self) -> float:
+        """Begins the end: the last word is on its way. Returns when it ends at the latest, in host time."""
+        if self._status and self._client.is_connected():
+            self._spool.put(Message(self._status, OFFLINE, 1, True))
+        return self._clock.now() + LAST_WORDS_S
+
+    def _hang_up(self) -> None:
+        from paho.mqtt.packettypes import PacketTypes
+        from paho.mqtt.properties import Properties
+
+        properties = None
+        if self._settings.protocol == "5" and not self._lasting:
+            properties = Properties(PacketTypes.DISCONNECT)
+            properties.SessionExpiryInterval = 0
+        self._client.disconnect(properties=properties)
+        until_s = self._clock.now() + GROUND_S
+        while (broker := self._client.socket()) is not None and self._clock.now() < until_s:
+            poll = select.poll()
+            poll.register(broker, select.POLLOUT)
+            poll.poll(50)
+            self._client.loop_write()
+        if (broker := self._client.socket()) is not None:
+            broker.close()
+
+    def _lost(self) -> None:
+        """The connection is gone, or never stood: says so once, forgets what is not promised, and waits."""
+        with self._lock:
+            was = self._counts.connected
+            self._counts = msgspec.structs.replace(self._counts, connected=False)
+        self._spool.forget_unpromised()
+        if self._ending.is_set():
+            return
+        if was:
+            self._note_how_long()
+        where, reason = self._settings.broker, self._refused or self._why or "it ended the connection"
+        if self._refused:
+            self._say_once("error", f"the broker {where} refuses {self._client_id}: {reason}")
+        elif was:
+            self._say("warning", f"the broker {where} is gone ({reason}); trying until it is there again")
+            self._said.add(_not_there(where, reason))
+        else:
+            self._say_once("warning", _not_there(where, reason))
+        poll = select.poll()
+        poll.register(self._wake_out, select.POLLIN)
+        until_s = self._clock.now() + self._pause_s * self._random.uniform(0.75, 1.0)
+        self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
+        while not self._ending.is_set() and (left_s := until_s - self._clock.now()) > 0:
+            if poll.poll(1000 * left_s + 1):
+                self._sleep_on()
+
+    def _note_how_long(self) -> None:
+        if self._clock.now() - self._since_s >= STEADY_S:
+            self._pause_s, self._brief = FIRST_PAUSE_S, 0
+            return
+        self._brief += 1
+        if self._brief >= MANY and not self._why:
+            self._why = f"it ends one connection after the other: is another one called {self._client_id}, too?"
+
+    def _say_once(self, level: str, text: str) -> None:
+        """Says a line, until the next connection once."""
+        if text not in self._said:
+            self._said.add(text)
+            self._say(level, text)
+
+    # Called by paho, in the thread -----------------------------------------------------------------------------
+
+    def _connected(self, client: Client, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if reason.is_failure:
+            self._refused = why_refused(reason.value, reason.getName())
+            return
+        self._said.clear()
+        self._since_s = self._clock.now()
+        self._window = min(IN_FLIGHT, getattr(properties, "ReceiveMaximum", IN_FLIGHT))
+        self._best_qos = getattr(properties, "MaximumQoS", 2)
+        self._largest = getattr(properties, "MaximumPacketSize", None)
+        with self._lock:
+            connections = self._counts.connections + 1
+            self._counts = msgspec.structs.replace(self._counts, connected=True, connections=connections)
+        self._subscriptions.connected(bool(flags.session_present))
+        if self._status:
+            self._spool.put(Message(self._status, ONLINE, 1, True))
+        self._say("info", f"connected to the broker {self._settings.broker} as {self._client_id}")
+
+    def _disconnected(self, client: Client, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if flags.is_disconnect_packet_from_server:
+            self._why = why_refused(reason.value, reason.getName())
+            if reason.value == TAKEN_OVER:
+                self._pause_s = LONGEST_PAUSE_S  # else the two would take it from each other without end
+        elif reason.is_failure and reason.value != UNSPECIFIED and not self._why:
+            self._why = reason.getName().lower()
+
+    def _subscribed(self, client: Client, data: Any, mid: int, reasons: Any, properties: Any) -> None:
+        granted = reasons[0].value if reasons else 0x80
+        found = self._subscriptions.answered(mid, granted >= 0x80)
+        if found is None:
+            return
+        filter_, qos = found
+        if granted >= 0x80:
+            self._say_once(
+                "error", f"the broker does not let this agent hear {filter_}: {reasons[0].getName().lower()}"
+            )
+        elif granted < qos:
+            self._say_once("warning", f"the broker sends {filter_} with QoS {granted} at the most, not {qos}")
+
+    def _published(self, client: Client, data: Any, mid: int, reason: Any, properties: Any) -> None:
+        if mid not in self._in_flight:
+            return
+        self._in_flight.discard(mid)
+        if reason.is_failure:
+            self._count(unsent=1)
+            self._say_once("error", f"the broker refuses what this agent publishes: {reason.getName().lower()}")
+        else:
+            self._count(published=1)
+
+    def _came(self, client: Client, data: Any, message: Any) -> None:
+        try:
+            topic = message.topic
+        except UnicodeDecodeError:
+            self._say_once("warning", "a message came on a topic that is no UTF-8")
+            return
+        came = Message(topic, message.payload, message.qos, bool(message.retain))
+        if not self._subscriptions.give(came):
+            self._say_once("info", f"the broker sends {topic}, which this agent does not listen to any more")
+
+
+def _not_there(where: str, reason: str) -> str:
+    return f"the broker {where} is not there ({reason}); trying until it is"

@@ -1,0 +1,65 @@
+"""The connection that the devices of an agent share, and which of them speaks for it on `log`."""
+
+from __future__ import annotations
+
+import threading
+
+from pancakes.bodies.devices.driver import DeviceContext
+from pancakes_mqtt.broker_connection import BrokerConnection, Say
+from pancakes_mqtt.broker_settings import BrokerSettings
+from pancakes_mqtt.message import Message
+from pancakes_mqtt.subscriptions import Taker
+
+
+class SharedBroker:
+    """One connection, and the devices that use it. Any thread.
+
+    Args:
+        settings: which broker.
+        client_id: the name of the connection where the settings say none.
+        say: says lines on `log` for the device that opens first.
+    """
+
+    def __init__(self, settings: BrokerSettings, client_id: str, say: Say) -> None:
+        self._lock = threading.Lock()
+        self._voices: dict[str, Say] = {"": say}
+        self._connection = BrokerConnection(settings, client_id, self._say)
+
+    def join(self, device: str, say: Say) -> None:
+        """A device uses it from now on."""
+        with self._lock:
+            self._voices.pop("", None)
+            self._voices[device] = say
+
+    def leave(self, device: str, taker: Taker | None) -> None:
+        """A device does not use it any more, and hears nothing more."""
+        if taker is not None:
+            self._connection.unlisten(taker)
+        with self._lock:
+            self._voices.pop(device, None)
+
+    def listen(self, filter_: str, qos: int, taker: Taker) -> None:
+        """Gives `taker` each message that the filter means, in the connection's thread."""
+        self._connection.listen(filter_, qos, taker)
+
+    def publish(self, message: Message) -> bool:
+        """Sends a message; returns False where it is lost."""
+        return self._connection.publish(message)
+
+    def close(self) -> None:
+        """Ends the connection, with all that waits sent before; does not wait for that."""
+        self._connection.close()
+
+    def _say(self, level: str, text: str) -> None:
+        with self._lock:
+            say = next(iter(self._voices.values()), None)
+        if say is not None:
+            say(level, text)
+
+
+def shared_broker(context: DeviceContext, settings: BrokerSettings) -> SharedBroker:
+    """Returns the connection that all devices of this agent with the same settings of a broker share."""
+    return context.shared(
+        f"mqtt {settings.connection_key}",
+        lambda: SharedBroker(settings, f"pancakes-{context.agent}-devices", context.log),
+    )

@@ -1,0 +1,68 @@
+"""Topics: what is one, which topics a filter means, and topics that are made of a packet. Pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Final
+
+LONGEST_BYTES: Final = 65535
+_PLACE: Final = re.compile(r"\{([^{}]*)\}")
+
+
+def fault_of_topic(topic: str) -> str:
+    """Says why no message can be published to a topic; empty: one can."""
+    if found := next((sign for sign in "+#" if sign in topic), ""):
+        return f"{topic!r} is no topic: {found} stands only in what is subscribed to"
+    return _fault(topic, "topic")
+
+
+def fault_of_filter(filter_: str) -> str:
+    """Says why a filter cannot be subscribed to; empty: it can."""
+    levels = filter_.split("/")
+    if any("#" in level and (level != "#" or number < len(levels) - 1) for number, level in enumerate(levels)):
+        return f"{filter_!r} is no filter: # stands alone, behind the last /"
+    if any("+" in level and level != "+" for level in levels):
+        return f"{filter_!r} is no filter: + stands alone between two /"
+    return _fault(filter_, "filter")
+
+
+def _fault(topic: str, kind: str) -> str:
+    if not topic:
+        return f"a {kind} has at least one letter"
+    if "\0" in topic:
+        return f"{topic!r} is no {kind}: it has a zero byte"
+    if len(topic.encode()) > LONGEST_BYTES:
+        return f"{topic[:40]!r}... is longer than a {kind} may be, {LONGEST_BYTES} bytes"
+    return ""
+
+
+def means(filter_: str, topic: str) -> bool:
+    """Returns whether a filter means a topic (MQTT 5.0, 4.7)."""
+    wanted, levels = filter_.split("/"), topic.split("/")
+    if topic.startswith("$") and wanted[0] in ("+", "#"):
+        return False
+    for number, level in enumerate(wanted):
+        if level == "#":
+            return True
+        if number >= len(levels) or (level != "+" and level != levels[number]):
+            return False
+    return len(wanted) == len(levels)
+
+
+def fault_of_template(template: str, known: Mapping[str, str]) -> str:
+    """Says why no topic can be made of a template with these places; empty: one can."""
+    for name in _PLACE.findall(template):
+        if name not in known:
+            places = ", ".join(f"{{{place}}}" for place in known)
+            return f"{template!r} has the place {{{name}}}; there are {places}"
+    return fault_of_topic(filled(template, known))
+
+
+def filled(template: str, values: Mapping[str, str]) -> str:
+    """Returns a template with its places, such as `{agent}`, filled in; signs that no topic may have become `_`."""
+
+    def fill(found: re.Match[str]) -> str:
+        return re.sub(r"[+#\0]", "_", values.get(found[1], found[0]))
+
+    return _PLACE.sub(fill, template)

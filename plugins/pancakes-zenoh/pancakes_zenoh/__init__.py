@@ -1,0 +1,1 @@
+"""Links between Pancakes agents through Zenoh routers."""

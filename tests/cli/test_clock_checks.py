@@ -1,0 +1,73 @@
+"""`pancakes doctor` names clocks that are off: on which host, by how much, and what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from pancakes.tools.cli.verbs.clock_checks import check_clocks
+from pancakes.tools.cli.verbs.finding import Finding
+
+NOW_S = 1.8e9
+YEAR_S = 365.25 * 86_400
+OFF = {"offset_s": 0.0, "bound_s": 0.001, "drift": 0.0, "mission_ahead_s": 0.0, "day_ahead_s": 0.0}
+
+
+def fleet(key: str, values: dict[str, float], **utc_s: float | None) -> list[Finding]:
+    """What is found where of each agent a value, such as its time of day, is ahead of the truth by so much."""
+    agents: list[dict[str, Any]] = []
+    for name, value in values.items():
+        peers = [
+            {"name": other, "clock": {**OFF, key: theirs - value}} for other, theirs in values.items() if other != name
+        ]
+        ahead_s = value if key == "day_ahead_s" else 0.0
+        told = {"utc_s": utc_s.get(name, NOW_S + ahead_s + 0.3), "process": {"host": f"host-of-{name}"}}
+        agents.append({"agent": name, "mesh": {"peers": [*peers, {"name": "terminal.1", "clock": None}]}, **told})
+    return list(check_clocks(agents, NOW_S))
+
+
+@pytest.mark.parametrize("key", ["day_ahead_s", "drift", "mission_ahead_s"])
+def test_clocks_that_agree_are_not_named(key):
+    assert fleet(key, {"a": 0.0, "b": 0.009, "c": -0.0009}) == []
+    assert fleet(key, {"a": 0.0}) == []
+
+
+def test_a_clock_a_year_off_is_named_with_its_host_and_what_to_do():
+    (found,) = fleet("day_ahead_s", {"a": 0.0, "b": -YEAR_S, "c": 0.0})
+    assert (found.level, found.about) == ("warning", "b")
+    expected = "the time of day of host-of-b, on which b runs, is 1.0 years behind that of a, c and this machine"
+    assert found.text == expected
+    assert found.advice.startswith("timedatectl on host-of-b ")
+
+
+def test_of_two_agents_the_time_here_tells_which_is_wrong():
+    (found,) = fleet("day_ahead_s", {"a": 0.0, "b": 7200.0})
+    assert (found.about, "2.0 hours ahead of that of a and this machine" in found.text) == ("b", True)
+
+
+def test_what_an_answer_took_on_its_way_is_no_fault():
+    assert fleet("drift", {"a": 0.0, "b": 0.0}, a=NOW_S + 4.0, b=NOW_S - 1.0) == []
+
+
+def test_a_clock_that_was_never_set_is_named_once():
+    (found,) = fleet("drift", {"a": 0.0, "b": 0.0}, b=None)
+    assert (found.level, found.about) == ("warning", "b") and "was never set" in found.text
+
+
+@pytest.mark.parametrize(("drift", "level"), [(0.02, "warning"), (-0.06, "error")])
+def test_a_clock_that_runs_wrong_by_percents_is_named(drift, level):
+    (found,) = fleet("drift", {"a": 0.0, "b": 1e-5, "c": drift})
+    assert (found.level, found.about) == (level, "c")
+    assert f"{'gains' if drift > 0 else 'loses'} {abs(drift):.1%} against that of a and b" in found.text
+    assert ("guarded tasks are not safe there" in found.text) is (level == "error")
+
+
+def test_a_mission_of_its_own_is_named():
+    (found,) = fleet("mission_ahead_s", {"a": 0.0, "b": 0.2, "c": -90.0})
+    assert (found.level, found.about, found.text) == (
+        "warning",
+        "c",
+        "its mission is 90.0 s behind that of a and b",
+    )
+    assert found.advice == "restart c, where it is to be one mission: it goes on at the time of its fleet"

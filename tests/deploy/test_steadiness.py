@@ -1,0 +1,41 @@
+"""When the tasks of an agent that was restarted run as they should."""
+
+from __future__ import annotations
+
+from pancakes.client import TaskRow
+from pancakes.tools.deploy.steadiness import Steadiness
+
+
+def row(state: str = "running", incarnation: int = 1, task: str = "T", reason: str = "") -> TaskRow:
+    return TaskRow(
+        agent="a", service="client", task=task, type="x", state=state, reason=reason, incarnation=incarnation
+    )
+
+
+def test_tasks_have_to_run_for_a_while():
+    steadiness = Steadiness({}, calm_s=2.0)
+    assert [steadiness.look([row()], now_s) for now_s in (0.0, 1.0, 1.9, 2.0)] == [False, False, False, True]
+
+
+def test_one_that_begins_anew_begins_the_while_anew():
+    steadiness = Steadiness({}, calm_s=2.0)
+    steadiness.look([row()], 0.0)
+    assert not steadiness.look([row(incarnation=2)], 2.0)
+    assert not steadiness.look([row("restarting", 2)], 4.0)
+    assert not steadiness.look([row(incarnation=3)], 4.5)
+    assert not steadiness.look([row(incarnation=3)], 6.0)
+    assert steadiness.look([row(incarnation=3)], 6.5)
+
+
+def test_what_does_not_run_is_told_unless_it_did_not_before():
+    tasks = [
+        row("failed", reason="no legs"),
+        row("refused", task="Scan", reason="lacks sonar"),
+        row("stopped", task="U"),
+    ]
+    assert Steadiness({}, 1.0).faults(tasks) == ["client/T is failed: no legs", "client/Scan is refused: lacks sonar"]
+    before = {"client/Scan": "refused", "client/T": "running"}
+    assert Steadiness(before, 1.0).faults(tasks) == ["client/T is failed: no legs"]
+    assert Steadiness(before, 1.0).is_hopeless(tasks)
+    assert not Steadiness(before, 1.0).is_hopeless(tasks[1:])
+    assert not Steadiness({"client/T": "failed"}, 1.0).is_hopeless(tasks)

@@ -1,0 +1,112 @@
+"""Which wheels a deployment brings, and how they are named."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import pytest
+from deploy.plugin_wheels import plugin_wheel
+
+from pancakes.errors import PancakesError
+from pancakes.tools.deploy.wheels import (
+    Platform,
+    build_of,
+    distribution_of,
+    extras_of,
+    given_wheels,
+    installed_wheels,
+    libraries_for,
+    name_of,
+    wheel_at,
+)
+
+
+def core(folder: Path, text: str = "", requires: str = "") -> Path:
+    """Writes a wheel that bears the name of Pancakes."""
+    folder.mkdir(exist_ok=True)
+    path = folder / "pancakes_agents-9.0-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("pancakes/__init__.py", text)
+        metadata = f"Metadata-Version: 2.1\nName: pancakes-agents\nVersion: 9.0\nProvides-Extra: record\n{requires}"
+        archive.writestr("pancakes_agents-9.0.dist-info/METADATA", metadata)
+        kind = "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        archive.writestr("pancakes_agents-9.0.dist-info/WHEEL", kind)
+        archive.writestr("pancakes_agents-9.0.dist-info/RECORD", f"pancakes/__init__.py,{text},1\n")
+    return path
+
+
+def test_wheels_are_named_or_lie_in_a_folder(tmp_path: Path):
+    plugin_wheel(tmp_path / "dist", "1.0")
+    core(tmp_path / "dist")
+    wheels = given_wheels([tmp_path / "dist"])
+    assert [distribution_of(wheel) for wheel in wheels] == ["pancakes-agents", "yard"]
+    assert extras_of(wheels[0]) == ["record"]
+    assert wheels[1].unpacked_bytes > 500
+
+
+@pytest.mark.parametrize(
+    ("names", "fault"),
+    [
+        (["empty"], "empty has no wheels in it: scripts/release puts them into dist"),
+        (["one/yard-1.0-py3-none-any.whl"], "no wheel of pancakes-agents is among "),
+        (["core", "one", "two"], "are both of yard: name one of them"),
+        (["core", "text.whl"], "text.whl is no wheel: "),
+    ],
+)
+def test_what_is_wrong_with_wheels_is_told(tmp_path: Path, names: list[str], fault: str):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "text.whl").write_text("no archive")
+    plugin_wheel(tmp_path / "one", "1.0")
+    plugin_wheel(tmp_path / "two", "2.0")
+    core(tmp_path / "core")
+    with pytest.raises(PancakesError) as raised:
+        given_wheels([tmp_path / name for name in names])
+    assert fault in str(raised.value)
+
+
+def test_a_build_is_another_where_a_file_is_and_not_where_a_time_is(tmp_path: Path):
+    builds = [build_of([wheel_at(core(tmp_path / name, text))]) for name, text in (("1", "a"), ("2", "a"), ("3", "b"))]
+    assert builds[0] == builds[1] != builds[2] and builds[0].startswith("9.0-")
+    one, other = (wheel_at(core(tmp_path / name)) for name in ("1", "3"))
+    assert name_of("py3.11", wheels=[one]) == name_of("py3.11", wheels=[one])
+    assert name_of("py3.11", wheels=[one]) != name_of("py3.11", "x", wheels=[one])
+    assert len({wheel_at(core(tmp_path / "4", text)).digest for text in "ab"}) == 2 and other.name == one.name
+
+
+def test_the_platform_of_a_host_says_which_wheels_run_there():
+    arm = Platform.of([3, 13, 1], "linux-aarch64", ["glibc", "2.19"])
+    assert arm.python == "3.13"
+    assert arm.tags[:4] == (
+        "manylinux_2_19_aarch64",
+        "manylinux_2_18_aarch64",
+        "manylinux_2_17_aarch64",
+        "manylinux2014_aarch64",
+    )
+    assert arm.tags[-1] == "linux_aarch64"
+    assert Platform.of([3, 11], "linux-x86_64", ["", ""]).tags == (
+        "musllinux_1_2_x86_64",
+        "musllinux_1_1_x86_64",
+        "linux_x86_64",
+    )
+    with pytest.raises(PancakesError, match="agents run on Linux alone, not on macosx"):
+        Platform.of([3, 12], "macosx-14.0-arm64", ["", ""])
+
+
+def test_a_library_that_is_not_there_for_a_platform_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    wheel = wheel_at(core(tmp_path / "core", requires="Requires-Dist: no-such-library-of-pancakes==1.0\n"))
+    with pytest.raises(PancakesError) as raised:
+        libraries_for([wheel], [], Platform("3.11", ("linux_sparc64",)))
+    told = str(raised.value)
+    assert told.startswith("no wheels can be had for Python 3.11 on linux_sparc64: ERROR: ")
+    assert "no-such-library-of-pancakes" in told
+    assert not list((tmp_path / "cache" / "pancakes" / "libraries").iterdir())
+
+
+def test_what_is_installed_here_becomes_wheels(tmp_path: Path):
+    wheels = installed_wheels(tmp_path)
+    assert {distribution_of(wheel) for wheel in wheels} >= {"pancakes-agents", "pancakes-encirclement"}
+    (own,) = [wheel for wheel in wheels if distribution_of(wheel) == "pancakes-agents"]
+    with zipfile.ZipFile(own.path) as archive:
+        assert "pancakes/tools/there/own_supervisor.py" in archive.namelist()

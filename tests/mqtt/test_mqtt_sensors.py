@@ -1,0 +1,205 @@
+"""Sensors behind a real broker: their messages become readings."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from mqtt.brokers import Mosquitto
+from pancakes_mqtt.packets import Number
+from pancakes_mqtt.sensors import MqttBattery, MqttDistance, MqttMotion, MqttNumber, MqttPose, MqttTemperature
+
+from pancakes.bodies.devices.types import Battery, Motion, Pose, Sonar, Temperature
+from pancakes.control import Stop
+from pancakes.settings import check_settings
+from pancakes.testing import AgentInTest, threaded_agent
+
+
+def device(cls: type, broker: Mosquitto, **settings: Any) -> dict[str, Any]:
+    return {"device": {"type": cls, "settings": {"broker": broker.address, **settings}}}
+
+
+def is_heard(agent: AgentInTest, broker: Mosquitto, count: int = 1) -> None:
+    """Waits until the broker has said that it sends what the agent asked for."""
+    agent.wait_until(lambda: broker.log().count("Sending SUBACK to pancakes-") >= count, what="SUBACK")
+
+
+ZIGBEE = '{"battery":97,"humidity":41.5,"linkquality":120,"occupancy":true,"temperature":21.5,"voltage":3000}'
+TASMOTA = '{"Time":"2026-11-25T10:00:00","SI7021":{"Temperature":68.0,"Humidity":40.1},"TempUnit":"F"}'
+SR04 = '{"Time":"2026-11-25T10:00:00","SR04":{"Distance":123.5}}'
+
+
+@pytest.mark.parametrize(
+    ("cls", "settings", "topic", "payload", "body"),
+    [
+        (MqttTemperature, {"form": "zigbee2mqtt", "device": "shed"}, "zigbee2mqtt/shed", ZIGBEE, Temperature(21.5)),
+        (MqttMotion, {"form": "zigbee2mqtt", "device": "shed"}, "zigbee2mqtt/shed", ZIGBEE, Motion(True)),
+        (
+            MqttBattery,
+            {"form": "zigbee2mqtt", "device": "shed", "voltage": "voltage", "voltage_unit": "mV"},
+            "zigbee2mqtt/shed",
+            ZIGBEE,
+            Battery(3.0, 0.97),
+        ),
+        (
+            MqttNumber,
+            {"form": "zigbee2mqtt", "device": "shed", "field": "humidity", "unit": "%"},
+            "zigbee2mqtt/shed",
+            ZIGBEE,
+            Number(41.5, "%"),
+        ),
+        (
+            MqttTemperature,
+            {"form": "esphome", "device": "yard/air"},
+            "yard/sensor/air/state",
+            "-3.25",
+            Temperature(-3.25),
+        ),
+        (MqttMotion, {"form": "esphome", "device": "yard/pir"}, "yard/binary_sensor/pir/state", "OFF", Motion(False)),
+        (
+            MqttDistance,
+            {"form": "esphome", "device": "yard/far", "bearing_rad": 0.5},
+            "yard/sensor/far/state",
+            "1.25",
+            Sonar((0.5,), (1.25,), 4.0),
+        ),
+        (MqttTemperature, {"form": "tasmota", "device": "attic"}, "tele/attic/SENSOR", TASMOTA, Temperature(20.0)),
+        (MqttMotion, {"form": "tasmota", "device": "attic"}, "stat/attic/POWER", "ON", Motion(True)),
+        (
+            MqttDistance,
+            {"form": "tasmota", "device": "attic", "metres": 0.01},
+            "tele/attic/SENSOR",
+            SR04,
+            Sonar((0.0,), (1.235,), 4.0),
+        ),
+        (
+            MqttTemperature,
+            {"topic": "own/+/air", "field": "rooms.1.celsius", "unit": "K"},
+            "own/house/air",
+            '{"rooms": [{"celsius": 1}, {"celsius": 273.15}]}',
+            Temperature(0.0),
+        ),
+        (
+            MqttPose,
+            {"topic": "tracker/r1", "field": "pose"},
+            "tracker/r1",
+            '{"pose": {"x": 1.5, "y": -2, "theta": 0.25}}',
+            Pose(1.5, -2.0, 0.25),
+        ),
+    ],
+    ids=lambda value: str(value)[:40] if isinstance(value, str) else None,
+)
+def test_what_a_device_says_is_a_reading(
+    broker: Mosquitto, cls: type, settings: dict[str, Any], topic: str, payload: str, body: Any
+) -> None:
+    with threaded_agent("a", devices=device(cls, broker, **settings)) as agent:
+        is_heard(agent, broker)
+        broker.pub(topic, payload)
+        found = agent.wait_for(type(body))
+        assert (found.source, found.body) == ("a/device/device", body)
+
+
+def test_what_is_no_reading_is_named_once_and_the_next_reading_counts(broker: Mosquitto) -> None:
+    shed = {"form": "zigbee2mqtt", "device": "shed", "qos": 1}
+    with threaded_agent("a", devices=device(MqttTemperature, broker, **shed)) as agent:
+        is_heard(agent, broker)
+        bad = ["{}", "{}", '{"temperature": null}', '{"temperature": "hot"}', "noise", '{"temperature": NaN}']
+        broker.pub_lines("zigbee2mqtt/shed", bad, "-q", "1")
+        broker.pub("zigbee2mqtt/shed", '{"temperature": 20.5}', "-q", "1")
+        agent.wait_for(Temperature)
+        assert [packet.body.celsius for packet in agent.probe.packets(Temperature)] == [20.5]
+        warnings = [line for line in agent.lines("warning") if "is no reading" in line]
+        assert warnings == [
+            "device: what zigbee2mqtt/shed says is no reading: it has no key 'temperature' of the path 'temperature',"
+            " only none"
+        ]
+
+
+@pytest.mark.parametrize("word", ["nan", "inf", "-inf", "NaN"])
+def test_what_is_not_finite_is_no_reading(broker: Mosquitto, word: str) -> None:
+    with threaded_agent("a", devices=device(MqttTemperature, broker, topic="t")) as agent:
+        is_heard(agent, broker)
+        broker.pub("t", word)
+        agent.wait_until(lambda: any("is no finite number" in line for line in agent.lines("warning")))
+        assert not agent.probe.packets(Temperature)
+
+
+def test_a_reading_that_the_broker_has_kept_counts_where_the_settings_say_so(broker: Mosquitto) -> None:
+    broker.pub("t", "1.0", "-r")
+    devices = {
+        "new": device(MqttTemperature, broker, topic="t")["device"],
+        "kept": device(MqttTemperature, broker, topic="t", retained=True)["device"],
+    }
+    with threaded_agent("a", devices=devices) as agent:
+        assert agent.wait_for(Temperature).source == "a/device/kept"
+        broker.pub("t", "2.0")
+        agent.wait_for(Temperature, source="a/device/new")
+        heard = [(packet.source, packet.body.celsius) for packet in agent.probe.packets(Temperature)]
+        assert ("a/device/new", 1.0) not in heard and ("a/device/new", 2.0) in heard
+
+
+def test_a_device_that_says_that_it_is_offline_is_named(broker: Mosquitto) -> None:
+    shed = {"form": "zigbee2mqtt", "device": "shed"}
+    with threaded_agent("a", devices=device(MqttTemperature, broker, **shed)) as agent:
+        is_heard(agent, broker, 2)
+        broker.pub("zigbee2mqtt/shed/availability", '{"state":"offline"}')
+        agent.wait_until(lambda: "device: the device says that it is offline" in agent.lines("warning"))
+        broker.pub("zigbee2mqtt/shed/availability", "online")
+        agent.wait_until(lambda: "device: the device is there again" in agent.lines("info"))
+
+
+def test_a_sensor_that_falls_silent_is_named_until_it_speaks(broker: Mosquitto) -> None:
+    with threaded_agent("a", devices=device(MqttTemperature, broker, topic="t", stale_after_s=0.3)) as agent:
+        agent.wait_until(lambda: any("no reading has come for" in line for line in agent.lines("warning")))
+        broker.pub("t", "3")
+        agent.wait_until(lambda: "device: readings come again" in agent.lines("info"))
+
+
+def test_devices_share_a_connection_and_one_that_stops_leaves_the_others(broker: Mosquitto) -> None:
+    devices = {
+        name: device(MqttTemperature, broker, topic=f"t/{name}", client_id="both")["device"] for name in ("one", "two")
+    }
+    with threaded_agent("a", devices=devices) as agent:
+        agent.wait_until(lambda: broker.log().count("Sending SUBACK to both") >= 2)
+        assert broker.log().count("as both") == 1
+        assert agent.ask(Stop("device/one")).ok
+        agent.wait_until(lambda: "Received UNSUBSCRIBE from both" in broker.log())
+        broker.pub("t/two", "5")
+        assert agent.wait_for(Temperature).source == "a/device/two"
+
+
+def test_it_refuses_virtual_time_with_a_sentence(virtual_agent: Any) -> None:
+    agent = virtual_agent("a", devices={"air": {"type": MqttTemperature, "settings": {"topic": "t"}}})
+    failed = agent.wait_for_event("task_failed", task="air")
+    assert "a/device/air speaks to a broker, which knows no virtual time: give it a null driver" in failed["error"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [
+        ({}, "topic is missing, or form and device"),
+        ({"form": "esphome", "device": "yard"}, "is no device of esphome, whose names are such as 'node/id'"),
+        ({"form": "zigbee2mqtt"}, "form = 'zigbee2mqtt' needs the name of a device"),
+        ({"device": "x", "topic": "t"}, "device = 'x' says nothing without form"),
+        ({"topic": "a/#/b"}, "# stands alone, behind the last /"),
+        ({"topic": "a/b+"}, "+ stands alone between two /"),
+        ({"topic": "t", "broker": "http://x"}, "is no address such as 'mqtt://"),
+        ({"topic": "t", "broker": "mqtt://me:secret@x"}, "write it as user, and the password into a file"),
+        ({"topic": "t", "ca": "ca.pem"}, "is not encrypted, so ca and certificate say nothing"),
+        ({"topic": "t", "broker": "mqtts://x", "key": "k"}, "certificate and key go together"),
+        ({"topic": "t", "password_file": "p"}, "password_file goes with user"),
+        ({"topic": "t", "qos": 3}, "qos"),
+    ],
+)
+def test_settings_that_make_no_sense_are_named(settings: dict[str, Any], problem: str) -> None:
+    assert problem in "; ".join(map(str, check_settings(MqttTemperature.Settings, settings)))
+
+
+def test_nothing_but_finite_readings_are_made_of_a_battery_without_a_voltage(broker: Mosquitto) -> None:
+    settings = {"topic": "b", "full": 4.2}
+    with threaded_agent("a", devices=device(MqttBattery, broker, **settings)) as agent:
+        is_heard(agent, broker)
+        broker.pub("b", "2.1")
+        body = agent.wait_for(Battery).body
+        assert body.level == 0.5 and math.isnan(body.voltage_v)

@@ -1,0 +1,118 @@
+"""What is decided of topics and payloads without a broker."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from pancakes_mqtt.payloads import BadPayload, celsius_of, number_of, truth_of, value_at
+from pancakes_mqtt.topics import fault_of_filter, fault_of_topic, filled, means
+
+
+@pytest.mark.parametrize(
+    ("filter_", "topic", "is_meant"),
+    [
+        ("a/b", "a/b", True),
+        ("a/b", "a/b/c", False),
+        ("a/b/c", "a/b", False),
+        ("+/b", "a/b", True),
+        ("a/+", "a/", True),
+        ("a/+", "a", False),
+        ("a/+/c", "a/b/c", True),
+        ("a/#", "a", True),
+        ("a/#", "a/b/c", True),
+        ("#", "a/b", True),
+        ("#", "$SYS/load", False),
+        ("+/load", "$SYS/load", False),
+        ("$SYS/#", "$SYS/load", True),
+        ("a/b", "A/b", False),
+        ("/+", "/a", True),
+        ("+", "/a", False),
+    ],
+)
+def test_a_filter_means_what_the_standard_says(filter_: str, topic: str, is_meant: bool) -> None:
+    assert means(filter_, topic) is is_meant
+
+
+@pytest.mark.parametrize("filter_", ["a/#/b", "a#", "a/b#", "a+/b", "+a", "", "a\0"])
+def test_what_is_no_filter_is_named(filter_: str) -> None:
+    assert fault_of_filter(filter_)
+
+
+@pytest.mark.parametrize("filter_", ["#", "+", "a/+/#", "+/+", "/", "ä/ö"])
+def test_what_is_a_filter_is_none_the_less(filter_: str) -> None:
+    assert fault_of_filter(filter_) == ""
+
+
+@pytest.mark.parametrize("topic", ["", "a/+", "#", "a\0", "x" * 65536])
+def test_what_is_no_topic_is_named(topic: str) -> None:
+    assert fault_of_topic(topic)
+
+
+def test_a_topic_is_made_of_a_template() -> None:
+    assert filled("x/{agent}/{name}", {"agent": "a", "name": "b+#"}) == "x/a/b__"
+
+
+@pytest.mark.parametrize(
+    ("payload", "path", "value"),
+    [
+        (b"21.5", "", 21.5),
+        (b"ON", "", "ON"),
+        (b'"ON"', "", "ON"),
+        (b'{"a": {"b": [1, {"c": 2}]}}', "a.b.1.c", 2),
+        (b'{"a": null}', "a.b.c", None),
+        (b'{"Time": 1, "X": {"T": 3}, "Y": {"H": 4}}', "*.T", 3),
+        (b'{"0": 5}', "0", 5),
+    ],
+)
+def test_a_path_leads_to_a_value(payload: bytes, path: str, value: Any) -> None:
+    assert value_at(payload, path) == value
+
+
+@pytest.mark.parametrize(
+    ("payload", "path", "sentence"),
+    [
+        (b"noise", "a", "'noise' is no JSON"),
+        (b"\xff\xfe", "", "is no text"),
+        (b'{"a": 1}', "b", "it has no key 'b' of the path 'b', only a"),
+        (b'{"a": 1}', "a.b", "the path 'a.b' leads on at 'b', where 1 stands"),
+        (b'{"a": [1]}', "a.3", "the path 'a.3' wants item 3, and its list has 1"),
+        (b'{"X": {"T": 3}, "Y": {"T": 4}}', "*.T", "leads to 2 values"),
+        (b'{"X": {"H": 3}}', "*.T", "leads to nothing"),
+        (b"[" * 100_000, "a", "is no JSON"),
+    ],
+)
+def test_a_path_that_leads_nowhere_is_named(payload: bytes, path: str, sentence: str) -> None:
+    with pytest.raises(BadPayload) as caught:
+        value_at(payload, path)
+    assert sentence in str(caught.value) and len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize(
+    ("value", "number"), [(1, 1.0), ("2.5", 2.5), (" 3 ", 3.0), (None, None), ("unknown", None), ("", None)]
+)
+def test_numbers(value: Any, number: float | None) -> None:
+    assert number_of(value) == number
+
+
+@pytest.mark.parametrize("value", [True, "hot", [1], {}, "nan", "inf", float("nan"), 10**400])
+def test_what_is_no_number_is_named(value: Any) -> None:
+    with pytest.raises(BadPayload):
+        number_of(value)
+
+
+@pytest.mark.parametrize(
+    ("value", "truth"), [(True, True), ("ON", True), (1, True), ("off", False), (0, False), (None, None)]
+)
+def test_yes_and_no(value: Any, truth: bool | None) -> None:
+    assert truth_of(value) is truth
+
+
+@pytest.mark.parametrize("value", ["maybe", 2, []])
+def test_what_is_neither_yes_nor_no_is_named(value: Any) -> None:
+    with pytest.raises(BadPayload):
+        truth_of(value)
+
+
+def test_temperatures_are_celsius() -> None:
+    assert [celsius_of(68.0, "F"), celsius_of(273.15, "K"), celsius_of(1.0, "C")] == [20.0, 0.0, 1.0]

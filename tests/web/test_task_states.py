@@ -1,0 +1,111 @@
+"""The state of a task is shortened for people, and the timeline keeps what was seen of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pancakes.tools.short_state import MOST_BYTES, ShortState, shortened
+from pancakes.tools.web.state_history import StateHistory
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1.23456789, "1.23457"),
+        (float("nan"), "nan"),
+        (None, "-"),
+        (True, "yes"),
+        ("north", "north"),
+        ("\x1b[2J", r"\x1b[2J"),
+        ([1, [2.5, "x"], {"a": None}], '[1, [2.5, "x"], {a = -}]'),
+        ({}, "{}"),
+        (np.array([[1, 2], [3, 4]]), "[[1, 2], [3, 4]] (int64, 2 x 2)"),
+        (np.array(1.5), "1.5 (float64, one number)"),
+        (b"\x00\xff", "00 ff (2 bytes)"),
+    ],
+)
+def test_a_value_is_a_short_text(value: Any, text: str):
+    assert shortened({"it": value}) == ShortState((("it", text),), False)
+
+
+def test_tables_are_told_by_dotted_names_down_to_a_depth():
+    deep: Any = 1
+    for _ in range(9):
+        deep = {"x": deep}
+    short = shortened({"a": {"b c": 1, "d": {"e": 2}}, **deep})
+
+    assert short.rows[:2] == (('a."b c"', "1"), ("a.d.e", "2"))
+    assert short.rows[2] == ("x.x.x.x.x.x", "{x = {x = {x = 1}}}")
+
+
+def test_long_values_are_cut_and_say_how_long_they_are():
+    short = shortened({"text": "x" * 50, "list": list(range(1000)), "array": np.zeros((30, 20))}, most_chars=20)
+
+    assert short.cut
+    assert short.rows == (
+        ("text", f"{'x' * 20}… (50 characters)"),
+        ("list", "[0, 1, 2, 3, 4, 5, 6… (1000 items)"),
+        ("array", "[[0, 0, 0, 0, 0, 0, … (float64, 30 x 20)"),
+    )
+
+
+class Counted(list[Any]):
+    """A list that knows how many of its items were looked at."""
+
+    def __init__(self, items: list[Any]) -> None:
+        super().__init__(items)
+        self.seen = 0
+
+    def __iter__(self) -> Iterator[Any]:
+        for item in super().__iter__():
+            self.seen += 1
+            yield item
+
+
+def test_a_large_state_takes_no_more_room_than_a_small_one_and_its_rest_is_not_looked_at():
+    large = Counted([[0.5] * 100] * 30_000)
+    short = shortened({"list": large, "array": np.zeros((300, 300)), **{f"n{it}": it for it in range(10_000)}})
+
+    assert short.cut and short.rows[0][1].endswith("(30000 items)")
+    assert large.seen < 5
+    assert sum(len(name.encode()) + len(text.encode()) for name, text in short.rows) <= MOST_BYTES
+    assert shortened({"ж" * 500: "ж" * 5000}, most_chars=100).size() < 300
+    assert shortened({}) == ShortState((), False)
+
+
+# The timeline
+
+
+def state(text: str) -> ShortState:
+    return ShortState((("it", text),), False)
+
+
+def test_what_was_seen_last_before_a_moment_is_found():
+    history = StateHistory()
+    for t, text in ((1.0, "one"), (2.0, "one"), (5.0, "two")):
+        history.add("a/client/T", t, state(text))
+    history.add("b/client/T", 3.0, state("other"))
+
+    assert history.at("a/client/T", 0.5) is None
+    assert history.at("a/client/T", 1.5) == (1.5, state("one")), "it was the same before and after"
+    assert history.at("a/client/T", 4.0) == (2.0, state("one"))
+    assert history.at("a/client/T", 99.0) == (5.0, state("two"))
+    assert history.at("b/client/T", 99.0) == (3.0, state("other"))
+    assert history.at("c/client/T", 99.0) is None
+
+
+def test_it_keeps_so_much_of_the_timeline_and_so_much_memory():
+    by_time, by_size = StateHistory(span_s=10.0), StateHistory(most_bytes=1000)
+    for number in range(100):
+        task = f"a/client/T{number % 3}"
+        by_time.add(task, float(number), state(f"{number}"))
+        by_size.add(task, float(number), state(f"{number:098}"))
+
+    assert [by_time.at(f"a/client/T{number}", 80.0) for number in range(3)] == [None] * 3
+    assert by_time.at("a/client/T0", 99.0) == (99.0, state("99"))
+    assert [by_size.at(f"a/client/T{number}", 89.0) for number in range(3)] == [None] * 3
+    assert by_size.at("a/client/T2", 92.0) == (92.0, state(f"{92:098}"))

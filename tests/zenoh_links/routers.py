@@ -1,0 +1,82 @@
+"""Routers for tests, each a process, and transports that know them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+from net.conftest import Ear, TlsRig
+from pancakes_zenoh.routed_link import RoutedLink
+
+from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.mesh.net.transport import Transport
+from pancakes.mesh.security.keys import Keys
+from pancakes.runtime.plugins import Plugins
+
+COMMAND = (sys.executable, "-m", "pancakes.tools.cli.main", "zenoh", "router")
+
+
+class Router:
+    """A router on the loopback, as `pancakes zenoh router` runs it."""
+
+    def __init__(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        self.process: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        self.process = subprocess.Popen([*COMMAND, "--listen", self.address], stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        assert "listens at" in self.process.stdout.readline()
+
+    def kill(self) -> None:
+        self.send(signal.SIGKILL)
+        self.end()
+
+    def send(self, number: int) -> None:
+        assert self.process is not None
+        os.kill(self.process.pid, number)
+
+    def end(self) -> None:
+        if self.process is not None:
+            assert self.process.stdout is not None
+            self.process.terminate()
+            self.process.wait(10)
+            self.process.stdout.close()
+            self.process = None
+
+
+class ZenohRig(TlsRig):
+    """Transports through one router, without keys; each agent listens at a name of its own."""
+
+    def __init__(self, directory: Path, router: Router, keyed: bool = False) -> None:
+        super().__init__(directory)
+        self.router = router
+        self.keyed = keyed
+        self._names = 0
+
+    @property
+    def listen_at(self) -> str:  # type: ignore[override]
+        self._names += 1
+        return f"zenoh://agent{self._names}-{os.getpid()}:0"
+
+    def transport(self, name: str, role: str = "agent") -> Transport:
+        return super().transport(name, role) if self.keyed else self.with_keys(None)  # type: ignore[arg-type]
+
+    def with_keys(self, folder: Path | None) -> Transport:
+        keys = Keys(folder) if folder is not None else None
+        settings = {"zenoh": {"insecure": keys is None, "routers": [self.router.address]}}
+        made = SocketTransport(self.clock, keys.own.name if keys is not None else "none", Plugins(), settings, keys)
+        self.transports.append(made)
+        self._keys[made] = keys
+        return made
+
+
+def link_of(ear: Ear) -> RoutedLink:
+    """Returns the link of an ear that has one."""
+    assert isinstance(ear.connection, RoutedLink)
+    return ear.connection

@@ -1,0 +1,27 @@
+"""A program that takes all links through a router, and reads all that comes: python swallower.py ROUTER ADDRESS."""
+
+import sys
+import threading
+
+from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.mesh.net.transport import Connection, ConnectionHandler
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.plugins import Plugins
+
+
+class Swallower(ConnectionHandler):
+    def opened(self, connection: Connection) -> None:
+        self.connection = connection
+
+    def received(self, data: bytes) -> None:
+        pass
+
+    def closed(self, reason: str) -> None:
+        pass
+
+
+if __name__ == "__main__":
+    settings = {"zenoh": {"insecure": True, "routers": [sys.argv[1]]}}
+    transport = SocketTransport(MonotonicClock(), "swallower", Plugins(), settings)
+    print(transport.listen(sys.argv[2], Swallower), flush=True)
+    threading.Event().wait()

@@ -1,0 +1,128 @@
+"""Routers that die and come back, and agents that stop, while others go on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+from net.conftest import Ear
+from pancakes_zenoh.credit_pool import LEAST_BYTES, TOTAL_BYTES
+from zenoh_links.routers import Router, ZenohRig, link_of
+
+LINKS, SENDERS = 24, 4
+
+
+@pytest.fixture
+def own_rig(router: Router, tmp_path: Path) -> Iterator[ZenohRig]:
+    """Agents with keys, at a router of the test's own."""
+    made = ZenohRig(tmp_path, router, keyed=True)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def stopped_address(router: Router) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A process that takes links, and the address at which it does."""
+    program = Path(__file__).with_name("swallower.py")
+    command = [sys.executable, str(program), router.address, "zenoh://swallower:1"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    yield process, process.stdout.readline().strip()
+    process.kill()
+    process.wait(10)
+    process.stdout.close()
+
+
+def test_of_several_agents_one_that_stops_holds_none_of_the_others(router, tmp_path, stopped_address):
+    process, address = stopped_address
+    rig = ZenohRig(tmp_path, router)
+    try:
+        senders = [rig.transport(f"sender{number}") for number in range(SENDERS)]
+        ears = [rig.ear() for _ in range(LINKS)]
+        for number, ear in enumerate(ears):
+            senders[number % SENDERS].dial(address, ear)
+        here, there = rig.ear(), rig.ear()
+        senders[0].dial(rig.transport("healthy").listen(rig.listen_at, lambda: there), here)
+        rig.until(lambda: there.connection and all(ear.connection for ear in [*ears, here]))
+        links = [link_of(ear) for ear in ears]
+        for link in links:
+            link.send(bytes(300_000))  # so that each is lent what it may have
+        rig.until(lambda: not any(link.unsent() for link in links))
+        os.kill(process.pid, signal.SIGSTOP)
+        os.waitpid(process.pid, os.WUNTRACED)
+        for link in links:
+            link.send(bytes(2_000_000))
+        for _ in range(1_000):
+            link_of(here).send(bytes(10_000))
+        rig.until(lambda: len(there.data) == 10_000_000)
+        assert all(link.unsent() for link in links), "the stopped one takes nothing"
+        gone = sum(2_000_000 - link.unsent() for link in links)
+        assert gone <= TOTAL_BYTES + LINKS * LEAST_BYTES
+        os.kill(process.pid, signal.SIGCONT)
+        rig.until(lambda: not any(link.unsent() for link in links))
+        assert not any(ear.closed_for for ear in ears), "and no link has ended"
+    finally:
+        rig.close()
+
+
+def test_one_whose_process_dies_is_told_of_without_a_heartbeat(router, tmp_path, stopped_address):
+    process, address = stopped_address
+    rig = ZenohRig(tmp_path, router)
+    try:
+        here: Ear = rig.ear()
+        rig.transport("a").dial(address, here)
+        rig.until(lambda: here.connection)
+        process.kill()
+        rig.until(lambda: here.closed_for)
+        assert here.closed_for[0].endswith("its session with the routers has ended")
+    finally:
+        rig.close()
+
+
+def test_agents_find_each_other_again_once_their_router_is_back(own_rig, router):
+    a = own_rig.agent("a")
+    b = own_rig.agent("b", [a.address])
+    c = own_rig.agent("c", [a.address])
+    own_rig.until(lambda: a.knows("b", "c") and b.knows("a", "c") and c.knows("a", "b"))
+    router.kill()
+    own_rig.until(lambda: a.knows() and b.knows() and c.knows())
+    assert all("its session with the routers has ended" in reason for _, reason, _ in a.downs)
+    router.start()
+    own_rig.until(lambda: a.knows("b", "c") and b.knows("a", "c") and c.knows("a", "b"))
+    a.say("b", "hello")
+    own_rig.until(lambda: b.packets)
+
+
+def test_agents_begin_without_a_router_and_meet_once_there_is_one(own_rig, router):
+    router.end()
+    a = own_rig.agent("a")
+    b = own_rig.agent("b", [a.address])
+    own_rig.until(lambda: "no router answers at" in b.log("info"))
+    router.start()
+    own_rig.until(lambda: a.knows("b") and b.knows("a"))
+
+
+def test_a_router_that_stops_holds_no_thread_of_an_agent(router, tmp_path):
+    rig = ZenohRig(tmp_path, router)
+    try:
+        here, there = rig.ear(), rig.ear()
+        transport = rig.transport("a")
+        transport.dial(rig.transport("b").listen(rig.listen_at, lambda: there), here)
+        rig.until(lambda: here.connection and there.connection)
+        router.send(signal.SIGSTOP)
+        ran: list[int] = []
+        for number in range(100):
+            link_of(here).send(bytes(100_000))
+            transport.call_later(0.0, partial(ran.append, number))
+        rig.until(lambda: len(ran) == 100)
+        assert link_of(here).unsent()
+        router.send(signal.SIGCONT)
+        rig.until(lambda: len(there.data) == 10_000_000)
+    finally:
+        rig.close()
