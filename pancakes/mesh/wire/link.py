@@ -50,6 +50,8 @@ PACE: Final = 1.5
 """Each of the first pings comes so much longer after the one before."""
 MOST_UNANSWERED: Final = 8
 """An answer to an older ping says nothing about the link of today."""
+RESTED: Final = 10
+"""So much more seldom heartbeats are where the transport tells deaths."""
 _RTT_WEIGHT: Final = 1 / 8  # of a new measurement in the average, as in TCP (RFC 6298)
 
 
@@ -82,6 +84,10 @@ class LinkTimes(msgspec.Struct, frozen=True):
     def gone_s(self) -> float:
         """How long a peer may be silent."""
         return self.heartbeat_s * self.missed
+
+    def rested(self) -> LinkTimes:
+        """Returns the times of a link whose transport tells deaths: heartbeats are a second look, and seldom."""
+        return msgspec.structs.replace(self, heartbeat_s=self.heartbeat_s * RESTED)
 
 
 class LinkState(Enum):

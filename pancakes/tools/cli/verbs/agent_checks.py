@@ -107,7 +107,7 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
         text = "its mission waits at 0, so nothing of it moves"
         yield Finding("warning", name, text, "it begins when its launcher says so, as pancakes launch does")
     if agent["insecure"]:
-        text = f"speaks over {agent['insecure']} without keys: all that reach the network can read and command it"
+        text = f"speaks over {agent['insecure']} without keys: all that reach it can read what it says, and command it"
         yield Finding("warning", name, text, "pancakes fleet join, and take insecure = true out of its file")
     for service in agent["services"]:
         yield from _check_tries(f"{name}/{service['service']}", "service", service)
