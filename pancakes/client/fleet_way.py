@@ -39,7 +39,7 @@ class FleetWay(NamedTuple):
         folder = keys_of_person(fleet)
         if folder is None:
             name = f"cli-{os.getpid()}-{secrets.token_hex(3)}"
-            return cls(name, SocketTransport(clock, name, Plugins(), {"tcp": {"insecure": True}}))
+            return cls(name, SocketTransport(clock, name, Plugins(), insecure=True))
         from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, which takes its time
 
         keys = Keys(folder)

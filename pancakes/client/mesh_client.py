@@ -20,9 +20,10 @@ from pancakes.client.where import Where
 from pancakes.client.wishes import Wishes
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
-from pancakes.mesh.address import DEFAULT_FLEET, fleet_in, in_fleet, is_local, reachable_from
+from pancakes.mesh.address import DEFAULT_FLEET, fleet_in, in_fleet, is_local
 from pancakes.mesh.net.peers import reachable
 from pancakes.mesh.security.key_folders import fleets_of_person
+from pancakes.mesh.way_facts import reachable_from
 from pancakes.mesh.wire.link_messages import Hello
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.foundation.suggestion import hint_of
@@ -285,9 +286,7 @@ class MeshClient:
 
     def _fleet_at(self, lead: Lead) -> str:
         """Returns the fleet of which the agent there is thought to be: an agent tells those of its fleet alone."""
-        if lead.fleet or self._fleet:
-            return lead.fleet or self._fleet
-        if found := fleet_in(lead.address):
+        if found := lead.fleet or self._fleet or fleet_in(lead.address):
             return found
         with suppress(PancakesError):  # an agent elsewhere can be asked without the runtime directory
             if here := [entry.fleet for entry in entries() if lead.address in entry.listen]:
@@ -324,11 +323,12 @@ class MeshClient:
         fleet, remote = door.fleet, door.place_of(description["agent"])
         if not remote:
             return
-        keyless = self._way(fleet).keys is None and not description["insecure"]
+        way = self._way(fleet)
+        keyless = way.keys is None and not description["insecure"]
         for peer in description["mesh"]["peers"]:
             if peer["role"] == "client" or any((it.fleet, it.name) == (fleet, peer["name"]) for it in self._leads):
                 continue
-            there = [reachable(it, remote) for it in reachable_from(remote, peer["addresses"])]
+            there = [reachable(it, remote) for it in reachable_from(remote, peer["addresses"], way.transport.reach)]
             failed = ""
             if keyless and not all(is_local(it) for it in there):
                 there = [it for it in there if is_local(it)] or self._here(fleet, peer["name"])

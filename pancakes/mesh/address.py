@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from functools import lru_cache
 from typing import Final
 
@@ -140,33 +139,6 @@ def is_loopback(address: str) -> bool:
         return parse_address(address).loopback
     except ValueError:
         return False
-
-
-def reachable_from(remote: str, addresses: Iterable[str]) -> tuple[str, ...]:
-    """Returns those addresses that can be dialled at the other end of a connection.
-
-    What is local is for peers that came by a local way, and the loopback is for this machine.
-
-    Args:
-        remote: the address of the other end, as this one sees it.
-        addresses: addresses that can be dialled here.
-    """
-    if is_local(remote):
-        return tuple(addresses)
-    far = not is_loopback(remote)
-    return tuple(it for it in addresses if not is_local(it) and not (far and is_loopback(it)))
-
-
-def nameable_from(remote: str, addresses: Iterable[str]) -> tuple[str, ...]:
-    """Returns those addresses that a peer may name, so that this agent dials them.
-
-    A peer elsewhere names nothing of this machine. None names a path, where another program may listen.
-
-    Args:
-        remote: the address of the peer, as this agent sees it.
-        addresses: what it names.
-    """
-    return tuple(it for it in reachable_from(remote, addresses) if not it.startswith(f"{LOCAL}:///"))
 
 
 def _check_six(text: str, host: str) -> None:

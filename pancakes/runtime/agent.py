@@ -68,9 +68,9 @@ from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDown
 from pancakes.runtime.transport_settings import (
     addresses_of,
+    insecure_over,
     keys_for,
     network_settings,
-    tcp_addresses,
     transport_settings,
 )
 from pancakes.service import Service
@@ -120,7 +120,7 @@ class Agent:
         resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
             it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
         ready: set once all that should run at the start does.
-        insecure: whether it speaks over TCP without keys.
+        insecure_over: the ways on which it does without the keys that they ask for, such as `tcp://`; empty: none.
         fatal: set to a sentence where it must stop: its port is in use, another agent bears its name.
 
     Raises:
@@ -148,7 +148,7 @@ class Agent:
         )
         self.ready = threading.Event()
         self.fatal: str = ""
-        self.insecure = False
+        self.insecure_over = ""
         self._keys: Keys | None = None
         self.stopping = threading.Event()
         self._on_fatal: Callable[[str], None] = lambda reason: None
@@ -319,8 +319,8 @@ class Agent:
             self.kernel.log("warning", sentence)
         for task, why in self.resting.items():
             self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
-        if self.insecure:
-            text = f"{self.name} speaks over tcp:// without keys: nothing is encrypted, and no peer is checked"
+        if over := self.insecure_over:
+            text = f"{self.name} speaks over {over} without keys: nothing is encrypted, and no peer is checked"
             self.kernel.log("warning", text)
         self.ready.set()
         self._say_unsaid()
@@ -405,7 +405,7 @@ class Agent:
             "listen": self.mesh.listen,
             "neighbours": self.mesh.neighbours(),
             "peers": [hello.name for hello in self.mesh.connected()],
-            "insecure": self.insecure,
+            "insecure": self.insecure_over,
             "roster": roster.number if (roster := self._roster()) is not None else None,
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
@@ -487,12 +487,12 @@ class Agent:
 
     def _open_transport(self) -> Transport:
         agent, network = self.config.agent, network_settings(self.config)
-        self._keys = keys = keys_for(self.config, network)
+        self._keys = keys = keys_for(self.config, network, self._plugins)
         if keys is not None and (fault := keys.fault_of(keys.own)):
             self.skipped.append(f"no agent of {agent.fleet} believes this one any more: {fault}")
-        self.insecure = keys is None and bool(tcp_addresses(agent))
+        self.insecure_over = insecure_over(agent, keys is not None, self._plugins)
         settings = transport_settings(agent, network)
-        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys)
+        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys, network.insecure)
 
     def _resting(self) -> dict[str, str]:
         services = {task.name: task.service for task in self.config.tasks.values() if task.start}

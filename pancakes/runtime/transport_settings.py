@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.errors import ConfigError, PancakesError
 from pancakes.mesh.address import LOCAL, is_local
+from pancakes.mesh.net.socket_transport import facts_of
 from pancakes.mesh.security.certified import fault_of_bearer
 from pancakes.mesh.security.key_folders import keys_of_agent
 from pancakes.runtime.config.tables import AgentConfig, Config
+from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.runtime_dir import make_directory, runtime_dir
 from pancakes.runtime.services.network import NetworkService
 from pancakes.settings import make_settings
@@ -23,12 +25,9 @@ TCP: Final = "tcp"
 
 def transport_settings(agent: AgentConfig, network: NetworkService.Settings) -> dict[str, Mapping[str, Any]]:
     """Returns the settings of an agent's transports, by the scheme of their addresses."""
-    group = {"group": agent.local_group} if agent.local_group else {}
-    return {
-        **network.transports,
-        TCP: {**network.transports.get(TCP, {}), "insecure": network.insecure},
-        LOCAL: {**network.transports.get(LOCAL, {}), **group},
-    }
+    if not agent.local_group:
+        return dict(network.transports)
+    return {**network.transports, LOCAL: {**network.transports.get(LOCAL, {}), "group": agent.local_group}}
 
 
 def network_settings(config: Config) -> NetworkService.Settings:
@@ -43,9 +42,15 @@ def network_settings(config: Config) -> NetworkService.Settings:
     return make_settings(NetworkService.Settings, {key: given[key] for key in early if key in given})
 
 
-def tcp_addresses(agent: AgentConfig) -> list[str]:
-    """Returns the addresses of an agent's configuration that are reached over TCP."""
-    return [address for address in (*agent.listen, *agent.peers) if address.startswith(f"{TCP}://")]
+def keyed_addresses(agent: AgentConfig, plugins: Plugins) -> list[str]:
+    """Returns the addresses of an agent's configuration whose transport encrypts what is said, if there are keys."""
+    return [it for it in (*agent.listen, *agent.peers) if facts_of(it, True, plugins).encrypted]
+
+
+def insecure_over(agent: AgentConfig, keyed: bool, plugins: Plugins) -> str:
+    """Returns on which ways an agent does without the keys that they ask for, such as `tcp://`; empty: on none."""
+    schemes = {it.partition("://")[0] for it in keyed_addresses(agent, plugins)}
+    return "" if keyed else " and ".join(f"{scheme}://" for scheme in sorted(schemes))
 
 
 def addresses_of(agent: AgentConfig, network: NetworkService.Settings) -> tuple[tuple[str, ...], str]:
@@ -59,12 +64,12 @@ def addresses_of(agent: AgentConfig, network: NetworkService.Settings) -> tuple[
     return agent.addresses, ""
 
 
-def keys_for(config: Config, network: NetworkService.Settings) -> Keys | None:
+def keys_for(config: Config, network: NetworkService.Settings, plugins: Plugins) -> Keys | None:
     """Returns an agent's keys; None: it has none, and is to do without.
 
     Raises:
-        ConfigError: it is to speak over TCP, and has no keys for that, or none that are of use; the fault says what to
-            do.
+        ConfigError: it is to speak to other machines, and has no keys for that, or none that are of use; the fault says
+            what to do.
     """
     agent, places = config.agent, config.places
     folder = Path(network.keys) if network.keys else keys_of_agent(agent.fleet, agent.name)
@@ -74,7 +79,7 @@ def keys_for(config: Config, network: NetworkService.Settings) -> Keys | None:
         except PancakesError as error:
             key = ("service", "network", "settings", "keys") if network.keys else ("agent", "name")
             raise ConfigError([places.fault(key, str(error))]) from None
-    addresses = tcp_addresses(agent)
+    addresses = keyed_addresses(agent, plugins)
     if addresses and not network.insecure:
         raise ConfigError(
             [

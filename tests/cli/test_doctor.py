@@ -13,6 +13,7 @@ import pytest
 from cli.processes import Rig, Running
 
 from pancakes import __version__
+from pancakes.mesh.way_facts import Reach, WayFacts
 from pancakes.runtime.journal import FileJournal, JournalEntry
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.runtime_dir import VARIABLE, RunningAgent
@@ -292,7 +293,14 @@ def task(name: str = "Scan", **other: Any) -> dict[str, Any]:
     return {**plain, "lateness_max_s": 0.0, "dropped": 0, **other}
 
 
-PEER = {"name": "b", "role": "agent", "remote": "tcp://192.0.2.7:40000", "refused": 0}
+PEER = {
+    "name": "b",
+    "role": "agent",
+    "remote": "tcp://192.0.2.7:40000",
+    "refused": 0,
+    **WayFacts(Reach.NETWORK, encrypted=True).plain(),
+}
+ROUTED = {**PEER, "remote": "zenoh://1f:0", "dropped": {}, **WayFacts(Reach.ROUTERS, encrypted=True).plain()}
 
 
 def service(**other: Any) -> dict[str, Any]:
@@ -305,7 +313,7 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
         "agent": name,
         "ready": True,
         "held": False,
-        "insecure": False,
+        "insecure": "",
         "roster": None,
         "services": [{"service": "client", "state": "running", "reason": ""}],
         "tasks": [task()],
@@ -331,6 +339,11 @@ def test_a_healthy_agent_is_in_order():
     assert levels(found_in(agent())) == [("ok", "a")]
 
 
+def test_links_through_routers_are_told():
+    (found,) = found_in(agent(mesh={"peers": [ROUTED], "asleep": [], "addresses": []}))
+    assert found.text == "is ready, with 1 task running and 1 neighbour; 1 link through routers"
+
+
 STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "refused": ""}
 
 
@@ -339,7 +352,13 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "r
     [
         ({"ready": False}, "warning", "a", "is not ready"),
         ({"held": True}, "warning", "a", "waits at 0"),
-        ({"insecure": True}, "warning", "a", "speaks over tcp:// without keys"),
+        (
+            {"mesh": {"peers": [{**ROUTED, "encrypted": False}], "asleep": [], "addresses": []}},
+            "warning",
+            "a",
+            "has a link to b over zenoh://, which does not encrypt",
+        ),
+        ({"insecure": "tcp://"}, "warning", "a", "speaks over tcp:// without keys"),
         (
             {"services": [service(state="failed", reason="no light")]},
             "error",

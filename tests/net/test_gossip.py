@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import types
+from typing import Any
+
 import pytest
 
-from pancakes.mesh.address import reachable_from
-from pancakes.mesh.wire.link_messages import Gossip
+from pancakes.mesh.net.gossip import Gossiper
+from pancakes.mesh.way_facts import Reach, WayFacts, nameable_from, reach_of, reachable_from
+from pancakes.mesh.wire.link_messages import Gossip, Identity
 
 LOCAL, LOOPBACK, FIELD = "local://a", "tcp://127.0.0.1:7401", "tcp://10.0.0.1:7401"
 
@@ -96,3 +100,45 @@ def test_an_agent_that_is_dialled_at_two_addresses_has_one_link(memory_rig, dial
     memory_rig.timeline.run_until(60.0)
     assert a.knows("b") and b.knows(dialler) and len(a.ups) == len(a.downs) + 1
     assert len(memory_rig.network.pipes) == 1
+
+
+def test_what_is_behind_routers_and_what_is_not():
+    def reach(address):
+        return Reach.ROUTERS if address.startswith("zenoh://") else reach_of(address)
+
+    every = (LOCAL, LOOPBACK, FIELD, "zenoh://a:1")
+    assert reachable_from("zenoh://1f:0", every, reach) == ("zenoh://a:1",), "a network is not seen from behind routers"
+    assert reachable_from("tcp://10.0.0.9:5", every, reach) == (FIELD, "zenoh://a:1")
+    assert nameable_from("zenoh://1f:0", every, reach) == ("zenoh://a:1",), "nor may one behind them name what is in it"
+
+
+class RoutedWays:
+    """What a transport says of addresses, of which some go through routers."""
+
+    def facts(self, address):
+        return WayFacts(Reach.ROUTERS, cost=14.0) if address.startswith("zenoh://") else WayFacts(reach_of(address))
+
+    def reach(self, address):
+        return self.facts(address).reach
+
+
+@pytest.mark.parametrize(
+    ("remote", "listens", "told"),
+    [
+        ("tcp://10.0.0.9:5", ("tcp://10.0.0.9:1",), ("tcp://10.0.0.3:1",)),  # of that behind routers alone, nothing
+        ("tcp://10.0.0.9:5", ("tcp://10.0.0.9:1", "zenoh://n:1"), ("tcp://10.0.0.3:1", "zenoh://far:1")),
+        ("zenoh://1f:0", ("zenoh://n:1",), ("zenoh://both:1", "zenoh://far:1")),
+        ("zenoh://1f:0", (), ("zenoh://both:1", "zenoh://far:1")),  # it dialled, and listens nowhere
+    ],
+)
+def test_a_gateway_tells_each_side_what_that_side_can_dial(remote, listens, told):
+    said: list[tuple[str, ...]] = []
+    hello = Identity("n", "journal").hello(listens)
+    session: Any = types.SimpleNamespace(hello=hello, remote=remote, number=1)
+    links: Any = [session]
+    ways: Any = RoutedWays()
+    gossiper = Gossiper("agent", links, lambda session, message: said.append(message.addresses), ways)
+    both = ("zenoh://both:1", "tcp://10.0.0.3:1")  # in any order: the cheapest way is told
+    peers: Any = types.SimpleNamespace(gossip=lambda: (both, ("zenoh://far:1",)), is_news=lambda number: False)
+    gossiper.stood_up(session, peers)
+    assert said[0] == told

@@ -47,7 +47,7 @@ def agent(
         "role": "agent",
         "ready": True,
         "held": False,
-        "insecure": False,
+        "insecure": "",
         "roster": None,
         "speed": 1.0,
         "mission_s": 0.0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -52,5 +53,35 @@ def test_a_task_is_handed_over_through_a_router(cli_rig: Rig, router: Router):
     cli_rig.listed("task", "migrate", "b/Count", "--to", "c")
     third.hear("counted n=")
     assert where(cli_rig) == ["c"]
+    # As a terminal elsewhere, which is behind the router alone.
+    cli_rig.environment.update(PANCAKES_ZENOH=router.address, PANCAKES_RUNTIME_DIR=str(cli_rig.directory / "elsewhere"))
+    with cli_rig.keys.offered():
+        found = cli_rig.listed("agent", "list", "--at", "zenoh://a:1", "--fleet", "test")
+    assert sorted(row["agent"] for row in found) == ["a", "b", "c"]
     third.process.kill()
     first.hear("its session with the routers has ended")
+
+
+def test_a_task_crosses_a_gateway_from_a_robot_on_tcp_to_one_behind_routers(cli_rig: Rig, router: Router):
+    gateway = started(cli_rig, router, "g", 'listen = ["tcp://127.0.0.1:0", "zenoh://g:1"]')
+    at = next(it for it in cli_rig.addresses(gateway) if it.startswith("tcp://"))
+    wheeled = started(cli_rig, router, "t", f'listen = "tcp://127.0.0.1:0"\npeers = ["{at}"]', COUNT)
+    flying = started(cli_rig, router, "z", 'listen = "zenoh://z:1"\npeers = ["zenoh://g:1"]')
+    gateway.hear("peer_up peer=t")
+    flying.hear("peer_up peer=g")
+    wheeled.hear("counted n=3")
+    cli_rig.listed("task", "migrate", "t/Count", "--to", "g")
+    gateway.hear("counted n=")
+    cli_rig.listed("task", "migrate", "g/Count", "--to", "z")
+    count = int(flying.hear("counted n=").rpartition("n=")[2])
+    assert count > 3, "with its state"
+    assert where(cli_rig) == ["z"]
+    doctor = cli_rig.pancakes("doctor")
+    assert "1 link through routers" in doctor.stdout, doctor.stdout + doctor.stderr
+    for agent, foreign in (("t", "zenoh://z"), ("z", "tcp://")):
+        told = cli_rig.pancakes("agent", "info", agent, "--format", "json")
+        (found,) = json.loads(told.stdout)
+        assert found["neighbours"] == ["g"], told.stderr
+        mesh = found["mesh"]
+        known = [it["address"] for it in mesh["addresses"]] + [at for it in mesh["peers"] for at in it["addresses"]]
+        assert not [it for it in known if it.startswith(foreign)], "none is told of what it cannot dial"

@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final, Protocol
 
-from pancakes.mesh.address import reachable_from
+from pancakes.mesh.address import LOCAL
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.peers import Peers
 from pancakes.mesh.net.session import Session
+from pancakes.mesh.net.transport import Transport
+from pancakes.mesh.way_facts import reachable_from
 from pancakes.mesh.wire.link_messages import Gossip, Role
 
 ADDRESSES: Final = 64
 """Most addresses in one message to a new link."""
+
+_EVERYWHERE: Final = (LOCAL, "tcp")
+"""Each agent dials these; other schemes those agents alone that are linked by them, or listen at them."""
 
 Listens = tuple[str, ...]
 """Where one agent can be dialled, the best address first."""
@@ -32,13 +37,15 @@ class Gossiper:
         role: the role of this agent.
         links: its links.
         say: sends what it tells.
+        transport: knows the ways to addresses.
     """
 
-    def __init__(self, role: Role, links: Links, say: Says) -> None:
+    def __init__(self, role: Role, links: Links, say: Says, transport: Transport) -> None:
         # A client that looks at two agents must not make neighbours of them: it belongs to neither.
         self._tells = role != "client"
         self._links = links
         self._say = say
+        self._transport = transport
 
     def beacon(self, peers: Peers) -> None:
         """Tells all peers of some agents."""
@@ -61,8 +68,19 @@ class Gossiper:
         if not self._tells or session.hello is None:
             return False
         own = set(session.hello.listen)
-        others = [reachable_from(session.remote, listen)[:1] for listen in agents if own.isdisjoint(listen)]
-        named = tuple(address for addresses in others for address in addresses)
+        schemes = {*_EVERYWHERE, *map(_scheme, (session.remote, *own))}
+        others = [self._best(session.remote, schemes, listen) for listen in agents if own.isdisjoint(listen)]
+        named = tuple(filter(None, others))
         if named:
             self._say(session, Gossip(named))
         return bool(named)
+
+    def _best(self, remote: str, schemes: set[str], listen: Listens) -> str:
+        """Returns the cheapest address of an agent that a peer can dial, the first of equal ones; empty: none."""
+        there = reachable_from(remote, listen, self._transport.reach)
+        dialled = [address for address in there if _scheme(address) in schemes]
+        return min(dialled, key=lambda address: self._transport.facts(address).cost, default="")
+
+
+def _scheme(address: str) -> str:
+    return address.partition("://")[0]

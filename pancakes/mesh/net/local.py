@@ -20,6 +20,7 @@ from pancakes.mesh.address import DEFAULT_FLEET, LOCAL, parse_address
 from pancakes.mesh.net.buffers import NOT_SENT_BYTES
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
+from pancakes.mesh.way_facts import Reach, WayFacts
 from pancakes.runtime.runtime_dir import make_directory, open_to, runtime_dir, usable
 
 if TYPE_CHECKING:
@@ -57,6 +58,10 @@ class LocalTransport(StreamTransport):
         super().__init__(loop, settings, keys)
         self._group = settings.group
         self._directory = settings.directory
+
+    @classmethod
+    def facts(cls, address: str, keyed: bool) -> WayFacts:
+        return WayFacts(Reach.USER, cost=0.9)
 
     def bind(self, address: str) -> Bound:
         path = self._path(address)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.address import reachable_from
 from pancakes.mesh.net.alarm import Alarm
 from pancakes.mesh.net.gate import OPEN, Gate
 from pancakes.mesh.net.gossip import Gossiper
@@ -27,6 +26,7 @@ from pancakes.mesh.net.session import Session, Unwanted
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
 from pancakes.mesh.net.trust import Trust
 from pancakes.mesh.net.why_lost import why_lost
+from pancakes.mesh.way_facts import reachable_from
 from pancakes.mesh.wire.link import (
     Action,
     Greeted,
@@ -115,7 +115,7 @@ class Mesh:
         self._log = LinkLog(on_log, peers)
         self._state = "new"
         self._asleep_until_s = 0.0
-        self._gossip = Gossiper(identity.role, self._links, self._tell)
+        self._gossip = Gossiper(identity.role, self._links, self._tell, transport)
         later, now = transport.call_later, host_clock.now
         self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
         self._sending = Sending(self._lost, defer)
@@ -218,6 +218,7 @@ class Mesh:
             "role": self.identity.role,
             "fleet": self.identity.fleet,
             "listen": self.listen,
+            "ways": [{"address": it, **self._transport.facts(it).plain()} for it in self.listen],
             "state": self._state,
             "peers": self.links(),
             "asleep": [{"name": name, "for_s": None if for_s == math.inf else for_s} for name, for_s in asleep.items()],
@@ -227,7 +228,7 @@ class Mesh:
 
     def links(self) -> list[dict[str, Any]]:
         """Returns the state of the links that stand, by the names of the peers. Any thread."""
-        return self._links.describe()
+        return [{**row, **self._transport.facts(row["remote"]).plain()} for row in self._links.describe()]
 
     def _lost(self, packet: Packet) -> PancakesError:
         """Returns why a packet cannot go to its agent."""
@@ -239,8 +240,8 @@ class Mesh:
     def _begin(self) -> None:
         if self._state != "new":
             return
-        times, may_be_named = self._times, self._transport.may_be_named
-        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, may_be_named)
+        times, ways = self._times, (self._transport.may_be_named, self._transport.reach)
+        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, *ways)
         self._state = "running"  # from now on `describe` has all that is known
         self._trust.begin()
         self._run_peers()
@@ -307,7 +308,7 @@ class Mesh:
             session.end("it is no longer wanted")
             return
         now_s = self._now()
-        own = replace(self._own, listen=reachable_from(session.remote, self._own.listen))
+        own = replace(self._own, listen=reachable_from(session.remote, self._own.listen, self._transport.reach))
         session.link = Link(own, self._times, now_s, answers=not session.address)
         self._act(session, session.link.open(now_s))
         self._watch(session)

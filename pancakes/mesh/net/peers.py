@@ -18,9 +18,10 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.mesh.address import is_local, nameable_from
+from pancakes.mesh.address import is_local
 from pancakes.mesh.net.address_book import MAX_LEARNT, AddressBook, KnownAddress
 from pancakes.mesh.net.client_places import THIS_MACHINE, ClientPlace, machine_of, who_makes_room
+from pancakes.mesh.way_facts import ReachOf, nameable_from, reach_of
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.link_messages import Goodbye, Hello, Refusal
 
@@ -84,6 +85,7 @@ class Peers:
         quiet_s: takes a link and the host time, and returns for how long no packet has gone over it either way;
             infinite where none ever came in.
         may_be_named: returns whether a peer may name an address.
+        reach: returns from how far an address can be dialled.
     """
 
     def __init__(
@@ -95,8 +97,10 @@ class Peers:
         now_s: float,
         quiet_s: Callable[[int, float], float] = lambda link, now_s: 0.0,
         may_be_named: Callable[[str], bool] = lambda address: True,
+        reach: ReachOf = reach_of,
     ) -> None:
         self._own = own
+        self._reach = reach
         self._times = times
         self._quiet_s = quiet_s
         self._dials: dict[int, str] = {}  # the addresses of dials under way
@@ -195,7 +199,7 @@ class Peers:
         machine = machine_of(remote)
         if machine != THIS_MACHINE:  # what listens here on all interfaces, others find at the address that they see
             hello = replace(hello, listen=listen)
-        named = nameable_from(remote, listen) if hello.role != "client" else ()
+        named = nameable_from(remote, listen, self._reach) if hello.role != "client" else ()
         learnt = [self._book.learn(it, now_s, name, name) for it in named]
         self._asleep.pop(name, None)
         candidate = self._candidates[link] = _Candidate(link, hello, address, machine, any(learnt))
@@ -326,7 +330,8 @@ class Peers:
             remote: the address of that peer.
         """
         if peer:
-            addresses = nameable_from(remote, filter(None, (reachable(it, remote) for it in addresses)))
+            seen = filter(None, (reachable(it, remote) for it in addresses))
+            addresses = nameable_from(remote, seen, self._reach)
         # Beacons name what is known already, from each peer and all the time.
         unknown = [address for address in addresses if address not in self._book]
         new = [address for address in unknown if self._book.learn(address, now_s, by=peer)]

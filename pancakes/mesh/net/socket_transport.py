@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pancakes.errors import PancakesError, PluginError
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.transport import ConnectionHandler, Scheduled, SchemeTransport, Transport
+from pancakes.mesh.way_facts import WayFacts, reach_of
 from pancakes.runtime.clock import Clock
 from pancakes.runtime.kernel.guest import Guest
 from pancakes.runtime.plugins import Plugins
@@ -26,6 +27,7 @@ class SocketTransport(Transport):
         plugins: where transports are found.
         settings: the settings of transports, by scheme; they have been checked.
         keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
+        insecure: what the setting `insecure` of those transports is that have it; they encrypt where there are keys.
     """
 
     def __init__(
@@ -35,11 +37,13 @@ class SocketTransport(Transport):
         plugins: Plugins,
         settings: Mapping[str, Mapping[str, Any]] | None = None,
         keys: Keys | None = None,
+        insecure: bool = False,
     ) -> None:
         self.loop = Loop(clock, f"net-{name}" if name else "net")
         self._plugins = plugins
         self._settings = settings or {}
         self._keys = keys
+        self._insecure = insecure
         self._made: dict[str, SchemeTransport] = {}
 
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
@@ -62,6 +66,9 @@ class SocketTransport(Transport):
             return self._of(address).may_be_named(address)
         except PluginError:
             return False
+
+    def facts(self, address: str) -> WayFacts:
+        return facts_of(address, self._keys is not None, self._plugins)
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         return self.loop.call_later(delay_s, function)
@@ -86,7 +93,25 @@ class SocketTransport(Transport):
         made = self._made.get(scheme)
         if made is None:
             cls: type[SchemeTransport] = self._plugins.get("pancakes.transports", scheme)
-            made = cls(self.loop, make_settings(cls.Settings, self._settings.get(scheme, {})), self._keys)
+            given = self._settings.get(scheme, {})
+            if self._insecure and "insecure" in cls.Settings.__struct_fields__:
+                given = {"insecure": True, **given}
+            made = cls(self.loop, make_settings(cls.Settings, given), self._keys)
             # Two threads that dial at once must not have one each, which nothing would close.
             made = self._made.setdefault(scheme, made)
         return made
+
+
+def facts_of(address: str, keyed: bool, plugins: Plugins) -> WayFacts:
+    """Returns what is known of the way to an address; of one whose scheme is unknown here, what it looks like.
+
+    Args:
+        address: the address.
+        keyed: whether the agent has keys.
+        plugins: where transports are found.
+    """
+    try:
+        cls: type[SchemeTransport] = plugins.get("pancakes.transports", address.partition("://")[0])
+    except PluginError:
+        return WayFacts(reach_of(address))
+    return cls.facts(address, keyed)

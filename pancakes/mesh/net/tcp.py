@@ -13,6 +13,7 @@ from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_connection import StreamConnection
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
 from pancakes.mesh.net.transport import ConnectionHandler
+from pancakes.mesh.way_facts import WayFacts, reach_of
 
 if TYPE_CHECKING:
     from pancakes.mesh.net.tls_layer import TlsLayer
@@ -49,6 +50,10 @@ class TcpTransport(StreamTransport):
             from pancakes.mesh.net.tls_connection import TlsConnection
 
             self._tls = TlsConnection
+
+    @classmethod
+    def facts(cls, address: str, keyed: bool) -> WayFacts:
+        return WayFacts(reach_of(address), encrypted=keyed)
 
     def connection(
         self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool

@@ -15,6 +15,7 @@ import msgspec
 
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.security.certified import Certified
+from pancakes.mesh.way_facts import Reach, WayFacts, reach_of
 from pancakes.runtime.kernel.guest import Guest
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class SchemeTransport(ABC):
     """
 
     class Settings(msgspec.Struct):
-        """It has no settings."""
+        """It has no settings. One that encrypts where there are keys has `insecure`: to connect without them too."""
 
     @abstractmethod
     def __init__(self, loop: Loop, settings: Any, keys: Keys | None) -> None: ...
@@ -118,6 +119,16 @@ class SchemeTransport(ABC):
     @abstractmethod
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         """See `Transport.dial`."""
+
+    @classmethod
+    def facts(cls, address: str, keyed: bool) -> WayFacts:
+        """Returns what is known of the way to an address of this scheme.
+
+        Args:
+            address: the address.
+            keyed: whether the agent has keys.
+        """
+        return WayFacts(reach_of(address))
 
     def may_be_named(self, address: str) -> bool:
         """See `Transport.may_be_named`."""
@@ -153,6 +164,14 @@ class Transport(ABC):
     def may_be_named(self, address: str) -> bool:
         """Returns whether a peer may name an address: it can be dialled, and no name must be looked up for that."""
         return True
+
+    def facts(self, address: str) -> WayFacts:
+        """Returns what is known of the way to an address; of one whose scheme is unknown here, what it looks like."""
+        return WayFacts(reach_of(address))
+
+    def reach(self, address: str) -> Reach:
+        """Returns from how far an address can be dialled."""
+        return self.facts(address).reach
 
     @abstractmethod
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:

@@ -160,17 +160,17 @@ def _check(config: Config, plugins: Plugins) -> None:
                 continue  # `problems` has it
     for problem in plugins.problems():
         _warn(f"warning: {problem}")
-    _check_keys(config)
+    _check_keys(config, plugins)
     show_text(f"{config.path} is sound: the agent {config.agent.name} of the fleet {config.agent.fleet}")
 
 
-def _check_keys(config: Config) -> None:
+def _check_keys(config: Config, plugins: Plugins) -> None:
     """Warns of keys that this machine lacks, or that are of no use: the configuration may be for another machine."""
     from pancakes.errors import ConfigError
     from pancakes.runtime.transport_settings import keys_for, network_settings
 
     try:
-        keys_for(config, network_settings(config))
+        keys_for(config, network_settings(config), plugins)
     except ConfigError as error:
         _warn(f"warning: on this machine it does not start: {error}")
 

@@ -17,7 +17,7 @@ from pancakes.runtime.composition import Composition
 from pancakes.runtime.config import Config
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.transport_settings import tcp_addresses
+from pancakes.runtime.transport_settings import keyed_addresses
 from pancakes.settings import SettingsError, make_settings
 
 USER: Final = "pancakes"
@@ -99,7 +99,7 @@ def facts_of(config: Config, plugins: Plugins) -> UnitFacts:
         agent.name,
         agent.fleet,
         (*command, "--config", path),
-        networked=bool(tcp_addresses(agent)),
+        networked=bool(keyed_addresses(agent, plugins)),
         group=agent.local_group,
         writes=tuple(sorted(folder for folder in folders if os.path.isabs(folder))),
         reads=(sys.prefix, sys.base_prefix, str(Path(__file__).parent), os.path.dirname(path)),

@@ -13,12 +13,13 @@ from pancakes.mesh.security.key_folders import keys_of_agent
 from pancakes.mesh.security.rules import EVERY, AccessRule
 from pancakes.runtime.config import Config
 from pancakes.runtime.config.toml_text import value_text
-from pancakes.runtime.transport_settings import TCP, tcp_addresses
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.transport_settings import TCP, keyed_addresses
 
 
 @contextmanager
 def keys_of_run(configs: Mapping[str, Config]) -> Iterator[Mapping[str, tuple[str, ...]]]:
-    """Makes keys for the agents of a run that speak over TCP, and removes them at its end.
+    """Makes keys for the agents of a run that speak to other machines, and removes them at its end.
 
     A fleet of which an agent has keys already gets no others: they would not believe each other. An agent that its file
     calls `insecure` gets none.
@@ -59,7 +60,8 @@ def keys_of_run(configs: Mapping[str, Config]) -> Iterator[Mapping[str, tuple[st
 def _wanting(configs: Mapping[str, Config]) -> list[str]:
     """Returns the agents that are to get keys."""
     open_ = {name: config for name, config in configs.items() if not _network(config).get("insecure")}
-    if not any(_speaks_tcp(config) for config in open_.values()):
+    plugins = Plugins()
+    if not any(_is_keyed(config, plugins) for config in open_.values()):
         return []
     have = {config.agent.fleet for config in open_.values() if _has_keys(config)}
     return [name for name, config in open_.items() if config.agent.fleet not in have]
@@ -74,10 +76,10 @@ def _has_keys(config: Config) -> bool:
     return bool(_network(config).get("keys")) or keys_of_agent(config.agent.fleet, config.agent.name) is not None
 
 
-def _speaks_tcp(config: Config) -> bool:
-    """Returns whether an agent, or a driver of it, is to connect over TCP."""
+def _is_keyed(config: Config, plugins: Plugins) -> bool:
+    """Returns whether an agent, or a driver of it, is to connect by a way that is encrypted where there are keys."""
     devices = (value for device in config.devices.values() for value in device.settings.values())
     tasks = (value for task in config.tasks.values() for value in task.settings.values())
-    return bool(tcp_addresses(config.agent)) or any(
+    return bool(keyed_addresses(config.agent, plugins)) or any(
         isinstance(value, str) and value.startswith(f"{TCP}://") for value in (*devices, *tasks)
     )

@@ -28,6 +28,7 @@ from pancakes.mesh.net.kept_connection import Disposable
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.tcp import needs_keys
 from pancakes.mesh.net.transport import ConnectionHandler, SchemeTransport
+from pancakes.mesh.way_facts import Reach, WayFacts
 from pancakes_zenoh.credit_pool import CreditPool
 from pancakes_zenoh.inbox import Inbox
 from pancakes_zenoh.link_frames import BadFrame, FrameKind, LinkFrame, frame_bytes, frame_of
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from pancakes_zenoh.router_session import RouterSession
 
 SCHEME: Final = "zenoh"
+COST: Final = 14.0
+"""See `WayFacts`; measured through one router, see docs/zenoh.md."""
 ROUTERS: Final = "PANCAKES_ZENOH"
 """The routers of a terminal, and of an agent whose configuration names none: addresses with a comma between them."""
 
@@ -83,6 +86,10 @@ class ZenohTransport(SchemeTransport):
         self._handshakes: Handshakes[TlsLayer] = Handshakes(loop.now())
         self._making = threading.Lock()
         self._made: tuple[RouterSession, Inbox] | None = None
+
+    @classmethod
+    def facts(cls, address: str, keyed: bool) -> WayFacts:
+        return WayFacts(Reach.ROUTERS, encrypted=keyed, cost=COST)
 
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
         try:

@@ -141,6 +141,7 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
             "packets for agents that were away": found["undelivered"],
         },
         "process": found["process"] or {},
+        "ways": mesh["ways"],
         "services": [
             {key: row[key] for key in ("service", "type", "state", "tasks", "reason")} for row in found["services"]
         ],
@@ -159,6 +160,9 @@ def _link(peer: dict[str, Any]) -> dict[str, Any]:
         "link to": peer["name"],
         "role": peer["role"],
         "address": ", ".join(peer["addresses"]) or peer["remote"],
+        "reach": peer["reach"],
+        "encrypted": peer["encrypted"],
+        "cost": peer["cost"],
         "certificate": peer["certificate"],
         "rtt_ms": None if rtt_s is None else 1e3 * rtt_s,
         "packets out": peer["packets_out"],

@@ -80,6 +80,8 @@ def check_fleet(
             running = sum(task["state"] == "running" for task in agent["tasks"])
             connected = len(agent["neighbours"])
             text = f"is ready, with {_count(running, 'task')} running and {_count(connected, 'neighbour')}"
+            if routed := sum(peer["reach"] == "routers" for peer in agent["mesh"]["peers"]):
+                text += f"; {_count(routed, 'link')} through routers"
             yield Finding("ok", agent["agent"], text)
 
 
@@ -91,7 +93,7 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
         text = "its mission waits at 0, so nothing of it moves"
         yield Finding("warning", name, text, "it begins when its launcher says so, as pancakes launch does")
     if agent["insecure"]:
-        text = "speaks over tcp:// without keys: all that reach the network can read what it says, and command it"
+        text = f"speaks over {agent['insecure']} without keys: all that reach it can read what it says, and command it"
         yield Finding("warning", name, text, "pancakes fleet join, and take insecure = true out of its file")
     for service in agent["services"]:
         yield from _check_tries(f"{name}/{service['service']}", "service", service)
@@ -118,6 +120,10 @@ def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
             channels = ", ".join(f"{count} of {channel}" for channel, count in peer["dropped"].items())
             text = f"dropped {_count(lost, 'packet')} to {peer['name']}, which is too slow for them: {channels}"
             yield Finding("warning", name, text, "send less often, or look at the network between them")
+        scheme = peer["remote"].partition("://")[0]
+        if peer["reach"] in ("network", "routers") and not peer["encrypted"] and not agent["insecure"]:
+            text = f"has a link to {peer['name']} over {scheme}://, which does not encrypt: others may read it"
+            yield Finding("warning", name, text, "take an address whose way is encrypted: pancakes agent info")
         if peer["refused"]:
             text = f"refused {_count(peer['refused'], 'packet')} of {peer['name']}, which may not send them"
             yield Finding("warning", name, text, f"see why: pancakes log --from {name} --level warning")

@@ -152,7 +152,7 @@ class Card {
     this.#figure("missed ticks", row.missed || null);
     this.#figure("dropped", row.dropped || null);
     this.#figure("dead letters", row.dead_letters || null, true);
-    this.#figure("over TCP", row.insecure ? "not encrypted" : null, true);
+    this.#figure("not encrypted", row.insecure || null, true);
     const links = picture.linksOf(this.name);
     const few = links.slice(0, 6).map(([peer, ms]) => (ms < 0 ? peer : `${peer} ${ms} ms`));
     say(this.links, links.length ? `links: ${few.join(" · ")}${links.length > 6 ? ` and ${links.length - 6} more` : ""}` : "no links");
