@@ -32,11 +32,14 @@ class WayFacts(msgspec.Struct, frozen=True):
         encrypted: whether what is at neither end can read nor change what is said.
         cost: the round trip of a small packet, beside that over TCP on one machine, which is 1. Of two ways to an agent
             the cheaper one is named to others.
+        tells_deaths: whether the end of a connection is told within seconds whatever has happened to its other end, also
+            where that stands still, so that heartbeats may rest.
     """
 
     reach: Reach
     encrypted: bool = False
     cost: float = 1.0
+    tells_deaths: bool = False
 
     def plain(self) -> dict[str, Any]:
         """Returns them as plain values."""

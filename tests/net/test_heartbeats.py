@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pancakes.mesh.way_facts import Reach, WayFacts
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
@@ -18,6 +19,20 @@ def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
     c = memory_rig.agent("c", [a.address], times=LinkTimes(heartbeat_s=0.5))
     memory_rig.timeline.run_until(120.0)
     assert all(len(each.mesh.connected()) == 2 and each.downs == [] for each in (a, b, c))
+
+
+def test_where_the_transport_tells_deaths_heartbeats_rest(memory_rig):
+    """A peer that says nothing at all is a second look's, after twenty seconds."""
+    a = memory_rig.agent("a")
+    a.transport.facts = lambda address: WayFacts(Reach.NETWORK, tells_deaths=True)
+    silent = memory_rig.bare_peer("n", a)
+    memory_rig.until(lambda: silent.is_up)
+    silent.act = lambda actions: None
+    began_s = memory_rig.clock.now()
+    memory_rig.timeline.run_until(began_s + 3.0)
+    assert a.knows("n")
+    memory_rig.until(lambda: a.downs)
+    assert 19.0 < memory_rig.clock.now() - began_s < 25.0
 
 
 def test_who_sends_packets_sends_no_heartbeats(memory_rig):

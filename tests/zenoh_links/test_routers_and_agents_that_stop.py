@@ -16,6 +16,7 @@ from pancakes_zenoh.credit_pool import LEAST_BYTES, TOTAL_BYTES
 from zenoh_links.routers import Router, ZenohRig, link_of
 
 LINKS, SENDERS = 24, 4
+ENDED = "its session with the routers has ended"
 
 
 @pytest.fixture
@@ -58,15 +59,15 @@ def test_of_several_agents_one_that_stops_holds_none_of_the_others(router, tmp_p
         os.waitpid(process.pid, os.WUNTRACED)
         for link in links:
             link.send(bytes(2_000_000))
+        gone = sum(2_000_000 - link.unsent() for link in links)
+        assert gone <= TOTAL_BYTES + LINKS * LEAST_BYTES
         for _ in range(1_000):
             link_of(here).send(bytes(10_000))
         rig.until(lambda: len(there.data) == 10_000_000)
-        assert all(link.unsent() for link in links), "the stopped one takes nothing"
-        gone = sum(2_000_000 - link.unsent() for link in links)
-        assert gone <= TOTAL_BYTES + LINKS * LEAST_BYTES
+        rig.until(lambda: all(ear.closed_for for ear in ears))
+        assert {reason.rpartition(": ")[2] for ear in ears for reason in ear.closed_for} == {ENDED}, "by its lease"
+        assert not here.closed_for
         os.kill(process.pid, signal.SIGCONT)
-        rig.until(lambda: not any(link.unsent() for link in links))
-        assert not any(ear.closed_for for ear in ears), "and no link has ended"
     finally:
         rig.close()
 

@@ -203,10 +203,7 @@ class Mesh:
         return self._links.rtt_s(peer)
 
     def mission_packets_sent(self) -> int:
-        """Returns how many mission packets went out: packets and announcements, one for each peer they went to.
-
-        Heartbeats, the mesh's own messages and retries do not count.
-        """
+        """Returns how many packets and announcements went out, one for each peer; no heartbeats, no retries."""
         return self._links.mission_packets_sent()
 
     def describe(self) -> dict[str, Any]:
@@ -309,7 +306,8 @@ class Mesh:
             return
         now_s = self._now()
         own = replace(self._own, listen=reachable_from(session.remote, self._own.listen, self._transport.reach))
-        session.link = Link(own, self._times, now_s, answers=not session.address)
+        rests = self._transport.facts(session.remote).tells_deaths
+        session.link = Link(own, self._times.rested() if rests else self._times, now_s, answers=not session.address)
         self._act(session, session.link.open(now_s))
         self._watch(session)
 

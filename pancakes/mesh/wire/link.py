@@ -44,6 +44,8 @@ from pancakes.packet import Packet
 
 PATIENCE: Final = 1.2
 """So much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
+RESTED: Final = 10
+"""So much more seldom heartbeats are where the transport tells deaths."""
 _RTT_WEIGHT: Final = 1 / 8  # of a new measurement in the average, as in TCP (RFC 6298)
 
 
@@ -74,6 +76,10 @@ class LinkTimes(msgspec.Struct, frozen=True):
     def gone_s(self) -> float:
         """How long a peer may be silent."""
         return self.heartbeat_s * self.missed
+
+    def rested(self) -> LinkTimes:
+        """Returns the times of a link whose transport tells deaths: heartbeats are a second look, and seldom."""
+        return msgspec.structs.replace(self, heartbeat_s=self.heartbeat_s * RESTED)
 
 
 class LinkState(Enum):

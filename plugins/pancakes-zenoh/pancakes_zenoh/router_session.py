@@ -27,6 +27,9 @@ CLOSE_S: Final = 2.0
 """For the last frames, and for the router to hear that the session ends."""
 ANSWER_S: Final = 3.0
 """For the routers to find the session that listens at an address."""
+LEASE_S: Final = 2.0
+"""A session that is silent for so long has ended. It speaks to its router four times as often, and agents need not
+speak to each other for that."""
 _LARGEST_MESSAGE: Final = PIECE_BYTES + LONGEST_PHRASE
 
 Answer = Callable[[str, str], None]
@@ -241,6 +244,8 @@ def session_config(mode: str, routers: Sequence[str], file: str, session: str) -
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
             "transport/shared_memory/enabled": False,
+            "transport/link/tx/lease": int(1000 * LEASE_S),
+            "transport/link/tx/keep_alive": 4,
         }
         if session:
             values["id"] = session

@@ -89,7 +89,7 @@ class ZenohTransport(SchemeTransport):
 
     @classmethod
     def facts(cls, address: str, keyed: bool) -> WayFacts:
-        return WayFacts(Reach.ROUTERS, encrypted=keyed, cost=COST)
+        return WayFacts(Reach.ROUTERS, encrypted=keyed, cost=COST, tells_deaths=True)
 
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
         try:
