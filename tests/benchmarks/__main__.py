@@ -21,6 +21,7 @@ TOPICS = (
     "two_processes",
     "local_link",
     "tls_link",
+    "routed_link",
     "lateness",
     "many_tasks",
     "start_up",

@@ -66,19 +66,20 @@ def keys_of(directory: Path, *names: str) -> Mapping[str, str]:
     return keys.environment
 
 
-def head_of(name: str, directory: Path, peers: Sequence[str] = ()) -> str:
+def head_of(name: str, directory: Path, peers: Sequence[str] = (), at: str = "tcp://127.0.0.1:0") -> str:
     """Returns how the configuration of an agent begins: it listens anywhere, and shows nothing.
 
     Args:
         name: the agent's name.
         directory: its state goes into a directory in here.
         peers: addresses that it dials.
+        at: where it listens.
     """
     return f"""
 schema = 1
 [agent]
 name = "{name}"
-listen = "tcp://127.0.0.1:0"
+listen = "{at}"
 peers = {json.dumps(list(peers))}
 state_dir = "{directory}/state-{name}"
 [service.log]

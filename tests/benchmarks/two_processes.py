@@ -26,7 +26,7 @@ from benchmarks.agent_process import (
 )
 from benchmarks.figure import Figure, Plan, in_turns
 
-Way = Literal["plain", "keys", "local"]
+Way = Literal["plain", "keys", "local", "routed"]
 
 TITLE = "a task to a task in another process, over loopback"
 ROUND_TRIPS = 3000
@@ -44,7 +44,9 @@ settings = {{ {settings} }}
 """
 
 
-def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True, way: Way = "plain") -> dict[str, Any]:
+def pancakes(
+    size: int, round_trips: int, packets: int, is_bound: bool = True, way: Way = "plain", router: str = ""
+) -> dict[str, Any]:
     """One run of ours, each process bound to a core or not. Returns what the near task reports.
 
     Args:
@@ -52,7 +54,8 @@ def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True, w
         round_trips: how many.
         packets: how many go one way.
         is_bound: whether each process is bound to a core.
-        way: how they speak: over TCP without keys, over TCP with keys, or by `local://`.
+        way: how they speak: over TCP without keys, over TCP with keys, by `local://`, or through a router with keys.
+        router: where that is.
 
     Raises:
         RuntimeError: packets were lost.
@@ -62,13 +65,14 @@ def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True, w
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         directory = Path(name)
         environment = offer_tasks(directory)
-        if way == "keys":
-            environment = {**environment, **keys_of(directory, "near", "far")}
-        far = head_of("far", directory) + _TASK.format(task="Far", settings="")
+        if way in ("keys", "routed"):
+            environment = {**environment, **keys_of(directory, "near", "far"), "PANCAKES_ZENOH": router}
+        at = "zenoh://{}:1" if way == "routed" else "tcp://127.0.0.1:0"
+        far = head_of("far", directory, at=at.format("far")) + _TASK.format(task="Far", settings="")
         settings = f"report_fd = {writer}, round_trips = {round_trips}, packets = {packets}, size = {size}"
         with agent_process(far, directory, environment, far_core, until_ready=True) as listener:
             peers = [listening_at(environment, "far", listener, way == "local")]
-            near = head_of("near", directory, peers) + _TASK.format(task="Near", settings=settings)
+            near = head_of("near", directory, peers, at.format("near")) + _TASK.format(task="Near", settings=settings)
             with agent_process(near, directory, environment, near_core, (writer,)):
                 os.close(writer)
                 try:

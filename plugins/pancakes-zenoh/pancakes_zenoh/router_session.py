@@ -30,6 +30,8 @@ ANSWER_S: Final = 3.0
 LEASE_S: Final = 2.0
 """A session that is silent for so long has ended. It speaks to its router four times as often, and agents need not
 speak to each other for that."""
+_NOWHERE: Final = "-/0"
+"""No agent listens there."""
 _LARGEST_MESSAGE: Final = PIECE_BYTES + LONGEST_PHRASE
 
 Answer = Callable[[str, str], None]
@@ -95,10 +97,6 @@ class RouterSession:
         else:
             self._calls.put(lambda: self._ask(place, answer))
 
-    def listen(self, place: str) -> None:
-        """Says that this session listens at `HOST/PORT`, to all that ask, from when there is a router."""
-        self._calls.put(lambda: self._listen(place))
-
     def close(self) -> None:
         """Ends it, once what was posted has gone, if that takes no longer than `CLOSE_S`."""
         self._closing.set()
@@ -116,6 +114,17 @@ class RouterSession:
         with contextlib.suppress(queue.Empty):
             return found.get(timeout=wait_s) not in ("", self.id)
         return False
+
+    def listen(self, place: str, wait_s: float) -> None:
+        """Says that this session listens at `HOST/PORT`, to all that ask, from when there is a router.
+
+        Returns once the router knows, where it says so within `wait_s`.
+        """
+        self._calls.put(lambda: self._listen(place))
+        if not self.fault:
+            known = threading.Event()
+            self.ask(_NOWHERE, lambda session, why: known.set())  # behind it, so the router has both or none
+            known.wait(wait_s)
 
     # In its thread
 

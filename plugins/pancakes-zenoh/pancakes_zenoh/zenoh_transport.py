@@ -101,7 +101,7 @@ class ZenohTransport(SchemeTransport):
         except (ValueError, PancakesError) as error:
             raise PancakesError(f"cannot listen at {address}: {error}") from None
         self._listeners[place] = accept
-        session.listen(place)
+        session.listen(place, self.dial_s)
         return f"{SCHEME}://{place.replace('/', ':')}"
 
     def dial(self, address: str, handler: ConnectionHandler) -> None:
