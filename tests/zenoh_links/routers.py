@@ -21,15 +21,18 @@ COMMAND = (sys.executable, "-m", "pancakes.tools.cli.main", "zenoh", "router")
 
 
 class Router:
-    """A router on the loopback, as `pancakes zenoh router` runs it."""
+    """A router on the loopback, as `pancakes zenoh router` runs it; it may join another one."""
 
-    def __init__(self) -> None:
+    def __init__(self, joins: Router | None = None) -> None:
+        self._joins = ("--connect", joins.address) if joins is not None else ()
         with socket.create_server(("127.0.0.1", 0)) as free:
-            self.address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+            self.address: str = f"tcp/127.0.0.1:{free.getsockname()[1]}"
         self.process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        self.process = subprocess.Popen([*COMMAND, "--listen", self.address], stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(
+            [*COMMAND, "--listen", self.address, *self._joins], stdout=subprocess.PIPE, text=True
+        )
         assert self.process.stdout is not None
         assert "listens at" in self.process.stdout.readline()
 
@@ -55,6 +58,7 @@ class ZenohRig(TlsRig):
 
     def __init__(self, directory: Path, router: Router, keyed: bool = False) -> None:
         super().__init__(directory)
+        self.routers = [router.address]
         self.router = router
         self.keyed = keyed
         self._names = 0
@@ -69,7 +73,7 @@ class ZenohRig(TlsRig):
 
     def with_keys(self, folder: Path | None) -> Transport:
         keys = Keys(folder) if folder is not None else None
-        settings = {"zenoh": {"insecure": keys is None, "routers": [self.router.address]}}
+        settings = {"zenoh": {"insecure": keys is None, "routers": self.routers}}
         made = SocketTransport(self.clock, keys.own.name if keys is not None else "none", Plugins(), settings, keys)
         self.transports.append(made)
         self._keys[made] = keys

@@ -127,3 +127,19 @@ def test_a_router_that_stops_holds_no_thread_of_an_agent(router, tmp_path):
         rig.until(lambda: len(there.data) == 10_000_000)
     finally:
         rig.close()
+
+
+def test_agents_at_two_routers_meet_and_an_agent_that_loses_one_takes_the_other(own_rig, router):
+    other = Router(joins=router)
+    other.start()
+    try:
+        own_rig.routers = [router.address]
+        a = own_rig.agent("a")
+        own_rig.routers = [other.address, router.address]
+        b = own_rig.agent("b", [a.address])
+        own_rig.until(lambda: a.knows("b") and b.knows("a"))
+        other.kill()
+        own_rig.until(lambda: a.downs and b.downs)
+        own_rig.until(lambda: a.knows("b") and b.knows("a"))
+    finally:
+        other.end()
