@@ -236,7 +236,7 @@ class Simulation:
         self._running().stop(name)
 
     def restart(self, name: str) -> AgentHandle:
-        """Starts an agent again that was stopped or has crashed, on its disk; its own mission clock begins at 0.
+        """Starts an agent again that was stopped or has crashed, on its disk; its mission goes on at the time of its fleet.
 
         Virtual time passes until it is ready and has met the others.
         """
