@@ -178,6 +178,16 @@ def test_down_ends_agents_on_hosts(rig: Rig, robots: SshHosts):
     assert "nothing" in rig.pancakes("down", "--fleet-file", str(path)).stderr
 
 
+def test_down_names_an_agent_on_a_host_that_does_not_end(rig: Rig, robots: SshHosts):
+    path = fleet(rig, {"a": "robot1"})
+    pids = ready(rig.launch(path), "a")
+    psutil.Process(pids["a"]).suspend()
+    ended = rig.pancakes("down", "--fleet-file", str(path), "--timeout", "1")
+    assert ended.returncode == 3 and "a has not ended on robot1 within 1 s" in ended.stderr
+    psutil.Process(pids["a"]).resume()  # it was told by a signal, too
+    wait_until_gone(pids["a"])
+
+
 @pytest.mark.parametrize("trouble", ["away", "key", "host key", "python", "pancakes", "running"])
 def test_a_host_that_cannot_take_part_is_named_and_nothing_starts(rig: Rig, hosts: SshHosts, trouble: str):
     hosts.add("robot1", f"{INSTALLED}:{BARE}")

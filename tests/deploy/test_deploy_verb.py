@@ -83,6 +83,26 @@ def deploy(rig: Rig, *arguments: str | Path) -> subprocess.CompletedProcess[str]
     return done
 
 
+def disturbed(rig: Rig, trouble: str, *arguments: str | Path) -> tuple[int, str]:
+    """Runs the verb, and disturbs it once the first agent has its version; returns the exit code, and what it said."""
+    command = [sys.executable, "-m", "pancakes.tools.cli.main", "deploy", *map(str, arguments)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=rig.environment, cwd=rig.directory)
+    assert process.stderr is not None
+    with process, process.stderr:
+        said = []
+        for line in process.stderr:
+            said.append(line)
+            if not line.startswith("a runs the version"):
+                continue
+            if trouble == "person":
+                process.send_signal(signal.SIGINT)
+            else:
+                children = psutil.Process(process.pid).children()
+                (ssh,) = [it for it in children if "robot2" in it.cmdline() and "-N" not in it.cmdline()]
+                ssh.kill()
+    return process.returncode, "".join(said)
+
+
 def files_of(host: SshHost) -> set[str]:
     """What Pancakes has on a host, but for what each agent writes as it runs."""
     data = host.data
@@ -133,7 +153,7 @@ def robots(hosts: SshHosts) -> Iterator[SshHosts]:
         manager.close()
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
 def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts, fleet: Path, core: Path):
     first, second = plugin_wheel(rig.directory / "1", "1.0"), plugin_wheel(rig.directory / "2", "2.0")
     ours = ("--wheels", core, "--calm", "1s")
@@ -191,6 +211,13 @@ def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts,
         assert "it has no legs" in failed.stderr and "c runs" not in failed.stderr
         assert "b is back at the version" in failed.stderr and "a is back at the version" in failed.stderr
         assert {name: files_of(host) for name, host in robots.hosts.items()} == before
+        assert tasks(rig, fleet) == {"Walk": "a"}
+
+        # A connection that is lost half-way, and a person who calls it off.
+        for trouble, told in (("connection", "the connection to robot2 is lost"), ("person", "is called off")):
+            code, said = disturbed(rig, trouble, fleet, *ours, "--wheels", second, "--set", "device.load.rate_hz=2")
+            assert code == 1 and told in said and "a is back at the version" in said, said
+            assert {name: files_of(host) for name, host in robots.hosts.items()} == before
         assert tasks(rig, fleet) == {"Walk": "a"}
 
         # A configuration that is not sound over there stops all before anything is touched.

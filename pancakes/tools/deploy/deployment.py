@@ -8,12 +8,15 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
-from pancakes.errors import PancakesError
+from pancakes.errors import PancakesError, describe
 from pancakes.tools.deploy.change import AgentChange
 from pancakes.tools.deploy.task_moves import TaskMoves
 from pancakes.tools.deploy.wheels import Wheel, digests
+from pancakes.tools.launch.host_link import HostLink
 from pancakes.tools.launch.hosts import Host
 
+LOCK_S: Final = 120.0
+"""So long a host may take to finish what was asked for over a connection that was lost."""
 MARGIN: Final = 1.1
 """What a disk loses beside the bytes of files."""
 
@@ -78,6 +81,7 @@ class Deployment:
         moves: what moves their tasks, by fleet.
         tell: takes a clause about a host or an agent, to be read after its name. Any thread may call it.
         calm_s: so long the tasks of an agent have to run before the next one's turn.
+        called_off: returns whether a person wants an end; it is asked between two steps.
     """
 
     def __init__(
@@ -87,12 +91,16 @@ class Deployment:
         moves: Mapping[str, TaskMoves],
         tell: Callable[[str, str], None],
         calm_s: float,
+        called_off: Callable[[], bool],
     ) -> None:
         self._supplies = supplies
+        self._links = {name: supply.host.link for name, supply in supplies.items()}
         self._changes = changes
         self._moves = moves
         self._tell = tell
         self._calm_s = calm_s
+        self._called_off = called_off
+        self._anew: list[HostLink] = []
 
     def prepare(self) -> None:
         """Brings everything to all hosts and checks it there; nothing that runs is touched.
@@ -125,16 +133,23 @@ class Deployment:
                 self._exchange(done[-1])
             self._all_back()
         except BaseException as error:
-            what = str(error) if isinstance(error, PancakesError) else "the deployment is called off"
+            what = str(error) if isinstance(error, PancakesError) else f"the deployment failed: {describe(error)}"
             raise PancakesError("\n".join([what, *self._undo(done)])) from None
         finally:
             self.clean()
+            for link in self._anew:
+                link.close()
 
     def clean(self) -> None:
         """Removes from all hosts what no version needs."""
-        for supply in self._supplies.values():
+        for link in self._links.values():
             with suppress(PancakesError):  # a host that is gone keeps what it has
-                supply.host.link.obtain("clean")
+                link.obtain("clean")
+
+    def _go_on(self) -> None:
+        """Ends the deployment where a person wants that."""
+        if self._called_off():
+            raise PancakesError("the deployment is called off")
 
     # A host ----------------------------------------------------------------------------------------------------
 
@@ -154,12 +169,15 @@ class Deployment:
             raise PancakesError("\n".join(failed))
 
     def _prepare(self, supply: Supply) -> None:
-        host, link = supply.host.name, supply.host.link
+        host = supply.host.name
+        link = self._links[host]
         for wheel in supply.missing:
+            self._go_on()
             link.send_file(wheel.name, wheel.digest, wheel.path.read_bytes())
         if supply.missing:
             self._tell(host, f"has {len(supply.missing)} wheels more ({supply.brought_bytes / 1e6:.1f} MB)")
         own = digests(supply.own)
+        self._go_on()
         link.obtain("libraries", name=supply.libraries, wheels=digests(supply.others))
         made = link.obtain(
             "environment", name=supply.environment, libraries=supply.libraries, wheels=own, build=supply.build
@@ -177,9 +195,11 @@ class Deployment:
                 config=change.config,
                 about={"build": supply.build, "libraries": supply.libraries, "wheels": own},
             )
-            fault = link.obtain("check", fleet=change.fleet, name=change.name, version=change.version)
-            if fault:
-                raise PancakesError(f"{change.name} cannot run on {host}: {fault}")
+            found = link.obtain("check", fleet=change.fleet, name=change.name, version=change.version)
+            if not found["sound"]:
+                raise PancakesError(f"{change.name} cannot run on {host}: {found['said']}")
+            if found["said"]:
+                self._tell(change.name, f"is checked on {host}: {found['said']}")
 
     # An agent --------------------------------------------------------------------------------------------------
 
@@ -187,13 +207,16 @@ class Deployment:
         change = done.change
         moves = self._moves[change.fleet]
         before = self._states(change) if change.ran else {}
+        self._go_on()
         if change.ran:
             moves.away(change.name)
+        self._go_on()
         done.stopped = True
         self._restart(change)
         done.runs = True
         moves.back(change.name)
-        fault = moves.settle(change.name, before, self._calm_s)
+        fault = moves.settle(change.name, before, self._calm_s, self._called_off)
+        self._go_on()
         if fault:
             raise PancakesError(f"{change.name} does not run on {change.host} as it should: {fault}")
         self._tell(change.name, f"runs the version {change.version} on {change.host}")
@@ -206,9 +229,7 @@ class Deployment:
         self._ask(change, "start_service")
 
     def _use(self, change: AgentChange, version: str, last: str) -> None:
-        self._supplies[change.host].host.link.obtain(
-            "switch", fleet=change.fleet, name=change.name, version=version, last=last
-        )
+        self._links[change.host].obtain("switch", fleet=change.fleet, name=change.name, version=version, last=last)
 
     def _states(self, change: AgentChange) -> dict[str, str]:
         try:
@@ -224,6 +245,7 @@ class Deployment:
             change = it.change
             moves = self._moves[change.fleet]
             try:
+                self._reach_again(change.host)
                 if it.stopped:
                     if it.runs and change.ran:
                         moves.away(change.name)
@@ -241,6 +263,14 @@ class Deployment:
         for moves in self._moves.values():
             moves.all_back()
 
+    def _reach_again(self, host: str) -> None:
+        """Makes a connection anew that was lost; what was asked for over the old one is finished there first."""
+        if not self._links[host].lost:
+            return
+        self._links[host] = HostLink(host)
+        self._anew.append(self._links[host])
+        self._links[host].obtain("lock", within=LOCK_S)
+
     def _take_back(self, change: AgentChange) -> None:
         if not change.was:
             self._ask(change, "forget_service")
@@ -253,4 +283,4 @@ class Deployment:
             self._ask(change, "start_service")
 
     def _ask(self, change: AgentChange, what: str) -> None:
-        self._supplies[change.host].host.link.obtain(what, fleet=change.fleet, name=change.name)
+        self._links[change.host].obtain(what, fleet=change.fleet, name=change.name)

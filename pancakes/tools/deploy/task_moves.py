@@ -116,17 +116,20 @@ class TaskMoves:
         for agent in dict.fromkeys(it.home for it in self._moved):
             self.back(agent, BACK_S)
 
-    def settle(self, agent: str, before: Mapping[str, str], calm_s: float) -> str:
+    def settle(
+        self, agent: str, before: Mapping[str, str], calm_s: float, called_off: Callable[[], bool] = lambda: False
+    ) -> str:
         """Waits until the tasks of an agent run; returns what is wrong, empty: nothing.
 
         Args:
             agent: the agent.
             before: the states of its tasks before, by name.
             calm_s: so long they have to run without one beginning anew.
+            called_off: returns whether to wait no more.
         """
         steadiness, until_s = Steadiness(before, calm_s), self._now() + SETTLE_S
         with self._client(agent) as client:
-            while True:
+            while not called_off():
                 try:
                     tasks = client.tasks(agent)
                 except PancakesError as error:
@@ -139,6 +142,7 @@ class TaskMoves:
                 if steadiness.is_hopeless(tasks) or self._now() >= until_s:
                     return "; ".join(steadiness.faults(tasks)) or "its tasks begin anew again and again"
                 client.wait(lambda: False, LOOK_S)
+        return ""
 
     def _hosted(self, agent: str) -> list[TaskRow]:
         try:

@@ -17,6 +17,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -61,14 +62,23 @@ class Deploying:
             "service": lambda fleet, name: manager_of(fleet, name).status(),
         }
 
-    def lock(self) -> None:
-        """Keeps other deployments away from this host as long as this program runs."""
+    def lock(self, within: float = 0.0) -> None:
+        """Keeps other deployments away from this host as long as this program runs.
+
+        Args:
+            within: how long it is waited for another one to end, in seconds.
+        """
+        until_s = time.monotonic() + within
         data_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
         self._lock = os.open(data_folder() / "deployment.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise HostFault("has another deployment at work: wait until it has ended") from None
+        while True:
+            try:
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return
+            except BlockingIOError:
+                if time.monotonic() >= until_s:
+                    raise HostFault("has another deployment at work: wait until it has ended") from None
+                time.sleep(0.1)
 
 
 def missing(wheels: Mapping[str, str]) -> list[str]:
@@ -156,13 +166,18 @@ def write_version(fleet: str, name: str, version: str, environment: str, config:
     os.replace(made, place)
 
 
-def check(fleet: str, name: str, version: str) -> str:
-    """Checks the configuration of a version, in its environment; returns what is wrong, empty: nothing."""
+def check(fleet: str, name: str, version: str) -> dict[str, Any]:
+    """Checks the configuration of a version, in its environment.
+
+    Returns:
+        Whether it is `sound`, and what is wrong with it (`said`), or what it is warned of.
+    """
     place = agent_folder(fleet, name) / "versions" / version
     python = str(place / "environment" / "bin" / "python")
     command = [python, "-m", "pancakes.tools.cli.agent_command", "--check", "--config", str(place / "agent.toml")]
     checked = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
-    return "" if checked.returncode == 0 else tail_of(checked.stderr).replace(f"{place}/", "")
+    said = tail_of(checked.stderr).replace(f"{place}/", "") if checked.stderr.strip() else ""
+    return {"sound": checked.returncode == 0, "said": said}
 
 
 def switch(fleet: str, name: str, version: str, last: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pancakes.tools.cli.interrupts import event_at
 from pancakes.tools.cli.options import Duration, agent_sets_option, format_option
 from pancakes.tools.cli.output import show, show_text
 
@@ -104,7 +106,8 @@ def deploy(
         for member in fleet:
             if not member.host:
                 _tell(member.name, "has no host, and is left as it is")
-        deployment = Deployment(plan.supplies, plan.changes, moves, _tell, calm_s)
+        called_off = event_at(signal.SIGINT, signal.SIGTERM, signal.SIGHUP).is_set
+        deployment = Deployment(plan.supplies, plan.changes, moves, _tell, calm_s, called_off)
         deployment.prepare()
         deployment.switch()
 
