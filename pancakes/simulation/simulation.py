@@ -236,9 +236,9 @@ class Simulation:
         self._running().stop(name)
 
     def restart(self, name: str) -> AgentHandle:
-        """Starts an agent again that was stopped or has crashed, on its disk; its mission goes on at the time of its fleet.
+        """Starts an agent again that was stopped or has crashed, on its disk.
 
-        Virtual time passes until it is ready and has met the others.
+        Virtual time passes until it is ready and has met the others. Its mission goes on at the time of its fleet.
         """
         if name in self.agents:
             raise SimulationError(f"the agent {name} runs: it is started again once it was stopped or has crashed")

@@ -31,7 +31,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     site = tmp_path_factory.mktemp("site")
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
     plugins = [str(path.parent) for path in sorted(clone.glob("plugins/*/setup.cfg"))]
-    assert len(plugins) == 4
+    assert len(plugins) == 6
     subprocess.run([*pip, "--target", str(site), str(clone), *plugins], check=True, cwd=clone)
     shutil.rmtree(clone)
     return site
