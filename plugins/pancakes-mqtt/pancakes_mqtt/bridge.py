@@ -102,6 +102,7 @@ class MqttBridge(Service):
             self.subscribe(row.channel, kind, partial(self._send, number, row), queue(1024))
         for row in settings.take:
             self._connection.listen(row.topic, row.qos, self._came)
+        self._connection.start()
         self.after(settings.report_s, self._report)
 
     def on_stop(self) -> None:

@@ -56,7 +56,7 @@ class Counts(msgspec.Struct, frozen=True):
 
 
 class BrokerConnection:
-    """Keeps a connection to a broker, in a thread of its own; all that is paho's happens there.
+    """Keeps a connection to a broker, in a thread of its own, once it is started; all that is paho's happens there.
 
     A broker that is not there, or goes away, is tried again until it is there. What is promised (QoS 1 and 2) waits
     meanwhile, in both directions, as far as it fits; what is not is dropped and counted.
@@ -106,11 +106,14 @@ class BrokerConnection:
             self._wake_out.close()
             raise
         self._thread = threading.Thread(target=self._run, name=f"mqtt-{self._client_id}", daemon=True)
+
+    # Any thread ------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begins to connect. What is listened to by then misses nothing that the broker has kept."""
         # A process that ends waits for the last words: a switch may have to be told to go off.
         atexit.register(self._outlast)
         self._thread.start()
-
-    # Any thread ------------------------------------------------------------------------------------------------
 
     def publish(self, message: Message) -> bool:
         """Sends a message, as soon as there is a broker where it is promised; returns False where it is lost."""

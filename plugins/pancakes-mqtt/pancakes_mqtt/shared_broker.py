@@ -24,6 +24,7 @@ class SharedBroker:
         self._lock = threading.Lock()
         self._voices: dict[str, Say] = {"": say}
         self._connection = BrokerConnection(settings, client_id, self._say)
+        self._connection.start()
 
     def join(self, device: str, say: Say) -> None:
         """A device uses it from now on."""
