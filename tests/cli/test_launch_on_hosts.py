@@ -188,6 +188,26 @@ def test_down_names_an_agent_on_a_host_that_does_not_end(rig: Rig, robots: SshHo
     wait_until_gone(pids["a"])
 
 
+def test_the_way_to_an_agent_ends_with_the_program_that_made_it(rig: Rig, robots: SshHosts):
+    program = """
+import sys, time
+from pathlib import Path
+from pancakes.tools.launch.fleet_plan import make_fleet
+from pancakes.tools.launch.hosts import open_hosts
+from pancakes.tools.launch.tunnels import tunnels
+
+with open_hosts(make_fleet([Path(sys.argv[1])], (), None, None)) as hosts, tunnels(hosts.values()) as ways:
+    print("is open", list(ways), file=sys.stderr, flush=True)
+    time.sleep(60)
+"""
+    running = rig.run("-c", program, str(fleet(rig, {"a": "robot1"})))
+    running.hear("is open ['a']")
+    children = psutil.Process(running.pid).children()
+    assert len(children) == 2
+    running.process.kill()
+    wait_until_gone(*(it.pid for it in children))
+
+
 @pytest.mark.parametrize("trouble", ["away", "key", "host key", "python", "pancakes", "running"])
 def test_a_host_that_cannot_take_part_is_named_and_nothing_starts(rig: Rig, hosts: SshHosts, trouble: str):
     hosts.add("robot1", f"{INSTALLED}:{BARE}")

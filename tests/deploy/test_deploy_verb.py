@@ -98,7 +98,7 @@ def disturbed(rig: Rig, trouble: str, *arguments: str | Path) -> tuple[int, str]
                 process.send_signal(signal.SIGINT)
             else:
                 children = psutil.Process(process.pid).children()
-                (ssh,) = [it for it in children if "robot2" in it.cmdline() and "-N" not in it.cmdline()]
+                (ssh,) = [it for it in children if "robot2" in it.cmdline() and "-L" not in it.cmdline()]
                 ssh.kill()
     return process.returncode, "".join(said)
 

@@ -67,8 +67,9 @@ class _Tunnel:
         self._errors = scratch_file()
         try:
             self._process = subprocess.Popen(
-                ssh_command(host, "-N", "-T", *options),
-                stdin=subprocess.DEVNULL,
+                # It ends with what is at the other end of its standard input, however that ends.
+                [*ssh_command(host, "-T", *options), "exec cat >/dev/null"],
+                stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=self._errors,
                 start_new_session=True,
@@ -89,6 +90,8 @@ class _Tunnel:
             time.sleep(LOOK_S)
 
     def close(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
         self._process.terminate()
         self._process.wait()
         with contextlib.suppress(OSError):
