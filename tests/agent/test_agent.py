@@ -151,12 +151,12 @@ def test_the_settings_of_a_transport_reach_it(tmp_path):
             self.made_with.append(settings)
             super().__init__(loop, settings, keys)
 
-    text = "[service.network]\nsettings = { transports = { noted = { dial_s = 2.5 } } }\n"
+    text = "[service.network]\nsettings = { insecure = true, transports = { noted = { dial_s = 2.5 } } }\n"
     config = config_of("a", text, peers=["noted:///run/b"], state_dir=str(tmp_path))
     agent = Agent(config, registered({}, {("pancakes.transports", "noted"): Noted}))
     agent.start()
     agent.stop()
-    assert Noted.made_with == [TcpTransport.Settings(dial_s=2.5)]
+    assert Noted.made_with == [TcpTransport.Settings(dial_s=2.5, insecure=True)]
 
 
 def test_of_two_agents_of_one_name_the_newcomer_says_so_and_runs_on_without_links():

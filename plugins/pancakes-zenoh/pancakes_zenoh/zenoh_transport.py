@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pancakes_zenoh.router_session import RouterSession
 
 SCHEME: Final = "zenoh"
-COST: Final = 4.0
+COST: Final = 5.0
 """See `WayFacts`; through one router on the same machine, as docs/zenoh.md has it."""
 ROUTERS: Final = "PANCAKES_ZENOH"
 """The routers of a terminal, and of an agent whose configuration names none: addresses with a comma between them."""
