@@ -12,7 +12,6 @@ from pancakes.mesh.migration.record import Record
 from pancakes.runtime.config import Config, DeviceConfig, ServiceConfig, TaskConfig, read_task
 from pancakes.runtime.config.created_tables import created_tables
 from pancakes.runtime.config.effective import DEFAULT, effective, origin
-from pancakes.runtime.config.toml_text import key_text, leaves
 from pancakes.runtime.folders import Folders
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.installed import Installed
@@ -83,6 +82,8 @@ class Composition:
             `config`: all of its keys, with the tasks that were created on this agent and are there; `said`: where the
             value of each key was said that has not its default; `created`: the names of these tasks.
         """
+        from pancakes.runtime.config.toml_text import key_text, leaves  # tomlkit is large, and few agents are asked
+
         found = effective(self._config, self._plugins)
         of_records = created_tables(self._config.agent.name, records)
         created = {name: table for name, table in of_records.items() if name not in found["task"]}
