@@ -296,5 +296,7 @@ def _pip(words: Sequence[str], about: str) -> None:
     if done.returncode == 0:
         return
     lines = [line.strip() for line in (done.stderr or done.stdout).splitlines() if line.strip()]
-    said = [line for line in lines if line.startswith("ERROR:")] or lines[-3:] or ["pip does not say why"]
+    # Where pip fails by itself, as when a network goes, it ends with the error.
+    said = [line for line in lines if line.startswith("ERROR:") and line != "ERROR: Exception:"]
+    said = said or lines[-1:] or ["pip does not say why"]
     raise PancakesError(f"no wheels can be had for {about}: " + " ".join(said))

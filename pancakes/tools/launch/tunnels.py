@@ -68,7 +68,7 @@ class _Tunnel:
         try:
             self._process = subprocess.Popen(
                 # It ends with what is at the other end of its standard input, however that ends.
-                [*ssh_command(host, "-T", *options), "exec cat >/dev/null"],
+                [*ssh_command(host, "-T", *options), "exec sh -c 'while read -r line; do :; done'"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=self._errors,
