@@ -89,7 +89,7 @@ METHODS = [
         "type = 'motors'\n    def apply(self, command): ...",
         "def apply(self, command, ttl_s, source)",
     ),
-    ("Cost", "name = 'mine'\n    def terms(self): ...", "def terms(self, asked)"),
+    ("Cost", "name = 'mine'\n    def terms(self): ...", "def terms(self, facts)"),
 ]
 
 

@@ -119,7 +119,7 @@ def test_the_effective_configuration_can_be_run(rig: Rig):
     result = rig.pancakes("config", "show", str(path), "--set", "clock.speed=5")
 
     shown = tomllib.loads(result.stdout)
-    assert shown["clock"] == {"speed": 5.0, "hold": False}
+    assert shown["clock"] == {"speed": 5.0, "hold": False, "join_s": 1.0}
     assert shown["device"]["load"]["restart"] == msgspec.structs.asdict(RestartSpec(again_s=60.0))
     assert "speed = 5.0 # --set clock.speed=5" in result.stdout.splitlines()
     assert f"rate_hz = 2.0 # {path}:10" in result.stdout.splitlines()

@@ -111,6 +111,8 @@ schema = 1
 name = "{name}"
 listen = "tcp://127.0.0.1:{FIRST_PORT + number}"
 {peers}
+[clock]
+join_s = 0
 [service.network]
 settings = {{discovery_hz = {discovery_hz}, heartbeat_s = {heartbeat_s}}}
 [service.log]

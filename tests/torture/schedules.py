@@ -149,6 +149,7 @@ class Schedule:
             listen=f"tcp://{name}:7400",
             peers=peers,
             seed=self.outcome.seed,
+            join_s=0.0,  # there is no mission whose time would matter
         )
         self.fleet.add(name, partial(self._make, config))
 

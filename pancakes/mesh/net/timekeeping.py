@@ -120,6 +120,8 @@ class Timekeeping:
         """A link has ended."""
         if session.role == "client":  # they come under ever new names
             self._forget(session.peer)
+        elif (known := self._known.get(session.peer)) is not None:
+            known.estimate.kept.clear()  # what was believed stays; what that rests on takes a hundred times the room
 
     def changed(self) -> None:
         """The agent's own mission has begun."""
