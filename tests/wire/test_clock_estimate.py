@@ -164,3 +164,15 @@ def test_a_peer_that_answers_anything_gives_numbers_all_the_same(seed):
         assert found is not None and abs(found.drift) <= 0.1 and 0.0 <= found.drift_bound <= 0.2001
         for moment in (found.own_s(0.0), found.own_s(1e12), found.bound_at(now_s), found.offset_at(now_s)):
             assert moment == moment and abs(moment) < 1e14
+
+
+def test_what_is_believed_outlasts_a_link_without_the_answers_that_it_rests_on():
+    estimate = ClockEstimate()
+    for n in range(20):
+        assert estimate.take(float(n), n + 5.001, n + 0.002)
+    believed = estimate.found
+    estimate.rest()
+    assert (estimate.found, estimate.kept) == (believed, [])
+    assert estimate.take(30.0, 35.001, 30.002), "it goes with what was believed"
+    estimate.rest()
+    assert not estimate.take(40.0, 99.0, 40.002), "the clock was set meanwhile"

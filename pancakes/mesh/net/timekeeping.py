@@ -121,7 +121,7 @@ class Timekeeping:
         if session.role == "client":  # they come under ever new names
             self._forget(session.peer)
         elif (known := self._known.get(session.peer)) is not None:
-            known.estimate.kept.clear()  # what was believed stays; what that rests on takes a hundred times the room
+            known.estimate.rest()
 
     def changed(self) -> None:
         """The agent's own mission has begun."""

@@ -107,6 +107,10 @@ class ClockEstimate:
         self.found = self._believed(at_s)
         return fits
 
+    def rest(self) -> None:
+        """The link has ended: keeps what is believed, without the answers, which take a hundred times the room."""
+        self.kept.clear()
+
     def _keep(self, at_s: float, offset_s: float, error_s: float) -> None:
         kept = self.kept
         if kept:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -112,9 +113,9 @@ class KheperaSensor(Sensor):
         assert self._port is not None
         self._port.ask(self.context.device, self.questions, self._answered)
 
+    @abstractmethod
     def body(self, answers: list[list[int]]) -> Any:
         """Returns the reading in the answers. In the port's thread. Raises NoAnswer."""
-        raise NotImplementedError
 
     def _answered(self, answers: list[list[int]]) -> None:
         try:
