@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from itertools import islice
 from typing import Any
 
@@ -311,10 +310,10 @@ def test_at_the_end_of_with_all_has_arrived(connect: Connect):
 def test_where_it_is_not_known_whether_all_has_arrived_the_end_of_with_says_so(
     connect: Connect, counting: CountingAgents, said: list[str]
 ):
-    with connect(timeout_s=0.5, say=said.append) as client:
-        client.publish("b/system", Word("perhaps"), timeout_s=10.0)
-        os.kill(counting.b.pid, signal.SIGSTOP)
-    os.kill(counting.b.pid, signal.SIGCONT)
+    with ExitStack() as stack:
+        with connect(timeout_s=0.5, say=said.append) as client:
+            client.publish("b/system", Word("perhaps"), timeout_s=10.0)
+            stack.enter_context(counting.frozen(counting.b))
     (sentence,) = said
     assert sentence == (
         "whether the last packets that were published have arrived is not known:"

@@ -64,8 +64,10 @@ class Flood(Task):
     def act(self, tick):
         self.state.n += 1
         for _ in range(10):
-            self.publish("ctrl", Twist(0.1, float(self.state.n)))
             self.publish("system", Note(self.state.n), to="b/client/Ear")
+        if self.state.n % 10 == 0:
+            for _ in range(10):
+                self.publish("ctrl", Twist(0.1, float(self.state.n)))
 
 
 class Ear(Task):
@@ -81,7 +83,7 @@ class Ear(Task):
 
 
 class Recorder(Actuator):
-    """Wheels that write down their commands."""
+    """Wheels that write down their commands, and are as slow as a serial line, so that commands wait for them."""
 
     type = "motors"
 
@@ -89,6 +91,7 @@ class Recorder(Actuator):
         self.write = book("commands")
 
     def apply(self, command, ttl_s, source):
+        time.sleep(0.0015)
         self.write(int(command.omega_radps))
 
     def hold(self):
