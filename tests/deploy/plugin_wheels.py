@@ -38,7 +38,7 @@ class Walk(Task):
             raise ValueError("it has no legs")
         self.state.steps += 1
         if self.state.steps % 5 == 1:
-            self.log("info", f"step {{self.state.steps}} of version {{VERSION}}")
+            self.log("info", f"step {self.state.steps} of version {VERSION}")
 """
 
 
@@ -55,13 +55,13 @@ def clone_wheel(folder: Path) -> Path:
     return wheel
 
 
-def plugin_wheel(folder: Path, version: str) -> Path:
-    """Writes the wheel of a plug-in that has the task `yard.Walk`."""
+def plugin_wheel(folder: Path, version: str, module: str = MODULE) -> Path:
+    """Writes the wheel of a plug-in that has the task `yard.Walk`, which `module` may define otherwise."""
     folder.mkdir(exist_ok=True)
     path = folder / f"yard-{version}-py3-none-any.whl"
     information = f"yard-{version}.dist-info"
     files = {
-        "yard_walk.py": MODULE.format(version=version),
+        "yard_walk.py": module.replace("{version}", version),
         f"{information}/METADATA": f"Metadata-Version: 2.1\nName: yard\nVersion: {version}\n{REQUIRES}",
         f"{information}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
         f"{information}/entry_points.txt": "[pancakes.tasks]\nyard.Walk = yard_walk:Walk\n",

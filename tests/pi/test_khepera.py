@@ -107,10 +107,10 @@ def test_a_cable_that_is_pulled_out_and_put_back_is_found_again(robot: KheperaBe
 def test_a_robot_that_comes_up_late_is_found_and_its_absence_said_once(robot: KheperaBench) -> None:
     robot.unplug()
     with threaded_agent("a", devices=devices(robot)) as agent:
-        agent.wait_until(lambda: any("is not there (No such file" in line for line in agent.lines("warning")))
+        agent.wait_until(lambda: any("cannot be used (No such file" in line for line in agent.lines("warning")))
         robot.plug()
         agent.wait_for(Infrared)
-        assert len([line for line in agent.lines("warning") if "is not there" in line]) == 1
+        assert len([line for line in agent.lines("warning") if "cannot be used" in line]) == 1
 
 
 def test_a_robot_that_falls_silent_is_found_again(robot: KheperaBench) -> None:

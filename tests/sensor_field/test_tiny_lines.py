@@ -157,7 +157,7 @@ def test_a_port_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
         gateway.wait_for(LineReport, lambda body: not body.connected)
         gateway.wait_until(lambda: bool(gateway.lines("warning")))
         assert gateway.lines("warning") == [
-            f"line: the serial port {port} is not there (No such file or directory); trying until it is"
+            f"line: the serial port {port} cannot be used (No such file or directory); trying until it can"
         ]
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+
 import msgspec
 
 
@@ -15,3 +18,15 @@ class Hardware(msgspec.Struct, frozen=True):
 
     node: str
     group: str = ""
+
+
+def why_not_opened(error: OSError) -> str:
+    """Returns why a node could not be opened, with what to do where the computer forbids it."""
+    if error.errno is None:
+        return str(error)
+    reason = os.strerror(error.errno)
+    if error.errno == errno.EPERM:
+        return f"{reason}: a service opens the nodes that its unit names, print the unit again and restart it"
+    if error.errno == errno.EACCES:
+        return f"{reason}: the agent's user has to be in the group of that node"
+    return reason

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.hardware import Hardware
+from pancakes.bodies.devices.hardware import Hardware, why_not_opened
 from pancakes.bodies.devices.types import Battery, Temperature
 from pancakes.errors import PancakesError
 from pancakes_pi.real_hardware import refuse_virtual_time
@@ -56,7 +56,8 @@ class BusSensor(Sensor):
             self._bus = smbus2.SMBus(self.settings.bus)
         except OSError as error:
             raise PancakesError(
-                f"the bus /dev/i2c-{self.settings.bus} cannot be opened ({error.strerror}): raspi-config switches it on"
+                f"the bus /dev/i2c-{self.settings.bus} cannot be opened ({why_not_opened(error)});"
+                " raspi-config switches buses on"
             ) from None
         self.measured()
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import atexit
-import os
 import threading
 from collections.abc import Callable
 from typing import Any, Final
 
 from pancakes.bodies.devices.driver import DeviceContext
+from pancakes.bodies.devices.hardware import why_not_opened
 from pancakes_pi.khepera_lines import END, LONGEST, STAND, VERSION, NoAnswer, numbers_in, speeds
 
 FIRST_PAUSE_S: Final = 0.2
@@ -94,7 +94,7 @@ class KheperaPort:
             try:
                 self._attend()
             except OSError as error:  # pyserial's errors are of this kind too
-                self._lost(_sentence(error))
+                self._lost(why_not_opened(error))
             with self._news:
                 self._news.wait_for(lambda: self._ended, self._pause_s)
             self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
@@ -183,13 +183,8 @@ class KheperaPort:
         if was:
             self._say("error", f"{self._port} is gone ({reason}); trying until it is there again")
         elif not self._complained:
-            self._say("warning", f"{self._port} is not there ({reason}); trying until it is")
+            self._say("warning", f"{self._port} cannot be used ({reason}); trying until it can")
         self._complained = True
-
-
-def _sentence(error: OSError) -> str:
-    """What went wrong, without the numbers and brackets that libraries add."""
-    return os.strerror(error.errno) if error.errno is not None else str(error)
 
 
 def khepera_port(context: DeviceContext, port: str, baud: int) -> KheperaPort:

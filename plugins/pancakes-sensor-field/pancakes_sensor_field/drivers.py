@@ -144,7 +144,7 @@ class LineNodes(Sensor):
         if was:
             self.context.log("error", f"{self.line_name()} is gone ({reason}); trying until it is there again")
         elif not self._complained:
-            self.context.log("warning", f"{self.line_name()} is not there ({reason}); trying until it is")
+            self.context.log("warning", f"{self.line_name()} cannot be used ({reason}); trying until it can")
         self._complained = True
 
     def _forget(self) -> None:
