@@ -7,7 +7,7 @@ from array import array
 from collections import OrderedDict, UserDict, deque
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import msgspec
 import pytest
@@ -49,6 +49,28 @@ class Named:
     parts: tuple[float, ...] = ()
 
 
+class Place(NamedTuple):
+    number: int
+    name: Annotated[str, msgspec.Meta(max_length=64)]
+
+
+@dataclass(frozen=True)
+class Brief:
+    place: Place
+    places: Annotated[tuple[Place, ...], msgspec.Meta(max_length=5)]
+
+
+@dataclass(frozen=True)
+class Lengthy:
+    number: int
+    text: Annotated[str, msgspec.Meta(max_length=1000)]
+
+
+@dataclass(frozen=True)
+class Crowded:
+    places: Annotated[tuple[Place, ...], msgspec.Meta(max_length=100)]
+
+
 @dataclass(frozen=True)
 class Anything:
     number: int
@@ -61,13 +83,26 @@ class Strange:
     of: Sized
 
 
-@pytest.mark.parametrize("cls", [Fixed, devices.Pose, devices.Twist, devices.Motion, devices.Battery])
+@pytest.mark.parametrize("cls", [Fixed, Place, Brief, devices.Pose, devices.Twist, devices.Motion, devices.Battery])
 def test_a_body_of_a_fixed_size_is_not_weighed(cls):
     assert is_small(cls)
 
 
 @pytest.mark.parametrize(
-    "cls", [Frame, Named, Anything, Strange, dict, devices.Infrared, control.Reply, events.Event, events.LogLine]
+    "cls",
+    [
+        Frame,
+        Named,
+        Lengthy,
+        Crowded,
+        Anything,
+        Strange,
+        dict,
+        devices.Infrared,
+        control.Reply,
+        events.Event,
+        events.LogLine,
+    ],
 )
 def test_a_body_that_may_be_large_is_weighed(cls):
     assert not is_small(cls)

@@ -14,6 +14,8 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
+from msgspec import Meta
+
 from pancakes.packet import field_names
 
 LIGHT_BYTES: Final = 2048
@@ -26,6 +28,11 @@ MOST_VALUES: Final = 1000
 """So many values of one body are looked at; each that is left counts as a number."""
 NUMBER_BYTES: Final = 32
 """A number, and the pointer to it."""
+
+SHORT: Final = 256
+"""A text that may not be longer, as its type says, counts as a number: so do names."""
+FEW: Final = 8
+"""And a row that may not have more things of one size."""
 
 _NUMBERS: Final = (int, float, complex, type(None))
 
@@ -125,11 +132,11 @@ def _large_fields(cls: type) -> tuple[tuple[str, int], ...] | None:
     """
     if issubclass(cls, (*_NUMBERS, enum.Enum)):
         return ()
-    names = field_names(cls)
+    names = field_names(cls) or getattr(cls, "_fields", ())
     if not names:
         return None
     try:
-        hints = get_type_hints(cls)
+        hints = get_type_hints(cls, include_extras=True)
         large = [(name, hints.get(name, Any)) for name in names]
         return tuple((name, _bytes_of_items(hint)) for name, hint in large if not _is_small(hint))
     except Exception:  # a type that is imported for checks only, or one that contains itself
@@ -138,6 +145,8 @@ def _large_fields(cls: type) -> tuple[tuple[str, int], ...] | None:
 
 def _bytes_of_items(hint: Any) -> int:
     """Returns the bytes of each character of a text, or of each number of a row of numbers; 0: that is not known."""
+    if get_origin(hint) is Annotated:
+        return _bytes_of_items(get_args(hint)[0])
     if hint in (str, bytes):
         return 1
     items = [part for part in get_args(hint) if part is not Ellipsis]
@@ -148,7 +157,18 @@ def _bytes_of_items(hint: Any) -> int:
 def _is_small(hint: Any) -> bool:
     parts = get_args(hint)
     if get_origin(hint) is Annotated:
-        return _is_small(parts[0])
+        return _is_short(parts[0], parts[1:]) or _is_small(parts[0])
     if get_origin(hint) in (Union, types.UnionType, tuple):
         return Ellipsis not in parts and all(_is_small(part) for part in parts)
     return get_origin(hint) is Literal or (isinstance(hint, type) and is_small(hint))
+
+
+def _is_short(hint: Any, limits: Sequence[Any]) -> bool:
+    """Returns whether a text, or a row of things of one size, may not be long, as its type says."""
+    longest = min((it.max_length for it in limits if isinstance(it, Meta) and it.max_length is not None), default=None)
+    if longest is None:
+        return False
+    if hint in (str, bytes):
+        return bool(longest <= SHORT)
+    items = [part for part in get_args(hint) if part is not Ellipsis]
+    return longest <= FEW and get_origin(hint) in (list, tuple) and all(map(_is_small, items))

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
+
+import msgspec
+
+AgentName = Annotated[str, msgspec.Meta(max_length=64)]
 
 
 class Epoch(NamedTuple):
@@ -16,7 +20,7 @@ class Epoch(NamedTuple):
     """
 
     n: int
-    minter: str
+    minter: AgentName
 
     def __str__(self) -> str:
         return f"{self.n}@{self.minter}" if self.minter else "none"

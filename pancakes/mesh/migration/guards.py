@@ -7,7 +7,7 @@ from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.epoch import NO_EPOCH, AgentName, Epoch
 
 MOST_GUARDIANS: Final = 5
 """So many guardians a set has at most: more are slower, and survive nothing that is likely."""
@@ -21,8 +21,8 @@ class GuardianId(NamedTuple):
         journal: the id of its journal.
     """
 
-    agent: str
-    journal: str
+    agent: AgentName
+    journal: Annotated[str, msgspec.Meta(max_length=64)]
 
 
 GuardianSet = Annotated[tuple[GuardianId, ...], msgspec.Meta(min_length=1, max_length=MOST_GUARDIANS)]

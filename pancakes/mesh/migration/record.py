@@ -19,7 +19,7 @@ from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
 from pancakes.runtime.foundation.names import NAME
 
-_Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z")]
+_Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z", max_length=64)]
 
 
 class TaskId(NamedTuple):

@@ -42,7 +42,7 @@ from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.runtime.hosting import held
 from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MoveOver
-from pancakes.runtime.hosting.deadline import Deadline
+from pancakes.runtime.hosting.deadlines import Deadline, Deadlines
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.registers import Registers, RegisterWritten
@@ -116,6 +116,7 @@ class Guardian(Component):
         self._mesh = mesh
         self._state = state
         self._takeovers = Takeovers(self, mesh)
+        self._deadlines = Deadlines(self.after_host, self.kernel.host.now)
         self._guarded: dict[TaskId, _Guarded] = {}
         self._refused: dict[str, str] = {}  # why a peer was refused last
 
@@ -232,7 +233,7 @@ class Guardian(Component):
         self._go_on(one)
 
     def _new(self, register: GuardRegister) -> _Guarded:
-        alarm = Deadline(self.after_host, self.kernel.host.now, partial(self._lease_over, register.task_id))
+        alarm = self._deadlines.new(partial(self._lease_over, register.task_id))
         one = self._guarded[register.task_id] = _Guarded(register, alarm, Lease(boot=self._mesh.identity.boot))
         return one
 

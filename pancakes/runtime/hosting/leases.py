@@ -34,7 +34,7 @@ from pancakes.mesh.migration.guards import GuardianId, forgotten_guards
 from pancakes.mesh.migration.record import Phase
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
-from pancakes.runtime.hosting.deadline import Deadline
+from pancakes.runtime.hosting.deadlines import Deadlines
 from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.guarded_looks import GuardedLooks
 from pancakes.runtime.hosting.hosting_service import HostingService
@@ -42,7 +42,7 @@ from pancakes.runtime.hosting.machine import idle
 from pancakes.runtime.hosting.place import OtherOwner, Place
 from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.hosting.tenancy import Tenancy
-from pancakes.runtime.kernel.guard_notes import GuardianNote, GuardNote
+from pancakes.runtime.kernel.guard_notes import GuardNote
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.supervision.task_messages import GoOn
@@ -85,6 +85,7 @@ class Leases:
         self._outvoted = outvoted
         self._held: list[Place] = []
         self._looks = GuardedLooks(host, self._held, save)
+        self._deadlines = Deadlines(host.after_host, host.kernel.host.now)
 
     def begin(self, places: Iterable[Place]) -> None:
         """Looks at the guardians of all tasks from now on; `places`: those of which there is a record."""
@@ -136,16 +137,13 @@ class Leases:
         place.tenancy = Tenancy(
             tenure=begun(self._talk.boot, now_s),
             lost_s=now_s,
-            renewal=self._deadline(partial(self._renew, place)),
-            end=self._deadline(partial(self._look_for_end, place)),
+            renewal=self._deadlines.new(partial(self._renew, place)),
+            end=self._deadlines.new(partial(self._look_for_end, place)),
         )
         self._held.append(place)
         self._learn_rule(place)
         self._host.kernel.permits.revoke(_right(place))
         self._looks.begin(place)
-
-    def _deadline(self, function: Callable[[], None]) -> Deadline:
-        return Deadline(self._host.after_host, self._host.kernel.host.now, function)
 
     def _end(self, place: Place) -> None:
         assert place.tenancy is not None
@@ -223,25 +221,22 @@ class Leases:
 
     def _note(self, place: Place, tenancy: Tenancy) -> None:
         """Notes what is known of its guardians, for others on this agent."""
-        now_s, record, tenure = self._host.kernel.host.now(), place.standing.record, tenancy.tenure
+        now_s, record = self._host.kernel.host.now(), place.standing.record
         known_s, slot = tenancy.as_of_s, place.slot
         if idle(place.standing) or record.no not in known_s:
             known_s[record.no] = place.looked_s if slot is not None and slot.task is not None else now_s
         while len(known_s) > REMEMBERED:
             del known_s[next(iter(known_s))]
-        guardians = []
         for one in record.guards.members():
-            has = tenure.of(one).no
-            guardians.append(GuardianNote(one.agent, has, known_s.get(has), tenancy.heard_s.setdefault(one, now_s)))
-        no = tenure.replicated_no(record.guards)
+            tenancy.heard_s.setdefault(one, now_s)
         note = GuardNote(
-            str(record.epoch),
             _right(place),
             tenancy.number,
             tenancy.lease_s,
-            tuple(guardians),
-            no,
-            known_s.get(no),
+            record.guards,
+            tenancy.tenure,
+            dict(tenancy.heard_s),
+            dict(known_s),
         )
         self._host.kernel.guard_notes.enter(self._address(place), note)
 

@@ -13,7 +13,7 @@ from pancakes.mesh.guarding.tenure import Owed, Tenure
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId
-from pancakes.runtime.hosting.deadline import Deadline
+from pancakes.runtime.hosting.deadlines import Deadline
 from pancakes.runtime.kernel.permits import PermitEnd
 from pancakes.runtime.kernel.timer import OneShot
 

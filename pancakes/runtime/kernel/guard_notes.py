@@ -7,53 +7,43 @@ from typing import Any
 
 import msgspec
 
+from pancakes.mesh.guarding.tenure import Tenure
+from pancakes.mesh.migration.guards import GuardianId, Guards
 from pancakes.packet import Fence
 
 
-class GuardianNote(msgspec.Struct, frozen=True):
-    """One guardian of a task, as its owner knows it. Times are host times.
-
-    Attributes:
-        agent: the agent that it is on.
-        checkpoint: the newest checkpoint that it has said it has; -1: none.
-        as_of_s: when the task was known last to be as that checkpoint says; None: that is not known.
-        heard_s: when it has said something last.
-    """
-
-    agent: str
-    checkpoint: int
-    as_of_s: float | None
-    heard_s: float
-
-
 class GuardNote(msgspec.Struct, frozen=True):
-    """How a task is guarded, as its owner knows it.
+    """How a task is guarded, as its owner knows it. Times are host times.
 
     Attributes:
-        epoch: the epoch under which it is owned, as text.
         right: the right under which it acts, and which its permit limits.
         number: how many guardians it is to have.
         lease_s: how long a lease is, in host seconds.
-        guardians: those that it has.
-        checkpoint: the newest checkpoint that more than half of them have; -1: none.
-        as_of_s: as in `GuardianNote`, of that checkpoint.
+        guards: the guardians that it has.
+        tenure: what they have said.
+        heard_s: when each of them has said something last.
+        as_of_s: when the task was known last to be as each of the newest checkpoints says, by number.
     """
 
-    epoch: str
     right: Fence
     number: int
     lease_s: float
-    guardians: tuple[GuardianNote, ...]
-    checkpoint: int = -1
-    as_of_s: float | None = None
+    guards: Guards
+    tenure: Tenure
+    heard_s: Mapping[GuardianId, float]
+    as_of_s: Mapping[int, float]
 
     def answering(self, now_s: float) -> int:
         """Returns how many guardians have said something within a lease."""
-        return sum(now_s - one.heard_s < self.lease_s for one in self.guardians)
+        return sum(now_s - self.heard_s[one] < self.lease_s for one in self.guards.members())
 
     def age_s(self, now_s: float) -> float | None:
         """Returns how long ago the task was known to be as the checkpoint says that more than half have."""
-        return _since(self.as_of_s, now_s)
+        return self._age_s(self.tenure.replicated_no(self.guards), now_s)
+
+    def _age_s(self, checkpoint: int, now_s: float) -> float | None:
+        then_s = self.as_of_s.get(checkpoint)
+        return now_s - then_s if then_s is not None else None
 
     def plain(self, now_s: float, permit_s: float | None) -> dict[str, Any]:
         """Returns it as plain values.
@@ -63,27 +53,23 @@ class GuardNote(msgspec.Struct, frozen=True):
             permit_s: for how long the task may act yet; None or 0: it stands still.
         """
         return {
-            "epoch": self.epoch,
+            "epoch": str(self.tenure.epoch),
             "guard": self.number,
             "lease_s": self.lease_s,
             "permit_s": permit_s or 0.0,
-            "checkpoint": self.checkpoint,
+            "checkpoint": self.tenure.replicated_no(self.guards),
             "age_s": self.age_s(now_s),
             "answering": self.answering(now_s),
             "guardians": [
                 {
                     "agent": one.agent,
-                    "checkpoint": one.checkpoint,
-                    "age_s": _since(one.as_of_s, now_s),
-                    "silent_s": now_s - one.heard_s,
+                    "checkpoint": self.tenure.of(one).no,
+                    "age_s": self._age_s(self.tenure.of(one).no, now_s),
+                    "silent_s": now_s - self.heard_s[one],
                 }
-                for one in self.guardians
+                for one in self.guards.members()
             ],
         }
-
-
-def _since(then_s: float | None, now_s: float) -> float | None:
-    return now_s - then_s if then_s is not None else None
 
 
 class GuardNotes:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from pancakes.runtime.hosting.deadline import Deadline
+from pancakes.runtime.hosting.deadlines import Deadlines
 from pancakes.runtime.kernel.timer import OneShot
 
 
@@ -17,7 +17,9 @@ class Host:
         self.now_s = 0.0
         self.timers: list[tuple[float, OneShot]] = []
         self.came_s: list[float] = []
-        self.deadline = Deadline(self.after_host, lambda: self.now_s, lambda: self.came_s.append(self.now_s))
+        self.fired = 0
+        self.deadlines = Deadlines(self.after_host, lambda: self.now_s)
+        self.deadline = self.deadlines.new(lambda: self.came_s.append(self.now_s))
 
     def after_host(self, delay_s: float, function: Callable[[], None]) -> OneShot:
         shot = OneShot(function)
@@ -29,6 +31,7 @@ class Host:
         while left := [it for it in self.timers if id(it) not in done and self.now_s <= it[0] <= time_s]:
             self.now_s, shot = first = min(left, key=lambda it: it[0])
             done.add(id(first))
+            self.fired += 1
             shot()
         self.now_s = time_s
         self.timers = [it for it in self.timers if id(it) not in done]
@@ -81,8 +84,41 @@ def test_one_that_is_called_off_while_its_call_waits_in_a_mailbox_does_not_come(
         waiting.append(function)
         return OneShot(function)
 
-    deadline = Deadline(after_host, lambda: 0.0, lambda: came.append(1))
+    deadline = Deadlines(after_host, lambda: 0.0).new(lambda: came.append(1))
     deadline.set(0.0)
     deadline.cancel()
     waiting[0]()
     assert came == []
+
+
+def test_many_share_a_timer_and_each_comes_at_its_time(host: Host) -> None:
+    came: list[tuple[float, int]] = []
+    many = [host.deadlines.new(lambda number=number: came.append((host.now_s, number))) for number in range(20)]  # type: ignore[misc]
+    for quarter in range(8):
+        host.run_until(quarter * 0.5)
+        for one in many:
+            one.set(2.0)
+    assert not came and host.fired <= 3
+    many[3].set(0.5)
+    many[7].cancel()
+    host.run_until(20.0)
+    assert came[0] == (4.0, 3) and came[1:] == [(5.5, number) for number in range(20) if number not in (3, 7)]
+
+
+def test_one_may_set_and_call_off_others_that_are_due_with_it(host: Host) -> None:
+    came: list[tuple[float, str]] = []
+
+    def first() -> None:
+        came.append((host.now_s, "first"))
+        second.set(1.0)
+        third.cancel()
+        fourth.set(0.0)
+
+    made = [host.deadlines.new(first)]
+    second = host.deadlines.new(lambda: came.append((host.now_s, "second")))
+    third = host.deadlines.new(lambda: came.append((host.now_s, "third")))
+    fourth = host.deadlines.new(lambda: came.append((host.now_s, "fourth")))
+    for one in (*made, second, third, fourth):
+        one.set(2.0)
+    host.run_until(10.0)
+    assert came == [(2.0, "first"), (2.0, "fourth"), (3.0, "second")]
