@@ -30,6 +30,7 @@ TOPICS = (
     "big_world",
     "fleet",
     "guarded",
+    "guarded_move",
 )
 PEER_TOPICS = ("peer_pairs", "peer_crowds")
 """What needs environments of its own, and is therefore asked for."""

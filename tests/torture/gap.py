@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from torture.cuts import wait_for_both
 from torture.grounds import Survey, on_loopback
-from torture.live import LiveFleet
 
 from pancakes.client import Client, Where
 from pancakes.control import Migrate
@@ -54,29 +53,24 @@ def measure(state_bytes: int, moves: int, survey: Survey = on_loopback, move_s: 
     ground = survey(NAMES)
     with tempfile.TemporaryDirectory(prefix="pancakes-gap-") as name:
         directory = Path(name)
-        rest = {
-            agent: f'[device.motors]\ndriver = "torture.recorder"\n'
-            f'settings = {{file = "{directory / agent}.commands"}}\n'
-            '[service.log]\nsettings = {level = "info"}\n'
-            for agent in NAMES
-        }
-        rest["left"] += f'[task.Pilot]\ntype = "torture.Pilot"\nsettings = {{state_bytes = {state_bytes}}}\n'
-        fleet = ground.fleet(directory, rest)
+        fleet = ground.fleet(directory, pilot_on_left(directory, state_bytes))
         try:
             for agent in NAMES:
                 fleet.start(agent, wait=True)
-            attempts = _move(fleet, moves, move_s)
+            with Client(Where(tuple(fleet.addresses.values()), "torture"), move_s) as client:
+                wait_for_both(client, *NAMES)
+                attempts = move_to_and_fro(client, moves)
         finally:
             fleet.close()
             ground.close()
-        heard = _heard(directory)
+        heard = commands_heard(directory)
         refused = [attempt for attempt in attempts if attempt.refused]
         return Gaps(
-            state_bytes, _gaps(heard), [it.refused for it in refused], [_longest_pause(heard, it) for it in refused]
+            state_bytes, gaps_in(heard), [it.refused for it in refused], [_longest_pause(heard, it) for it in refused]
         )
 
 
-class _Attempt(NamedTuple):
+class Attempt(NamedTuple):
     """One move: when it was asked for and answered, on the machine's clock, and why it was refused, if it was."""
 
     asked_s: float
@@ -84,24 +78,35 @@ class _Attempt(NamedTuple):
     refused: str
 
 
-def _move(fleet: LiveFleet, moves: int, move_s: float) -> list[_Attempt]:
+def pilot_on_left(directory: Path, state_bytes: int, guard: str = "") -> dict[str, str]:
+    """Returns what follows `[agent]` in the configurations of both; `guard`: how the task is guarded."""
+    rest = {
+        agent: f'[device.motors]\ndriver = "torture.recorder"\n'
+        f'settings = {{file = "{directory / agent}.commands"}}\n'
+        '[service.log]\nsettings = {level = "info"}\n'
+        for agent in NAMES
+    }
+    rest["left"] += f'[task.Pilot]\ntype = "torture.Pilot"\nsettings = {{state_bytes = {state_bytes}}}\n{guard}'
+    return rest
+
+
+def move_to_and_fro(client: Client, moves: int) -> list[Attempt]:
+    """Moves the task from left to right, and back, so often."""
     attempts = []
     never = threading.Event()
-    with Client(Where(tuple(fleet.addresses.values()), "torture"), move_s) as client:
-        wait_for_both(client, *NAMES)
-        at, to = NAMES
-        for number in range(moves):
-            asked_s = time.monotonic()
-            reply = client.request(at, Migrate("client/Pilot", to=to))
-            if reply.ok:
-                at, to = to, at
-            attempts.append(_Attempt(asked_s, time.monotonic(), "" if reply.ok else reply.reason))
-            # It is to drive for a while, so that each move finds its ticks and checkpoints at another phase.
-            never.wait(0.2 + 0.013 * (number % 7))
+    at, to = NAMES
+    for number in range(moves):
+        asked_s = time.monotonic()
+        reply = client.request(at, Migrate("client/Pilot", to=to))
+        if reply.ok:
+            at, to = to, at
+        attempts.append(Attempt(asked_s, time.monotonic(), "" if reply.ok else reply.reason))
+        # It is to drive for a while, so that each move finds its ticks and checkpoints at another phase.
+        never.wait(0.2 + 0.013 * (number % 7))
     return attempts
 
 
-def _heard(directory: Path) -> list[tuple[float, str]]:
+def commands_heard(directory: Path) -> list[tuple[float, str]]:
     """Returns when each actuator was commanded, on the machine's clock, and whose it is."""
     heard = []
     for agent in NAMES:
@@ -110,11 +115,12 @@ def _heard(directory: Path) -> list[tuple[float, str]]:
     return sorted(heard)
 
 
-def _gaps(heard: Sequence[tuple[float, str]]) -> list[float]:
+def gaps_in(heard: Sequence[tuple[float, str]]) -> list[float]:
+    """Returns the times between the last command of one agent and the first of the other, ascending."""
     return sorted(now - before for (before, one), (now, other) in zip(heard, heard[1:], strict=False) if one != other)
 
 
-def _longest_pause(heard: Sequence[tuple[float, str]], attempt: _Attempt) -> float:
+def _longest_pause(heard: Sequence[tuple[float, str]], attempt: Attempt) -> float:
     """Returns the longest time between two commands during an attempt; it goes on just before it is answered."""
     return max(
         (
