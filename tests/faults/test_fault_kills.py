@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from torture.kills import Kills, plan, run_fleets
 from torture.points import NAMES, POINTS
+from torture.roads import ROADS, Routers, over_zenoh
 from torture.tally import Tally
 
 
@@ -18,12 +19,19 @@ def check(tally: Tally) -> None:
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("local", [False, True], ids=["tcp", "local"])
-def test_no_kill_doubles_a_task_or_loses_one(local: bool) -> None:
+@pytest.mark.parametrize("over", ["tcp", "local"])
+def test_no_kill_doubles_a_task_or_loses_one(over: str) -> None:
     """At each point between the effects of the protocol once, and the rest of the fifty at random moments."""
-    tally = run_fleets(50 - len(NAMES), POINTS, seed=1, fleets=2, local=local)
+    tally = run_fleets(50 - len(NAMES), POINTS, seed=1, fleets=2, make_roads=ROADS[over])
     check(tally)
     assert tally.kills >= 50 and sorted(tally.points) == sorted(NAMES)
+
+
+@pytest.mark.timeout(300)
+def test_no_kill_of_an_agent_or_a_router_doubles_a_task_or_loses_one() -> None:
+    tally = run_fleets(24, [], seed=4, fleets=1, make_roads=over_zenoh)
+    check(tally)
+    assert tally.kills + tally.roads.total() == 24 and set(tally.roads) == set(Routers.faults)
 
 
 def test_a_plan_divides_kills_and_goes_to_each_point_in_turn() -> None:

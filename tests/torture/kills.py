@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from torture.gates import BALLAST_BYTES
-from torture.live import LiveFleet, free_ports
+from torture.live import LiveFleet
 from torture.points import POINTS, Point
-from torture.proxy import Proxy, Verdict
+from torture.proxy import Verdict
+from torture.roads import MakeRoads, over_tcp
 from torture.tally import Tally, total
 from torture.traps import Field, Trap
 from torture.waits import Waits
@@ -44,8 +45,10 @@ BACK_WITHIN_S = 40.0
 """The same for one that is started first: others try to reach it again every 10 s in the end."""
 TRIES = 5
 """How often an agent that did not come to its point is waited for again."""
+ROADS_SHARE = 0.4
+"""So many of the faults are of the roads, where these may fail."""
 ROUND = 50
-"""After so many kills all agents are left alone until each task runs."""
+"""After so many faults all agents are left alone until each task runs."""
 
 
 class _Mover(threading.Thread):
@@ -93,11 +96,16 @@ class Kills:
         seed: draws who is killed, and when; the machine draws the rest.
         waits: all of its own; whoever breaks them off ends it.
         spoilt_by: Python that breaks the agents, see `LiveFleet`.
-        local: whether they speak by `local://`; else over TCP.
+        make_roads: makes what leads from agent to agent.
     """
 
     def __init__(
-        self, directory: Path, seed: int, waits: Waits | None = None, spoilt_by: str = "", local: bool = False
+        self,
+        directory: Path,
+        seed: int,
+        waits: Waits | None = None,
+        spoilt_by: str = "",
+        make_roads: MakeRoads = over_tcp,
     ) -> None:
         self._waits = waits or Waits()
         self.random = random.Random(f"kills/{seed}")
@@ -116,18 +124,17 @@ class Kills:
             '[service.log]\nsettings = {level = "warning"}\n'
         )
         names = (*NAMES, TELLER)
-        listen = {name: f"tcp://127.0.0.1:{port}" for name, port in zip(names, free_ports(len(names)), strict=True)}
-        if local:
-            listen = {name: f"local://{directory}/{name}" for name in names}
-        self._proxies: list[Proxy] = []
-        peers: dict[str, list[str]] = {name: [] for name in names}
-        for number, dialled in enumerate(names):
-            for dialler in names[:number]:
-                self._proxies.append(Proxy(listen[dialled], self._watch))
-                peers[dialler].append(self._proxies[-1].address)
+        roads = self._roads = make_roads(names, directory, self._watch)
         # An environment hosts no tasks, and is asked for none.
         self.fleet = LiveFleet(
-            directory, names, rest, listen, peers, roles={TELLER: "environment"}, spoilt_by=spoilt_by
+            directory,
+            names,
+            rest,
+            roads.listen,
+            roads.peers,
+            roles={TELLER: "environment"},
+            network=roads.network,
+            spoilt_by=spoilt_by,
         )
         self.tally = Tally()
         self._trap: Trap | None = None
@@ -140,7 +147,7 @@ class Kills:
         """Kills agents, at random moments and at points, in a drawn order.
 
         Args:
-            random_kills: how many at random moments.
+            random_kills: how many at random moments, faults of the roads among them.
             points: where else; one that stands there twice is gone to twice. A point that leads to a second one
                 makes two kills.
             told: is told what happened so far after each round.
@@ -156,7 +163,11 @@ class Kills:
             _Mover(self.fleet, task, self.counts / f"{task}.count", random.Random(self.random.random()), calm)
             for task in BORN
         ]
-        todo: list[Point | None] = [*points, *[None] * random_kills]
+        faults = self._roads.faults
+        of_roads = (
+            [faults[number % len(faults)] for number in range(round(random_kills * ROADS_SHARE))] if faults else []
+        )
+        todo: list[Point | str | None] = [*points, *of_roads, *[None] * (random_kills - len(of_roads))]
         self.random.shuffle(todo)
         try:
             for name in self.fleet.names:
@@ -166,13 +177,16 @@ class Kills:
                 mover.start()
             while todo and not self.tally.lost:
                 calm.clear()
-                until = self.tally.kills + ROUND
-                while todo and self.tally.kills < until:
+                left = max(0, len(todo) - ROUND)
+                while len(todo) > left:
                     point = todo.pop()
                     if point is None:
                         self._kill_one(self.random.choice(movers))
-                    else:
+                    elif isinstance(point, Point):
                         self._kill_at(point)
+                    else:
+                        self._roads.strike(point, self.random, self._waits)
+                        self.tally.roads[point] += 1
                     # Who was killed comes back now or later, so that now and then two are dead, or all three.
                     for dead in NAMES:
                         if dead not in self.fleet.running and self.random.random() < 0.7:
@@ -189,8 +203,7 @@ class Kills:
                 if mover.is_alive():
                     mover.join(10.0)
             self.fleet.close()
-            for proxy in self._proxies:
-                proxy.close()
+            self._roads.close()
         return self.tally
 
     def _watch(self, row: list[Any]) -> Verdict:
@@ -343,7 +356,7 @@ def run_fleets(
     seed: int,
     fleets: int,
     told: Callable[[Tally], None] = lambda tally: None,
-    local: bool = False,
+    make_roads: MakeRoads = over_tcp,
 ) -> Tally:
     """Kills agents of several fleets at once.
 
@@ -353,7 +366,7 @@ def run_fleets(
         seed: the first fleet's; the others have those that follow.
         fleets: how many fleets.
         told: is told what has happened so far after each round, in any thread.
-        local: whether they speak by `local://`; else over TCP.
+        make_roads: makes what leads from agent to agent in each fleet.
 
     Raises:
         PancakesError: a fleet could not be set up.
@@ -367,7 +380,9 @@ def run_fleets(
 
     def run(number: int) -> Tally:
         with tempfile.TemporaryDirectory(prefix="pancakes-kills-") as directory:
-            return Kills(Path(directory), seed + number, waits, local=local).run(*shares[number], partial(tell, number))
+            return Kills(Path(directory), seed + number, waits, make_roads=make_roads).run(
+                *shares[number], partial(tell, number)
+            )
 
     def tell(number: int, tally: Tally) -> None:
         with lock:

@@ -268,6 +268,7 @@ class LiveFleet:
         peers: where each dials the others, by name; not named: where they listen.
         commands: what stands before the command of each, by name, such as what makes it run in a namespace.
         roles: the role of each that is no usual agent, by name.
+        network: what the configuration of each says of the network, by name; not named: that it needs no keys.
         spoilt_by: Python that each agent runs at its start, such as what breaks it, to see whether that is noticed.
 
     Attributes:
@@ -285,6 +286,7 @@ class LiveFleet:
         peers: Mapping[str, Sequence[str]] | None = None,
         commands: Mapping[str, Sequence[str]] | None = None,
         roles: Mapping[str, str] | None = None,
+        network: Mapping[str, str] | None = None,
         spoilt_by: str = "",
     ) -> None:
         self.directory = directory
@@ -298,6 +300,7 @@ class LiveFleet:
         )
         self.running: dict[str, Running] = {}
         self._commands = dict(commands or {})
+        self._network = dict(network or {})
         self._configs: dict[str, Path] = {}
         self._heads: dict[str, str] = {}
         for name in names:
@@ -310,7 +313,7 @@ class LiveFleet:
     def configure(self, name: str, rest: str) -> None:
         """Changes what follows `[agent]` in the configuration of an agent; it counts from its next start on."""
         path = self._configs[name] = self.directory / f"{name}.toml"
-        path.write_text(f"{self._heads[name]}{rest}\n{INSECURE}")
+        path.write_text(f"{self._heads[name]}{rest}\n{self._network.get(name, INSECURE)}")
 
     def start(self, name: str, wait: bool = False) -> None:
         """Starts an agent, or starts it again with the state that it left. It ends with this thread."""

@@ -23,6 +23,7 @@ class Tally:
         worst_step_back: by how many ticks a task was set back by a crash, at most.
         packets: how many packets to tasks had their effect.
         points: how many agents were killed at each point between effects, by its name.
+        roads: how often what leads from agent to agent has failed, by how.
         missed: a sentence for each point that no agent came to.
         heals_s: how long each healing took.
     """
@@ -37,6 +38,7 @@ class Tally:
     worst_step_back: int = 0
     packets: int = 0
     points: Counter[str] = field(default_factory=Counter)
+    roads: Counter[str] = field(default_factory=Counter)
     missed: list[str] = field(default_factory=list)
     heals_s: list[float] = field(default_factory=list)
 
@@ -52,6 +54,7 @@ class Tally:
         self.worst_step_back = max(self.worst_step_back, other.worst_step_back)
         self.packets += other.packets
         self.points += other.points
+        self.roads += other.roads
         self.missed += other.missed
         self.heals_s += other.heals_s
 

@@ -21,10 +21,16 @@ COMMAND = (sys.executable, "-m", "pancakes.tools.cli.main", "zenoh", "router")
 
 
 class Router:
-    """A router on the loopback, as `pancakes zenoh router` runs it; it may join another one."""
+    """A router on the loopback, as `pancakes zenoh router` runs it.
 
-    def __init__(self, joins: Router | None = None) -> None:
-        self._joins = ("--connect", joins.address) if joins is not None else ()
+    Args:
+        joins: another router that it joins.
+        at: where that is reached; empty: where it listens.
+    """
+
+    def __init__(self, joins: Router | None = None, at: str = "") -> None:
+        at = at or (joins.address if joins is not None else "")
+        self._joins = ("--connect", at) if at else ()
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.address: str = f"tcp/127.0.0.1:{free.getsockname()[1]}"
         self.process: subprocess.Popen[str] | None = None
