@@ -12,6 +12,7 @@ from services.numbered import Sink
 from pancakes.control import Configure, Describe, Migrate, Migrations, Start, Stop
 from pancakes.creation import Create, Remove
 from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.mesh.net.memory import Quality
 from pancakes.simulation.faults import DISK_FULL
 from pancakes.task import Task, Tick, every
 from pancakes.testing import FleetInTest, threaded_agent
@@ -30,6 +31,18 @@ def test_a_task_is_created_with_its_settings_and_its_rate(fleet: FleetInTest) ->
     assert created.result == {"task_id": "a/Count", "epoch": 1, "silent": []}
     fleet.run_for(4.05)
     assert count_of(a) == 40
+
+
+def test_it_says_of_which_agents_nothing_was_heard(fleet: FleetInTest) -> None:
+    a, _ = fleet.start("a"), fleet.start("b")
+    fleet.connect()
+    assert a.ask(COUNT).ok and a.ask(Remove("Count")).ok
+    assert not any("is created" in line for line in a.lines("warning"))
+    fleet.network.set_quality("a", "b", Quality(latency_s=1.2))
+    created = a.ask(COUNT)
+    assert created.ok and created.result["silent"] == ["b"]
+    warned = [line for line in a.lines("warning") if "is created" in line]
+    assert warned == ["a/Count is created, although nothing was heard of it from b"]
 
 
 def test_it_comes_back_with_its_state_where_its_agent_ends_or_crashes(fleet: FleetInTest) -> None:

@@ -460,6 +460,7 @@ def test_a_stuck_task_does_not_keep_its_agent_from_stopping():
             refused = agent.ask(Stop("Stuck"))
             assert not refused.ok and "a/client/Stuck is stuck" in refused.reason
             assert agent.ask(Start("Stuck")).reason == "a/client/Stuck is stuck already"
+            assert agent.ask(Configure("Stuck", {})).reason == "a/client/Stuck is stuck, not running"
             with pytest.raises(PancakesError, match="may publish nothing more"):
                 agent.task("Stuck").publish("system", Load(2.0))
             assert agent.ask(Stop("Count")).ok
