@@ -1,6 +1,7 @@
 """Rules by which tasks move by themselves, where an agent has several."""
 
 from pancakes.bodies.devices.types import Battery
+from pancakes.control import Start, Stop
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
@@ -41,3 +42,28 @@ def test_the_reading_of_another_agent_moves_no_task():
         fleet.run_for(2.0)
         assert [packet.source.split("/")[0] for packet in heard] == ["b"]
         assert a.events("migration_asked") == []
+
+
+def test_a_rule_that_was_refused_says_so_once_and_asks_again_after_a_minute():
+    with FleetInTest(3) as fleet:
+        rule = {"when": "battery", "below": 0.3}
+        a = fleet.start("a", tasks={"Other": {"type": Other, "migrate": rule}})
+        fleet.start("b")
+        fleet.connect()
+        assert a.ask(Stop("network")).ok
+        for _ in range(5):
+            a.publish("system", Battery(11.0, 0.2))
+            fleet.run_for(1.0)
+        refused = "a/client/Other cannot move: the Network Service of a is stopped"
+        assert [line for line in a.lines("warning") if "the rule of" in line] == [
+            f"the rule of a/client/Other could not move it: {refused}"
+        ]
+        assert a.ask(Start("network")).ok
+        fleet.connect()
+        a.publish("system", Battery(11.0, 0.2))
+        fleet.run_for(2.0)
+        assert a.running() == ["Other"], "a minute has not passed"
+        fleet.run_for(60.0)
+        a.publish("system", Battery(11.0, 0.2))
+        fleet.run_for(2.0)
+        assert a.running() == [] and fleet.agents["b"].running() == ["Other"]

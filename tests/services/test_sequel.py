@@ -83,6 +83,20 @@ def test_wherever_the_source_dies_after_the_point_of_no_return_the_other_task_fo
             assert a.running() == []
 
 
+def test_a_task_that_is_to_follow_and_is_configured_no_more_is_named():
+    with two() as fleet:
+        moving(fleet, Phase.COMMITTED, then="Home")
+        fleet.crash("a")
+        fleet.run_for(1.0)
+        a = fleet.start("a", tasks={"Circle": Circle})
+        fleet.connect()
+        fleet.run_for(20.0)
+        assert fleet.agents["b"].running() == ["Circle"] and a.running() == []
+        assert a.lines("error") == ["Home cannot follow: a/client has no such task at rest"]
+        (account,) = a.ask(Migrations()).result
+        assert account["outcome"] == "moved"
+
+
 @pytest.mark.parametrize("wanted", [Phase.FROZEN, Phase.COMMITTED])
 def test_the_account_says_that_the_source_was_started_anew(wanted):
     with two() as fleet:
