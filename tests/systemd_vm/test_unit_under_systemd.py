@@ -56,7 +56,7 @@ def shows(machine: VirtualMachine, key: str) -> str:
     return machine.does(f"systemctl show -P {key} {UNIT}").strip()
 
 
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_a_service_opens_the_serial_port_of_its_configuration_and_is_refused_another(bench: Bench):
     machine = bench.machine
     installs(machine, ROVER + WALK)
@@ -100,7 +100,7 @@ def test_a_service_opens_the_serial_port_of_its_configuration_and_is_refused_ano
     assert "D,l0,l0" in bench.robot.heard, "the wheels are told to stand"
 
 
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_a_chip_on_a_bus_of_the_kernel_is_read_by_a_service_that_was_started_when_the_bus_was_there(bench: Bench):
     machine = bench.machine
     bus = plug(machine)
