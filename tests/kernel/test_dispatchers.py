@@ -105,6 +105,7 @@ def test_handlers_that_wait_do_not_stop_the_rest_and_are_named(kernel):
 
 def test_the_root_is_not_named_for_holding_a_thread(pools, kernel):
     probe = kernel.spawn(Probe, "a/test/Probe", channels=("log",))
+    assert probe.wait(probe.listening, PATIENCE_S)
     pools[0].name_held("a/kernel", 0.1)
     pools[0].name_held("a/client/T", 0.1)
     assert probe.wait(lambda: probe.packets(LogLine), PATIENCE_S)

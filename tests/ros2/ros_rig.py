@@ -92,12 +92,21 @@ class RosPeer:
 
         return next(filter(is_it, self.told.all), None) or self.told.wait(is_it)
 
-    def heard_soon(self, topic: str) -> Any:
-        """Returns the next message of a topic; None: there was none for a moment."""
-        try:
-            return self.heard(topic, at_most_s=0.2)["message"]
-        except AssertionError:
-            return None
+    def heard_at_last(
+        self, publish: Callable[[], Any], topic: str, fits: Callable[[Any], Any] = lambda message: True
+    ) -> Any:
+        """Publishes until a message that fits is heard; returns it.
+
+        A reading is sent once and a rate bounds it: one may be lost, or left out right after another.
+        """
+        deadline_s = time.monotonic() + AT_MOST_S
+        while True:
+            publish()
+            try:
+                return self.heard(topic, fits, at_most_s=0.2)
+            except AssertionError:
+                if time.monotonic() > deadline_s:
+                    raise
 
     def answer(self, name: str) -> Any:
         """Returns what a service, or a node, answered."""

@@ -77,8 +77,11 @@ def test_channels_are_topics_and_topics_are_packets(start_agent, peer):
         peer.heard("/desk/pose", lambda it: it["pose"]["position"]["y"] == 2.0)  # that of the desk itself
         for _ in range(20):
             pose = Pose(draw(-9.0, 9.0), draw(-9.0, 9.0), draw(-3.0, 3.0))
-            client.publish("desk/system", pose)
-            heard = peer.heard("/desk/pose", lambda it, x_m=pose.x_m: it["pose"]["position"]["x"] == x_m)
+            heard = peer.heard_at_last(
+                lambda pose=pose: client.publish("desk/system", pose),
+                "/desk/pose",
+                lambda it, x_m=pose.x_m: it["pose"]["position"]["x"] == x_m,
+            )
             turned = {"z": math.sin(pose.theta_rad / 2), "w": math.cos(pose.theta_rad / 2)}
             wanted = {"position": {"x": pose.x_m, "y": pose.y_m}, "orientation": turned}
             header = heard["message"]["header"]
@@ -86,10 +89,8 @@ def test_channels_are_topics_and_topics_are_packets(start_agent, peer):
             peer.order("serialise", type=POSE, fields={"header": header, "pose": wanted})
             assert peer.told.wait(lambda line: "serialised" in line)["serialised"] == heard["bytes"]
         # Its topics are there with the first packet: what is said before the peer has found them, it does not hear.
-        seen = None
-        while seen is None:
-            client.publish("desk/system", Infrared((0.0, 0.5), (0.1, 0.25), 0.5))
-            seen = peer.heard_soon("/desk/ir_1")
+        infrared = Infrared((0.0, 0.5), (0.1, 0.25), 0.5)
+        seen = peer.heard_at_last(lambda: client.publish("desk/system", infrared), "/desk/ir_1")["message"]
         assert (seen["radiation_type"], seen["max_range"], seen["header"]["frame_id"]) == (1, 0.5, "desk/ir_1")
         client.publish("desk/ros", RosMessage("geometry_msgs/Wrench", {"force": {"x": 3}}))
         assert peer.heard("/force")["message"]["force"] == {"x": 3.0, "y": 0.0, "z": 0.0}
