@@ -67,7 +67,7 @@ def test_of_a_disputed_task_the_highest_owner_is_remembered() -> None:
     ]
 
 
-@pytest.mark.parametrize("record", [ABSENT, FROZEN, COMMITTED, PREPARED, RELEASED], ids=lambda it: it.phase.name)
+@pytest.mark.parametrize("record", [ABSENT, FROZEN, COMMITTED, RELEASED], ids=lambda it: it.phase.name)
 def test_only_an_owner_gives_way(record: Record) -> None:
     assert at(record, AT_REST, ClaimHeard("agent3", HIGHER)) == []
 

@@ -193,6 +193,16 @@ class TestAClaim:
         assert kinds(effects) == [Persist, HandedOver] and persisted(effects)[0].peer == "c"
         assert handle("a", COMMITTED, IDLE, ClaimHeard("c", E2)) == []
 
+    def test_it_ends_an_offer(self):
+        offered = replace(PREPARED, offer=E2, seen=E2)
+        effects = handle("a", offered, IDLE, ClaimHeard("c", E3))
+        assert kinds(effects) == [Persist, Discard]
+        (record,) = persisted(effects)
+        assert record == Record(TASK, epoch=offered.epoch, seen=E3, peer="c")
+        assert handle("a", offered, IDLE, ClaimHeard("c", E2)) == []
+        late = Received(PREPARED.peer, Commit(TASK, E2))
+        assert handle("a", record, IDLE, late) == [Send(PREPARED.peer, Activated(TASK, E2))]
+
 
 def test_an_adoption_has_the_task_guarded_by_this_agent_alone():
     (record,) = persisted(handle("a", COMMITTED, IDLE, AdoptionAsked(guardian=A)))

@@ -39,6 +39,7 @@ from pancakes.mesh.migration.effect import (
     Forward,
     Freeze,
     HandedOver,
+    LookForOwner,
     Persist,
     Remember,
     Resume,
@@ -358,9 +359,10 @@ class TestDestination:
         assert at_destination(record, from_agent1(Abort(SCAN, OFFER))) == []
 
     def test_prepared_never_drops_by_itself_but_asks_and_warns(self) -> None:
-        send, after = at_destination(PREPARED, Resend(OFFER, Phase.PREPARED, 0))
+        send, after, look = at_destination(PREPARED, Resend(OFFER, Phase.PREPARED, 0))
         assert send == Send("agent1", Prepared(SCAN, OFFER))
         assert after == After(0.4, Resend(OFFER, Phase.PREPARED, 1), 0.5)
+        assert look == LookForOwner()
         (warn,) = at_destination(PREPARED, InDoubt(OFFER, Phase.PREPARED))
         assert isinstance(warn, Warn) and "agent1" in warn.text
         assert at_destination(PREPARED, GiveUp(OFFER, "time is up")) == []

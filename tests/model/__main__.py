@@ -49,6 +49,7 @@ COVERED = {
     "lost disk": "loses its disk",
     "stop": "a stop is answered",
     "adopt": "adopted",
+    "overtaken": "an offer is overtaken",
     "goodbye": "a lease ends at a goodbye",
     "packet": "a packet is acknowledged",
 }

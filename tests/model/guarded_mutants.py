@@ -293,6 +293,13 @@ MUTANTS: Final = (
     ),
     _mutant("a destination runs without the guardians", candidate, "if message.guards.sets:", "if False:", MOVE_TAKER),
     _mutant(
+        "a destination drops what it is offered at the word of any owner",
+        candidate,
+        "if event.epoch <= record.offer:",
+        "if False:",
+        MOVE_CALM,
+    ),
+    _mutant(
         "an adoption has the next epoch that is free here",
         owner,
         "max(event.jump, MORE_THAN_MOVES)",

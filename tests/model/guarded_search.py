@@ -187,6 +187,7 @@ class GuardedSearch:
         wanted |= {"a stop is answered"} if s.stops else set()
         wanted |= {"a lease ends at a goodbye"} if s.goodbyes else set()
         wanted |= {"adopted"} if s.adopts else set()
+        wanted |= {"an offer is overtaken"} if s.moves and s.takers else set()
         wanted |= {"a packet is acknowledged"} if s.packets else set()
         return sorted(wanted - self.reached)
 
@@ -334,6 +335,8 @@ class GuardedSearch:
             yield from self._of_others(world, i, number, party, parties)
             late = GiveUp(party.record.offer, "late")
             yield Happening("gives the hand-off up, too late", i, self.steps.decide(i, number, late))
+        elif party.record.phase is Phase.PREPARED and party.taking is None:
+            yield from self._of_offer(i, number, party, parties)
         yield from self._of_taker(world, i, number, party, parties, heard)
         yield from self._of_people(world, i, number, party, parties)
         if party.lease.epoch is not None and not party.until:
@@ -408,6 +411,16 @@ class GuardedSearch:
             if at != i and other.owns and other.record.epoch > record.epoch:
                 claim = ClaimHeard(self.names[at], other.record.epoch)
                 yield Happening(claim, i, self.steps.decide(i, number, claim))
+
+    def _of_offer(self, i: int, number: int, party: Party, parties: list[Party]) -> Iterator[Happening]:
+        """What the destination of a hand-off hears of what other agents own."""
+        for at, other in enumerate(parties):
+            if at != i and other.owns:
+                claim = ClaimHeard(self.names[at], other.record.epoch)
+                outcome = self.steps.decide(i, number, claim)
+                if self.steps.parties[outcome.party].record.phase is Phase.ABSENT:
+                    self.reached.add("an offer is overtaken")
+                yield Happening(claim, i, outcome)
 
     def _of_taker(
         self, world: GuardedWorld, i: int, number: int, party: Party, parties: list[Party], heard: list[Message]

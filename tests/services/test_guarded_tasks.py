@@ -155,6 +155,39 @@ def test_it_moves_by_the_word_of_its_guardians(guarded):
     assert guarded.run_until(lambda: where(guarded), 10)
 
 
+@pytest.mark.parametrize("restarts", [False, True])
+def test_an_agent_that_was_offered_it_drops_what_it_was_sent_where_another_has_taken_it(restarts):
+    task = {"type": Count, "guard": 3, "lease_s": 2.0, "guardians": ["c", "d"]}
+    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+        fleet.start("a", tasks={"Count": task})
+        for name in "bcd":
+            fleet.start(name)
+        fleet.connect()
+        assert fleet.run_until(lambda: guards(fleet) == [["a", "c", "d"]], 10)
+        fleet.faults.delay("a", "b", 0.1)
+        fleet.agents["a"].publish("sysctrl", Migrate("Count", to="b"))
+        assert fleet.run_until(lambda: (found := record(fleet, "b")) and found.phase is Phase.PREPARED, 10)
+        fleet.crash("a")
+        fleet.faults.cut("b")
+        assert fleet.run_until(lambda: where(fleet), 10)
+        (taker,) = where(fleet)
+        if restarts:
+            fleet.crash("b")
+            fleet.restart("b")
+        fleet.run_for(10.0)
+        assert taker != "b" and record(fleet, "b").phase is Phase.PREPARED  # it cannot know
+        fleet.network.heal()
+        assert fleet.run_until(lambda: record(fleet, "b").phase is Phase.ABSENT, 10)
+        assert record(fleet, "b").peer == taker and record(fleet, "b").snapshot == b""
+        dropped = f"a/Count runs on {taker}: what a has sent of it is dropped"
+        assert [line for line in fleet.agents["b"].lines("info") if "dropped" in line] == [dropped]
+        fleet.restart("a")
+        fleet.run_for(10.0)
+        assert where(fleet) == [taker] and record(fleet, "a").phase is Phase.RELEASED
+        assert fleet.agents[taker].ask(Migrate("Count", to="b")).ok
+        assert fleet.run_until(lambda: where(fleet) == ["b"], 5.0)
+
+
 def test_a_goodbye_ends_the_wait(guarded):
     guarded.run_for(2.0)
     n = guarded.agents["a"].task("Count").state.n

@@ -4,9 +4,20 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.effect import After, Discard, Effect, Persist, Remember, Seize, Send, StartTask, Warn
+from pancakes.mesh.migration.effect import (
+    After,
+    Discard,
+    Effect,
+    LookForOwner,
+    Persist,
+    Remember,
+    Seize,
+    Send,
+    StartTask,
+    Warn,
+)
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.event import InDoubt, Received, Resend
+from pancakes.mesh.migration.event import ClaimHeard, InDoubt, Received, Resend
 from pancakes.mesh.migration.messages import (
     Abort,
     Activated,
@@ -89,9 +100,21 @@ def abort(record: Record, event: Received, message: Abort) -> list[Effect]:
     return [Persist(replace(record, phase=Phase.ABSENT, offer=NO_EPOCH, snapshot=b"")), Discard()]
 
 
+def overtaken(record: Record, event: ClaimHeard) -> list[Effect]:
+    """Drops a dormant snapshot where another agent owns the task under an epoch that is later than the offer.
+
+    No agent ever runs the task under that offer then. A COMMIT that comes late is answered as if it had run here, so
+    that the source lets go of the task too.
+    """
+    if event.epoch <= record.offer:
+        return []
+    dropped = replace(record, phase=Phase.ABSENT, seen=event.epoch, offer=NO_EPOCH, peer=event.peer, snapshot=b"")
+    return [Persist(dropped), Discard()]
+
+
 def resend(record: Record, event: Resend, times: Times) -> list[Effect]:
-    """Asks the source again what has become of the task."""
-    return _prepared(record, event.attempt + 1, times)
+    """Asks the source again what has become of the task, which may be gone for good."""
+    return [*_prepared(record, event.attempt + 1, times), LookForOwner()]
 
 
 def recover(record: Record, times: Times) -> list[Effect]:

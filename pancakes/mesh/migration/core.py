@@ -117,6 +117,8 @@ def _decide(me: str, record: Record, volatile: Volatile, event: Event, times: Ti
             return owner.forget(me, record, volatile, event)
         case RemovalAsked():
             return owner.remove(me, record, volatile)
+        case ClaimHeard() if record.phase is Phase.PREPARED:
+            return candidate.overtaken(record, event)
         case ClaimHeard():
             by_person = event.peer and guarded_task.is_by_person(record, event.epoch)
             if record.guarded and not by_person and (event.epoch != record.epoch or not event.peer):

@@ -87,6 +87,10 @@ class Seize(msgspec.Struct, frozen=True):
     commit: Commit
 
 
+class LookForOwner(msgspec.Struct, frozen=True):
+    """Look whether another agent owns a guarded task that was offered to this one; see `ClaimHeard`."""
+
+
 class GiveWay(msgspec.Struct, frozen=True):
     """Stop the task for good: another agent owns it too.
 
@@ -194,6 +198,7 @@ Effect = (
     | Freeze
     | Resume
     | Seize
+    | LookForOwner
     | GiveWay
     | Discard
     | Ack

@@ -269,6 +269,8 @@ class ClientService(Service):
                 self._records.persist(effect.record, self, may)
             case handoff_effect.Send():
                 self._carrier.send(effect.peer, effect.message)
+            case handoff_effect.LookForOwner():
+                self._disputes.look_for_owner(place)
             case handoff_effect.After():
                 self.after_host(effect.drawn_s(self.random), partial(self.feed_place, place, effect.event))
             case handoff_effect.Warn():

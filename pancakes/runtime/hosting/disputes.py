@@ -25,8 +25,10 @@ from pancakes.runtime.hosting.census_messages import (
 from pancakes.runtime.hosting.copied_tasks import CopiedTasks
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.inquiries import Inquiries
+from pancakes.runtime.hosting.machine import idle
 from pancakes.runtime.hosting.place import OtherOwner, Place, Unsure
 from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.supervision.slot import Slot
 
 
@@ -131,6 +133,24 @@ class Disputes:
             self._tell(record, other, stands_still=False)
         else:
             self._give_way(place, other)
+
+    def look_for_owner(self, place: Place) -> None:
+        """Drops a guarded task that was sent here where another agent has taken it over since.
+
+        Not while this agent asks for pledges itself: its guardians may still decide for it.
+        """
+        record, claimant = place.standing.record, self.claimant(place.task_id)
+        if claimant is None or claimant.epoch <= record.offer or place.taking is not None or not idle(place.standing):
+            return
+        try:
+            guarded = rules_of(record.snapshot, place.task_id)[1].guard is not None
+        except MigrationError:
+            return
+        if guarded and not self._host.kernel.access.fault(claimant.peer, "host", self._type_of(place)):
+            self._host.log(
+                "info", f"{place.task_id} runs on {claimant.peer}: what {record.peer} has sent of it is dropped"
+            )
+            self._host.feed_place(place, ClaimHeard(claimant.peer, claimant.epoch))
 
     def outvoted(self, place: Place, other: OtherOwner) -> None:
         """The guardians of a task follow another owner than this agent; `other.peer`: empty: no other agent."""

@@ -146,6 +146,7 @@ HostingEffect = (
     | handoff_effect.Send
     | handoff_effect.Resume
     | handoff_effect.Seize
+    | handoff_effect.LookForOwner
     | handoff_effect.Ack
     | handoff_effect.After
     | handoff_effect.Warn
