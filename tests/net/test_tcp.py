@@ -174,3 +174,26 @@ def test_a_name_is_not_looked_up_in_the_thread_of_all_links(tcp_rig: TcpRig, mon
     tcp_rig.until(lambda: there.connection)
     assert [as_it_is for name, as_it_is in asked if name != "resolve"] == [True]
     assert ("resolve", False) in asked
+
+
+def test_the_last_words_of_one_that_takes_no_more_bytes_are_heard(tcp_rig):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        transport, here = tcp_rig.transport("a"), tcp_rig.ear()
+        transport.dial(f"tcp://127.0.0.1:{server.getsockname()[1]}", here)
+        there, _ = server.accept()
+        tcp_rig.until(lambda: here.connection)
+        while not here.connection.send(bytes(1 << 20)):
+            pass  # until some of it waits
+        held, go_on = threading.Event(), threading.Event()
+
+        def hold():
+            held.set()
+            go_on.wait(10)
+
+        transport.call_later(0.0, hold)
+        assert held.wait(10)
+        there.send(b"last words")
+        there.close()
+        go_on.set()
+        tcp_rig.until(lambda: here.closed_for)
+        assert bytes(here.data) == b"last words"

@@ -62,7 +62,8 @@ class StreamConnection(KeptConnection):
         except BlockingIOError:
             sent = 0
         except OSError as error:
-            self._break_off(why(error))
+            reason = why(error)
+            self._owner.loop.call_later(0.0, lambda: self._hear_out(reason))
             return 0
         if sent < len(data):
             self._waiting.append(memoryview(data)[sent:])
@@ -88,18 +89,29 @@ class StreamConnection(KeptConnection):
                 self._write()
             if not events & ~WRITE or self not in self._owner.open:
                 return
+        self._read()
+
+    def _read(self) -> bool:
+        """Takes what has come in; returns whether there may be more."""
         buffer = self._owner.read_buffer
         try:
             count = self._sock.recv_into(buffer)
         except BlockingIOError:
-            return
+            return False
         except OSError as error:
             self.dispose(f"the connection to {self.remote} broke: {why(error)}")
-            return
+            return False
         if count == 0:
             self.dispose(self._end())
-        else:
-            self._take(buffer[:count])
+            return False
+        self._take(buffer[:count])
+        return True
+
+    def _hear_out(self, reason: str) -> None:
+        """The other side takes no more bytes: what it has said before it ended still counts, an answer for one."""
+        while self in self._owner.open and self._read():
+            pass
+        self.dispose(f"the connection to {self.remote} broke: {reason}")
 
     def _write(self) -> None:
         try:
@@ -115,7 +127,7 @@ class StreamConnection(KeptConnection):
         except BlockingIOError:
             return
         except OSError as error:
-            self.dispose(f"the connection to {self.remote} broke: {why(error)}")
+            self._hear_out(why(error))
             return
         self._watch()
         if self._closing:
