@@ -51,13 +51,20 @@ def view(rig: Rig, *options: str) -> str:
 
 def drag(page: Any, source: Any, target: Any) -> None:
     """Drags as a hand does."""
-    start, end = source.bounding_box(), target.bounding_box()
+    start, end = place(source), place(target)
     page.mouse.move(start["x"] + 30, start["y"] + 10)
     page.mouse.down()
     page.mouse.move(end["x"] + 60, end["y"] + 30, steps=8)
     page.mouse.up()
 
 
+def place(target: Any) -> Any:
+    """Returns where something is on the page, once it is there: a card that is drawn anew may hide it for a moment."""
+    while (box := target.bounding_box()) is None:
+        target.wait_for()  # to be seen; it has a limit of its own
+    return box
+
+
 def middle(target: Any) -> dict[str, float]:
-    box = target.bounding_box()
+    box = place(target)
     return {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
