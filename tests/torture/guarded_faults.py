@@ -173,9 +173,11 @@ class GuardedFleet:
         if self._away is not None and draw.random() < 0.5:
             self._come_back()
         self._heal(strokes)
-        self._wait_for_acts(f"{kind} of {hit}, {second or 'nothing else'}, where {owner} had it", tally)
+        story = f"{kind} of {hit}, {second or 'nothing else'}, where {owner} had it"
+        self._wait_for_acts(story, tally)
         self._waits.let(draw.uniform(0.5, 1.5))
         commands = self._read(tally)
+        tally.wrong = [f"{it} (after {story}, {during or 'at rest'})" for it in tally.wrong]
         if not second and not during and alone and hit == owner:
             self._measure(kind, hit, struck_ns, commands, tally)
         return tally
