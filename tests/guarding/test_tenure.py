@@ -119,6 +119,18 @@ class TestACheckpoint:
     def test_an_older_answer_takes_nothing_back(self):
         assert after(kept(A, 2, no=4), kept(A, 2, no=-1)).of(A).no == 4
 
+    def test_a_guardian_that_has_begun_anew_has_what_it_says_and_no_more(self):
+        former, later = replace(kept(A, 2, no=4), boot=6), replace(kept(A, 2, no=2, version=1), boot=7)
+        tenure = after(former, kept(B, 2, no=4), later)
+        assert (tenure.of(A).no, tenure.of(A).version) == (2, 1), "its disk is an old copy"
+        assert tenure.replicated_no(THREE) == 2 and tenure.granted_beat(THREE) == 0
+        assert after(later, former).of(A).no == 2, "what it said in its former life comes late"
+
+    def test_an_owner_that_has_told_of_a_later_one_than_its_disk_has_is_behind(self):
+        told = replace(kept(B, no=3), told=5)
+        assert after(told).behind and not may_ask(after(told), OWNER)
+        assert not after(replace(told, told=4)).behind
+
 
 def test_guards_may_change_once_a_quorum_of_both_sets_has_them_and_the_newest_checkpoint():
     record = Record(TASK, Phase.OWNER, E1, E1, guards=JOINT)

@@ -47,6 +47,11 @@ def guarded(fleet):
     return fleet
 
 
+def guard_row(agent):
+    (row,) = agent.ask(Guarding()).result
+    return row
+
+
 def where(fleet):
     return [name for name, agent in fleet.agents.items() if "Count" in agent.running()]
 
@@ -308,6 +313,54 @@ def test_an_owner_whose_disk_was_restored_goes_on_from_what_the_guardians_have(g
     assert any("is an old copy" in line for line in a.lines("error"))
     guarded.run_for(5.0)
     assert where(guarded) == [owner]
+    assert record(guarded, owner).epoch.n > 0, "b and c alone have decided"
+
+
+def test_a_guardian_with_an_old_copy_for_a_disk_gives_no_pledge_any_more(guarded):
+    guarded.run_for(3.0)
+    before = {file: data for file, data in guarded.fleet.disk("a").items() if file != "lock"}
+    guarded.run_for(3.0)
+    guarded.crash("a")
+    guarded.fleet.disk("a").clear()
+    guarded.fleet.disk("a").update(before)
+    a = guarded.restart("a")
+    assert guarded.run_until(lambda: where(guarded), 12)
+    assert any("a guards a/Count no more" in line for line in a.lines("error"))
+    for _ in range(2):  # it knows so after a restart too
+        guarded.run_for(5.0)
+        row = guard_row(guarded.agents["a"])
+        assert row["old_copy"] and not row["lease"]
+        owner = where(guarded)[0]
+        assert (row["owner"], row["epoch"]) == (owner, str(record(guarded, owner).epoch)), "people are told what is"
+        guarded.crash("a")
+        guarded.restart("a")
+
+
+def test_a_guardian_whose_disk_is_full_tells_an_owner_what_it_was_told(guarded):
+    """The owner comes back with an old disk, and hears that one alone: it does not go on from what both have."""
+    b, c = guarded.agents["b"], guarded.agents["c"]
+    guarded.run_for(3.0)
+    make_room = guarded.faults.fill_disk("b")
+    guarded.run_for(2.0)
+    before = {file: data for file, data in guarded.fleet.disk("a").items() if file != "lock"}
+    guarded.run_for(3.0)
+    had = guard_row(b)["checkpoint"]
+    assert guard_row(c)["checkpoint"] > had + 2
+    guarded.crash("a")
+    guarded.crash("c")
+    guarded.run_for(12.0)  # what b was to write is given up
+    make_room()
+    assert guard_row(b)["checkpoint"] == had
+    guarded.fleet.disk("a").clear()
+    guarded.fleet.disk("a").update(before)
+    a = guarded.restart("a")
+    guarded.run_for(15.0)
+    assert any("the disk of a is an old copy" in line for line in a.lines("error"))
+    assert not a.events("permit_given"), "what c holds would be lost"
+    guarded.restart("c")
+    assert guarded.run_until(lambda: where(guarded), 15)
+    (owner,) = where(guarded)
+    assert record(guarded, owner).epoch.n > 0
 
 
 @pytest.mark.parametrize("name", ["a", "b"], ids=["its owner", "a guardian"])

@@ -90,6 +90,8 @@ class LeaseKept(msgspec.Struct, frozen=True):
         no: the newest checkpoint under that epoch that the guardian has; -1: none.
         version: the newest version of the guards of that epoch that it has; -1: none.
         boot: in which life of its agent it says so.
+        told: the newest checkpoint under that epoch that it was told of in that life, also where it has no room for it;
+            -1: none.
     """
 
     task_id: TaskId
@@ -99,6 +101,7 @@ class LeaseKept(msgspec.Struct, frozen=True):
     no: int
     version: int
     boot: int = 0
+    told: int = -1
     journal: str = ""
 
 

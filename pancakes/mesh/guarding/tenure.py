@@ -62,8 +62,8 @@ class Tenure(msgspec.Struct, frozen=True):
         beat: the number of its newest asking for leases; no earlier one has a higher number.
         since: the number of its first asking under that epoch.
         answers: what each guardian has said last.
-        behind: whether a guardian has a later checkpoint of the epoch than the owner had when it heard so: the owner's
-            disk is an old copy. It asks for no lease any more, so the guardians look for another owner.
+        behind: whether a guardian has, or was told of, a later checkpoint of the epoch than the owner had when it heard
+            so: the owner's disk is an old copy. It asks for no lease any more, so the guardians look for another owner.
     """
 
     epoch: Epoch = NO_EPOCH
@@ -160,13 +160,16 @@ def answered(tenure: Tenure, record: Record, answer: LeaseKept | DenyLease) -> T
     known = tenure.of(answer.guardian)
     if isinstance(answer, DenyLease):
         new = replace(known, promised=max(known.promised, answer.promised))
-    elif answer.beat < known.beat or answer.beat > tenure.beat:
+    elif answer.beat < known.beat or answer.beat > tenure.beat or answer.boot < known.boot:
         return tenure
     else:
-        no, version = max(known.no, answer.no), max(known.version, answer.version)
+        no, version = answer.no, answer.version
+        if answer.boot == known.boot:  # one that has begun anew may have an old copy of its disk: it has what it says
+            no, version = max(known.no, no), max(known.version, version)
         new = LastAnswer(answer.guardian, answer.beat, no, version, answer.boot)
     others = (one for one in tenure.answers if one.guardian != answer.guardian)
-    behind = tenure.behind or (tenure.epoch == record.epoch and new.no > record.no)
+    later = max(new.no, answer.told if isinstance(answer, LeaseKept) else -1) > record.no
+    behind = tenure.behind or (tenure.epoch == record.epoch and later)
     return replace(tenure, answers=(*others, new), behind=behind)
 
 

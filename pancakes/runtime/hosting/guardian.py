@@ -7,11 +7,14 @@ from functools import partial
 from typing import Any, Final
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.control import Checkpoints, Guarding, Take
 from pancakes.errors import ControlRefused
 from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
 from pancakes.mesh.guarding.guard_messages import (
+    NO_CHECKPOINT,
+    CheckpointId,
     DenyLease,
     GuardAnswer,
     KeepLease,
@@ -21,6 +24,7 @@ from pancakes.mesh.guarding.guard_messages import (
 )
 from pancakes.mesh.guarding.guardian_core import (
     AnswerAsker,
+    FoundOld,
     GuardEffect,
     GuardEvent,
     GuardRegister,
@@ -51,7 +55,7 @@ from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
 from pancakes.runtime.kernel.tell import tell
-from pancakes.runtime.supervision.guardian_messages import AskedOfGuardian, GuardianAnswers
+from pancakes.runtime.supervision.guardian_messages import AskedOfGuardian, DiskIsOld, GuardianAnswers
 
 KEEP: Final = queue(1024)
 """What falls out is said again."""
@@ -80,6 +84,7 @@ class _Guarded(msgspec.Struct):
         heard_s: when the owner was heard last, in host time.
         as_of_s: when the task was known last to be as the checkpoint says, in host time.
         from_disk: whether the checkpoint is from before this guardian began, and so may be older than that.
+        told: the newest checkpoint that its owners have told of, also where the disk had no room for it.
     """
 
     register: GuardRegister
@@ -93,6 +98,7 @@ class _Guarded(msgspec.Struct):
     heard_s: float = 0.0
     as_of_s: float = 0.0
     from_disk: bool = False
+    told: CheckpointId = NO_CHECKPOINT
 
 
 class Guardian(Component):
@@ -146,9 +152,22 @@ class Guardian(Component):
                 pass
             case AskedOfGuardian():
                 self._asked(message)
+            case DiskIsOld():
+                self._found_old(message.task_id)
             case _:
                 return super().on_receive(message)
         return None
+
+    def _found_old(self, task_id: TaskId) -> None:
+        one = self._guarded.get(task_id)
+        if one is not None and not one.register.old:
+            self.log(
+                "error",
+                f"{self.agent} guards {task_id} no more: its disk is an old copy, and may lack a pledge. Hand over"
+                " what it runs, stop it, and start it with an empty state directory: then it can guard it again",
+            )
+            one.waiting.append(("", FoundOld()))
+            self._go_on(one)
 
     def _asked(self, asked: AskedOfGuardian) -> None:
         try:
@@ -205,6 +224,7 @@ class Guardian(Component):
             "age_s": now_s - one.as_of_s,
             "silent_s": now_s - one.heard_s,
             "lease": one.lease.epoch is not None,
+            "old_copy": register.old,
             "wanted": register.body is not None and register.body.wanted is Wanted.RUNNING,
         }
         if owner != self.agent or register.body is None:
@@ -293,6 +313,9 @@ class Guardian(Component):
         refusal = access.fault(peer, "guard", asked.type) or access.fault(peer, "host", asked.type)
         if not refusal and str(asked.task_id) in self._registers.lost():
             refusal = f"{self.agent} has lost what it knew of it"
+        register = self._registers.get(asked.task_id)
+        if not refusal and register is not None and register.old:
+            refusal = f"what {self.agent} knows of it is an old copy"
         answer = CanGuard(
             asked.task_id,
             self._me,
@@ -317,6 +340,8 @@ class Guardian(Component):
         one = self._guarded.get(asked.task_id) or self._new(GuardRegister(asked.task_id))
         if isinstance(asked, KeepLease):  # a newer one says all that an older one says
             one.waiting = [it for it in one.waiting if it[0] != packet.source or not isinstance(it[1], KeepLease)]
+            if asked.checkpoint.epoch == asked.epoch:
+                one.told = max(one.told, asked.checkpoint)
         self._handle(one, packet)
         if one.register.blank and one.writing is None:
             del self._guarded[asked.task_id]  # it was refused
@@ -391,6 +416,9 @@ class Guardian(Component):
                         self._takeovers.lease_runs(one.register.task_id, lease.epoch)
                     one.alarm.set(lease_s)
             case AnswerAsker(message):
+                if isinstance(message, LeaseKept):
+                    told = one.told.no if one.told.epoch == message.epoch else -1
+                    message = replace(message, told=told)
                 self._note_age(one, message)
                 self._say(one.asker, message)
 
