@@ -241,9 +241,9 @@ class Guarding(msgspec.Struct, frozen=True):
 
     The reply's `result` is a list of plain mappings. Each has `task_id`, `agent`, `owner` (the agent that its guardian
     follows), `epoch`, `checkpoint` (the number of the newest that it holds), `age_s` (how long ago the task was as that
-    says, in host seconds), `silent_s` (since it heard the owner), `lease` (whether the owner's runs there), `old_copy`
-    (whether its disk is one: no vote) and `wanted` (whether it is to run). That of the owner has `guardians`, `guard`
-    (their number as wanted), `permit_s`, `held_back` (late acts, by kind), `clock_steps` and `no_dead_man` (actuators).
+    says, in host seconds), `silent_s` (since it heard the owner), `lease` (whether the owner's runs there) and `wanted`
+    (whether the task is to run). That of the owner has `guardians`, `guard` (their number as wanted), `permit_s`,
+    `held_back` (acts that came too late, by kind), `clock_steps` and `no_dead_man` (actuators that do not hold) too.
     """
 
 

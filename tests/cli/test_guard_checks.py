@@ -5,7 +5,7 @@ from pancakes.tools.cli.verbs.guard_checks import check_guards
 
 def guards(agent, **others):
     row = {"task_id": "a/Scan", "agent": agent, "owner": "a", "epoch": "0@a", "lease": True, "wanted": True}
-    return {**row, "old_copy": False, **others}
+    return {**row, **others}
 
 
 def owns(agent="a", **others):
@@ -29,12 +29,6 @@ def test_an_owner_that_was_is_none():
 def test_a_guardian_that_does_not_answer():
     ((level, about, text, _),) = found(owns(), guards("b"))
     assert (level, about) == ("warning", "a/Scan") and text.endswith("does not answer: c")
-
-
-def test_a_guardian_whose_disk_is_an_old_copy():
-    ((level, about, text, advice),) = found(owns(), guards("b", old_copy=True, lease=False), guards("c"))
-    assert (level, about) == ("warning", "a/Scan") and "the disk of b is an old copy" in text
-    assert "start it with an empty state directory" in advice
 
 
 def test_a_task_with_too_few_guardians():

@@ -17,7 +17,6 @@ from pancakes.mesh.guarding.guard_messages import (
 )
 from pancakes.mesh.guarding.guardian_core import (
     AnswerAsker,
-    FoundOld,
     GuardRegister,
     GuardsForgotten,
     Lease,
@@ -202,25 +201,3 @@ def test_one_that_was_created_anew_is_guarded_again():
     assert write == WriteRegister(replace(HELD, promised=NEW, checkpoint=CheckpointId(NEW, 0), guards=guards))
     taken = replace(SEIZE, epoch=NEWEST, guards=guards)
     assert isinstance(answer(*handle(ME, EMPTY, OVER, taken)), Pledge)
-
-
-def test_a_register_that_was_found_to_be_an_old_copy_gives_neither_lease_nor_pledge_any_more():
-    old = replace(HELD, old=True)
-    assert handle(ME, HELD, RUNS, FoundOld()) == [WriteRegister(old), SetLease(replace(RUNS, epoch=None), 0.0)]
-    assert handle(ME, old, OVER, FoundOld()) == [], "it is known"
-    for asked in (KEEP, SEIZE):
-        denied = answer(*handle(ME, old, OVER, asked))
-        assert isinstance(denied, DenyLease) and denied.promised == OLD
-        assert f"the disk of {ME.agent} is an old copy" in denied.reason
-    learnt, said = handle(ME, old, OVER, replace(KEEP, epoch=NEW, checkpoint=CheckpointId(NEW, 1), body=BODY))
-    assert isinstance(learnt, WriteRegister) and learnt.register.old
-    assert learnt.register.checkpoint == CheckpointId(NEW, 1), "it is of use to people"
-    assert answer(said) == DenyLease(TASK, NEW, ME, NEW, answer(said).reason)
-    assert recover(old) == []
-
-
-def test_a_person_may_have_a_task_go_on_by_an_old_copy_alone():
-    old, alone = replace(HELD, old=True), Guards(NEW, 0, ((ME,),))
-    written, *others = handle(ME, old, OVER, replace(KEEP, epoch=NEW, guards=alone))
-    assert isinstance(written, WriteRegister) and not written.register.old
-    assert isinstance(answer(*others), LeaseKept)

@@ -313,31 +313,10 @@ def test_an_owner_whose_disk_was_restored_goes_on_from_what_the_guardians_have(g
     assert any("is an old copy" in line for line in a.lines("error"))
     guarded.run_for(5.0)
     assert where(guarded) == [owner]
-    assert record(guarded, owner).epoch.n > 0, "b and c alone have decided"
-
-
-def test_a_guardian_with_an_old_copy_for_a_disk_gives_no_pledge_any_more(guarded):
-    guarded.run_for(3.0)
-    before = {file: data for file, data in guarded.fleet.disk("a").items() if file != "lock"}
-    guarded.run_for(3.0)
-    guarded.crash("a")
-    guarded.fleet.disk("a").clear()
-    guarded.fleet.disk("a").update(before)
-    a = guarded.restart("a")
-    assert guarded.run_until(lambda: where(guarded), 12)
-    assert any("a guards a/Count no more" in line for line in a.lines("error"))
-    for _ in range(2):  # it knows so after a restart too
-        guarded.run_for(5.0)
-        row = guard_row(guarded.agents["a"])
-        assert row["old_copy"] and not row["lease"]
-        owner = where(guarded)[0]
-        assert (row["owner"], row["epoch"]) == (owner, str(record(guarded, owner).epoch)), "people are told what is"
-        guarded.crash("a")
-        guarded.restart("a")
 
 
 def test_a_guardian_whose_disk_is_full_tells_an_owner_what_it_was_told(guarded):
-    """The owner comes back with an old disk, and hears that one alone: it does not go on from what both have."""
+    """The owner comes back with an old disk, and hears that one alone: it does not go on as if nothing were lost."""
     b, c = guarded.agents["b"], guarded.agents["c"]
     guarded.run_for(3.0)
     make_room = guarded.faults.fill_disk("b")
@@ -354,13 +333,9 @@ def test_a_guardian_whose_disk_is_full_tells_an_owner_what_it_was_told(guarded):
     guarded.fleet.disk("a").clear()
     guarded.fleet.disk("a").update(before)
     a = guarded.restart("a")
-    guarded.run_for(15.0)
+    guarded.run_for(3.0)
     assert any("the disk of a is an old copy" in line for line in a.lines("error"))
-    assert not a.events("permit_given"), "what c holds would be lost"
-    guarded.restart("c")
-    assert guarded.run_until(lambda: where(guarded), 15)
-    (owner,) = where(guarded)
-    assert record(guarded, owner).epoch.n > 0
+    assert not a.events("permit_given"), "a and b are a quorum, and what c holds is newer"
 
 
 @pytest.mark.parametrize("name", ["a", "b"], ids=["its owner", "a guardian"])

@@ -12,8 +12,6 @@ any two of them.
 
 from __future__ import annotations
 
-from typing import Final
-
 import msgspec
 from msgspec.structs import replace
 
@@ -34,8 +32,6 @@ from pancakes.mesh.migration.epoch import MOST_STEP, NO_EPOCH, Epoch
 from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards, newest
 from pancakes.mesh.migration.record import TaskId
 
-_OLD: Final = "the disk of {} is an old copy, and may lack a pledge"
-
 
 class GuardRegister(msgspec.Struct, frozen=True):
     """What a guardian has on disk about one task.
@@ -48,7 +44,6 @@ class GuardRegister(msgspec.Struct, frozen=True):
         body: that checkpoint; None: it has none.
         guards: the newest guards that it knows of.
         lease_s: how long a lease is that it grants, in host seconds.
-        old: whether this is known to be an old copy: a pledge may be missing, so no agent gets a lease or a pledge.
     """
 
     task_id: TaskId
@@ -58,7 +53,6 @@ class GuardRegister(msgspec.Struct, frozen=True):
     body: CheckpointBody | None = None
     guards: Guards = NO_GUARDS
     lease_s: float = SHORTEST_LEASE_S
-    old: bool = False
 
     @property
     def blank(self) -> bool:
@@ -102,11 +96,7 @@ class GuardsForgotten(msgspec.Struct, frozen=True):
     guards: Guards
 
 
-class FoundOld(msgspec.Struct, frozen=True):
-    """An event: the register is an old copy, as a restored backup is."""
-
-
-GuardEvent = KeepLease | SeizeTask | YieldLease | LeaseOver | GuardsForgotten | FoundOld
+GuardEvent = KeepLease | SeizeTask | YieldLease | LeaseOver | GuardsForgotten
 
 
 class WriteRegister(msgspec.Struct, frozen=True):
@@ -159,9 +149,6 @@ def handle(me: GuardianId, register: GuardRegister, lease: Lease, event: GuardEv
             return [SetLease(replace(lease, epoch=None), 0.0)] if event.number == lease.number else []
         case GuardsForgotten():
             return _forget(register, event.guards)
-        case FoundOld():
-            new = replace(register, old=True)
-            return [WriteRegister(new), SetLease(replace(lease, epoch=None), 0.0)] if new != register else []
 
 
 def recover(register: GuardRegister, boot: int = 0) -> list[GuardEffect]:
@@ -171,7 +158,7 @@ def recover(register: GuardRegister, boot: int = 0) -> list[GuardEffect]:
         register: what is on disk.
         boot: which life of the agent this is.
     """
-    if not register.guards.sets or register.old:
+    if not register.guards.sets:
         return []
     return [SetLease(Lease(register.promised, 1, boot=boot), register.lease_s)]
 
@@ -200,15 +187,12 @@ def _keep(me: GuardianId, register: GuardRegister, lease: Lease, keep: KeepLease
         promised=keep.epoch,
         guards=newest(register.guards, keep.guards),
         lease_s=keep.lease_s,
-        old=register.old and set(keep.guards.members()) != {me},  # a person may have given the others up
     )
     if keep.body is not None and keep.checkpoint > register.checkpoint:
         new = replace(new, checkpoint=keep.checkpoint, body=keep.body)
     no = new.checkpoint.no if new.checkpoint.epoch == keep.epoch else -1
     version = new.guards.version if new.guards.epoch == keep.epoch else -1
     write: list[GuardEffect] = [WriteRegister(new)] if new != register else []
-    if new.old:  # it learns, so that people are told what is, and has no vote
-        return [*write, _deny(me, new, keep.epoch, _OLD.format(me.agent))]
     # A KEEP that comes late is older than what was granted before it.
     beat = max(lease.beat, keep.beat) if lease.epoch == keep.epoch else keep.beat
     granted = Lease(keep.epoch, lease.number + 1, beat, lease.boot)
@@ -219,8 +203,6 @@ def _keep(me: GuardianId, register: GuardRegister, lease: Lease, keep: KeepLease
 def _seize(me: GuardianId, register: GuardRegister, lease: Lease, seize: SeizeTask) -> list[GuardEffect]:
     if register.guards.forgotten and seize.guards.epoch <= register.guards.epoch:
         return [_deny(me, register, seize.epoch, "it was removed")]
-    if register.old:
-        return [_deny(me, register, seize.epoch, _OLD.format(me.agent))]
     if not register.guards.sets and me not in seize.guards.members():
         return [_deny(me, register, seize.epoch, f"{me.agent} knows nothing of it")]
     if seize.epoch == register.promised and _nothing_kept(register):

@@ -24,7 +24,6 @@ from pancakes.mesh.guarding.guard_messages import (
 )
 from pancakes.mesh.guarding.guardian_core import (
     AnswerAsker,
-    FoundOld,
     GuardEffect,
     GuardEvent,
     GuardRegister,
@@ -55,7 +54,7 @@ from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
 from pancakes.runtime.kernel.tell import tell
-from pancakes.runtime.supervision.guardian_messages import AskedOfGuardian, DiskIsOld, GuardianAnswers
+from pancakes.runtime.supervision.guardian_messages import AskedOfGuardian, GuardianAnswers
 
 KEEP: Final = queue(1024)
 """What falls out is said again."""
@@ -152,22 +151,9 @@ class Guardian(Component):
                 pass
             case AskedOfGuardian():
                 self._asked(message)
-            case DiskIsOld():
-                self._found_old(message.task_id)
             case _:
                 return super().on_receive(message)
         return None
-
-    def _found_old(self, task_id: TaskId) -> None:
-        one = self._guarded.get(task_id)
-        if one is not None and not one.register.old:
-            self.log(
-                "error",
-                f"{self.agent} guards {task_id} no more: its disk is an old copy, and may lack a pledge. Hand over"
-                " what it runs, stop it, and start it with an empty state directory: then it can guard it again",
-            )
-            one.waiting.append(("", FoundOld()))
-            self._go_on(one)
 
     def _asked(self, asked: AskedOfGuardian) -> None:
         try:
@@ -224,7 +210,6 @@ class Guardian(Component):
             "age_s": now_s - one.as_of_s,
             "silent_s": now_s - one.heard_s,
             "lease": one.lease.epoch is not None,
-            "old_copy": register.old,
             "wanted": register.body is not None and register.body.wanted is Wanted.RUNNING,
         }
         if owner != self.agent or register.body is None:
@@ -313,9 +298,6 @@ class Guardian(Component):
         refusal = access.fault(peer, "guard", asked.type) or access.fault(peer, "host", asked.type)
         if not refusal and str(asked.task_id) in self._registers.lost():
             refusal = f"{self.agent} has lost what it knew of it"
-        register = self._registers.get(asked.task_id)
-        if not refusal and register is not None and register.old:
-            refusal = f"what {self.agent} knows of it is an old copy"
         answer = CanGuard(
             asked.task_id,
             self._me,

@@ -45,7 +45,6 @@ from pancakes.runtime.hosting.tenancy import Tenancy
 from pancakes.runtime.kernel.guard_notes import GuardNote
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
-from pancakes.runtime.supervision.guardian_messages import GUARDIAN, DiskIsOld
 from pancakes.runtime.supervision.task_messages import GoOn
 
 REPLACED_S: Final = 60.0
@@ -344,7 +343,6 @@ class Leases:
             " checkpoint, and have an agent go on from that",
         )
         self._host.event("disk_is_old", task=place.task_id.name)
-        self._host.tell_actor(GUARDIAN, DiskIsOld(place.task_id))
 
     def owe(self, place: Place, packet: PacketId) -> None:
         """Acknowledges a packet once the checkpoint with its effect is at a quorum, so that a take-over keeps it."""

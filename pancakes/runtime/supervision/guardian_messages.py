@@ -1,4 +1,4 @@
-"""What an agent's root, its services and its guardian tell each other: data."""
+"""What an agent's root and its guardian tell each other: data."""
 
 from __future__ import annotations
 
@@ -7,22 +7,11 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.control import Checkpoints, Guarding, Take
-from pancakes.mesh.migration.record import TaskId
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.life.request import Request
 
 GUARDIAN: Final = "kernel/Guardian"
 """Where on each agent the guardian is."""
-
-
-class DiskIsOld(msgspec.Struct, frozen=True):
-    """The owner of a task has learnt that its agent's disk is an old copy: its guardian may have forgotten a pledge.
-
-    Attributes:
-        task_id: the task.
-    """
-
-    task_id: TaskId
 
 
 class AskedOfGuardian(msgspec.Struct, frozen=True):

@@ -21,10 +21,6 @@ def check_guards(rows: Sequence[dict[str, Any]]) -> Iterator[Finding]:
         newest = max(_number(row) for row in known)
         owners = [row for row in known if "guardians" in row and _number(row) == newest]
         name = task_id.partition("/")[2]
-        if old := ", ".join(sorted(row["agent"] for row in known if row["old_copy"])):
-            text = f"has guardians without a vote: the disk of {old} is an old copy, as a restored backup is"
-            advice = "hand over what runs there, stop that agent, and start it with an empty state directory"
-            yield Finding("warning", task_id, text, advice)
         if owners:
             yield from _check_owned(owners[0], known)
         elif not any(row["lease"] for row in known) and any(row["wanted"] for row in known):

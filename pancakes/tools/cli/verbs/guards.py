@@ -21,10 +21,9 @@ COLUMNS: Final = ("task_id", "owner", "permit_s", "guardian", "checkpoint", "age
 def guards(agents: tuple[str, ...], ask: Ask) -> None:
     """List the guarded tasks of all agents, or of those that are named, with a line for each of their guardians.
 
-    A guardian that does not answer is listed as silent, and one whose disk is an old copy, as a restored backup is, as
-    that: it decides nothing. `permit_s` says for how long the owner may act yet: empty where it may not. `age_s` says
-    how long ago the task was known to be as the guardian's newest checkpoint says, and `silent_s` how long the guardian
-    has not heard the owner.
+    A guardian that does not answer is listed as silent. `permit_s` says for how long the owner may act yet: empty where
+    it may not. `age_s` says how long ago the task was known to be as the guardian's newest checkpoint says, and
+    `silent_s` how long the guardian has not heard the owner.
 
     \b
     Example:
@@ -44,7 +43,7 @@ def guards(agents: tuple[str, ...], ask: Ask) -> None:
 
 
 def _shown(row: dict[str, Any], owner: dict[str, Any] | None) -> dict[str, Any]:
-    state = "old copy" if row["old_copy"] else "guards" if row["lease"] else "owner silent"
+    state = "guards" if row["lease"] else "owner silent"
     return {**row, "guardian": row["agent"], "permit_s": _permit(owner), "state": state}
 
 
