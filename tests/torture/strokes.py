@@ -36,7 +36,7 @@ FOR_GOOD: Final = (*DISKS, "kill, stays away")
 """These take a guardian away, or what it remembers: of three the two others must be well."""
 LOSSES: Final = (*KILLS, "goodbye", "long stop", "cut", "one-way cut")
 """After these another agent has to take the task, where they hit its owner."""
-BACKED_UP: Final = 20
+BACKED_UP: Final = 200
 """So often a copy is tried of a disk that changes."""
 
 
