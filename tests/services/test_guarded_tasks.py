@@ -338,6 +338,20 @@ def test_a_guardian_whose_disk_is_full_tells_an_owner_what_it_was_told(guarded):
     assert not a.events("permit_given"), "a and b are a quorum, and what c holds is newer"
 
 
+def test_a_guardian_that_denies_leases_for_a_minute_is_replaced(guarded):
+    guarded.crash("b")
+    disk = guarded.fleet.disk("b")
+    (name,) = [file for file in disk if "guard" in file]
+    disk[name] = disk[name][:-3] + b"???"
+    b = guarded.restart("b")
+    guarded.start("d")
+    guarded.connect()
+    assert any("guards 'a/Count' no more" in line for line in b.lines("error"))
+    guarded.run_for(50.0)
+    assert guards(guarded) == [["a", "b", "c"]]
+    assert guarded.run_until(lambda: guards(guarded) == [["a", "c", "d"]], 20)
+
+
 @pytest.mark.parametrize("name", ["a", "b"], ids=["its owner", "a guardian"])
 def test_an_agent_that_guards_a_task_sleeps_for_half_a_lease_at_most(guarded, name):
     guarded.run_for(1.0)

@@ -157,7 +157,7 @@ def answered(tenure: Tenure, record: Record, answer: LeaseKept | DenyLease) -> T
     """Takes what a guardian says to the owner. A late answer, and that of a stranger, change nothing."""
     if answer.epoch != tenure.epoch or answer.guardian not in record.guards.members():
         return tenure
-    known = tenure.of(answer.guardian)
+    known, told = tenure.of(answer.guardian), -1
     if isinstance(answer, DenyLease):
         new = replace(known, promised=max(known.promised, answer.promised))
     elif answer.beat < known.beat or answer.beat > tenure.beat or answer.boot < known.boot:
@@ -166,10 +166,9 @@ def answered(tenure: Tenure, record: Record, answer: LeaseKept | DenyLease) -> T
         no, version = answer.no, answer.version
         if answer.boot == known.boot:  # one that has begun anew may have an old copy of its disk: it has what it says
             no, version = max(known.no, no), max(known.version, version)
-        new = LastAnswer(answer.guardian, answer.beat, no, version, answer.boot)
+        new, told = LastAnswer(answer.guardian, answer.beat, no, version, answer.boot), answer.told
     others = (one for one in tenure.answers if one.guardian != answer.guardian)
-    later = max(new.no, answer.told if isinstance(answer, LeaseKept) else -1) > record.no
-    behind = tenure.behind or (tenure.epoch == record.epoch and later)
+    behind = tenure.behind or (tenure.epoch == record.epoch and max(new.no, told) > record.no)
     return replace(tenure, answers=(*others, new), behind=behind)
 
 
