@@ -62,13 +62,11 @@ def test_a_task_s_ticks_are_what_they_took(threaded_agent):
 
 def test_packets_count_as_turns_and_not_as_ticks(threaded_agent):
     agent = threaded_agent(tasks={"Burn": Burn})
-    agent.publish(SYSCTRL, Measure(2.0))
+    asked = agent.publish(SYSCTRL, Measure(2.0))
     agent.wait_until(lambda: agent.kernel.meter is not None)
     for _ in range(5):
         agent.publish(SYSTEM, Event("burn", {}))
-    agent.wait_until(lambda: agent.kernel.meter is None, 30.0)
-    (reply,) = agent.probe.packets(where=lambda body: isinstance(getattr(body, "result", None), dict))
-    figures = codecs.convert(reply.body.result, MeasuredAgent)
+    figures = codecs.convert(agent.reply_to(asked, 30.0).result, MeasuredAgent)
     task = figures.task("Burn")
     each_s = sum(timer.tick_s for timer in task.timers) / sum(timer.ticks for timer in task.timers)
     assert task.turn_s - sum(timer.tick_s for timer in task.timers) > 5 * 2.0 * each_s
