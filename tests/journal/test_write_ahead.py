@@ -50,8 +50,9 @@ def test_what_was_written_outlives_a_crash_and_the_newest_counts(journal: FileJo
     assert not (again.directory / WRITE_AHEAD).exists()
 
 
+@pytest.mark.parametrize("size", [1, file.LARGE_BYTES // 40])
 def test_a_batch_costs_one_round_of_the_disk_however_many_entries_it_has(
-    journal: FileJournal, monkeypatch: pytest.MonkeyPatch
+    journal: FileJournal, monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
     journal.write([entry("a", "1")])
     before, length = journal.use, (journal.directory / WRITE_AHEAD).stat().st_size
@@ -63,7 +64,7 @@ def test_a_batch_costs_one_round_of_the_disk_however_many_entries_it_has(
         fsync(handle)
 
     monkeypatch.setattr(os, "fsync", spy)
-    journal.write([entry(str(number), "2") for number in range(50)])
+    journal.write([entry(str(number), "2" * size) for number in range(50)])
 
     assert synced == [WRITE_AHEAD]
     grown = (journal.directory / WRITE_AHEAD).stat().st_size - length

@@ -26,7 +26,7 @@ MOST_AHEAD: Final = 1000
 MOST_AT_END: Final = 100
 """A journal that is closed with more entries in it leaves them there: its agent has two seconds to end."""
 LARGE_BYTES: Final = 256 * 2**10
-"""A batch of so many bytes is not written ahead: it would be written twice."""
+"""A batch of so many bytes for each of its entries is not written ahead: it would be written twice."""
 
 
 class FileJournal(Journal):
@@ -113,7 +113,7 @@ class FileJournal(Journal):
 
     def _store(self, newest: Mapping[str, JournalEntry]) -> None:
         data = seal_batch(self.uuid, list(newest.values()))
-        large = len(data) >= LARGE_BYTES
+        large = len(data) >= LARGE_BYTES * len(newest)
         full = self._ahead_bytes + len(data) > MOST_AHEAD_BYTES or len(self._ahead) + len(newest) > MOST_AHEAD
         if self._ahead_torn or full or (large and not self._ahead.keys().isdisjoint(newest)):
             self._put_in_place()  # else an older entry would take the place of a newer one at the next opening
