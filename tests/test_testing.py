@@ -101,7 +101,7 @@ def test_agents_of_a_test_find_each_other():
         for name in ("a", "b", "c"):
             fleet.start(name)
         fleet.connect()
-        assert sorted(hello.name for hello in fleet.agents["b"].agent.mesh.connected()) == ["a", "c"]
+        assert list(fleet.agents["b"].agent.mesh.connected()) == ["a", "c"]
 
 
 class Count(Task):

@@ -93,7 +93,7 @@ class Door:
 
     def agents(self) -> list[Hello]:
         """Returns what the connected agents said about themselves, by name; other clients are none."""
-        return [hello for hello in self._mesh.connected() if hello.role != "client"]
+        return [hello for hello in self._mesh.connected().values() if hello.role != "client"]
 
     def connected(self, agent: str) -> bool:
         """Returns whether an agent can be asked."""

@@ -411,7 +411,7 @@ class Agent:
             "fleet": self.config.agent.fleet,
             "listen": self.mesh.listen,
             "neighbours": self.mesh.neighbours(),
-            "peers": [hello.name for hello in self.mesh.connected()],
+            "peers": list(self.mesh.connected()),
             "insecure": self.insecure_over,
             "roster": roster.number if (roster := self._roster()) is not None else None,
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},

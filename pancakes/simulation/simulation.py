@@ -197,7 +197,7 @@ class Simulation:
         if not found.ready.is_set():
             return "is not ready"
         own = self._configs[name].agent.fleet
-        met = {hello.name for hello in found.mesh.connected()}
+        met = set(found.mesh.connected())
         others = [other for other in self.agents if other != name and self._configs[other].agent.fleet == own]
         unmet = [other for other in others if other not in met]
         return f"has not met {', '.join(unmet)}" if unmet else ""

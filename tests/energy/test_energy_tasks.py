@@ -148,7 +148,7 @@ def test_the_network_really_sleeps_and_is_awake_again_when_the_battery_is_full()
         Gauge.level = 0.2
         agent.wait_for_event("service_stopped", service="network")
         fleet.run_for(1.0)
-        assert other.agent.mesh.connected() == []
+        assert other.agent.mesh.connected() == {}
         agent.wait_until(lambda: agent.component("network/Discovery") is not None, 12.0, "the network's waking")
         fleet.run_for(3.0)
         assert standing(agent)[1] == 0.2, "the beacons are as slow as before the sleep"

@@ -405,7 +405,7 @@ class Agent:
         return self.mesh.send(packet, retry=retry)
 
     def knows(self, *names: str) -> bool:
-        return [hello.name for hello in self.mesh.connected()] == sorted(names)
+        return list(self.mesh.connected()) == sorted(names)
 
     def log(self, level: str) -> str:
         return "\n".join(text for at, text in self.lines if at == level)

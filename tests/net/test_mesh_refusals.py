@@ -169,7 +169,7 @@ def test_two_agents_of_one_name_refuse_each_other(rig, agent):
     second = agent("a", [first.address], journal="another journal")
     rig.until(lambda: "name a" in second.log("warning"))
     assert f"no link over {first.address}" in second.log("warning")
-    assert first.mesh.connected() == second.mesh.connected() == []
+    assert first.mesh.connected() == second.mesh.connected() == {}
 
 
 @pytest.mark.parametrize("name", ["a", "b"])
@@ -194,7 +194,7 @@ def test_an_agent_that_dials_itself_notices(rig, agent):
         rig.close()
         alone = agent("a", [address.replace("127.0.0.1", "localhost")], listen=address)
         rig.until(lambda: not alone.mesh.describe()["addresses"])
-    assert alone.mesh.connected() == []
+    assert alone.mesh.connected() == {}
 
 
 @pytest.mark.parametrize(("more", "word"), [({"fleet": "other"}, "fleet"), ({"version": 99}, "version")])
@@ -206,7 +206,7 @@ def test_other_fleets_and_versions_are_refused_with_a_reason(rig, agent, more, w
     rig.until(lambda: ear.closed_for)
     assert word.encode() in ear.data, "the other side was told why"
     rig.until(lambda: word in a.log("warning"))
-    assert a.mesh.connected() == []
+    assert a.mesh.connected() == {}
 
 
 @pytest.mark.parametrize(

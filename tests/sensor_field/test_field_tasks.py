@@ -171,7 +171,7 @@ def sleeper(fleet: FleetInTest, **tasks: Any) -> AgentInTest:
 
 def awake(gateway: AgentInTest) -> bool:
     """Returns whether the node can be reached."""
-    return "node" in [hello.name for hello in gateway.agent.mesh.connected()]
+    return "node" in gateway.agent.mesh.connected()
 
 
 def rate_hz(agent: AgentInTest, task: str) -> float:

@@ -357,7 +357,7 @@ def test_control_from_another_agent_is_answered_there(fleet):
     )
     assert agent.ask(Stop("network", for_s=2.0), to="b").ok
     fleet.run_for(1.0)
-    assert agent.agent.mesh.connected() == []
+    assert agent.agent.mesh.connected() == {}
     fleet.connect()
 
 

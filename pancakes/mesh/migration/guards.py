@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from itertools import chain
 from typing import Annotated, Final, NamedTuple
 
 import msgspec
@@ -52,7 +53,7 @@ class Guards(msgspec.Struct, frozen=True):
 
     def members(self) -> list[GuardianId]:
         """Returns all guardians, each once."""
-        return list(dict.fromkeys(member for one in self.sets for member in one))
+        return list(dict.fromkeys(chain.from_iterable(self.sets)))
 
     @property
     def stamp(self) -> tuple[Epoch, int]:

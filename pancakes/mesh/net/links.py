@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pancakes.mesh.net.send_buffer import CountersOfAll
@@ -15,7 +15,8 @@ class Links:
     """The sessions that are up, and what was sent over all that ever were."""
 
     def __init__(self) -> None:
-        self._up: dict[str, Session] = {}  # replaced, never changed: all threads read it
+        self._up: dict[str, Session] = {}  # both are replaced, never changed: all threads read them
+        self._said: dict[str, Hello] = {}
         self._counters = CountersOfAll()
         self._lock = threading.Lock()
         self._mission_packets = 0  # over links that have ended, and announcements
@@ -32,6 +33,7 @@ class Links:
         """A link stands, to the agent that said `hello`."""
         session.stood_up(hello, self._counters.of(hello.name, self._up))
         self._up = {**self._up, hello.name: session}
+        self._said = dict(sorted({**self._said, hello.name: hello}.items()))
 
     def remove(self, session: Session) -> None:
         """A link has ended."""
@@ -39,6 +41,7 @@ class Links:
         with self._lock:
             self._mission_packets += session.counted
             self._up = {name: other for name, other in self._up.items() if other is not session}
+            self._said = {name: hello for name, hello in self._said.items() if name in self._up}
         if session.role == "client":
             self._counters.forget(session.peer)  # clients come under ever new names
 
@@ -50,9 +53,9 @@ class Links:
         """Returns the sessions of the peers in the role `agent`, by name."""
         return tuple(session for session in self if session.role == "agent")
 
-    def connected(self) -> list[Hello]:
-        """Returns what all peers said about themselves, by name."""
-        return [session.hello for session in self if session.hello is not None]
+    def connected(self) -> Mapping[str, Hello]:
+        """Returns what all peers said about themselves, by name, in the order of their names."""
+        return self._said
 
     def rtt_s(self, peer: str) -> float | None:
         """Returns the smoothed round trip time to a peer, or None where there is none yet."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
@@ -208,8 +208,8 @@ class Mesh:
         """Returns the names of the connected peers in the role `agent`, sorted."""
         return [session.peer for session in self._links.neighbours()]
 
-    def connected(self) -> list[Hello]:
-        """Returns what all connected peers said about themselves, by name."""
+    def connected(self) -> Mapping[str, Hello]:
+        """Returns what all connected peers said about themselves, by name, in the order of their names."""
         return self._links.connected()
 
     def rtt_s(self, peer: str) -> float | None:

@@ -8,16 +8,13 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.errors import MigrationError, PancakesError
+from pancakes.errors import MigrationError
 from pancakes.mesh.migration.cost import CostFacts, appraise, cost_text, is_of_core
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import (
     Bid,
-    Message,
     Refuse,
     Solicit,
-    addressed,
-    is_for,
 )
 from pancakes.mesh.migration.negotiation import Awarded, Exhausted, Negotiation, Outcome
 from pancakes.mesh.migration.record import TaskId
@@ -41,6 +38,7 @@ from pancakes.runtime.hosting.bidding_messages import (
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.load import IDLE, LoadMeter
+from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import LATEST, reliable
 from pancakes.runtime.kernel.reference import Reference
@@ -71,6 +69,7 @@ class TaskMigrator(Task):
     def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
+        self._talk = PeerTalk(self, mesh)
         self._state = state
         self._ledgers = ledgers
         self._times = Times()
@@ -140,7 +139,7 @@ class TaskMigrator(Task):
         self._note()
         outcome = negotiation.begin(now_s)
         for peer in negotiation.asked:
-            self._say(peer, request)
+            self._talk.say(peer, MIGRATOR, request)
         if outcome is None:
             self.after_host(self._times.bid_window_s, lambda: self._window_closes(negotiation))
         self._conclude(request.task_id, outcome)
@@ -239,7 +238,7 @@ class TaskMigrator(Task):
         )
 
     def _answered(self, packet: Packet, take: Callable[[Negotiation, Any, float], Outcome | None]) -> None:
-        if not self._believes(packet):
+        if not self._talk.is_for_me(packet.body):
             return
         found = self._negotiations.get(packet.body.task_id)
         if found is not None and found[0].request.ask == packet.body.ask:
@@ -260,7 +259,7 @@ class TaskMigrator(Task):
     @on(NETWORK, Solicit, keep=KEEP)
     def on_solicit(self, packet: Packet) -> None:
         """Answers whether this agent would take a task, and at what cost."""
-        if not self._believes(packet):
+        if not self._talk.is_for_me(packet.body):
             return
         request: Solicit = packet.body
         peer = agent_of(packet.source)
@@ -308,29 +307,13 @@ class TaskMigrator(Task):
 
     def _answer(self, peer: str, request: Solicit, terms: Mapping[str, float], refusal: str) -> None:
         if refusal:
-            self._say(peer, Refuse(request.task_id, request.ask, refusal))
+            self._talk.say(peer, MIGRATOR, Refuse(request.task_id, request.ask, refusal))
             self.event("migration_refused", task=request.task_id.name, source_agent=peer, reason=refusal)
         else:
             cost = sum(terms.values())
-            self._say(peer, Bid(request.task_id, request.ask, cost, dict(terms)))
+            self._talk.say(peer, MIGRATOR, Bid(request.task_id, request.ask, cost, dict(terms)))
             self.event("migration_bid", task=request.task_id.name, source_agent=peer, cost=cost, terms=dict(terms))
 
     def _measure(self) -> None:
         self._state.measured = self._meter.look(self.kernel.host.now(), self.kernel.task_timers.all())
         self.after_host(LOOK_S, self._measure)
-
-    # Talking ---------------------------------------------------------------------------------------------------
-
-    def _say(self, peer: str, message: Message) -> None:
-        journals = {hello.name: hello.journal for hello in self._mesh.connected()}
-        journal = self._mesh.identity.journal if peer == self.agent else journals.get(peer, "")
-        if not journal:
-            return
-        try:
-            self.publish(NETWORK, addressed(message, journal), to=join(peer, MIGRATOR))
-        except PancakesError as error:
-            self.log("debug", f"{type(message).__name__} did not reach {peer}: {error}")
-
-    def _believes(self, packet: Packet) -> bool:
-        """Returns whether a message was meant for this agent with this disk, and not for a former one."""
-        return is_for(packet.body, self._mesh.identity.journal)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from pancakes.errors import PancakesError, RemoteProtocolError
+from pancakes.errors import RemoteProtocolError
 from pancakes.mesh.migration.candidate import would_take
 from pancakes.mesh.migration.messages import (
     Abort,
     Commit,
     HandOffMessage,
-    Message,
     Nak,
     Piece,
     Transfer,
-    addressed,
-    is_for,
 )
 from pancakes.mesh.migration.pieces import Assembly, cut
 from pancakes.mesh.net.mesh import Mesh
-from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.packet import Packet, agent_of
+from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.kernel.component import Component
 
@@ -35,28 +33,20 @@ class Carrier:
     def __init__(self, service: Component, mesh: Mesh) -> None:
         self._service = service
         self._mesh = mesh
+        self._talk = PeerTalk(service, mesh)
         self._assembly = Assembly()
 
     def connected(self, peer: str) -> bool:
         """Returns whether there is a link to an agent now."""
-        return any(hello.name == peer for hello in self._mesh.connected())
+        return peer in self._mesh.connected()
 
     def send(self, peer: str, message: HandOffMessage) -> None:
         """Sends a message; a snapshot in pieces."""
         if isinstance(message, Transfer):
             for piece in cut(message):
-                self._send(peer, piece)
+                self._talk.say(peer, self._service.name, piece)
         else:
-            self._send(peer, message)
-
-    def _send(self, peer: str, message: Message) -> None:
-        journal = next((hello.journal for hello in self._mesh.connected() if hello.name == peer), "")
-        if not journal:
-            return
-        try:
-            self._service.publish(NETWORK, addressed(message, journal), to=join(peer, self._service.name))
-        except PancakesError as error:
-            self._service.log("debug", f"{type(message).__name__} did not reach {peer}: {error}")
+            self._talk.say(peer, self._service.name, message)
 
     def take(self, packet: Packet, place: Place | None) -> HandOffMessage | None:
         """Takes a message in; `place`: that of its task, if there is one.
@@ -65,7 +55,7 @@ class Carrier:
             The message; None: there is none yet, or it was meant for this agent with another disk.
         """
         message, peer = packet.body, agent_of(packet.source)
-        if not is_for(message, self._mesh.identity.journal):
+        if not self._talk.is_for_me(message):
             return None
         if isinstance(message, Piece):
             return self._add(peer, message, place)
@@ -78,12 +68,12 @@ class Carrier:
         if place is None or place.promised != (peer, piece.offer):
             # Where it is no news, its sender hears by another message what became of it.
             if place is None or would_take(place.standing.record, piece.offer):
-                self._send(peer, Nak(piece.task_id, piece.offer, "was not asked for a place for it first"))
+                self.send(peer, Nak(piece.task_id, piece.offer, "was not asked for a place for it first"))
             return None
         try:
             return self._assembly.add(peer, piece)
         except RemoteProtocolError as error:
-            self._send(peer, Nak(piece.task_id, piece.offer, str(error)))
+            self.send(peer, Nak(piece.task_id, piece.offer, str(error)))
             return None
 
     def drop(self, peer: str) -> None:

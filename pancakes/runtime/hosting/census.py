@@ -75,7 +75,7 @@ class Census(Component):
             case NeighbourUp():
                 self._meet(message.peer, message.boot)
             case NetworkBegan():
-                for hello in self._mesh.connected():
+                for hello in self._mesh.connected().values():
                     if hello.role == "agent":
                         self._meet(hello.name, Boot(hello.journal, hello.boot, hello.life))
             case Owns():

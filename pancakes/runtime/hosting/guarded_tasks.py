@@ -15,9 +15,9 @@ from pancakes.packet import Fence, Packet, agent_of
 from pancakes.runtime.hosting.checkpointing import Checkpointing
 from pancakes.runtime.hosting.deliveries import Deliveries
 from pancakes.runtime.hosting.disputes import Disputes
-from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.leases import Leases
+from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.standing import Standing
@@ -48,7 +48,7 @@ class GuardedTasks:
     ) -> None:
         self._host = host
         self._records = records
-        self._talk = GuardTalk(host, mesh)
+        self._talk = PeerTalk(host, mesh)
         self._leases = Leases(host, self._talk, checkpointing.look_at, deliveries.on_disk, disputes.outvoted)
         self._takings = Takings(host, self._talk)
         self.begin = self._leases.begin

@@ -37,8 +37,7 @@ from pancakes.mesh.guarding.guardian_core import (
 )
 from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen
 from pancakes.mesh.migration.epoch import NO_EPOCH
-from pancakes.mesh.migration.guards import GuardianId, forgotten_guards
-from pancakes.mesh.migration.messages import is_for
+from pancakes.mesh.migration.guards import forgotten_guards
 from pancakes.mesh.migration.record import TaskId, Wanted
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.net.mesh import Mesh
@@ -47,6 +46,7 @@ from pancakes.runtime.hosting import held
 from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MoveOver
 from pancakes.runtime.hosting.deadlines import Deadline, Deadlines
 from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.registers import Registers, RegisterWritten
 from pancakes.runtime.hosting.takeover import Takeovers
@@ -118,9 +118,9 @@ class Guardian(Component):
         super().__init__(*args, **others)
         self._registers = registers
         self._records = records
-        self._mesh = mesh
         self._state = state
-        self._takeovers = Takeovers(self, mesh)
+        self._talk = PeerTalk(self, mesh)
+        self._takeovers = Takeovers(self, self._talk)
         self._deadlines = Deadlines(self.after_host, self.kernel.host.now)
         self._guarded: dict[TaskId, _Guarded] = {}
         self._refused: dict[str, str] = {}  # why a peer was refused last
@@ -136,7 +136,7 @@ class Guardian(Component):
             record = self._records.get(register.task_id)
             if record is not None and record.removed:  # its guardians may not have been told before this agent ended
                 one.waiting.append(("", GuardsForgotten(forgotten_guards(record.epoch))))
-            one.effects.extend(recover(register, self._mesh.identity.boot))
+            one.effects.extend(recover(register, self._talk.boot))
             self._go_on(one)
 
     def on_receive(self, message: Any) -> Any:
@@ -174,7 +174,7 @@ class Guardian(Component):
         return [{"agent": self.agent, **row} for row in rows]
 
     def _kept(self) -> list[_Guarded]:
-        return [one for one in self._guarded.values() if self._me in one.register.guards.members()]
+        return [one for one in self._guarded.values() if self._talk.me in one.register.guards.members()]
 
     def _to_take(self, body: Take) -> _Guarded:
         """Returns the task that is to be taken over.
@@ -239,7 +239,7 @@ class Guardian(Component):
 
     def _new(self, register: GuardRegister) -> _Guarded:
         alarm = self._deadlines.new(partial(self._lease_over, register.task_id))
-        one = self._guarded[register.task_id] = _Guarded(register, alarm, Lease(boot=self._mesh.identity.boot))
+        one = self._guarded[register.task_id] = _Guarded(register, alarm, Lease(boot=self._talk.boot))
         return one
 
     @on(NETWORK, KeepLease, keep=KEEP, addressed=True)
@@ -257,31 +257,35 @@ class Guardian(Component):
         """The owner of a task ends: others may take it at once."""
         one = self._guarded.get(packet.body.task_id)
         speaks = packet.body.epoch.minter == agent_of(packet.source)
-        if one is not None and speaks and is_for(packet.body, self._mesh.identity.journal):
+        if one is not None and speaks and self._talk.is_for_me(packet.body):
             self._handle(one, packet)
 
     @on(NETWORK, AskLease, keep=KEEP, addressed=True)
     def on_ask_lease(self, packet: Packet) -> None:
         """Another guardian of a task looks for a new owner."""
         one = self._guarded.get(packet.body.task_id)
-        if one is None or not is_for(packet.body, self._mesh.identity.journal):
+        if one is None or not self._talk.is_for_me(packet.body):
             return
         peer, register = agent_of(packet.source), one.register
         if register.guards.forgotten:
-            self._say(packet.source, LeaseSeen(register.task_id, self._me, False, register.promised, register.guards))
+            self._say(
+                packet.source, LeaseSeen(register.task_id, self._talk.me, False, register.promised, register.guards)
+            )
             return
         if peer not in {member.agent for member in register.guards.members()}:
             return
         self._takeovers.put_off(register.task_id)
         runs = one.lease.epoch is not None
-        seen = LeaseSeen(register.task_id, self._me, runs, register.promised, register.guards, self._held_until(one))
+        seen = LeaseSeen(
+            register.task_id, self._talk.me, runs, register.promised, register.guards, self._held_until(one)
+        )
         self._say(packet.source, seen)
 
     @on(NETWORK, LeaseSeen, keep=KEEP, addressed=True)
     def on_lease_seen(self, packet: Packet) -> None:
         """Another guardian says whether a lease runs there."""
         told = packet.body
-        if told.guardian.agent == agent_of(packet.source) and is_for(told, self._mesh.identity.journal):
+        if told.guardian.agent == agent_of(packet.source) and self._talk.is_for_me(told):
             self._takeovers.seen(told)
             one = self._guarded.get(told.task_id)
             if told.guards.forgotten and one is not None and told.guardian in one.register.guards.members():
@@ -292,7 +296,7 @@ class Guardian(Component):
     def on_may_guard(self, packet: Packet) -> None:
         """The owner of a task looks for guardians."""
         asked, peer = packet.body, agent_of(packet.source)
-        if not is_for(asked, self._mesh.identity.journal):
+        if not self._talk.is_for_me(asked):
             return
         access = self.kernel.access
         refusal = access.fault(peer, "guard", asked.type) or access.fault(peer, "host", asked.type)
@@ -300,7 +304,7 @@ class Guardian(Component):
             refusal = f"{self.agent} has lost what it knew of it"
         answer = CanGuard(
             asked.task_id,
-            self._me,
+            self._talk.me,
             refusal,
             self._state.runs(asked.type),
             "battery" in self.kernel.registry.device_types(),
@@ -311,13 +315,13 @@ class Guardian(Component):
     def _take(self, packet: Packet) -> None:
         asked: KeepLease | SeizeTask = packet.body
         peer = agent_of(packet.source)
-        if not is_for(asked, self._mesh.identity.journal):
+        if not self._talk.is_for_me(asked):
             return
         if fault := self._fault(peer, asked):
             if self._refused.get(peer) != fault:
                 self._refused[peer] = fault
                 self.log("warning", f"{self.agent} does not guard {asked.task_id} for {peer}: {fault}")
-            self._say(packet.source, DenyLease(asked.task_id, asked.epoch, self._me, NO_EPOCH, fault))
+            self._say(packet.source, DenyLease(asked.task_id, asked.epoch, self._talk.me, NO_EPOCH, fault))
             return
         one = self._guarded.get(asked.task_id) or self._new(GuardRegister(asked.task_id))
         if isinstance(asked, KeepLease):  # a newer one says all that an older one says
@@ -363,10 +367,6 @@ class Guardian(Component):
 
     # Deciding --------------------------------------------------------------------------------------------------
 
-    @property
-    def _me(self) -> GuardianId:
-        return GuardianId(self.agent, self._mesh.identity.journal)
-
     def _go_on(self, one: _Guarded) -> None:
         """Goes on with a task, until something waits for the disk."""
         while one.writing is None and (one.effects or one.waiting):
@@ -375,7 +375,7 @@ class Guardian(Component):
             else:
                 one.asker, event = one.waiting.pop(0)
                 one.event = event
-                one.effects.extend(handle(self._me, one.register, one.lease, event))
+                one.effects.extend(handle(self._talk.me, one.register, one.lease, event))
 
     def _carry_out(self, one: _Guarded, effect: GuardEffect) -> None:
         match effect:
@@ -427,7 +427,7 @@ class Guardian(Component):
 
     def _say(self, asker: str, message: GuardAnswer | LeaseSeen | CanGuard) -> None:
         peer, _, place = asker.partition("/")
-        self._takeovers.say(peer, "", place, message)
+        self._talk.say(peer, place, message)
 
 
 def _bytes_of(register: GuardRegister) -> int:

@@ -35,10 +35,10 @@ from pancakes.mesh.migration.record import Phase
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
 from pancakes.runtime.hosting.deadlines import Deadlines
-from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.guarded_looks import GuardedLooks
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.machine import idle
+from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import OtherOwner, Place
 from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.hosting.tenancy import Tenancy
@@ -74,7 +74,7 @@ class Leases:
     def __init__(
         self,
         host: HostingService,
-        talk: GuardTalk,
+        talk: PeerTalk,
         save: Callable[[Sequence[str]], None],
         on_disk: Callable[[Place, PacketId], None],
         outvoted: Callable[[Place, OtherOwner], None],
@@ -130,7 +130,7 @@ class Leases:
             self._end(place)
             if self._host.kernel.stopping:
                 for guardian in record.guards.members():
-                    self._talk.say(guardian, yield_lease(tenure, record, guardian))
+                    self._talk.to_guardian(guardian, yield_lease(tenure, record, guardian))
 
     def _begin(self, place: Place) -> None:
         now_s = self._host.kernel.host.now()
@@ -166,7 +166,7 @@ class Leases:
             forgotten_guards(epoch),
         )
         for guardian in tenancy.heard_s:
-            self._talk.say(guardian, keep)
+            self._talk.to_guardian(guardian, keep)
 
     def _learn_rule(self, place: Place) -> None:
         tenancy = place.tenancy
@@ -216,7 +216,7 @@ class Leases:
         for guardian in sorted(record.guards.members(), key=lambda one: one != self._talk.me):
             with_body = self._lacks_body(tenancy, guardian, record.no)
             keep = keep_lease(tenure, record, tenancy.type, tenancy.lease_s, with_body)
-            self._talk.say(guardian, replace(keep, age_s=age_s))
+            self._talk.to_guardian(guardian, replace(keep, age_s=age_s))
         tenancy.renewal.set(tenancy.lease_s / RENEWED)
 
     def _note(self, place: Place, tenancy: Tenancy) -> None:
@@ -260,7 +260,6 @@ class Leases:
         if isinstance(answer, LeaseKept):
             tenancy.heard_s[answer.guardian] = self._host.kernel.host.now()
         before, tenancy.tenure = tenancy.tenure, answered(tenancy.tenure, record, answer)
-        self._note(place, tenancy)
         if tenancy.tenure.behind:
             if not before.behind:
                 self._tell_behind(place)
@@ -275,9 +274,10 @@ class Leases:
 
     def _permit(self, place: Place, tenancy: Tenancy) -> None:
         permits = self._host.kernel.permits
-        until = tenancy.until.get(tenancy.tenure.granted_beat(place.standing.record.guards))
-        if until is None or until.left_s(permits.moment()) <= 0:  # the answer came too late
+        until = tenancy.until.pop(tenancy.tenure.granted_beat(place.standing.record.guards), None)
+        if until is None or until.left_s(permits.moment()) <= 0:  # no quorum, as before, or it came too late
             return
+        self._note(place, tenancy)
         if place.permit and not self.permits(place):
             self._lost(place, tenancy)
         permits.give(_right(place), until)
@@ -407,7 +407,7 @@ class Leases:
         tenancy.asked_s = self._host.kernel.host.now()
         tenancy.answers = {}
         for guardian in self._talk.neighbours():
-            self._talk.say(guardian, MayGuard(place.task_id, tenancy.type))
+            self._talk.to_guardian(guardian, MayGuard(place.task_id, tenancy.type))
         self._host.after_host(ANSWERED_S, partial(self._choose, place))
 
     def can_guard(self, place: Place, peer: str, answer: CanGuard) -> None:

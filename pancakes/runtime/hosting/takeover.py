@@ -7,25 +7,25 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.errors import ControlRefused, MigrationError, PancakesError
+from pancakes.errors import ControlRefused, MigrationError
 from pancakes.mesh.guarding.guardian_core import GuardRegister
 from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen, TakeTask
 from pancakes.mesh.migration.cost import CostChoice, is_of_core
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId, Guards, newest
-from pancakes.mesh.migration.messages import Solicit, addressed
+from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import TaskId, Wanted
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.mesh.net.mesh import Mesh
-from pancakes.packet import NETWORK, join
+from pancakes.packet import join
 from pancakes.runtime.hosting.bidding_messages import MIGRATOR, AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
+from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.timer import OneShot
-from pancakes.runtime.supervision.guardian_messages import GUARDIAN, AskedOfGuardian, GuardianAnswers
+from pancakes.runtime.supervision.guardian_messages import AskedOfGuardian, GuardianAnswers
 
 RANK_S: Final = 0.15
 """So much later than the guardian before it each guardian looks for a new owner: so that one of them does it."""
@@ -80,12 +80,12 @@ class Takeovers:
 
     Args:
         guardian: the guardian.
-        mesh: says what neighbours there are.
+        talk: how it talks to other agents.
     """
 
-    def __init__(self, guardian: Component, mesh: Mesh) -> None:
+    def __init__(self, guardian: Component, talk: PeerTalk) -> None:
         self._guardian = guardian
-        self._mesh = mesh
+        self._talk = talk
         self._orphans: dict[TaskId, _Orphan] = {}
         self._asks = 0
 
@@ -101,13 +101,13 @@ class Takeovers:
         members = register.guards.members()
         known = self._orphans.get(register.task_id)
         if (
-            known is not None and self._me in members
+            known is not None and self._talk.me in members
         ):  # an agent asks for a pledge, which may be the one that was called
             known.register, known.promised = register, max(known.promised, register.promised)
-            self._later(known, wait_s + RANK_S * members.index(self._me))
+            self._later(known, wait_s + RANK_S * members.index(self._talk.me))
             return
         self._drop(register.task_id)
-        if register.body is None or register.body.wanted is not Wanted.RUNNING or self._me not in members:
+        if register.body is None or register.body.wanted is not Wanted.RUNNING or self._talk.me not in members:
             return
         try:
             snapshot, rules = rules_of(register.body.snapshot, register.task_id)
@@ -127,7 +127,7 @@ class Takeovers:
             promised=register.promised,
         )
         self._orphans[register.task_id] = orphan
-        self._later(orphan, wait_s + RANK_S * members.index(self._me))
+        self._later(orphan, wait_s + RANK_S * members.index(self._talk.me))
 
     def lease_runs(self, task_id: TaskId, epoch: Epoch) -> None:
         """A task has an owner again."""
@@ -162,10 +162,6 @@ class Takeovers:
         if orphan is not None and orphan.timer is not None:
             orphan.timer.cancel()
 
-    @property
-    def _me(self) -> GuardianId:
-        return GuardianId(self._guardian.agent, self._mesh.identity.journal)
-
     # Asking the other guardians ---------------------------------------------------------------------------------
 
     def _later(self, orphan: _Orphan, delay_s: float) -> None:
@@ -177,12 +173,12 @@ class Takeovers:
         now_s = self._guardian.kernel.host.now()
         if orphan.negotiating_s is not None and now_s - orphan.negotiating_s > NEGOTIATED_S:
             orphan.negotiating_s = None
-        orphan.over = {self._me}
+        orphan.over = {self._talk.me}
         for member in orphan.guards.members():
-            if member != self._me:
-                self.say(member.agent, member.journal, GUARDIAN, AskLease(orphan.register.task_id))
+            if member != self._talk.me:
+                self._talk.to_guardian(member, AskLease(orphan.register.task_id))
         members = orphan.register.guards.members()
-        self._later(orphan, max(1.0, orphan.rule.lease_s / 2) + RANK_S * members.index(self._me))
+        self._later(orphan, max(1.0, orphan.rule.lease_s / 2) + RANK_S * members.index(self._talk.me))
         self._look(orphan)
 
     def seen(self, answer: LeaseSeen) -> None:
@@ -194,7 +190,7 @@ class Takeovers:
         orphan.promised = max(orphan.promised, answer.promised)
         if answer.held.checkpoint > orphan.held.checkpoint:
             orphan.held = answer.held
-        if self._me not in orphan.guards.members():
+        if self._talk.me not in orphan.guards.members():
             self._drop(answer.task_id)  # another one has taken its place
             return
         if not answer.runs:
@@ -273,7 +269,7 @@ class Takeovers:
         call = TakeTask(
             register.task_id, register.type, orphan.promised, orphan.guards, orphan.held.checkpoint, silent_s
         )
-        self.say(awarded.peer, "", orphan.snapshot.service, call)
+        self._talk.say(awarded.peer, orphan.snapshot.service, call)
         self._guardian.after_host(CALLED_S, partial(self._look_at_called, orphan, awarded.peer))
 
     def _look_at_called(self, orphan: _Orphan, peer: str) -> None:
@@ -329,16 +325,3 @@ class Takeovers:
         migrator = self._guardian.kernel.registry.get(join(self._guardian.agent, MIGRATOR))
         if migrator is not None:
             tell(migrator, message)
-
-    def say(self, peer: str, journal: str, place: str, message: Any) -> None:
-        """Sends a message to an actor of another agent, or of this one; `journal`: empty: that which it has now."""
-        known = self._mesh.identity.journal
-        if peer != self._guardian.agent:
-            known = next((hello.journal for hello in self._mesh.connected() if hello.name == peer), "")
-        if not known or journal not in ("", known):
-            return
-        try:
-            self._guardian.publish(NETWORK, addressed(message, known), to=join(peer, place))
-        except PancakesError as error:
-            name = type(message).__name__
-            self._guardian.log("debug", f"{name} of {message.task_id} did not reach {peer}: {error}")

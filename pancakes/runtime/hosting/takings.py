@@ -13,8 +13,8 @@ from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.effect import Seize
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.runtime.hosting.guard_talk import GuardTalk
 from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.hosting.tenancy import Taking
@@ -35,7 +35,7 @@ class Takings:
         talk: how it talks to guardians.
     """
 
-    def __init__(self, host: HostingService, talk: GuardTalk) -> None:
+    def __init__(self, host: HostingService, talk: PeerTalk) -> None:
         self._host = host
         self._talk = talk
         self._called = 0  # how many are being taken at a guardian's word
@@ -74,7 +74,7 @@ class Takings:
     def _ask(self, place: Place, guardians: list[GuardianId]) -> None:
         assert place.taking is not None
         for guardian in sorted(guardians, key=lambda one: one != self._talk.me):
-            self._talk.say(guardian, place.taking.seizing.ask())
+            self._talk.to_guardian(guardian, place.taking.seizing.ask())
 
     def _later(self, place: Place, taking: Taking) -> None:
         taking.again = self._host.after_host(AGAIN_S, partial(self._again, place, taking))

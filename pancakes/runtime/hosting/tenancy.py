@@ -30,7 +30,7 @@ class Tenancy(msgspec.Struct):
         type: entry point name of the task's class.
         rule: how the task is guarded; None: it is to be guarded no longer.
         tenure: what its guardians have said.
-        until: until when each asking would let the task act, by beat.
+        until: until when each asking would let the task act, by beat; without those that a quorum has granted.
         lost_s: since when, in host time, it may not.
         told: the epoch, the checkpoint and the guards that guardians were told of last.
         bodies: which checkpoint each guardian was sent last, and with which beat.

@@ -201,11 +201,11 @@ class NetworkService(Service):
         if agent_of(by) == self.agent:
             raise ControlRefused(f"{by} is on this agent: it can subscribe to {body.channel!r} itself")
         destination = agent_of(by)
-        role = next((hello.role for hello in self._mesh.connected() if hello.name == destination), "")
-        if not role:
+        hello = self._mesh.connected().get(destination)
+        if hello is None:
             # It has asked and gone, and no agent would ever end what it began.
             raise ControlRefused(f"{destination} is not connected, so it cannot follow {body.channel!r}")
-        if body.foreign and role != "client":
+        if body.foreign and hello.role != "client":
             # Two agents that follow each other would send one packet to and fro for ever.
             raise ControlRefused(f"{destination} is no client, so it cannot follow what others send to {self.agent}")
         if body.most_hz != 0 and not LEAST_HZ <= body.most_hz < math.inf:

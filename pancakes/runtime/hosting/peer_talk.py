@@ -1,0 +1,69 @@
+"""How the actors that host, move and guard tasks talk to those of other agents: each message is for one disk."""
+
+from __future__ import annotations
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
+from pancakes.mesh.guarding.guard_messages import GuardAnswer, KeepLease, SeizeTask, YieldLease
+from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen, TakeTask
+from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.messages import ForJournal, Message, addressed, is_for
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.packet import NETWORK, join
+from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+
+ToGuardian = KeepLease | SeizeTask | YieldLease | MayGuard
+ToPeer = Message | ToGuardian | GuardAnswer | AskLease | LeaseSeen | CanGuard | TakeTask
+
+
+class PeerTalk:
+    """Sends messages to actors of other agents, or of this one; each may be lost. All in one actor.
+
+    Args:
+        speaker: that actor.
+        mesh: knows this agent's journal, and the neighbours with theirs.
+
+    Attributes:
+        me: this agent as a guardian: its name, and the id of its journal.
+        boot: which life of this agent this is.
+    """
+
+    def __init__(self, speaker: Component | HostingService, mesh: Mesh) -> None:
+        self.me = GuardianId(speaker.agent, mesh.identity.journal)
+        self.boot = mesh.identity.boot
+        self._speaker = speaker
+        self._mesh = mesh
+
+    def neighbours(self) -> list[GuardianId]:
+        """Returns the guardians of all agents that are linked."""
+        return [GuardianId(name, hello.journal) for name, hello in self._mesh.connected().items() if hello.journal]
+
+    def to_guardian(self, guardian: GuardianId, message: ToGuardian | AskLease) -> None:
+        """Sends a message to a guardian, on this agent or another one."""
+        self.say(guardian.agent, GUARDIAN, message, guardian.journal)
+
+    def say(self, agent: str, actor: str, message: ToPeer, journal: str = "") -> None:
+        """Sends a message to an actor of an agent.
+
+        Args:
+            agent: the agent, which may be this one. Where it is not linked, nothing is sent.
+            actor: the address of the actor there, without the agent's name.
+            message: the message.
+            journal: the id of the journal that the agent is to have; empty: that which it has now.
+        """
+        known = self.me.journal
+        if agent != self.me.agent:
+            hello = self._mesh.connected().get(agent)
+            known = hello.journal if hello is not None else ""
+        if not known or journal not in ("", known):
+            return
+        try:
+            self._speaker.publish(NETWORK, addressed(message, known), to=join(agent, actor))
+        except PancakesError as error:
+            self._speaker.log("debug", f"{type(message).__name__} of {message.task_id} did not reach {agent}: {error}")
+
+    def is_for_me(self, message: ForJournal) -> bool:
+        """Returns whether a message was meant for this agent with this disk, and not for a former one."""
+        return is_for(message, self.me.journal)
