@@ -9,14 +9,15 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.control import Revive
-from pancakes.errors import PancakesError
+from pancakes.errors import PancakesError, RemoteProtocolError
 from pancakes.mesh.migration.candidate import would_take
 from pancakes.mesh.migration.effect import StartTask
 from pancakes.mesh.migration.event import Received
-from pancakes.mesh.migration.messages import HandOffMessage, Reserve, Transfer
+from pancakes.mesh.migration.messages import Abort, Commit, HandOffMessage, Nak, Piece, Reserve, Transfer, is_for
+from pancakes.mesh.migration.pieces import Assembly
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.packet import Fence, join
+from pancakes.packet import Fence, Packet, agent_of, join
 from pancakes.runtime.foundation.arrays import alike
 from pancakes.runtime.hosting.courier_messages import COURIER, SendUnsent
 from pancakes.runtime.hosting.disputes import Disputes
@@ -24,6 +25,7 @@ from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.hosting_effect import AskRoom
 from pancakes.runtime.hosting.hosting_event import NoPlace, PlaceFree, Room
 from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import SURE, Place, began_from
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.snapshots import carried_of, settings_now, spec_of
@@ -48,16 +50,25 @@ class Arrivals:
         records: says which service has the record of a task.
         state: says whether this agent can take a task.
         disputes: says what this agent does not know of its tasks.
+        talk: how it talks to other agents.
     """
 
     def __init__(
-        self, host: HostingService, catalogue: Installed, records: Records, state: HostState, disputes: Disputes
+        self,
+        host: HostingService,
+        catalogue: Installed,
+        records: Records,
+        state: HostState,
+        disputes: Disputes,
+        talk: PeerTalk,
     ) -> None:
         self._host = host
         self._disputes = disputes
         self._catalogue = catalogue
         self._records = records
         self._state = state
+        self._talk = talk
+        self._assembly = Assembly()
 
     def found(self, place: Place) -> list[TaskSpec]:
         """Takes up a record that was on disk; returns its task, where the configuration does not have it."""
@@ -90,13 +101,17 @@ class Arrivals:
         lost = self._records.lost(record.task_id) if record.phase is Phase.ABSENT else None
         return lost.undecided(self._host.agent) if lost is not None else ""
 
-    def receive(self, peer: str, message: HandOffMessage, place: Place) -> Received | None:
-        """Takes a hand-off message from a peer.
+    def receive(self, packet: Packet, place: Place) -> Received | None:
+        """Takes a hand-off message of a peer.
 
         Returns:
-            What to feed to the place of the task; None: another service has its record, and answers once it is asked.
+            What to feed to the place of the task; None: the rest of its snapshot is still to come, it was meant for
+            this agent with another disk, or another service has its record, and answers once it is asked.
         """
-        record = place.standing.record
+        peer, record = agent_of(packet.source), place.standing.record
+        message = self._whole(peer, packet.body, place) if is_for(packet.body, self._talk.me.journal) else None
+        if message is None:
+            return None
         if isinstance(message, Reserve):
             refusal = self._state.reserve(peer, message)
             if not refusal:
@@ -112,6 +127,28 @@ class Arrivals:
         if record.unborn and self._records.service_of(message.task_id) not in ("", self._host.name):
             return None
         return Received(peer, message)
+
+    def _whole(self, peer: str, message: HandOffMessage | Piece, place: Place) -> HandOffMessage | None:
+        """Returns a message as it is; of a piece of a snapshot, the whole once all pieces are there."""
+        if not isinstance(message, Piece):
+            if isinstance(message, (Commit, Abort)):
+                self._assembly.end(peer, message.task_id)
+            return message
+        if place.promised != (peer, message.offer):
+            # Where it is no news, its sender hears by another message what became of it.
+            if would_take(place.standing.record, message.offer):
+                nak = Nak(message.task_id, message.offer, "was not asked for a place for it first")
+                self._talk.hand_off(peer, nak)
+            return None
+        try:
+            return self._assembly.add(peer, message)
+        except RemoteProtocolError as error:
+            self._talk.hand_off(peer, Nak(message.task_id, message.offer, str(error)))
+            return None
+
+    def drop_pieces(self, peer: str) -> None:
+        """Forgets the pieces of a peer that has gone: a snapshot that was on its way would come anew."""
+        self._assembly.drop(peer)
 
     def cannot_build(self, peer: str, place: Place, encoded: bytes) -> str:
         """Builds a task that a peer brings, dormant, and keeps its actuators for it; says why that cannot be."""

@@ -15,6 +15,7 @@ from pancakes.mesh.migration.messages import (
     Bid,
     Refuse,
     Solicit,
+    is_for,
 )
 from pancakes.mesh.migration.negotiation import Awarded, Exhausted, Negotiation, Outcome
 from pancakes.mesh.migration.record import TaskId
@@ -238,7 +239,7 @@ class TaskMigrator(Task):
         )
 
     def _answered(self, packet: Packet, take: Callable[[Negotiation, Any, float], Outcome | None]) -> None:
-        if not self._talk.is_for_me(packet.body):
+        if not is_for(packet.body, self._talk.me.journal):
             return
         found = self._negotiations.get(packet.body.task_id)
         if found is not None and found[0].request.ask == packet.body.ask:
@@ -259,7 +260,7 @@ class TaskMigrator(Task):
     @on(NETWORK, Solicit, keep=KEEP)
     def on_solicit(self, packet: Packet) -> None:
         """Answers whether this agent would take a task, and at what cost."""
-        if not self._talk.is_for_me(packet.body):
+        if not is_for(packet.body, self._talk.me.journal):
             return
         request: Solicit = packet.body
         peer = agent_of(packet.source)

@@ -21,12 +21,11 @@ from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.rest import rest_of
 from pancakes.mesh.migration.snapshot import Posted, Snapshot
 from pancakes.mesh.net.mesh import Mesh
-from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.packet import NETWORK, Packet, join
 from pancakes.runtime.hosting import hosting_effect, hosting_event
 from pancakes.runtime.hosting.arrivals import Arrivals
 from pancakes.runtime.hosting.bidding_messages import MIGRATOR, Accounted, BidAwarded, MigratorBegan, MoveOver
 from pancakes.runtime.hosting.births import BirthRule
-from pancakes.runtime.hosting.carrier import Carrier
 from pancakes.runtime.hosting.census_messages import ClaimsCame, CopyNoticed, FactsCame, NeighbourCame
 from pancakes.runtime.hosting.checkpointing import Checkpointing
 from pancakes.runtime.hosting.courier_messages import AskedBegan, CameFor
@@ -41,6 +40,7 @@ from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.machine import AnyEvent, handle
 from pancakes.runtime.hosting.mover import Mover
 from pancakes.runtime.hosting.now import Now
+from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import SURE, Place
 from pancakes.runtime.hosting.places import Places
 from pancakes.runtime.hosting.records import Records, RecordWritten
@@ -120,7 +120,7 @@ class ClientService(Service):
         self._records = records
         self.outbox = outbox
         self.state = state
-        self._carrier = Carrier(self, mesh)
+        self._talk = PeerTalk(self, mesh)
         self.places = Places(self.agent, self.slots)
         self.residents: frozenset[str] = frozenset()
         self._events: deque[tuple[Place, AnyEvent]] = deque()
@@ -132,9 +132,9 @@ class ClientService(Service):
         self.look_after = Waiters(self, records).look_after
         self._mover = Mover(self)
         self._disputes = Disputes(self, records, mesh, births)
-        self._arrivals = Arrivals(self, catalogue, records, state, self._disputes)
+        self._arrivals = Arrivals(self, catalogue, records, state, self._disputes, self._talk)
         self._departures = Departures(self)
-        self._guarded = GuardedTasks(self, records, mesh, self._checkpointing, self._deliveries, self._disputes)
+        self._guarded = GuardedTasks(self, records, self._talk, self._checkpointing, self._deliveries, self._disputes)
         self.first_guardian = self._guarded.first_guardian
         self._decisions = Decisions(self, records, self._mover, self._arrivals, self._disputes)
         self._creations = Creations(self, records, self._arrivals, self._disputes, ledgers, described)
@@ -268,7 +268,7 @@ class ClientService(Service):
                 may = self._guarded.may_write(place, effect.record) if place.tenancy is not None else None
                 self._records.persist(effect.record, self, may)
             case handoff_effect.Send():
-                self._carrier.send(effect.peer, effect.message)
+                self._talk.hand_off(effect.peer, effect.message)
             case handoff_effect.LookForOwner():
                 self._disputes.look_for_owner(place)
             case handoff_effect.After():
@@ -417,7 +417,7 @@ class ClientService(Service):
             case ClaimsCame() | NeighbourCame() | FactsCame() | CopyNoticed():
                 self._disputes.heard(message)
             case PeerDown():
-                self._carrier.drop(message.peer)
+                self._arrivals.drop_pieces(message.peer)
             case BidAwarded():
                 self._mover.awarded(message)
             case Accounted():
@@ -441,16 +441,14 @@ class ClientService(Service):
     @on(NETWORK, messages.Unknown, keep=KEEP, addressed=True)
     def on_hand_off(self, packet: Packet) -> None:
         """Takes a hand-off message in."""
-        place = self.places.get(packet.body.task_id)
-        message = self._carrier.take(packet, place)
-        if message is not None:
-            # Of a task that no agent has asked a place for nothing is kept: a peer may make up as many as it likes.
-            place = place or Place(message.task_id, Standing(Record(message.task_id)))
-            received = self._arrivals.receive(agent_of(packet.source), message, place)
-            if place.promised is not None:
-                self.places.keep(place)
-            if received is not None:
-                self.feed_place(place, received)
+        task_id = packet.body.task_id
+        # Of a task that no agent has asked a place for nothing is kept: a peer may make up as many as it likes.
+        place = self.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
+        received = self._arrivals.receive(packet, place)
+        if place.promised is not None:
+            self.places.keep(place)
+        if received is not None:
+            self.feed_place(place, received)
 
     @on(NETWORK, LeaseKept, keep=KEEP, addressed=True)
     @on(NETWORK, DenyLease, keep=KEEP, addressed=True)
@@ -462,7 +460,7 @@ class ClientService(Service):
         self._guarded.heard(packet)
 
     def connected(self, peer: str) -> bool:
-        return self._carrier.connected(peer)
+        return self._talk.connected(peer)
 
     def has_migrator(self) -> bool:
         return self.kernel.registry.get(join(self.agent, MIGRATOR)) is not None

@@ -9,8 +9,8 @@ from pancakes.mesh.migration.effect import Seize
 from pancakes.mesh.migration.event import PacketId
 from pancakes.mesh.migration.guarded_task import is_checkpoint
 from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.messages import is_for
 from pancakes.mesh.migration.record import Record
-from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import Fence, Packet, agent_of
 from pancakes.runtime.hosting.checkpointing import Checkpointing
 from pancakes.runtime.hosting.deliveries import Deliveries
@@ -41,14 +41,14 @@ class GuardedTasks:
         self,
         host: HostingService,
         records: Records,
-        mesh: Mesh,
+        talk: PeerTalk,
         checkpointing: Checkpointing,
         deliveries: Deliveries,
         disputes: Disputes,
     ) -> None:
         self._host = host
         self._records = records
-        self._talk = PeerTalk(host, mesh)
+        self._talk = talk
         self._leases = Leases(host, self._talk, checkpointing.look_at, deliveries.on_disk, disputes.outvoted)
         self._takings = Takings(host, self._talk)
         self.begin = self._leases.begin
@@ -90,7 +90,7 @@ class GuardedTasks:
     def heard(self, packet: Packet) -> None:
         """A guardian has said something."""
         body, peer = packet.body, agent_of(packet.source)
-        if not self._talk.is_for_me(body):
+        if not is_for(body, self._talk.me.journal):
             return
         if isinstance(body, TakeTask):
             self._called(peer, body)

@@ -38,6 +38,7 @@ from pancakes.mesh.guarding.guardian_core import (
 from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen
 from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.guards import forgotten_guards
+from pancakes.mesh.migration.messages import is_for
 from pancakes.mesh.migration.record import TaskId, Wanted
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.net.mesh import Mesh
@@ -257,14 +258,14 @@ class Guardian(Component):
         """The owner of a task ends: others may take it at once."""
         one = self._guarded.get(packet.body.task_id)
         speaks = packet.body.epoch.minter == agent_of(packet.source)
-        if one is not None and speaks and self._talk.is_for_me(packet.body):
+        if one is not None and speaks and is_for(packet.body, self._talk.me.journal):
             self._handle(one, packet)
 
     @on(NETWORK, AskLease, keep=KEEP, addressed=True)
     def on_ask_lease(self, packet: Packet) -> None:
         """Another guardian of a task looks for a new owner."""
         one = self._guarded.get(packet.body.task_id)
-        if one is None or not self._talk.is_for_me(packet.body):
+        if one is None or not is_for(packet.body, self._talk.me.journal):
             return
         peer, register = agent_of(packet.source), one.register
         if register.guards.forgotten:
@@ -285,7 +286,7 @@ class Guardian(Component):
     def on_lease_seen(self, packet: Packet) -> None:
         """Another guardian says whether a lease runs there."""
         told = packet.body
-        if told.guardian.agent == agent_of(packet.source) and self._talk.is_for_me(told):
+        if told.guardian.agent == agent_of(packet.source) and is_for(told, self._talk.me.journal):
             self._takeovers.seen(told)
             one = self._guarded.get(told.task_id)
             if told.guards.forgotten and one is not None and told.guardian in one.register.guards.members():
@@ -296,7 +297,7 @@ class Guardian(Component):
     def on_may_guard(self, packet: Packet) -> None:
         """The owner of a task looks for guardians."""
         asked, peer = packet.body, agent_of(packet.source)
-        if not self._talk.is_for_me(asked):
+        if not is_for(asked, self._talk.me.journal):
             return
         access = self.kernel.access
         refusal = access.fault(peer, "guard", asked.type) or access.fault(peer, "host", asked.type)
@@ -315,7 +316,7 @@ class Guardian(Component):
     def _take(self, packet: Packet) -> None:
         asked: KeepLease | SeizeTask = packet.body
         peer = agent_of(packet.source)
-        if not self._talk.is_for_me(asked):
+        if not is_for(asked, self._talk.me.journal):
             return
         if fault := self._fault(peer, asked):
             if self._refused.get(peer) != fault:

@@ -7,7 +7,8 @@ from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
 from pancakes.mesh.guarding.guard_messages import GuardAnswer, KeepLease, SeizeTask, YieldLease
 from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen, TakeTask
 from pancakes.mesh.migration.guards import GuardianId
-from pancakes.mesh.migration.messages import ForJournal, Message, addressed, is_for
+from pancakes.mesh.migration.messages import HandOffMessage, Message, Transfer, addressed
+from pancakes.mesh.migration.pieces import cut
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, join
 from pancakes.runtime.hosting.hosting_service import HostingService
@@ -44,6 +45,15 @@ class PeerTalk:
         """Sends a message to a guardian, on this agent or another one."""
         self.say(guardian.agent, GUARDIAN, message, guardian.journal)
 
+    def connected(self, agent: str) -> bool:
+        """Returns whether there is a link to an agent now."""
+        return agent in self._mesh.connected()
+
+    def hand_off(self, agent: str, message: HandOffMessage) -> None:
+        """Sends a hand-off message to the service of the same name on another agent; a snapshot in pieces."""
+        for part in cut(message) if isinstance(message, Transfer) else (message,):
+            self.say(agent, self._speaker.name, part)
+
     def say(self, agent: str, actor: str, message: ToPeer, journal: str = "") -> None:
         """Sends a message to an actor of an agent.
 
@@ -63,7 +73,3 @@ class PeerTalk:
             self._speaker.publish(NETWORK, addressed(message, known), to=join(agent, actor))
         except PancakesError as error:
             self._speaker.log("debug", f"{type(message).__name__} of {message.task_id} did not reach {agent}: {error}")
-
-    def is_for_me(self, message: ForJournal) -> bool:
-        """Returns whether a message was meant for this agent with this disk, and not for a former one."""
-        return is_for(message, self.me.journal)
