@@ -1,0 +1,67 @@
+"""What is said to the actors of other agents, and to whom nothing is said."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.guarding.choosing import MayGuard
+from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.record import TaskId
+from pancakes.runtime.hosting.peer_talk import PeerTalk
+
+ASKED = MayGuard(TaskId("a", "Count"), "count")
+
+
+class Speaker:
+    """Notes what it publishes."""
+
+    agent = "a"
+    name = "client"
+
+    def __init__(self) -> None:
+        self.said: list[tuple[str, str]] = []
+        self.lines: list[str] = []
+        self.fails = False
+
+    def publish(self, channel: str, body: Any, to: str) -> None:
+        if self.fails:
+            raise PancakesError("it is full")
+        self.said.append((to, body.journal))
+
+    def log(self, level: str, line: str) -> None:
+        self.lines.append(line)
+
+
+@pytest.fixture
+def speaker() -> Speaker:
+    return Speaker()
+
+
+@pytest.fixture
+def talk(speaker: Speaker) -> PeerTalk:
+    peers = {"b": SimpleNamespace(journal="of-b"), "desk": SimpleNamespace(journal="")}
+    mesh = SimpleNamespace(identity=SimpleNamespace(journal="of-a", boot=3), connected=lambda: peers)
+    return PeerTalk(cast(Any, speaker), cast(Any, mesh))
+
+
+def test_a_message_is_for_the_disk_that_the_agent_has_now(talk: PeerTalk, speaker: Speaker) -> None:
+    talk.say("b", "client", ASKED)
+    talk.say("a", "client", ASKED)
+    assert speaker.said == [("b/client", "of-b"), ("a/client", "of-a")]
+    assert talk.neighbours() == [GuardianId("b", "of-b")]
+
+
+@pytest.mark.parametrize("guardian", [("b", "lost"), ("a", "lost"), ("c", "of-c"), ("desk", "")])
+def test_nothing_is_said_to_another_disk_or_where_there_is_no_link(
+    talk: PeerTalk, speaker: Speaker, guardian: tuple[str, str]
+) -> None:
+    talk.to_guardian(GuardianId(*guardian), ASKED)
+    assert speaker.said == []
+
+
+def test_what_cannot_be_sent_is_lost_and_noted(talk: PeerTalk, speaker: Speaker) -> None:
+    speaker.fails = True
+    talk.say("b", "client", ASKED)
+    assert speaker.lines == ["MayGuard of a/Count did not reach b: it is full"]
