@@ -186,8 +186,11 @@ def test_what_is_not_there_is_refused_with_the_reason(rig: Rig, abuse: Abuse):
 MOVING = ("moved to", "is being handed over between", "is on its way", "is moving")
 ELSEWHERE = ("has no task or service 'one'", "has no task 'one'", "does not run here", *MOVING)
 """What an agent says of a task that it does not have now."""
-HERE = (" already", ", not running", "is stopped, so it cannot move", "no neighbour can take one: ", " is stuck: ")
-"""What an agent says of a task that it has, and that cannot do what is asked for (stuck: on a busy machine)."""
+HERE = (" already", ", not running", ", so it cannot move", "no neighbour can take one: ", " is stuck: ")
+"""What an agent says of a task that it has, and that cannot do what is asked for.
+
+It is stuck on a busy machine, and starting where it has just arrived.
+"""
 
 
 def stops_and_moves(source: random.Random) -> list[tuple[str, Any]]:
