@@ -14,8 +14,8 @@ from torture.tally import Tally
 def check(tally: Tally) -> None:
     assert (tally.doubled, tally.lost, tally.backwards, tally.missed) == ([], [], [], [])
     assert tally.moves > 10 and tally.ticks > 500 and tally.packets > 50
-    # A checkpoint each second, and the disk may be slow: what a crash takes is bounded.
-    assert tally.worst_step_back < 50 * 5
+    # A checkpoint each second, and the disk may be slow, or kept from the agent: what a crash takes is bounded.
+    assert tally.worst_step_back < 50 * (5 + tally.longest_no_disk_s)
 
 
 @pytest.mark.timeout(300)

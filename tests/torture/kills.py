@@ -247,6 +247,7 @@ class Kills:
         finally:
             self._trap = None
             trap.clear()
+        self.tally.longest_no_disk_s = max(self.tally.longest_no_disk_s, trap.no_disk_s)
         if trap.dead:
             self.fleet.kill(trap.dead)
             self.tally.kills += 1

@@ -103,7 +103,8 @@ def kills(count: int, at: str, first: int, fleets: int, over: str, json_file: Pa
     print(f"hand-overs, by the epochs that the tasks ran under: {tally.moves}")
     print(f"hand-overs answered with success: {tally.asked}")
     print(
-        f"ticks counted: {tally.ticks}, at most {tally.worst_step_back} of a task forgotten in one crash (50 a second)"
+        f"ticks counted: {tally.ticks}, at most {tally.worst_step_back} of a task forgotten in one crash (50 a second);"
+        f" a trap kept an agent from its disk for {tally.longest_no_disk_s:.1f} s at most"
     )
     print(f"packets to tasks counted: {tally.packets}")
     print(f"all ran again within: {max(tally.heals_s):.1f} s")

@@ -21,6 +21,7 @@ class Tally:
         lost: a sentence for each time that a task did not run after all was well again.
         backwards: a sentence for each time that a task ran under an epoch that had passed.
         worst_step_back: by how many ticks a task was set back by a crash, at most.
+        longest_no_disk_s: for how long a trap has kept an agent from writing anything, at most.
         packets: how many packets to tasks had their effect.
         points: how many agents were killed at each point between effects, by its name.
         roads: how often what leads from agent to agent has failed, by how.
@@ -36,6 +37,7 @@ class Tally:
     lost: list[str] = field(default_factory=list)
     backwards: list[str] = field(default_factory=list)
     worst_step_back: int = 0
+    longest_no_disk_s: float = 0.0
     packets: int = 0
     points: Counter[str] = field(default_factory=Counter)
     roads: Counter[str] = field(default_factory=Counter)
@@ -52,6 +54,7 @@ class Tally:
         self.lost += other.lost
         self.backwards += other.backwards
         self.worst_step_back = max(self.worst_step_back, other.worst_step_back)
+        self.longest_no_disk_s = max(self.longest_no_disk_s, other.longest_no_disk_s)
         self.packets += other.packets
         self.points += other.points
         self.roads += other.roads

@@ -69,6 +69,7 @@ def test_an_agent_is_held_in_the_write_that_follows_a_word(tmp_path: Path) -> No
     rig.trap.clear()  # in a test it lives, and its write fails
     agent.join(10.0)
     assert "cannot write" in failures[0]
+    assert rig.trap.no_disk_s > 0.0
     journal.close()
     (kept,) = FileJournal(tmp_path / "a").entries(KIND)
     assert Record.decode(kept.data).phase is Phase.OWNER
@@ -105,6 +106,8 @@ def test_an_agent_dies_after_a_write(tmp_path: Path) -> None:
     assert rig.trap.spring(0.0) == "", "nothing was written yet"
     journal.write([entry(Phase.RELEASED)])
     assert rig.trap.spring(10.0) == "a"
+    rig.trap.clear()
+    assert rig.trap.no_disk_s == 0.0, "nothing kept it from writing"
     journal.close()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -51,6 +52,9 @@ class Trap:
         point: which.
         field: where.
         victim: whom, where the point itself does not say so: where it has no word, or the agent was there before.
+
+    Attributes:
+        no_disk_s: how long its gate has kept the victim from writing anything.
     """
 
     def __init__(self, point: Point, field: Field, victim: str = "") -> None:
@@ -62,6 +66,8 @@ class Trap:
         self._dead = ""
         self._gate: Gate | None = None
         self._record: RecordWatch | None = None
+        self._laid_s = 0.0
+        self.no_disk_s = 0.0
 
     def begin(self, start: Callable[[str], None] | None = None) -> None:
         """Lays the trap where its point has no word: there is nothing to wait for.
@@ -142,6 +148,8 @@ class Trap:
         with self._lock:
             self._set.set()
             if self._gate is not None:
+                if isinstance(self._gate, WriteGate):
+                    self.no_disk_s = time.monotonic() - self._laid_s
                 self._gate.remove()
                 self._gate = None
 
@@ -170,6 +178,7 @@ class Trap:
         match self.point.how:
             case "write":
                 self._gate = WriteGate(field.state / victim)
+                self._laid_s = time.monotonic()
             case "written":
                 self._record = RecordWatch(field.state, victim, field.task_id)
             case how:
