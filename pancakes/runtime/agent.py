@@ -226,6 +226,7 @@ class Agent:
             access=self.kernel.access,
             keys=self._keys,
             timebase=self.kernel.timebase,
+            links=config.agent.links,
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
         self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))

@@ -34,10 +34,23 @@ class _Faulty(Agent):
             super().receive(peer, came, size * len(came) // len(packets))
 
 
-def meeting(name: str, known: Iterable[Config]) -> dict[str, Any]:
-    """Returns the keys of `[agent]` by which an agent meets those that are known, and waits for no others."""
+def meeting(name: str, known: Iterable[Config], links: int | None = None) -> dict[str, Any]:
+    """Returns the keys of `[agent]` by which an agent meets those that are known, and waits for no others.
+
+    Args:
+        name: the agent.
+        known: the configurations of the others.
+        links: as in `[agent]`: with a few links it dials one of them, and hears of the others.
+    """
     peers = tuple(config.agent.addresses[-1] for config in known if config.agent.name != name)
+    if links is not None:
+        peers = peers[:1]
     return {"listen": f"tcp://{name}:7400", "peers": peers, "birth_wait_s": 0.0}
+
+
+def has_met(links: int | None, met: int, others: int) -> bool:
+    """Returns whether an agent that is linked to `met` of all others is linked to as many as it keeps links to."""
+    return met >= (others if links is None else min(links, others))
 
 
 class BuiltFleet(Generic[HandleT]):
@@ -121,7 +134,7 @@ class BuiltFleet(Generic[HandleT]):
             agent: keys of `[agent]` and `[clock]`. Without `folders` a command may have files
                 written below the system's temporary directory, where pytest's `tmp_path` lies.
         """
-        agent = {**meeting(name, self._configs.values()), "join_s": 0.0, **agent}
+        agent = {**meeting(name, self._configs.values(), agent.get("links")), "join_s": 0.0, **agent}
         made = parts(name, text, tasks, devices, services, agent)
         self._clocks[name] = clock_rate, clock_ahead_s
         return self.start_as(made.config, {**(classes or {}), **made.classes}, settle)
@@ -206,10 +219,13 @@ class BuiltFleet(Generic[HandleT]):
         return self.fleet.run_while(lambda: not condition(), at_most_s)
 
     def connect(self, at_most_s: float = PATIENCE_S) -> None:
-        """Runs until every agent has a link to every other."""
+        """Runs until every agent has a link to every other, or to as many as it keeps."""
 
         def meshed() -> bool:
-            return all(len(agent.agent.mesh.connected()) == len(self.agents) - 1 for agent in self.agents.values())
+            return all(
+                has_met(agent.agent.config.agent.links, len(agent.agent.mesh.connected()), len(self.agents) - 1)
+                for agent in self.agents.values()
+            )
 
         if not self.run_until(meshed, at_most_s):
             raise self.handle.failure(f"no full mesh within {at_most_s:g} s")

@@ -20,7 +20,7 @@ from pancakes.packet import LOG, SYSCTRL
 from pancakes.runtime.config import Config, load
 from pancakes.runtime.plugins import Plugins
 from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle, SimulationError
-from pancakes.simulation.built_fleet import BuiltFleet, meeting
+from pancakes.simulation.built_fleet import BuiltFleet, has_met, meeting
 from pancakes.simulation.faults import Faults
 from pancakes.simulation.made_in_code import parts, registered, silent
 
@@ -123,7 +123,7 @@ class Simulation:
             The simulation.
         """
         others = [config for config in self._configs.values() if config.agent.name != name]
-        made = parts(name, text, tasks, devices, services, {**meeting(name, others), **agent})
+        made = parts(name, text, tasks, devices, services, {**meeting(name, others, agent.get("links")), **agent})
         self._classes.update({**(classes or {}), **made.classes})
         self._enter(made.config)
         return self
@@ -197,10 +197,11 @@ class Simulation:
         if not found.ready.is_set():
             return "is not ready"
         own = self._configs[name].agent.fleet
-        met = set(found.mesh.connected())
         others = [other for other in self.agents if other != name and self._configs[other].agent.fleet == own]
+        met = found.mesh.connected()
         unmet = [other for other in others if other not in met]
-        return f"has not met {', '.join(unmet)}" if unmet else ""
+        is_enough = has_met(self._configs[name].agent.links, len(others) - len(unmet), len(others))
+        return "" if is_enough else f"has not met {', '.join(unmet)}"
 
     def step(self, seconds: float) -> None:
         """Runs all agents for so many seconds of virtual time.

@@ -42,7 +42,9 @@ def speaker() -> Speaker:
 @pytest.fixture
 def talk(speaker: Speaker) -> PeerTalk:
     peers = {"b": SimpleNamespace(journal="of-b"), "desk": SimpleNamespace(journal="")}
-    mesh = SimpleNamespace(identity=SimpleNamespace(journal="of-a", boot=3), connected=lambda: peers)
+    mesh = SimpleNamespace(
+        identity=SimpleNamespace(journal="of-a", boot=3), connected=lambda: peers, seek=lambda agent: agent == "far"
+    )
     return PeerTalk(cast(Any, speaker), cast(Any, mesh))
 
 
@@ -65,3 +67,11 @@ def test_what_cannot_be_sent_is_lost_and_noted(talk: PeerTalk, speaker: Speaker)
     speaker.fails = True
     talk.say("b", "client", ASKED)
     assert speaker.lines == ["MayGuard of a/Count did not reach b: it is full"]
+
+
+def test_what_is_for_a_known_disk_waits_for_a_link_and_what_is_for_any_is_said_again(
+    talk: PeerTalk, speaker: Speaker
+) -> None:
+    talk.to_guardian(GuardianId("far", "of-far"), ASKED)
+    talk.say("far", "client", ASKED)
+    assert speaker.said == [("far/kernel/Guardian", "of-far")]

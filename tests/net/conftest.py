@@ -266,8 +266,8 @@ class BarePeer(ConnectionHandler):
                     self.act(self.link.admit(self._now()))
                 case Up():
                     self.is_up = True
-                case Learnt(addresses):
-                    self.told.append(addresses)
+                case Learnt(agents):
+                    self.told.append(tuple(it.address for it in agents))
                 case PacketsReceived(packets):
                     self.packets.extend(packets)
                 case Over():
@@ -355,6 +355,7 @@ class Agent:
         times: LinkTimes | None = None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         follows: bool = False,
+        links: int | None = None,
     ) -> None:
         self._rig = rig
         self.name = name
@@ -383,6 +384,7 @@ class Agent:
             times=times,
             access=None if follows else access,
             keys=keys,
+            links=links,
         )
         self.mesh.start()
 

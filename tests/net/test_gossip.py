@@ -9,7 +9,7 @@ import pytest
 
 from pancakes.mesh.net.gossip import Gossiper
 from pancakes.mesh.way_facts import Reach, WayFacts, nameable_from, reach_of, reachable_from
-from pancakes.mesh.wire.link_messages import Gossip, Identity
+from pancakes.mesh.wire.link_messages import AgentSeen, Gossip, Identity
 
 LOCAL, LOOPBACK, FIELD = "local://a", "tcp://127.0.0.1:7401", "tcp://10.0.0.1:7401"
 
@@ -84,7 +84,8 @@ def test_a_peer_elsewhere_sends_no_agent_to_places_of_its_own_machine(memory_rig
     peer = memory_rig.bare_peer("z", a, at=at, listen=named if by == "hello" else "")
     memory_rig.until(lambda: peer.is_up)
     if by == "gossip":
-        peer.act(peer.link.tell(Gossip(tuple(named)), memory_rig.clock.now()))
+        said = Gossip(tuple(AgentSeen("v", it) for it in named))
+        peer.act(peer.link.tell(said, memory_rig.clock.now()))
     memory_rig.timeline.run_until(1.0)
     assert [it["address"] for it in a.mesh.describe()["addresses"]] == dialled
 
@@ -132,13 +133,14 @@ class RoutedWays:
     ],
 )
 def test_a_gateway_tells_each_side_what_that_side_can_dial(remote, listens, told):
-    said: list[tuple[str, ...]] = []
+    said: list[tuple[AgentSeen, ...]] = []
     hello = Identity("n", "journal").hello(listens)
     session: Any = types.SimpleNamespace(hello=hello, remote=remote, number=1)
     links: Any = [session]
     ways: Any = RoutedWays()
-    gossiper = Gossiper("agent", links, lambda session, message: said.append(message.addresses), ways)
+    gossiper = Gossiper("agent", links, lambda session, message: said.append(message.agents), ways, None)
     both = ("zenoh://both:1", "tcp://10.0.0.3:1")  # in any order: the cheapest way is told
-    peers: Any = types.SimpleNamespace(gossip=lambda: (both, ("zenoh://far:1",)), is_news=lambda number: False)
-    gossiper.stood_up(session, peers)
-    assert said[0] == told
+    agents = [("both", both, 0.0), ("far", ("zenoh://far:1",), 0.0)]
+    peers: Any = types.SimpleNamespace(gossip=lambda: agents, is_news=lambda number: False)
+    gossiper.stood_up(session, peers, 0.0)
+    assert tuple(it.address for it in said[0]) == told

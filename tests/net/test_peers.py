@@ -8,16 +8,8 @@ import random
 import pytest
 
 from pancakes.mesh.net.address_book import FORGET_AFTER, MAX_LEARNT, MOST_OF_PEER, AddressBook
-from pancakes.mesh.net.peers import (
-    MAX_AGENTS,
-    MAX_CLIENTS,
-    MOST_DIALS,
-    Admit,
-    Dial,
-    Peers,
-    TurnDown,
-    reachable,
-)
+from pancakes.mesh.net.link_decision import Admit, Dial, TurnDown
+from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS, MOST_DIALS, Peers, reachable
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.link_messages import Goodbye, Hello
 
@@ -250,7 +242,7 @@ def test_addresses_are_learnt_dialled_and_spread_but_never_those_of_clients():
     connect(it, "y", role="client")
     connect(it, "x", role="environment")
     connect(it, "w", listen="")
-    assert it.gossip() == (("tcp://x:1",), ("tcp://z:1",))
+    assert it.gossip() == [("x", ("tcp://x:1",), 0.0), ("z", ("tcp://z:1",), 0.0)]
     assert "tcp://y:1" not in addresses(it)
 
 

@@ -9,7 +9,7 @@ from pancakes.mesh.net.send_buffer import Message
 from pancakes.mesh.net.session import MOST_UNSENT_BYTES, Session, Train
 from pancakes.mesh.net.transport import Connection
 from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.link_messages import Pong
+from pancakes.mesh.wire.link_messages import Identity, Pong
 from pancakes.packet import Fence
 
 
@@ -60,7 +60,10 @@ def test_the_answers_to_endless_pings_that_nobody_takes_do_not_fill_the_memory()
 
 def test_a_link_is_quiet_since_its_last_packet_went_either_way() -> None:
     session = Session(Nobody(), 1, "", lambda: 0.0)
+    session.hello = Identity("a", "journal", role="client").hello()
     assert session.quiet_s(100.0) == math.inf, "none ever came in"
+    session.hello = Identity("a", "journal").hello()
+    assert session.quiet_s(100.0) == 100.0, "an agent need not say anything"
     session.counters.packets_in = 1
     assert (session.quiet_s(100.0), session.quiet_s(103.0)) == (0.0, 3.0)
     session.counters.packets_out = 1

@@ -55,7 +55,7 @@ from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.link_messages import Gossip, Ping, Pong, RosterNumber
+from pancakes.mesh.wire.link_messages import AgentSeen, Gossip, Ping, Pong, RosterNumber
 from pancakes.mesh.wire.runs import PacketRun, messages_from_payload, packets_of
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, SYSTEM, Packet, type_name
 
@@ -142,7 +142,10 @@ class Fuzzed:
 
 def pools(source: random.Random) -> tuple[list[bytes], list[bytes]]:
     """Returns frames that keep a link, and frames that end one: of most a part is not as it should be."""
-    keeping = [frame([Encoder().link_message(Gossip((f"tcp://10.0.0.{number}:9",)))]) for number in range(50)]
+    keeping = [
+        frame([Encoder().link_message(Gossip((AgentSeen(f"n{number}", f"tcp://10.0.0.{number}:9"),)))])
+        for number in range(50)
+    ]
     keeping += [
         frame([Encoder().link_message(it)]) for it in (Ping(1), Pong(2**40, 0.0), RosterNumber(0), RosterNumber(9))
     ]

@@ -19,7 +19,7 @@ from pancakes.bodies.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.mesh.wire.codec import Encoder, of_agent, packet_from_row, rows_from_payload
 from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.mesh.wire.link_messages import HELLO_NUMBER, Gossip, Hello, Identity, Ping
+from pancakes.mesh.wire.link_messages import HELLO_NUMBER, AgentSeen, Gossip, Hello, Identity, Ping
 from pancakes.mesh.wire.packet_bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH, encodable
 from pancakes.mesh.wire.runs import PacketRun, RowEncoder, head_of, messages_from_payload, packets_of, run_of
 from pancakes.packet import Fence, Packet, packet_type
@@ -275,7 +275,7 @@ def test_any_bytes_are_read_or_refused(data):
     [
         Hello(1, "default", "a", "agent", "uuid", 3, ("tcp://127.0.0.1:1",)),
         Ping(4),
-        Gossip(("tcp://a:1", "tcp://b:1")),
+        Gossip((AgentSeen("a", "tcp://a:1"), AgentSeen("b", "tcp://b:1", 2.5))),
     ],
 )
 def test_messages_of_the_link_travel(message):

@@ -23,7 +23,18 @@ from pancakes.mesh.wire.link import (
     TimebaseHeard,
     Up,
 )
-from pancakes.mesh.wire.link_messages import VERSION, Goodbye, Gossip, Hello, Ping, Pong, RefuseLink, Timebase, Welcome
+from pancakes.mesh.wire.link_messages import (
+    VERSION,
+    AgentSeen,
+    Goodbye,
+    Gossip,
+    Hello,
+    Ping,
+    Pong,
+    RefuseLink,
+    Timebase,
+    Welcome,
+)
 from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
 from pancakes.packet import Packet
 
@@ -80,6 +91,7 @@ def up(name="a", peer="b", now_s=0.0):
     return link
 
 
+C = AgentSeen("c", "tcp://c:1")
 PACKET = Packet("chat", "words", "b/c/d", "a", 0.0, 1, "hello")
 
 
@@ -116,11 +128,11 @@ def test_one_that_ends_with_its_hello_is_told_nothing(last):
 
 def test_packets_and_messages_keep_their_order():
     link = up()
-    actions = link.receive(wire(PACKET, PACKET, Gossip(("tcp://c:1",)), PACKET) + wire(PACKET), 1.0)
+    actions = link.receive(wire(PACKET, PACKET, Gossip((C,)), PACKET) + wire(PACKET), 1.0)
     assert actions == [
         received(PACKET),
         received(PACKET),
-        Learnt(("tcp://c:1",)),
+        Learnt((C,)),
         received(PACKET),
         received(PACKET),
     ]
@@ -359,10 +371,12 @@ def test_a_welcome_is_waited_for_until_an_older_link_may_have_died():
         ([6, "sleep", 1.1e9], False),
         ([3, "full", "x" * 1000], True),
         ([3, "full", "x" * 1001], False),
-        ([7, ["tcp://" + "x" * 248 + ":1"]], True),
-        ([7, ["tcp://" + "x" * 249 + ":1"]], False),
-        ([7, ["tcp://x:1"] * 128], True),
-        ([7, ["tcp://x:1"] * 129], False),
+        ([7, [["c", "tcp://" + "x" * 248 + ":1", 0]]], True),
+        ([7, [["c", "tcp://" + "x" * 249 + ":1", 0]]], False),
+        ([7, [["c", "tcp://x:1", 1.5]] * 128], True),
+        ([7, [["c", "tcp://x:1", 1.5]] * 129], False),
+        ([7, [["c/d", "tcp://x:1", 0]]], False),
+        ([7, [["c", "tcp://x:1", -1]]], False),
     ],
 )
 def test_the_parts_of_a_message_have_limits(message, fits):
@@ -371,7 +385,7 @@ def test_the_parts_of_a_message_have_limits(message, fits):
 
 
 def test_an_address_that_is_none_breaks_the_protocol():
-    over = up().receive(wire(Gossip(("tcp://c:1", "tcp://c d:1"))), 1.0)[-1]
+    over = up().receive(wire(Gossip((C, AgentSeen("d", "tcp://c d:1")))), 1.0)[-1]
     assert over.broken and "'tcp://c d:1' is no address" in over.reason
 
 

@@ -19,6 +19,9 @@ MOST_OF_PEER: Final = 16
 FORGET_AFTER: Final = 20
 """A learnt address that failed so often in a row is forgotten; the longest wait is reached at the eighth."""
 
+RESTS_S: Final = 600.0
+"""A static address whose agent has ended the link as one too many is dialled again after so long."""
+
 
 class KnownAddress(msgspec.Struct):
     """An address that can be dialled."""
@@ -139,11 +142,35 @@ class AddressBook:
         else:
             self.retry(it, now_s)
 
+    def forget(self, address: str) -> None:
+        """Forgets a learnt address, once it is not being dialled."""
+        it = self._known.get(address)
+        if it is None or it.static:
+            return
+        if it.link is not None:
+            it.failures = FORGET_AFTER
+        else:
+            del self._known[address]
+            self._learnt -= 1
+
+    def rest(self, address: str, now_s: float) -> None:
+        """The agent there is not to be dialled for a while: forgets an address that was learnt."""
+        it = self._known[address]
+        if it.static:
+            it.failures, it.due_s = 0, now_s + RESTS_S
+        else:
+            self.forget(address)
+
     def retry(self, it: KnownAddress, now_s: float) -> None:
         """Puts the next dial off by a random time with a doubling bound: full jitter."""
         doublings = min(max(it.failures - 1, 0), 30)
         bound_s = min(self._times.retry_first_s * 2**doublings, self._times.retry_longest_s)
         it.due_s = now_s + self._random.uniform(0.0, bound_s)
+
+    def make_due(self, address: str, now_s: float) -> None:
+        """Has an address dialled now, where it is known."""
+        if (it := self._known.get(address)) is not None:
+            it.due_s = min(it.due_s, now_s)
 
     def all_due(self, now_s: float) -> None:
         """Makes all addresses due now."""

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final, Protocol
 
 from pancakes.mesh.address import LOCAL
+from pancakes.mesh.net.few_links import FewLinks, Sighting
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.peers import Peers
 from pancakes.mesh.net.session import Session
 from pancakes.mesh.net.transport import Transport
 from pancakes.mesh.way_facts import reachable_from
-from pancakes.mesh.wire.link_messages import Gossip, Role
+from pancakes.mesh.wire.link_messages import AgentSeen, Gossip, Hello, Role
 
 ADDRESSES: Final = 64
 """Most addresses in one message to a new link."""
+BEACON_ADDRESSES: Final = 8
+"""So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
+every agent the square of the fleet, for what all agents know: a new link gets them all.
+"""
 
 _EVERYWHERE: Final = (LOCAL, "tcp")
 """Each agent dials these; other schemes those agents alone that are linked by them, or listen at them."""
-
-Listens = tuple[str, ...]
-"""Where one agent can be dialled, the best address first."""
 
 
 class Says(Protocol):
@@ -38,44 +40,58 @@ class Gossiper:
         links: its links.
         say: sends what it tells.
         transport: knows the ways to addresses.
+        few: knows all agents, where this one keeps links to a few alone; None: it tells of those that are linked.
     """
 
-    def __init__(self, role: Role, links: Links, say: Says, transport: Transport) -> None:
+    def __init__(self, role: Role, links: Links, say: Says, transport: Transport, few: FewLinks | None) -> None:
         # A client that looks at two agents must not make neighbours of them: it belongs to neither.
         self._tells = role != "client"
         self._links = links
         self._say = say
         self._transport = transport
+        self._few = few
+        self._beacons = 0
 
-    def beacon(self, peers: Peers) -> None:
-        """Tells all peers of some agents."""
-        agents = peers.beacon()
+    def beacon(self, own: Hello, peers: Peers, now_s: float) -> None:
+        """Tells all peers of this agent, and some others."""
+        others = peers.gossip() if self._few is None else self._few.some(BEACON_ADDRESSES, now_s)
+        if len(others) > BEACON_ADDRESSES:
+            first = self._beacons * BEACON_ADDRESSES % len(others)
+            others = (others + others)[first : first + BEACON_ADDRESSES]
+        self._beacons += 1
+        agents = [*([(own.name, own.listen, 0.0)] if own.listen else ()), *others]
         self._links.announced(sum([self._tell(session, agents) for session in self._links]))
 
-    def stood_up(self, session: Session, peers: Peers) -> None:
+    def stood_up(self, session: Session, peers: Peers, now_s: float) -> None:
         """Tells a new peer of all agents, and the others of it, unless it is known."""
-        agents = peers.gossip()
+        hello, is_news = session.hello, peers.is_news(session.number)
+        if self._few is None:
+            agents = peers.gossip()
+        else:  # a link that comes and goes is no reason to tell everything again
+            agents = self._few.fresh(now_s) if is_news else []
         for first in range(0, len(agents), ADDRESSES):
             self._tell(session, agents[first : first + ADDRESSES])
-        hello = session.hello
         # Of an address that peers have named they know, and the newcomer hears of all others and dials them.
-        if hello is not None and hello.listen and hello.role != "client" and peers.is_news(session.number):
+        if hello is not None and hello.listen and hello.role != "client" and is_news:
             for other in self._links:
-                self._tell(other, [hello.listen])
+                self._tell(other, [(hello.name, hello.listen, 0.0)])
 
-    def _tell(self, session: Session, agents: Iterable[Listens]) -> bool:
+    def _tell(self, session: Session, agents: Iterable[Sighting]) -> bool:
         """Tells a peer of agents other than itself, as far as it can dial them; returns whether there were any."""
         if not self._tells or session.hello is None:
             return False
         own = set(session.hello.listen)
         schemes = {*_EVERYWHERE, *map(_scheme, (session.remote, *own))}
-        others = [self._best(session.remote, schemes, listen) for listen in agents if own.isdisjoint(listen)]
-        named = tuple(filter(None, others))
+        named = [
+            AgentSeen(name, address, age_s)
+            for name, listen, age_s in agents
+            if own.isdisjoint(listen) and (address := self._best(session.remote, schemes, listen))
+        ]
         if named:
-            self._say(session, Gossip(named))
+            self._say(session, Gossip(tuple(named)))
         return bool(named)
 
-    def _best(self, remote: str, schemes: set[str], listen: Listens) -> str:
+    def _best(self, remote: str, schemes: set[str], listen: Sequence[str]) -> str:
         """Returns the cheapest address of an agent that a peer can dial, the first of equal ones; empty: none."""
         there = reachable_from(remote, listen, self._transport.reach)
         dialled = [address for address in there if _scheme(address) in schemes]

@@ -79,6 +79,11 @@ class LinkLog:
         self._last_reason[place, level] = (text, now_s, 0)
         self._say(level, f"{text} (and {untold} others, that were not told of)" if untold else text)
 
+    def given_up(self, agent: str, packets: int) -> None:
+        """No link to an agent came to stand for which packets were waiting."""
+        if packets:
+            self._say("warning", f"{packets} packets for {agent} are lost: no link to it could be made")
+
     def drops(self, session: Session, now_s: float) -> None:
         """Names a peer that lost packets since it was last named."""
         dropped = sum(session.counters.dropped.values())

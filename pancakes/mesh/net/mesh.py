@@ -9,24 +9,28 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.net.address_book import RESTS_S
 from pancakes.mesh.net.alarm import Alarm
+from pancakes.mesh.net.few_links import FewLinks, GiveUp
 from pancakes.mesh.net.gate import OPEN, Gate
 from pancakes.mesh.net.gossip import Gossiper
+from pancakes.mesh.net.link_decision import Admit, Decision, Dial, Rest
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.newcomers import MAX_HANDSHAKES, makes_room
-from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
+from pancakes.mesh.net.peers import Peers, is_namesake
 from pancakes.mesh.net.receiving import Receiving
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
 from pancakes.mesh.net.timekeeping import Timekeeping
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
 from pancakes.mesh.net.trust import Trust
+from pancakes.mesh.net.upkeep import Upkeep
 from pancakes.mesh.net.why_lost import why_lost
 from pancakes.mesh.way_facts import reachable_from
 from pancakes.mesh.wire.link import (
@@ -51,9 +55,6 @@ from pancakes.runtime.clock import Clock
 if TYPE_CHECKING:
     from pancakes.mesh.security.access import Access
     from pancakes.mesh.security.keys import Keys
-
-TOGETHER: Final = 0.1
-"""So much of a heartbeat later the times of links are kept, so that one wake-up of the thread serves many of them."""
 
 
 class Mesh:
@@ -83,6 +84,7 @@ class Mesh:
         access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
         keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
         timebase: returns what its mission time and time of day are; None: it is a terminal, which tells none.
+        links: to so many agents it keeps links, and to others while there is something for them; None: to all.
 
     Attributes:
         clocks: the clocks of its peers.
@@ -107,6 +109,7 @@ class Mesh:
         access: Access | None = None,
         keys: Keys | None = None,
         timebase: Callable[[], Timebase] | None = None,
+        links: int | None = None,
     ) -> None:
         self.identity = identity
         self._gate = gate
@@ -123,14 +126,15 @@ class Mesh:
         self._log = LinkLog(on_log, peers)
         self._state = "new"
         self._asleep_until_s = 0.0
-        self._gossip = Gossiper(identity.role, self._links, self._tell, transport)
+        self._few = FewLinks(links, source, host_clock.now()) if links is not None else None
+        self._gossip = Gossiper(identity.role, self._links, self._tell, transport, self._few)
         later, now = transport.call_later, host_clock.now
         self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
         self._receiving = Receiving(self._trust, self._log, now, self._log.attempt, on_packets, on_unfit)
         self.clocks = Timekeeping(timebase, now, self._links, self._tell)
-        self._sending = Sending(self._lost, defer)
+        self._sending = Sending(self._lost, defer, self.seek)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
-        self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
+        self._upkeep = Upkeep(self._sessions, transport, self._now, self._times, self._log, self._act, self._over)
 
     # From any thread
 
@@ -167,6 +171,14 @@ class Mesh:
             PeerBusy: the agent is connected but too slow, and the channel may not lose packets.
         """
         return self._sending.send(packet, retry)
+
+    def seek(self, agent: str) -> bool:
+        """Has a link made to an agent that is known and not linked; returns whether one is being made."""
+        peers = self._peers
+        if peers is None or self._state != "running" or not peers.knows(agent) or agent in peers.asleep(self._now()):
+            return False
+        self._transport.call_later(0.0, lambda: self._seek(agent))
+        return True
 
     def announce(self) -> None:
         """Tells all peers the addresses that are known here: the beacon of discovery. A mission packet to each."""
@@ -257,7 +269,7 @@ class Mesh:
         if self._state != "new":
             return
         times, ways = self._times, (self._transport.may_be_named, self._transport.reach)
-        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, *ways)
+        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, *ways, self._few)
         self._state = "running"  # from now on `describe` has all that is known
         self._trust.begin()
         self._run_peers()
@@ -265,6 +277,10 @@ class Mesh:
     def _learn(self, addresses: tuple[str, ...]) -> None:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.learnt(addresses, self._now()))
+
+    def _seek(self, agent: str) -> None:
+        if self._peers is not None and self._state == "running":
+            self._carry_out(self._peers.seek(agent, self._now()))
 
     def _redial(self) -> None:
         if self._peers is not None and self._state == "running":
@@ -303,7 +319,7 @@ class Mesh:
 
     def _beacon(self) -> None:
         if self._peers is not None:
-            self._gossip.beacon(self._peers)
+            self._gossip.beacon(self._own, self._peers, self._now())
 
     def _accept(self) -> ConnectionHandler:
         if self._peers is None or self._state == "stopped":
@@ -328,7 +344,7 @@ class Mesh:
         rests = self._transport.facts(session.remote).tells_deaths
         session.link = Link(own, self._times.rested() if rests else self._times, now_s, answers=not session.address)
         self._act(session, session.link.open(now_s))
-        self._watch(session)
+        self._upkeep.watch(session)
 
     def session_received(self, session: Session, data: bytes) -> None:
         """See `Owner`."""
@@ -349,41 +365,6 @@ class Mesh:
         if session.number in self._sessions:
             self._over(session, Over(reason))
 
-    def _watch(self, session: Session) -> None:
-        """Sees to it that `_tick` runs when the link has something to do."""
-        if session.link is not None and session.number in self._sessions:
-            session.due_s = session.link.due_s()
-            if session.due_s < self._links_alarm.due_s:
-                self._links_alarm.set(session.due_s)
-
-    def _run_links(self) -> None:
-        self._links_alarm.due_s = -math.inf  # not to be set for each link
-        now_s = self._now()
-        try:
-            for session in list(self._sessions.values()):
-                if session.due_s <= now_s:
-                    self._tick(session, now_s)
-        finally:
-            self._links_alarm.set(min([session.due_s for session in self._sessions.values()], default=math.inf))
-
-    def _tick(self, session: Session, now_s: float) -> None:
-        link = session.link
-        if link is None or session.number not in self._sessions:
-            return
-        if session.is_up:
-            if session.stuck_s(now_s) >= (limit_s := self._times.stuck_s):
-                self._over(session, Over(f"{session.peer} took nothing for {limit_s:g} s of what waits for it"))
-                return
-            session.quiet_s(now_s)
-            if session.counters.dropped:
-                self._log.drops(session, now_s)
-        due_s = link.due_s()
-        if due_s > now_s:  # mostly something has been sent meanwhile, and nothing is to be done yet
-            session.due_s = due_s
-            return
-        self._act(session, link.tick(now_s))
-        self._watch(session)
-
     def _act(self, session: Session, actions: Sequence[Action]) -> None:
         """Carries out what a link asks for."""
         for action in actions:
@@ -397,13 +378,13 @@ class Mesh:
                 self._receiving.unfit(session, action)
             elif isinstance(action, (Measured, TimebaseHeard)):
                 self.clocks.heard(session, action)
-                self._watch(session)
+                self._upkeep.watch(session)
             elif isinstance(action, Greeted):
                 self._met(session, action.hello)
             elif isinstance(action, Up):
                 self._stood_up(session)
             elif isinstance(action, Learnt):
-                self._carry_out(self._peers.learnt(action.addresses, self._now(), session.peer, session.remote))
+                self._carry_out(self._peers.heard_of(action.agents, self._now(), session.peer, session.remote))
             elif isinstance(action, RosterHeard):
                 self._trust.rosters.heard(session, action.message)
             else:
@@ -422,7 +403,7 @@ class Mesh:
             self._carry_out(decisions)
         else:
             self._act(session, session.link.leave(self._goodbye(), now_s))
-        self._watch(session)  # from now on it sends heartbeats
+        self._upkeep.watch(session)  # from now on it sends heartbeats
 
     def _refuse(self, session: Session, code: Refusal, reason: str, told: str = "") -> None:
         """Ends a link, where it has not ended, and tells the peer why; `told`: see `Link.refuse`."""
@@ -440,10 +421,10 @@ class Mesh:
         self._links.add(session, hello)
         self._sending.change(self._links.by_name(), self._links.neighbours())
         self.clocks.stood_up(session)
-        self._watch(session)
+        self._upkeep.watch(session)
         self._log.stood_up(session, hello)
         self._log.attempt(self._on_peer_up, hello)
-        self._gossip.stood_up(session, self._peers)
+        self._gossip.stood_up(session, self._peers, self._now())
         self._trust.rosters.stood_up(session)
 
     def _over(self, session: Session, over: Over) -> None:
@@ -475,11 +456,16 @@ class Mesh:
                 self._sessions[session.number] = session
                 self._transport.dial(decision.address, session)
                 continue
+            if isinstance(decision, GiveUp):
+                self._log.given_up(decision.name, self._sending.give_up(decision.name))
+                continue
             found = self._sessions.get(decision.link)
             if found is None or found.link is None:
                 continue
             if isinstance(decision, Admit):
                 self._act(found, found.link.admit(self._now()))
+            elif isinstance(decision, Rest):
+                self._act(found, found.link.leave(Goodbye("rest", RESTS_S), self._now()))
             else:
                 self._refuse(found, decision.code, decision.reason)
         self._arm()

@@ -2,7 +2,8 @@
 
 Pure: every method takes an event and the host time and returns what to do. All addresses that are known
 are dialled side by side, until their agents are connected; agents tell each other the addresses they are
-connected to, so that a fleet becomes a full mesh.
+connected to, so that a fleet becomes a full mesh. An agent that keeps a few links alone (`few_links.py`) dials the
+addresses of its configuration, and those of agents that it is to have a link to.
 
 Of two agents, the one with the lower name chooses the connection that stays (see `pancakes.mesh.wire.link`): its
 own dial goes before the other's, and a connection that stands before a new one, unless it has died.
@@ -21,44 +22,20 @@ from msgspec.structs import replace
 from pancakes.mesh.address import is_local
 from pancakes.mesh.net.address_book import MAX_LEARNT, AddressBook, KnownAddress
 from pancakes.mesh.net.client_places import THIS_MACHINE, ClientPlace, machine_of, who_makes_room
+from pancakes.mesh.net.few_links import EndLink, FewDecision, FewLinks, LinkUse, MakeLink, Sighting
+from pancakes.mesh.net.link_decision import Admit, Decision, Dial, Rest, TurnDown
 from pancakes.mesh.way_facts import ReachOf, nameable_from, reach_of
 from pancakes.mesh.wire.link import LinkTimes
-from pancakes.mesh.wire.link_messages import Goodbye, Hello, Refusal
+from pancakes.mesh.wire.link_messages import AgentSeen, Goodbye, Hello, Refusal
 
 MAX_AGENTS: Final = 256
 """Largest mesh: agents and environments connected to one agent, itself counted."""
 MAX_CLIENTS: Final = 64
 """Most clients connected to one agent; see `pancakes.mesh.net.client_places` for the next one."""
+QUIET_S: Final = 5.0
+"""An agent that keeps a few links alone gives the place of one that is unused for so long to a newcomer."""
 MOST_DIALS: Final = 8
 """So many learnt addresses are dialled at a time."""
-BEACON_ADDRESSES: Final = 8
-"""So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
-every agent the square of the fleet, for what all agents know: a new link gets them all.
-"""
-
-
-class Dial(msgspec.Struct, frozen=True):
-    """Open a connection to `address`, and call it `link`."""
-
-    address: str
-    link: int
-
-
-class Admit(msgspec.Struct, frozen=True):
-    """`link` is the one that stays: say so to the peer."""
-
-    link: int
-
-
-class TurnDown(msgspec.Struct, frozen=True):
-    """Refuse `link`, or end it where it is up: the peer is told the code and the reason."""
-
-    link: int
-    code: Refusal
-    reason: str
-
-
-Decision = Dial | Admit | TurnDown
 
 
 class _Candidate(msgspec.Struct):
@@ -71,6 +48,7 @@ class _Candidate(msgspec.Struct):
     is_news: bool  # no peer had named an address at which it listens
     up_s: float | None = None
     until_s: float = math.inf  # when waiting for our own dial ends
+    rests: bool = False  # we end it, as it is one too many
 
 
 class Peers:
@@ -83,9 +61,10 @@ class Peers:
         times: the times of membership.
         now_s: host time.
         quiet_s: takes a link and the host time, and returns for how long no packet has gone over it either way;
-            infinite where none ever came in.
+            infinite for a client of which none ever came in.
         may_be_named: returns whether a peer may name an address.
         reach: returns from how far an address can be dialled.
+        few: decides which links there are; None: there is one to each agent.
     """
 
     def __init__(
@@ -98,9 +77,12 @@ class Peers:
         quiet_s: Callable[[int, float], float] = lambda link, now_s: 0.0,
         may_be_named: Callable[[str], bool] = lambda address: True,
         reach: ReachOf = reach_of,
+        few: FewLinks | None = None,
     ) -> None:
         self._own = own
         self._reach = reach
+        self._may_be_named = may_be_named
+        self._few = few
         self._times = times
         self._quiet_s = quiet_s
         self._dials: dict[int, str] = {}  # the addresses of dials under way
@@ -111,7 +93,6 @@ class Peers:
         self._asleep: dict[str, float] = {}
         self._last_link = 0
         self._self_dials = 0  # connections from this agent to itself, as seen from the end that was dialled
-        self._beacons = 0
 
     def new_link(self) -> int:
         """Returns a number for a connection that came in."""
@@ -129,23 +110,52 @@ class Peers:
         """
         return {name: until_s - now_s for name, until_s in sorted(self._asleep.items()) if until_s > now_s}
 
-    def gossip(self) -> tuple[tuple[str, ...], ...]:
-        """Returns where each agent to tell others of can be dialled: of connected peers, but never of clients."""
-        return tuple(
-            candidate.hello.listen
-            for _, candidate in sorted(self._up.items())
-            if candidate.hello.listen and candidate.hello.role != "client"
-        )
+    def gossip(self) -> list[Sighting]:
+        """Returns the connected agents to tell others of; never clients."""
+        return [(it.hello.name, it.hello.listen, 0.0) for it in self._linked() if it.hello.listen]
 
-    def beacon(self) -> tuple[tuple[str, ...], ...]:
-        """Returns the agents of the next beacon, as `gossip` does: this one, and some of those to tell others of."""
-        own = self._own.listen if self._own.role != "client" else ()
-        others = self.gossip()
-        if len(others) > BEACON_ADDRESSES:
-            first = self._beacons * BEACON_ADDRESSES % len(others)
-            others = (others + others)[first : first + BEACON_ADDRESSES]
-        self._beacons += 1
-        return ((own,) if own else ()) + others
+    def _linked(self) -> list[_Candidate]:
+        """Returns the links to others than clients, by name."""
+        return [it for _, it in sorted(self._up.items()) if it.hello.role != "client"]
+
+    def _unused_s(self, it: _Candidate, now_s: float) -> float:
+        """Returns for how long no packet has gone over a link; over none of them before it stood."""
+        return min(self._quiet_s(it.link, now_s), now_s - it.up_s if it.up_s is not None else 0.0)
+
+    def knows(self, name: str) -> bool:
+        """Returns whether an agent can be dialled to which there may be no link now. Any thread."""
+        return self._few is not None and self._few.knows(name)
+
+    def seek(self, name: str, now_s: float) -> list[Decision]:
+        """There is something for an agent: dials it, where there is no link to it."""
+        if self._few is None or name in self._up:
+            return []
+        return self._carry_out(self._few.seek(name, now_s), now_s)
+
+    def _carry_out(self, decisions: Sequence[FewDecision], now_s: float) -> list[Decision]:
+        done: list[Decision] = []
+        for it in decisions:
+            if isinstance(it, MakeLink):
+                for address in it.listen:
+                    self._book.learn(address, now_s, it.name)
+                    self._book.make_due(address, now_s)
+            elif isinstance(it, EndLink):
+                self._up[it.name].rests = True
+                done.append(Rest(self._up[it.name].link))
+            else:
+                for address in it.listen:
+                    self._book.forget(address)
+                done.append(it)
+        return [*done, *self._dial(now_s)]
+
+    def _look_at_few(self, few: FewLinks, now_s: float) -> list[Decision]:
+        linked: dict[str, LinkUse] = {}
+        for it in self._linked():
+            known = self._book.get(it.address)
+            may_end = known is not None and not known.static
+            linked[it.hello.name] = LinkUse(may_end, self._unused_s(it, now_s))
+            few.heard(it.hello.name, it.hello.listen, 0.0, now_s)
+        return self._carry_out(few.tick(now_s, linked), now_s)
 
     def are_awaited(self) -> bool:
         """Returns whether an agent that is always dialled may be reached yet: no dial has failed so far. Any thread."""
@@ -157,16 +167,26 @@ class Peers:
 
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do."""
+        few_s = self._few.due_s if self._few is not None else math.inf
         busy = self._learnt_dials() >= MOST_DIALS
         wanted = [it for address, it in self._book.items() if it.link is None and self._wanted(address, it)]
         dials = [it.due_s for it in wanted if not (busy and it.by)]
         if len(self._candidates) == len(self._up):  # as nearly always
-            return min(dials, default=math.inf)
+            return min((*dials, few_s))
         waits = [candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None]
-        return min((*dials, *waits), default=math.inf)
+        return min((*dials, *waits, few_s))
 
     def tick(self, now_s: float) -> list[Decision]:
         """Dials what is due, and admits what has waited long enough for a dial of our own."""
+        few = self._few
+        decisions = self._look_at_few(few, now_s) if few is not None and now_s >= few.due_s else self._dial(now_s)
+        for candidate in list(self._candidates.values()):
+            if candidate.up_s is None and now_s >= candidate.until_s:
+                candidate.until_s = math.inf
+                decisions.extend(self._admit_if_free(candidate, now_s))
+        return decisions
+
+    def _dial(self, now_s: float) -> list[Decision]:
         decisions: list[Decision] = []
         free = MOST_DIALS - self._learnt_dials()
         for address, it in self._book.items():
@@ -175,10 +195,6 @@ class Peers:
                 it.link = self.new_link()
                 self._dials[it.link] = address
                 decisions.append(Dial(address, it.link))
-        for candidate in list(self._candidates.values()):
-            if candidate.up_s is None and now_s >= candidate.until_s:
-                candidate.until_s = math.inf
-                decisions.extend(self._admit_if_free(candidate, now_s))
         return decisions
 
     def met(self, link: int, hello: Hello, remote: str, now_s: float) -> list[Decision]:
@@ -206,7 +222,8 @@ class Peers:
         named = nameable_from(remote, listen, self._reach) if hello.role != "client" else ()
         learnt = [self._book.learn(it, now_s, name, name) for it in named]
         self._asleep.pop(name, None)
-        candidate = self._candidates[link] = _Candidate(link, hello, address, machine, any(learnt))
+        is_news = any(learnt) if self._few is None else not self._few.knows(name)
+        candidate = self._candidates[link] = _Candidate(link, hello, address, machine, is_news)
         if address:
             self._met_at[address] = link
         decisions: list[Decision] = []
@@ -303,8 +320,12 @@ class Peers:
             self._asleep[name] = now_s + (math.inf if goodbye.for_s is None else goodbye.for_s)
             if len(self._asleep) > MAX_LEARNT:  # some of them never wake
                 del self._asleep[next(iter(self._asleep))]
+        rests = candidate.rests or (goodbye is not None and goodbye.why == "rest")
         for address, it in list(self._book.items()):
             if it.name != name or it.link is not None or (candidate.address != address and not was_up):
+                continue
+            if rests:
+                self._book.rest(address, now_s)
                 continue
             it.refused = refusal if hopeless else ""
             if goodbye is not None and goodbye.why == "sleep" and goodbye.for_s is not None:
@@ -324,18 +345,32 @@ class Peers:
             return self._admit_if_free(heirs[-1], now_s)
         return []
 
-    def learnt(self, addresses: Sequence[str], now_s: float, peer: str = "", remote: str = "") -> list[Decision]:
+    def heard_of(self, agents: Sequence[AgentSeen], now_s: float, peer: str, remote: str) -> list[Decision]:
+        """A peer has named agents.
+
+        Args:
+            agents: the agents.
+            now_s: host time.
+            peer: the peer.
+            remote: the address of that peer.
+        """
+        named: list[str] = []
+        for seen in agents:
+            there = reachable(seen.address, remote)
+            if there and nameable_from(remote, (there,), self._reach) and seen.name != self._own.name:
+                named.append(there)
+                if self._few is not None and self._may_be_named(there):
+                    self._few.heard(seen.name, (there,), seen.age_s, now_s)
+        return self.learnt(named, now_s, peer) if self._few is None else []
+
+    def learnt(self, addresses: Sequence[str], now_s: float, peer: str = "") -> list[Decision]:
         """Addresses of agents were named.
 
         Args:
             addresses: the addresses.
             now_s: host time.
             peer: the peer that did; empty: a person.
-            remote: the address of that peer.
         """
-        if peer:
-            seen = filter(None, (reachable(it, remote) for it in addresses))
-            addresses = nameable_from(remote, seen, self._reach)
         # Beacons name what is known already, from each peer and all the time.
         unknown = [address for address in addresses if address not in self._book]
         new = [address for address in unknown if self._book.learn(address, now_s, by=peer)]
@@ -393,9 +428,16 @@ class Peers:
         return f"{self._own.name} is full: it is in a mesh of {agents} already" if agents >= MAX_AGENTS else ""
 
     def _make_room(self, newcomer: _Candidate, now_s: float) -> list[Decision]:
-        """Ends the link of a client whose place a new client gets; none where there is no such client."""
+        """Ends the link of a client whose place a new client gets; none where there is no such client.
+
+        Where a few links are enough, an agent gets the place of that link to an agent that is used least.
+        """
         if newcomer.hello.role != "client":
-            return []
+            unused = max(self._linked(), key=lambda it: self._unused_s(it, now_s), default=None)
+            if self._few is None or unused is None or self._unused_s(unused, now_s) < QUIET_S:
+                return []
+            unused.rests = True
+            return [Rest(unused.link)]
         places = [
             ClientPlace(it.link, it.machine, self._quiet_s(it.link, now_s))
             for it in self._up.values()

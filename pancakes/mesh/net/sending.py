@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Final
 
 import msgspec
@@ -20,6 +21,10 @@ from pancakes.packet import LOG, NEIGHBOURS, Fence, Packet, agent_of
 
 MOST_WAYS: Final = 4096
 """So many are remembered; a task that makes up one destination after the other must not fill the memory."""
+MOST_WAITING_BYTES: Final = 256 * 1024
+"""So much may wait for an agent to which a link is being made, ..."""
+MOST_WAITED_FOR: Final = 64
+"""... and for so many agents at a time."""
 
 Key = tuple[str, str, str, str]
 Defer = Callable[[Callable[[], None]], None]
@@ -99,6 +104,13 @@ class _Turn:
             session.send(its)
 
 
+class _Waiting(msgspec.Struct):
+    """What waits for an agent to which a link is being made: the arguments of `Session.offer`, in their order."""
+
+    packets: list[tuple[str, tuple[str, str, str], Message]] = []
+    size: int = 0
+
+
 class _Local(threading.local):
     """What each thread has for itself."""
 
@@ -112,10 +124,15 @@ class Sending:
     Args:
         lost: returns the error for a packet to an agent to which no link is up.
         defer: see `Mesh`.
+        seek: has a link made to an agent, and returns whether one is being made.
     """
 
-    def __init__(self, lost: Callable[[Packet], PancakesError], defer: Defer) -> None:
+    def __init__(
+        self, lost: Callable[[Packet], PancakesError], defer: Defer, seek: Callable[[str], bool] = lambda agent: False
+    ) -> None:
         self._lost = lost
+        self._seek = seek
+        self._waiting: dict[str, _Waiting] = {}
         self._links: Mapping[str, Session] = {}
         self._neighbours: tuple[Session, ...] = ()
         self._lock = threading.Lock()  # so that no way is made of links that are being replaced
@@ -130,16 +147,28 @@ class Sending:
             neighbours: the sessions that the destination `*` means.
         """
         with self._lock:
+            for agent in self._waiting.keys() & links.keys():  # before all that is published from now on
+                for channel, key, message in self._waiting.pop(agent).packets:
+                    with suppress(PeerBusy):
+                        links[agent].offer(channel, key, message)
             self._links = links
             self._neighbours = neighbours
             self._ways = {}
+
+    def give_up(self, agent: str) -> int:
+        """No link to an agent came to stand; returns how many packets were waiting for it, which are lost."""
+        with self._lock:
+            waiting = self._waiting.pop(agent, None)
+        return len(waiting.packets) if waiting is not None else 0
 
     def send(self, packet: Packet, retry: bool = False) -> int:
         """See `Mesh.send`."""
         key = (packet.channel, packet.type, packet.source, packet.destination)
         way = self._ways.get(key)
         if way is None or way.fence != packet.fence:
-            way = self._new_way(key, packet)
+            way = self._new_way(key, packet, retry)
+        if way is None:
+            return 1
         row = way.encoder.encode(packet)
         for session in way.sessions:
             if session.congested:
@@ -162,18 +191,40 @@ class Sending:
                 given += 1
         return given
 
-    def _new_way(self, key: Key, packet: Packet) -> Way:
+    def _new_way(self, key: Key, packet: Packet, retry: bool) -> Way | None:
+        """Returns where a packet goes; None: it waits for a link."""
         place, head = agent_of(packet.destination), head_of(packet)
+        right = packet.fence if packet.channel != LOG else None
         with self._lock:
             sessions = self._sessions_at(place)
+            if sessions is None and self._waits(packet, place, head, right, retry):
+                return None
             if sessions is not None:
-                right = packet.fence if packet.channel != LOG else None
                 way = Way(packet.channel, packet.fence, right, place, head, sessions, RowEncoder(head))
                 if len(self._ways) >= MOST_WAYS:
                     self._ways = {}
                 self._ways[key] = way
                 return way
         raise self._lost(packet)
+
+    def _waits(self, packet: Packet, agent: str, head: bytes, right: Fence | None, retry: bool) -> bool:
+        """Has a packet wait until there is a link to its agent; returns False where none is being made.
+
+        Raises:
+            PeerBusy: too much waits already.
+        """
+        waiting = self._waiting.get(agent)
+        if waiting is None:
+            if len(self._waiting) >= MOST_WAITED_FOR or not self._seek(agent):
+                return False
+            waiting = self._waiting[agent] = _Waiting()
+        row = RowEncoder(head).encode(packet)
+        if waiting.size + len(row) > MOST_WAITING_BYTES:
+            raise PeerBusy(f"{waiting.size} bytes wait for the link to {agent} already, which is being made")
+        waiting.size += len(row)
+        key = (packet.source, packet.type, packet.destination)
+        waiting.packets.append((packet.channel, key, Message(row, not retry, head, right)))
+        return True
 
     def _sessions_at(self, place: str) -> tuple[Session, ...] | None:
         if place == NEIGHBOURS:

@@ -290,11 +290,14 @@ class Session(ConnectionHandler):
         return now_s - self._taken[1]
 
     def quiet_s(self, now_s: float) -> float:
-        """Returns for how long no packet has gone either way, as far as that was looked at; infinite: none came in."""
+        """Returns for how long no packet has gone either way, as far as that was looked at.
+
+        Infinite for a client of which none came in.
+        """
         packets = (self.counters.packets_in, self.counters.packets_out)
         if packets != self._used[:2]:
             self._used = (*packets, now_s)
-        return now_s - self._used[2] if self.counters.packets_in else math.inf
+        return now_s - self._used[2] if self.counters.packets_in or self.role != "client" else math.inf
 
     def waiting(self) -> dict[str, int]:
         """Returns how many packets wait for this peer, on each channel where any do. From any thread."""

@@ -25,6 +25,7 @@ from pancakes.errors import RemoteProtocolError
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import FrameReader
 from pancakes.mesh.wire.link_messages import (
+    AgentSeen,
     Goodbye,
     Gossip,
     Hello,
@@ -38,7 +39,7 @@ from pancakes.mesh.wire.link_messages import (
     RosterText,
     Timebase,
     Welcome,
-    fault_of_address,
+    fault_of_gossip,
     fault_of_hello,
 )
 from pancakes.mesh.wire.runs import PacketRun, Unfit, foreign_version, messages_from_payload, packets_of
@@ -128,9 +129,9 @@ class PacketsReceived(msgspec.Struct, frozen=True):
 
 
 class Learnt(msgspec.Struct, frozen=True):
-    """The peer named addresses of agents that it is connected to."""
+    """The peer named agents."""
 
-    addresses: tuple[str, ...]
+    agents: tuple[AgentSeen, ...]
 
 
 class Measured(msgspec.Struct, frozen=True):
@@ -445,8 +446,8 @@ class Link:
                 return self._over(f"{self._who()} refused the link: {reason}", refused=code)
             case Goodbye(why, for_s):
                 until = "" if for_s is None else f" for {for_s:g} s"
-                reason = f"{self._who()} sleeps{until}" if why == "sleep" else f"{self._who()} stopped"
-                return self._over(reason, goodbye=message)
+                did = {"sleep": f"sleeps{until}", "stop": "stopped", "rest": "has no use for it now"}
+                return self._over(f"{self._who()} {did[why]}", goodbye=message)
         if isinstance(message, Welcome):
             if self.state is not LinkState.MET or self.peer is None or self._own.name < self.peer.name:
                 raise RemoteProtocolError("a welcome came that was not the peer's to send")
@@ -458,10 +459,9 @@ class Link:
         if isinstance(message, Timebase):
             return [TimebaseHeard(message)]
         assert isinstance(message, Gossip)
-        for address in message.addresses:
-            if fault := fault_of_address(address):
-                raise RemoteProtocolError(fault)
-        return [Learnt(message.addresses)]
+        if fault := fault_of_gossip(message):
+            raise RemoteProtocolError(fault)
+        return [Learnt(message.agents)]
 
     def _pong(self, token: int, at_s: float, now_s: float) -> list[Action]:
         pinged_s = self._unanswered.pop(token, None)

@@ -16,7 +16,7 @@ from pancakes.mesh.address import DEFAULT_FLEET, parse_address
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.names import fault_of_name
 
-VERSION: Final = 9
+VERSION: Final = 10
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1
@@ -119,18 +119,40 @@ class Goodbye(msgspec.Struct, frozen=True, array_like=True, tag=6):
     """The last message of an agent that leaves on purpose.
 
     Attributes:
-        why: it will `sleep` (and is not to be counted as dead), or it will `stop`.
-        for_s: how long it sleeps, in seconds of host time; None where it does not know.
+        why: it will `sleep` (and is not to be counted as dead), or it will `stop`; or it goes on, and the link alone
+            will `rest`, because it is one too many and not used.
+        for_s: how long it sleeps, in seconds of host time; None where it does not know. Of a link that rests: so long
+            it is not dialled again unless there is something to say.
     """
 
-    why: Literal["sleep", "stop"]
+    why: Literal["sleep", "stop", "rest"]
     for_s: Duration | None = None
 
 
-class Gossip(msgspec.Struct, frozen=True, array_like=True, tag=7):
-    """Gossip: addresses of agents that the sender is connected to, never those of clients."""
+class AgentSeen(msgspec.Struct, frozen=True, array_like=True):
+    """An agent that the sender of gossip knows of.
 
-    addresses: Annotated[tuple[Address, ...], msgspec.Meta(max_length=128)]
+    Attributes:
+        name: the agent's name.
+        address: where the receiver can dial it.
+        age_s: how long ago it was there, in seconds of host time; 0: the sender is connected to it.
+    """
+
+    name: Name
+    address: Address
+    age_s: Duration = 0.0
+
+
+class Gossip(msgspec.Struct, frozen=True, array_like=True, tag=7):
+    """Gossip: agents that the sender is connected to or has heard of, never clients."""
+
+    agents: Annotated[tuple[AgentSeen, ...], msgspec.Meta(max_length=128)]
+
+
+def fault_of_gossip(gossip: Gossip) -> str:
+    """Returns why gossip cannot be taken, as a sentence; empty where it can."""
+    faults = (fault_of_name(it.name) or fault_of_address(it.address) for it in gossip.agents)
+    return next(filter(None, faults), "")
 
 
 class RosterNumber(msgspec.Struct, frozen=True, array_like=True, tag=8):

@@ -47,6 +47,9 @@ class AgentConfig(Struct, frozen=True):
             service; empty: the agent's own user alone.
         peers: the addresses of agents to connect to, such as `tcp://192.168.1.20:7401`, or `local://NAME` on its own
             machine. Its own among them is skipped, so that a fleet can share one list.
+        links: to so many agents it keeps links, and to the others while there is something to say to them; for a fleet
+            of hundreds. A task that moves asks the agents that are linked, or the one that it is sent to. Without it,
+            it keeps a link to each agent.
         role: `agent` (runs tasks, may be asked to take one), `environment` (a simulated world) or `client` (a
             person's tool); the last two are never asked to take a task.
         fleet: agents of different fleets refuse each other.
@@ -64,6 +67,7 @@ class AgentConfig(Struct, frozen=True):
     listen: Annotated[tuple[str, ...], Meta(max_length=MOST_LISTEN - 1)] = ()
     local_group: str = ""
     peers: tuple[str, ...] = ()
+    links: Annotated[int, Meta(ge=2, le=200)] | None = None
     role: Literal["agent", "environment", "client"] = "agent"
     fleet: str = DEFAULT_FLEET
     state_dir: str = ""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -51,6 +53,9 @@ APPRAISED_S = 0.4
 """So long, in host time, the cost functions of others have; the window for bids is a little longer."""
 MOST_APPRAISED = 64
 """So many tasks may wait for their costs."""
+SOUGHT_S = 3.0
+"""So long, in host time, a link to the agent that a task is sent to may take, where there is none."""
+LINK_LOOK_S = 0.05
 FIRST_LOOK_S = 0.5
 LOOK_S = 2.0
 """How often, in host time, the load of this agent is measured. A bid tells the last measurement, and waits for none."""
@@ -122,8 +127,12 @@ class TaskMigrator(Task):
                 return super().on_receive(message)
         return None
 
-    def _negotiate(self, asked: Negotiate) -> None:
+    def _negotiate(self, asked: Negotiate, until_s: float = math.inf) -> None:
         now_s = self.kernel.host.now()
+        if asked.to and now_s < until_s and asked.to not in self._mesh.neighbours() and self._mesh.seek(asked.to):
+            until_s = min(until_s, now_s + SOUGHT_S)
+            self.after_host(LINK_LOOK_S, partial(self._negotiate, asked, until_s))
+            return
         request = asked.request
         negotiation = Negotiation(
             request,

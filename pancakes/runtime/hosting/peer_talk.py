@@ -58,7 +58,7 @@ class PeerTalk:
         """Sends a message to an actor of an agent.
 
         Args:
-            agent: the agent, which may be this one. Where it is not linked, nothing is sent.
+            agent: the agent, which may be this one. Where it is not linked, and not known, nothing is sent.
             actor: the address of the actor there, without the agent's name.
             message: the message.
             journal: the id of the journal that the agent is to have; empty: that which it has now.
@@ -66,7 +66,10 @@ class PeerTalk:
         known = self.me.journal
         if agent != self.me.agent:
             hello = self._mesh.connected().get(agent)
-            known = hello.journal if hello is not None else ""
+            if hello is not None:
+                known = hello.journal
+            else:  # it may be known, and the message waits for a link where the disk is known as well
+                known = journal if self._mesh.seek(agent) else ""
         if not known or journal not in ("", known):
             return
         try:

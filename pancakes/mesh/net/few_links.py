@@ -1,0 +1,173 @@
+"""Which links an agent has that does not keep one to each other agent: a few, and those that it needs. Pure.
+
+It knows all agents of its fleet by gossip, with where each can be dialled and when it was heard of last: what is old is
+told to no peer, so an agent that has died is forgotten by all.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import msgspec
+
+MOST_KNOWN: Final = 4096
+"""So many agents are known at most."""
+FRESH_S: Final = 120.0
+"""An agent of which nothing was heard for so long is told of to no peer, and is not dialled unasked."""
+FORGOTTEN_S: Final = 600.0
+"""It is forgotten after so long."""
+LOOK_S: Final = 1.0
+"""So often it is looked whether links are too few or too many."""
+MADE_S: Final = 10.0
+"""So long a link may take to be made; packets for the agent wait so long."""
+AVOIDED_S: Final = 60.0
+"""An agent to which no link came to stand is not dialled unasked for so long."""
+REST_S: Final = 30.0
+"""A link that is one too many ends where no packet has gone over it for so long."""
+WALK_S: Final = 300.0
+"""So often a link to another agent is made unasked, so that two halves of a fleet that were parted meet again."""
+
+Sighting = tuple[str, tuple[str, ...], float]
+"""An agent to tell others of: its name, the addresses at which it can be dialled, and how long ago it was there."""
+
+
+class MakeLink(msgspec.Struct, frozen=True):
+    """Dial an agent at these addresses, until a link to it stands or `GiveUp` comes."""
+
+    name: str
+    listen: tuple[str, ...]
+
+
+class EndLink(msgspec.Struct, frozen=True):
+    """End the link to an agent, as it is one too many and not used."""
+
+    name: str
+
+
+class GiveUp(msgspec.Struct, frozen=True):
+    """No link to an agent came to stand: what waits for it is lost."""
+
+    name: str
+    listen: tuple[str, ...]
+
+
+FewDecision = MakeLink | EndLink | GiveUp
+
+
+class LinkUse(msgspec.Struct, frozen=True):
+    """How a link is used.
+
+    Attributes:
+        may_end: whether it is this agent's to end: it has dialled it, and not because the configuration says so.
+        quiet_s: for how long no packet has gone over it.
+    """
+
+    may_end: bool
+    quiet_s: float
+
+
+class _Known(msgspec.Struct):
+    listen: tuple[str, ...]
+    heard_s: float
+
+
+class FewLinks:
+    """Decides which links there are.
+
+    Args:
+        most: so many links to agents it keeps, where there are so many agents.
+        source: random numbers, which draw the agents: so that all links of a fleet together join all of it.
+        now_s: host time.
+    """
+
+    def __init__(self, most: int, source: random.Random, now_s: float) -> None:
+        self._most = most
+        self._random = source
+        self._known: dict[str, _Known] = {}
+        self._wanted: dict[str, float] = {}  # the agents to which links are being made, and until when
+        self._avoided: dict[str, float] = {}  # the agents that are not dialled unasked, and until when
+        self._to_tell: list[str] = []
+        self._forgets_s = now_s + FORGOTTEN_S / 10
+        self._walks_s = now_s + source.uniform(0.0, WALK_S)
+        self.due_s = now_s
+
+    def heard(self, name: str, listen: Sequence[str], age_s: float, now_s: float) -> None:
+        """An agent was heard of.
+
+        Args:
+            name: the agent.
+            listen: the addresses at which it can be dialled here.
+            age_s: how long ago it was there; 0: it is linked to this agent, or says so itself.
+            now_s: host time.
+        """
+        known, heard_s = self._known.get(name), now_s - age_s
+        if known is not None and known.heard_s >= heard_s:
+            return
+        if listen and age_s < FRESH_S and (known is not None or len(self._known) < MOST_KNOWN):
+            self._known[name] = _Known(tuple(listen), heard_s)
+
+    def knows(self, name: str) -> bool:
+        """Returns whether it knows where an agent can be dialled. Any thread."""
+        return name in self._known
+
+    def fresh(self, now_s: float) -> list[Sighting]:
+        """Returns all agents to tell others of, by name."""
+        ages = ((name, it.listen, max(0.0, now_s - it.heard_s)) for name, it in sorted(self._known.items()))
+        return [row for row in ages if row[2] < FRESH_S]
+
+    def some(self, count: int, now_s: float) -> list[Sighting]:
+        """Returns the next of all agents to tell others of, at most so many; each comes in its turn."""
+        if not self._to_tell:
+            self._to_tell = list(self._known)
+        names, self._to_tell = self._to_tell[-count:], self._to_tell[:-count]
+        found = [(name, self._known[name]) for name in names if name in self._known]
+        return [(name, it.listen, now_s - it.heard_s) for name, it in found if now_s - it.heard_s < FRESH_S]
+
+    def seek(self, name: str, now_s: float) -> list[FewDecision]:
+        """There is something for an agent to which there may be no link."""
+        known = self._known.get(name)
+        return [self._make(name, now_s)] if known is not None and name not in self._wanted else []
+
+    def tick(self, now_s: float, linked: Mapping[str, LinkUse]) -> list[FewDecision]:
+        """Looks at all links.
+
+        Args:
+            now_s: host time.
+            linked: how each link to an agent is used, by name.
+        """
+        self.due_s = now_s + LOOK_S
+        if now_s >= self._forgets_s:
+            self._forgets_s = now_s + FORGOTTEN_S / 10
+            self._known = {name: it for name, it in self._known.items() if now_s - it.heard_s < FORGOTTEN_S}
+        self._avoided = {name: until_s for name, until_s in self._avoided.items() if until_s > now_s}
+        decisions: list[FewDecision] = []
+        for name, until_s in list(self._wanted.items()):
+            if name in linked:
+                del self._wanted[name]
+            elif now_s >= until_s:
+                del self._wanted[name]
+                self._avoided[name] = now_s + AVOIDED_S
+                known = self._known.get(name)
+                decisions.append(GiveUp(name, known.listen if known is not None else ()))
+        missing = self._most - len(linked) - len(self._wanted)
+        if now_s >= self._walks_s:
+            self._walks_s = now_s + WALK_S
+            missing = max(missing, 1)
+        if missing > 0:
+            others = [name for name, _, _ in self.fresh(now_s) if not self._is_taken(name, linked)]
+            drawn = self._random.sample(others, min(missing, len(others)))
+            decisions.extend(self._make(name, now_s) for name in drawn)
+        unused = [(use.quiet_s, name) for name, use in linked.items() if use.may_end and use.quiet_s >= REST_S]
+        surplus = len(linked) - self._most
+        if surplus > 0:
+            decisions.extend(EndLink(name) for _, name in sorted(unused, reverse=True)[:surplus])
+        return decisions
+
+    def _is_taken(self, name: str, linked: Mapping[str, LinkUse]) -> bool:
+        return name in linked or name in self._wanted or name in self._avoided
+
+    def _make(self, name: str, now_s: float) -> MakeLink:
+        self._wanted[name] = now_s + MADE_S
+        return MakeLink(name, self._known[name].listen)

@@ -1,0 +1,248 @@
+"""Which links an agent has that keeps a few alone: decisions, and meshes in virtual time."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from pancakes.errors import PeerLost
+from pancakes.mesh.net.address_book import RESTS_S
+from pancakes.mesh.net.few_links import (
+    AVOIDED_S,
+    FORGOTTEN_S,
+    FRESH_S,
+    LOOK_S,
+    MADE_S,
+    MOST_KNOWN,
+    REST_S,
+    WALK_S,
+    EndLink,
+    FewLinks,
+    GiveUp,
+    LinkUse,
+    MakeLink,
+)
+from pancakes.mesh.net.peers import MAX_AGENTS, QUIET_S
+from pancakes.mesh.net.send_buffer import PeerBusy
+from pancakes.mesh.net.sending import MOST_WAITED_FOR, MOST_WAITING_BYTES
+from pancakes.mesh.wire.link_messages import AgentSeen, Goodbye, Gossip
+
+IN_USE, IDLE, STATIC = LinkUse(True, 0.0), LinkUse(True, REST_S), LinkUse(False, REST_S)
+
+
+def few(*known, most=3, seed=1):
+    made = FewLinks(most, random.Random(seed), 0.0)
+    for name in known:
+        made.heard(name, (f"tcp://{name}:1",), 0.0, 0.0)
+    return made
+
+
+def made(decisions):
+    return sorted(it.name for it in decisions if isinstance(it, MakeLink))
+
+
+def ended(decisions):
+    return [it.name for it in decisions if isinstance(it, EndLink)]
+
+
+def test_it_makes_links_until_they_are_enough_and_draws_the_agents():
+    names = [f"n{number}" for number in range(10)]
+    first = made(few(*names).tick(0.0, {}))
+    assert len(first) == 3 and set(first) <= set(names)
+    assert {tuple(made(few(*names, seed=seed).tick(0.0, {}))) for seed in range(9)} > {tuple(first)}
+    assert made(few("a", "b").tick(0.0, {})) == ["a", "b"], "there are no more"
+    it = few("a", "b", "c", "d")
+    assert made(it.tick(0.0, {"a": IN_USE, "z": IN_USE})) != [] and it.due_s == LOOK_S
+    assert made(it.tick(1.0, {"a": IN_USE, "z": IN_USE})) == [], "one is being made"
+
+
+def test_an_agent_for_which_there_is_something_gets_a_link_where_it_is_known():
+    it = few("a", "b", "c", "d")
+    linked = dict.fromkeys("abc", IN_USE)
+    assert it.tick(0.0, linked) == [] and it.seek("x", 0.0) == []
+    assert it.seek("d", 0.0) == [MakeLink("d", ("tcp://d:1",))] and it.seek("d", 0.5) == []
+    assert it.tick(1.0, {**linked, "d": IN_USE}) == []
+    assert it.seek("d", 2.0) != [], "its link may end"
+
+
+def test_what_does_not_become_a_link_is_given_up_and_not_tried_unasked_for_a_while():
+    it = few("d", most=1)
+    it.tick(0.0, {})
+    assert it.tick(MADE_S - 0.1, {}) == []
+    assert it.tick(MADE_S, {}) == [GiveUp("d", ("tcp://d:1",))]
+    assert it.tick(MADE_S + 1, {}) == [] and it.tick(MADE_S + AVOIDED_S - 1, {}) == []
+    assert it.seek("d", MADE_S + 2) != [], "somebody asks"
+    it = few("d", most=1)
+    it.tick(0.0, {})
+    it.tick(MADE_S, {})
+    assert made(it.tick(MADE_S + AVOIDED_S, {})) == ["d"]
+
+
+def test_links_that_are_too_many_end_where_they_are_unused_and_its_own():
+    it = few(most=2)
+    linked = {"a": IN_USE, "b": STATIC, "c": IDLE, "d": LinkUse(True, REST_S + 9), "e": LinkUse(True, REST_S - 1)}
+    assert ended(it.tick(0.0, linked)) == ["d", "c"]
+    del linked["d"], linked["e"]
+    assert ended(it.tick(1.0, linked)) == ["c"]
+    del linked["c"]
+    assert ended(it.tick(2.0, linked)) == []
+
+
+def test_now_and_then_it_meets_an_agent_unasked():
+    it = few("a", "b", "c", most=2)
+    linked = dict.fromkeys("ab", IN_USE)
+    met = [at_s for at_s in range(int(2 * WALK_S)) if made(it.tick(float(at_s), linked)) and it.seek("c", 0.0) == []]
+    assert met and met[0] <= WALK_S
+
+
+def test_what_is_old_is_told_to_no_peer_and_forgotten():
+    it = few("a", "b")
+    it.heard("b", ("tcp://b:2",), 10.0, 50.0)
+    it.heard("b", ("tcp://b:3",), 60.0, 50.0)  # older than what it knows
+    assert it.fresh(100.0) == [("a", ("tcp://a:1",), 100.0), ("b", ("tcp://b:2",), 60.0)]
+    assert it.fresh(FRESH_S) == [("b", ("tcp://b:2",), 80.0)]
+    assert made(few("a").tick(FRESH_S, {})) == []
+    it.heard("old", ("tcp://old:1",), FRESH_S, 100.0)
+    assert not it.knows("old") and it.knows("a")
+    it.tick(FORGOTTEN_S, {})
+    assert not it.knows("a") and it.knows("b")
+
+
+def test_each_agent_is_told_of_in_its_turn():
+    it = few(*(f"n{number}" for number in range(10)))
+    told = [name for _ in range(3) for name, _, _ in it.some(4, 0.0)]
+    assert len(told) == 10 and len(set(told)) == 10
+    assert len(it.some(4, 0.0)) == 4 and it.some(4, FRESH_S) == []
+
+
+def test_so_many_agents_are_known_at_most():
+    it = few(*(f"n{number}" for number in range(MOST_KNOWN + 5)))
+    assert len(it.fresh(0.0)) == MOST_KNOWN and not it.knows(f"n{MOST_KNOWN}")
+    it.heard("n0", ("tcp://new:1",), 0.0, 1.0)
+    assert it.fresh(1.0)[0][1] == ("tcp://new:1",)
+
+
+# In a mesh -----------------------------------------------------------------------------------------------------------
+
+
+def crowd(rig, count, links=3):
+    first = rig.agent("a00", links=links)
+    agents = [first, *(rig.agent(f"a{number:02d}", [first.address], links=links) for number in range(1, count))]
+    rig.timeline.run_until(60.0)
+    beacons(rig, agents, 30)
+    return agents
+
+
+def beacons(rig, agents, seconds):
+    for _ in range(seconds):
+        for agent in agents:
+            agent.mesh.announce()
+        rig.timeline.run_until(rig.clock.now() + 1.0)
+
+
+def linked(agents):
+    return {agent.name: set(agent.mesh.connected()) for agent in agents}
+
+
+def stranger_of(fleet):
+    """Returns an agent, and one to which it has no link."""
+    sender = fleet[5]
+    return sender, next(it for it in fleet if it is not sender and it.name not in sender.mesh.connected())
+
+
+def reached(links, first):
+    seen, to_see = {first}, [first]
+    while to_see:
+        new = links[to_see.pop()] - seen
+        seen |= new
+        to_see += new
+    return seen
+
+
+@pytest.fixture
+def fleet(memory_rig):
+    return crowd(memory_rig, 24)
+
+
+def test_a_fleet_is_joined_by_few_links_and_each_agent_knows_all(memory_rig, fleet):
+    links = linked(fleet)
+    assert all(len(others) >= 3 for others in links.values())
+    assert sum(map(len, links.values())) < 24 * 10, "a full mesh has 24 * 23"
+    assert reached(links, "a05") == set(links)
+    far = {agent.name: set(links) - links[agent.name] - {agent.name} for agent in fleet}
+    assert all(agent.mesh.seek(name) for agent in fleet[:3] for name in far[agent.name])
+
+
+def test_packets_for_an_agent_without_a_link_arrive_in_their_order(memory_rig, fleet):
+    sender, receiver = stranger_of(fleet)
+    for number in range(5):
+        assert sender.say(f"{receiver.name}/client/test", number) == 1
+    memory_rig.until(lambda: len(receiver.packets) == 5)
+    sender.say(f"{receiver.name}/client/test", 5)
+    memory_rig.until(lambda: len(receiver.packets) == 6)
+    assert [packet.body for packet in receiver.packets] == list(range(6))
+
+
+def test_a_link_too_many_ends_once_it_is_unused_and_is_made_again_when_there_is_something(memory_rig, fleet):
+    sender, _ = stranger_of(fleet)
+    before = set(sender.mesh.connected())
+    for name in sorted(set(linked(fleet)) - before - {sender.name}):
+        sender.say(f"{name}/client/test")
+    memory_rig.until(lambda: len(sender.mesh.connected()) == len(fleet) - 1)
+    memory_rig.timeline.run_until(memory_rig.clock.now() + REST_S + 3)
+    assert len(sender.mesh.connected()) <= max(3, len(before))
+    name = sender.downs[-1][0]
+    peer = next(agent for agent in fleet if agent.name == name)
+    assert (sender.name, f"{sender.name} has no use for it now", None) in peer.downs
+    _, peer = stranger_of(fleet)
+    sender.say(f"{peer.name}/client/test", "again")
+    memory_rig.until(lambda: peer.packets[-1].body == "again")
+
+
+def test_packets_for_an_agent_that_has_died_are_lost_and_that_is_told(memory_rig):
+    fleet = crowd(memory_rig, 9)
+    sender, receiver = stranger_of(fleet)
+    name = receiver.name
+    receiver.mesh.stop()
+    memory_rig.timeline.run_until(memory_rig.clock.now() + 5.0)
+    assert sender.say(f"{name}/client/test") == 1 and sender.say(f"{name}/client/test") == 1
+    memory_rig.timeline.run_until(memory_rig.clock.now() + MADE_S + 2 * LOOK_S)
+    assert f"2 packets for {name} are lost: no link to it could be made" in sender.log("warning")
+    with pytest.raises(PeerLost, match="has no link to it"):
+        sender.say("unknown/client/test")
+
+
+def test_what_waits_for_a_link_is_bounded(memory_rig):
+    a = memory_rig.agent("a", links=2)
+    peer = memory_rig.bare_peer("b", a)
+    memory_rig.until(lambda: peer.is_up)
+    gone = tuple(AgentSeen(f"n{number}", f"tcp://n{number}:1") for number in range(MOST_WAITED_FOR + 1))
+    peer.act(peer.link.tell(Gossip(gone), memory_rig.clock.now()))
+    memory_rig.timeline.run_until(memory_rig.clock.now() + 0.1)
+    with pytest.raises(PeerBusy, match="wait for the link to n0 already, which is being made"):
+        for _ in range(100):
+            a.say("n0/client/test", bytes(MOST_WAITING_BYTES // 50))
+    for number in range(1, MOST_WAITED_FOR):
+        assert a.say(f"n{number}/client/test") == 1
+    with pytest.raises(PeerLost):
+        a.say(f"n{MOST_WAITED_FOR}/client/test")
+
+
+def test_a_full_agent_gives_the_place_of_an_unused_link_to_a_newcomer(memory_rig):
+    a = memory_rig.agent("a", links=2)
+    peers = [memory_rig.bare_peer(f"n{number:03d}", a) for number in range(MAX_AGENTS - 1)]
+    memory_rig.until(lambda: all(peer.is_up for peer in peers))
+    for peer in peers:
+        a.say(f"{peer.own.name}/client/test")
+    early = memory_rig.bare_peer("o", a)
+    memory_rig.until(lambda: early.over)
+    assert "is full" in early.over.reason and not any(peer.over for peer in peers)
+    memory_rig.timeline.run_until(memory_rig.clock.now() + QUIET_S / 2)
+    for peer in peers[:-1]:
+        a.say(f"{peer.own.name}/client/test")
+    memory_rig.timeline.run_until(memory_rig.clock.now() + QUIET_S / 2 + 2 * LOOK_S)
+    late = memory_rig.bare_peer("p", a)
+    memory_rig.until(lambda: late.is_up and peers[-1].over)
+    assert [peer.own.name for peer in peers if peer.over] == [peers[-1].own.name]
+    assert peers[-1].over.goodbye == Goodbye("rest", RESTS_S)
