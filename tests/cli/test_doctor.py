@@ -154,7 +154,7 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
         "dead_letters": 0,
         "neighbours": ["b"],
         "process": {"version": __version__},
-        "mesh": {"peers": [{**PEER, "dropped": {}}], "asleep": [], "addresses": []},
+        "mesh": {"peers": [{**PEER, "dropped": {}}], "few": None, "asleep": [], "addresses": []},
         **other,
     }
 
@@ -174,7 +174,7 @@ def test_a_healthy_agent_is_in_order():
 
 
 def test_links_through_routers_are_told():
-    (found,) = found_in(agent(mesh={"peers": [ROUTED], "asleep": [], "addresses": []}))
+    (found,) = found_in(agent(mesh={"peers": [ROUTED], "few": None, "asleep": [], "addresses": []}))
     assert found.text == "is ready, with 1 task running and 1 neighbour; 1 link through routers"
 
 
@@ -190,7 +190,7 @@ def test_builds_that_differ_over_the_fleet_are_named_with_their_agents():
     assert "pancakes deploy" in found.advice
 
 
-STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "refused": ""}
+STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "refused": "", "rests": False}
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "r
         ({"ready": False}, "warning", "a", "is not ready"),
         ({"held": True}, "warning", "a", "waits at 0"),
         (
-            {"mesh": {"peers": [{**ROUTED, "encrypted": False}], "asleep": [], "addresses": []}},
+            {"mesh": {"peers": [{**ROUTED, "encrypted": False}], "few": None, "asleep": [], "addresses": []}},
             "warning",
             "a",
             "has a link to b over zenoh://, which does not encrypt",
@@ -240,25 +240,32 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "r
         ),
         ({"tasks": [task(missed=50, lateness_max_s=0.2)]}, "warning", "a/Scan", "missed 50 of 1050 ticks"),
         (
-            {"mesh": {"peers": [], "asleep": [], "addresses": [STATIC]}},
+            {"mesh": {"peers": [], "few": None, "asleep": [], "addresses": [STATIC]}},
             "warning",
             "a",
             "is not connected to its peer c at tcp://x:1",
         ),
         (
-            {"mesh": {"peers": [], "asleep": [], "addresses": [{**STATIC, "refused": "it is not of the fleet 'x'"}]}},
+            {
+                "mesh": {
+                    "peers": [],
+                    "few": None,
+                    "asleep": [],
+                    "addresses": [{**STATIC, "refused": "it is not of the fleet 'x'"}],
+                }
+            },
             "warning",
             "a",
             "is not connected to its peer c at tcp://x:1: it is not of the fleet 'x'",
         ),
         (
-            {"mesh": {"peers": [{**PEER, "dropped": {}, "refused": 2}], "asleep": [], "addresses": []}},
+            {"mesh": {"peers": [{**PEER, "dropped": {}, "refused": 2}], "few": None, "asleep": [], "addresses": []}},
             "warning",
             "a",
             "refused 2 packets of b, which may not send them",
         ),
         (
-            {"mesh": {"peers": [{**PEER, "dropped": {"log": 3}}], "asleep": [], "addresses": []}},
+            {"mesh": {"peers": [{**PEER, "dropped": {"log": 3}}], "few": None, "asleep": [], "addresses": []}},
             "warning",
             "a",
             "dropped 3 packets to b, which is too slow for them: 3 of log",
@@ -278,7 +285,7 @@ def test_a_few_missed_ticks_are_nothing():
 
 
 def test_a_peer_that_sleeps_is_not_away():
-    mesh = {"peers": [], "asleep": [{"name": "c", "for_s": 3.0}], "addresses": [STATIC]}
+    mesh = {"peers": [], "few": None, "asleep": [{"name": "c", "for_s": 3.0}], "addresses": [STATIC]}
     assert levels(found_in(agent(mesh=mesh))) == [("ok", "a")]
 
 
@@ -336,3 +343,9 @@ def test_names_that_are_borne_twice():
 def test_a_task_of_which_its_agent_does_not_know_whether_it_is_elsewhere(rest: str, level: str, begins: str) -> None:
     (finding,) = found_in(agent(tasks=[task(state="stopped", rest=rest, reason="why")]))
     assert (finding.level, finding.about) == (level, "a/Scan") and finding.text.startswith(begins) and finding.advice
+
+
+def test_an_agent_that_keeps_a_few_links_says_of_how_many_and_misses_no_peer_whose_link_rests():
+    mesh = {"peers": [{**PEER, "dropped": {}}], "asleep": [], "addresses": [{**STATIC, "rests": True}]}
+    (found,) = found_in(agent(mesh={**mesh, "few": {"links": 8, "known": 300}}))
+    assert found.level == "ok" and found.text.endswith("of 300 agents that it knows")

@@ -25,8 +25,10 @@ LOOK_S: Final = 0.02
 PATIENCE_S: Final = 30.0
 ENTRY_POINTS: Final = """
 [pancakes.tasks]
+soak.Listener = soak.tasks:Listener
 soak.Passing = soak.tasks:Passing
 soak.Sweeper = soak.tasks:Sweeper
+soak.Talker = soak.tasks:Talker
 soak.Worker = soak.tasks:Worker
 
 [pancakes.packets]
@@ -137,19 +139,27 @@ class Fleet:
         names: their names.
         rest: what follows `[agent]` in the configuration of each, by name.
         told: how many agents, the first ones, are named to each as peers.
+        addresses: where each listens, by name; None: at a port of this machine that is free.
 
     Attributes:
         agents: them, by name.
         environment: that of their processes.
     """
 
-    def __init__(self, directory: Path, names: Sequence[str], rest: Mapping[str, str], told: int = 1) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        names: Sequence[str],
+        rest: Mapping[str, str],
+        told: int = 1,
+        addresses: Mapping[str, str] | None = None,
+    ) -> None:
         self.directory = directory
         keys = KeysInTest(directory)
         self.environment = {**_offer_tasks(directory), **keys.environment}
         self._offered = keys.offered()
         self.agents: dict[str, AgentProcess] = {}
-        addresses = dict(zip(names, free_addresses(len(names)), strict=True))
+        addresses = addresses or dict(zip(names, free_addresses(len(names)), strict=True))
         for name in names:
             peers = [addresses[other] for other in names[:told] if other != name]
             head = f'schema = 1\n[agent]\nname = "{name}"\nfleet = "soak"\nlisten = "{addresses[name]}"\n'

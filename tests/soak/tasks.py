@@ -6,11 +6,12 @@ import fcntl
 import gc
 import os
 import sys
+import time
 from dataclasses import dataclass
 from typing import Any
 
 from pancakes.errors import MailboxFull
-from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, packet_type
+from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, join, packet_type
 from pancakes.task import Task, Tick, every, on, reliable
 
 SWEPT_S = 2.0
@@ -33,6 +34,60 @@ class Word:
     """Told to one task, wherever that is."""
 
     count: int
+
+
+@packet_type("soak.said")
+@dataclass(frozen=True, slots=True)
+class Said:
+    """Told to one agent, with the time of the machine's clock."""
+
+    count: int
+    at_s: float
+
+
+class Talker(Task):
+    """Talks to one agent, from when there is a file until it is gone."""
+
+    @dataclass
+    class Settings:
+        to: str = ""
+        while_there: str = ""
+
+    @dataclass
+    class State:
+        said: int = 0
+
+    settings: Settings
+    state: State
+
+    @every(hz=10)
+    def talk(self, tick: Tick) -> None:
+        """Says something, where it is to."""
+        if os.path.exists(self.settings.while_there):
+            self.state.said += 1
+            self.publish(SYSTEM, Said(self.state.said, time.monotonic()), to=join(self.settings.to, "client/Listener"))
+
+
+class Listener(Task):
+    """Writes down what others say: who, the count, and how long it took."""
+
+    @dataclass
+    class Settings:
+        file: str = ""
+
+    settings: Settings
+
+    def on_start(self) -> None:
+        self._file = os.open(self.settings.file, os.O_CREAT | os.O_APPEND | os.O_WRONLY)
+
+    def on_stop(self) -> None:
+        os.close(self._file)
+
+    @on(SYSTEM, Said, keep=reliable(1024), addressed=True)
+    def hear(self, packet: Packet) -> None:
+        """Somebody has said something."""
+        took_s = time.monotonic() - packet.body.at_s
+        os.write(self._file, f"{packet.source} {packet.body.count} {took_s:.6f}\n".encode())
 
 
 class Passing(Task):

@@ -33,6 +33,7 @@ class KnownAddress(msgspec.Struct):
     failures: int = 0
     ours: bool = False  # it is this agent's own
     refused: str = ""  # why the agent there will not have us, in its words
+    rests: bool = False  # the link to its agent has ended as one too many
     by: str = ""  # the peer that named it; empty: the configuration, or a person
 
 
@@ -92,6 +93,7 @@ class AddressBook:
                 "name": it.name,
                 "failures": it.failures,
                 "refused": it.refused,
+                "rests": it.rests,
             }
             for address, it in list(self._known.items())
             if not it.ours
@@ -157,7 +159,7 @@ class AddressBook:
         """The agent there is not to be dialled for a while: forgets an address that was learnt."""
         it = self._known[address]
         if it.static:
-            it.failures, it.due_s = 0, now_s + RESTS_S
+            it.failures, it.due_s, it.rests = 0, now_s + RESTS_S, True
         else:
             self.forget(address)
 

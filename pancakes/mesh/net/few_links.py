@@ -93,6 +93,10 @@ class FewLinks:
         self._walks_s = now_s + source.uniform(0.0, WALK_S)
         self.due_s = now_s
 
+    def describe(self) -> dict[str, int]:
+        """Returns how many links it keeps, and how many agents it knows. Any thread."""
+        return {"links": self._most, "known": len(self._known)}
+
     def heard(self, name: str, listen: Sequence[str], age_s: float, now_s: float) -> None:
         """An agent was heard of.
 

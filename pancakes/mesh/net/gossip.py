@@ -20,6 +20,8 @@ BEACON_ADDRESSES: Final = 8
 """So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
 every agent the square of the fleet, for what all agents know: a new link gets them all.
 """
+TO_ONE: Final = 32
+"""So many agents are in a beacon to one peer: of a thousand, each agent hears of each within half a minute."""
 
 _EVERYWHERE: Final = (LOCAL, "tcp")
 """Each agent dials these; other schemes those agents alone that are linked by them, or listen at them."""
@@ -53,14 +55,19 @@ class Gossiper:
         self._beacons = 0
 
     def beacon(self, own: Hello, peers: Peers, now_s: float) -> None:
-        """Tells all peers of this agent, and some others."""
-        others = peers.gossip() if self._few is None else self._few.some(BEACON_ADDRESSES, now_s)
-        if len(others) > BEACON_ADDRESSES:
-            first = self._beacons * BEACON_ADDRESSES % len(others)
-            others = (others + others)[first : first + BEACON_ADDRESSES]
+        """Tells all peers of this agent and some others; or one peer, in turn, of many."""
+        hearers = list(self._links)
+        if self._few is not None:
+            others = self._few.some(TO_ONE, now_s)
+            hearers = hearers[self._beacons % len(hearers) :][:1] if hearers else []
+        else:
+            others = peers.gossip()
+            if len(others) > BEACON_ADDRESSES:
+                first = self._beacons * BEACON_ADDRESSES % len(others)
+                others = (others + others)[first : first + BEACON_ADDRESSES]
         self._beacons += 1
         agents = [*([(own.name, own.listen, 0.0)] if own.listen else ()), *others]
-        self._links.announced(sum([self._tell(session, agents) for session in self._links]))
+        self._links.announced(sum([self._tell(session, agents) for session in hearers]))
 
     def stood_up(self, session: Session, peers: Peers, now_s: float) -> None:
         """Tells a new peer of all agents, and the others of it, unless it is known."""

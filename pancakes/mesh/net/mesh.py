@@ -181,7 +181,7 @@ class Mesh:
         return True
 
     def announce(self) -> None:
-        """Tells all peers the addresses that are known here: the beacon of discovery. A mission packet to each."""
+        """Tells peers the agents that are known here: the beacon of discovery. A mission packet to each."""
         self._transport.call_later(0.0, self._beacon)
 
     def mission_changed(self) -> None:
@@ -246,6 +246,7 @@ class Mesh:
             "peers": self.links(),
             "asleep": [{"name": name, "for_s": None if for_s == math.inf else for_s} for name, for_s in asleep.items()],
             "addresses": self._peers.describe() if self._peers is not None else [],
+            "few": self._few.describe() if self._few is not None else None,
             "mission_packets_sent": self.mission_packets_sent(),
         }
 

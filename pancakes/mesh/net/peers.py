@@ -270,7 +270,7 @@ class Peers:
         self._up[name] = candidate
         known_address = self._book.get(candidate.address)
         if known_address is not None:
-            known_address.refused = ""
+            known_address.refused, known_address.rests = "", False
         decisions: list[Decision] = []
         if known is not None:
             decisions.append(TurnDown(known.link, "duplicate", f"{name} chose another link"))

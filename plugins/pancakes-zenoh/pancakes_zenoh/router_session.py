@@ -22,7 +22,10 @@ from pancakes.errors import PancakesError
 from pancakes_zenoh.link_frames import LONGEST_PHRASE, PIECE_BYTES
 
 RETRY_S: Final = 1.0
-"""So often a session is tried for where no router has answered yet. One that was lost Zenoh opens again by itself."""
+"""So long at most until a session is tried for again where no router has answered, then twice as long ..."""
+LONGEST_RETRY_S: Final = 8.0
+"""... up to this, at random: hundreds of agents at once must not keep a router from answering any. A session that was lost
+Zenoh opens again by itself."""
 CLOSE_S: Final = 2.0
 """For the last frames, and for the router to hear that the session ends."""
 ANSWER_S: Final = 3.0
@@ -129,10 +132,12 @@ class RouterSession:
     # In its thread
 
     def _run(self) -> None:
+        longest_s = RETRY_S
         while not self._open():
             self._tried.set()
-            if self._closing.wait(RETRY_S):
+            if self._closing.wait(secrets.SystemRandom().uniform(longest_s / 2, longest_s)):
                 return
+            longest_s = min(2 * longest_s, LONGEST_RETRY_S)
         self.fault = ""
         self._tried.set()
         while (call := self._calls.get()) is not None:

@@ -136,6 +136,7 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
             "devices": found["devices"],
             "channels": found["channels"],
             "neighbours": found["neighbours"],
+            **_few(mesh["few"]),
             "asleep": [peer["name"] for peer in mesh["asleep"]],
             "tasks": f"{running} of {len(tasks)} run (pancakes task list {found['agent']})",
             "dead letters": found["dead_letters"],
@@ -148,6 +149,11 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
         ],
         "links": [_link(peer) for peer in mesh["peers"] if not is_own(peer["name"])],
     }
+
+
+def _few(few: dict[str, int] | None) -> dict[str, str]:
+    """How many links an agent keeps, where it does not keep one to each."""
+    return {"keeps links to": f"{few['links']} of {few['known']} agents that it knows"} if few is not None else {}
 
 
 def _clock(found: dict[str, Any]) -> str:

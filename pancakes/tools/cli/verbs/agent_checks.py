@@ -81,6 +81,8 @@ def check_fleet(
             running = sum(task["state"] == "running" for task in agent["tasks"])
             connected = len(agent["neighbours"])
             text = f"is ready, with {_count(running, 'task')} running and {_count(connected, 'neighbour')}"
+            if few := agent["mesh"]["few"]:
+                text += f" of {_count(few['known'], 'agent')} that it knows"
             if routed := sum(peer["reach"] == "routers" for peer in agent["mesh"]["peers"]):
                 text += f"; {_count(routed, 'link')} through routers"
             yield Finding("ok", agent["agent"], text)
@@ -121,7 +123,7 @@ def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
     connected = {peer["name"] for peer in mesh["peers"]}
     asleep = {peer["name"] for peer in mesh["asleep"]}
     for known in mesh["addresses"]:
-        if known["static"] and known["name"] not in connected | asleep:
+        if known["static"] and not known["rests"] and known["name"] not in connected | asleep:
             peer = f"{known['name']} at {known['address']}" if known["name"] else f"at {known['address']}"
             text = f"is not connected to its peer {peer}" + (f": {known['refused']}" if known["refused"] else "")
             advice = "start that agent, or correct peers in [agent]"
