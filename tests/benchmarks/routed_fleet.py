@@ -21,7 +21,8 @@ from zenoh_links.routers import Router
 TITLE = "agents with a few links each, at one Zenoh router, all on this machine"
 BESIDE = ""
 AGENTS = 300
-LINKS = 8
+LINKS = 4
+DISCOVERY_HZ = 0.1
 AT_ONCE = 15
 """So many are started together: each of them takes a second of a core."""
 SETTLE_S = 60.0
@@ -48,7 +49,8 @@ def measure(plan: Plan) -> Iterator[Figure]:
         directory, names = Path(name), names_of(size)
         speakers = names[::10]
         hearers = {one: names[(names.index(one) + size // 2 + 1) % size] for one in speakers}
-        rest = dict.fromkeys(names, f"links = {LINKS}\n")
+        network = f"[service.network]\nsettings = {{ discovery_hz = {DISCOVERY_HZ} }}\n"
+        rest = dict.fromkeys(names, f"links = {LINKS}\n{network}")
         for one, other in hearers.items():
             rest[one] += f"[task.Talker]\ntype = 'soak.Talker'\nsettings = {{ to = '{other}', "
             rest[one] += f"while_there = '{directory / 'talk'}' }}\n"

@@ -18,7 +18,7 @@ FRESH_S: Final = 120.0
 """An agent of which nothing was heard for so long is told of to no peer, and is not dialled unasked."""
 FORGOTTEN_S: Final = 600.0
 """It is forgotten after so long."""
-LOOK_S: Final = 1.0
+LOOK_S: Final = 3.0
 """So often it is looked whether links are too few or too many."""
 MADE_S: Final = 10.0
 """So long a link may take to be made; packets for the agent wait so long."""

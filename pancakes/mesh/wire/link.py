@@ -51,7 +51,7 @@ PACE: Final = 1.5
 """Each of the first pings comes so much longer after the one before."""
 MOST_UNANSWERED: Final = 8
 """An answer to an older ping says nothing about the link of today."""
-RESTED: Final = 10
+RESTED: Final = 40
 """So much more seldom heartbeats are where the transport tells deaths."""
 _RTT_WEIGHT: Final = 1 / 8  # of a new measurement in the average, as in TCP (RFC 6298)
 
@@ -88,7 +88,8 @@ class LinkTimes(msgspec.Struct, frozen=True):
 
     def rested(self) -> LinkTimes:
         """Returns the times of a link whose transport tells deaths: heartbeats are a second look, and seldom."""
-        return msgspec.structs.replace(self, heartbeat_s=self.heartbeat_s * RESTED)
+        heartbeat_s = self.heartbeat_s * RESTED
+        return msgspec.structs.replace(self, heartbeat_s=heartbeat_s, measure_s=max(self.measure_s, heartbeat_s))
 
 
 class LinkState(Enum):

@@ -84,6 +84,7 @@ class Leases:
         self._on_disk = on_disk
         self._outvoted = outvoted
         self._held: list[Place] = []
+        self._choosing = False
         self._looks = GuardedLooks(host, self._held, save)
         self._deadlines = Deadlines(host.after_host, host.kernel.host.now)
 
@@ -91,7 +92,6 @@ class Leases:
         """Looks at the guardians of all tasks from now on; `places`: those of which there is a record."""
         for place in list(places):
             self.look(place)
-        self._host.after_host(CHOOSE_S, self._choose_all)
 
     def permits(self, place: Place) -> bool:
         """Returns whether a guarded task may act now."""
@@ -141,6 +141,9 @@ class Leases:
             end=self._deadlines.new(partial(self._look_for_end, place)),
         )
         self._held.append(place)
+        if not self._choosing:
+            self._choosing = True
+            self._host.after_host(CHOOSE_S, self._choose_all)
         self._learn_rule(place)
         self._host.kernel.permits.revoke(_right(place))
         self._looks.begin(place)
@@ -401,7 +404,9 @@ class Leases:
                 self._replace(place, (self._talk.me,))
             elif self._host.kernel.host.now() - tenancy.asked_s >= ASK_AGAIN_S:
                 self._ask(place, tenancy)
-        self._host.after_host(CHOOSE_S, self._choose_all)
+        self._choosing = bool(self._held)
+        if self._choosing:
+            self._host.after_host(CHOOSE_S, self._choose_all)
 
     def _ask(self, place: Place, tenancy: Tenancy) -> None:
         tenancy.asked_s = self._host.kernel.host.now()

@@ -27,7 +27,7 @@ WATCH_S: Final = 0.02
 """How often the watchdog looks."""
 MOST_PASSED_S: Final = 2 * WATCH_S
 """So much counts between two looks, at the most: where the watchdog itself comes late, the machine stood still."""
-DOZE_LOOKS: Final = 2
+DOZE_LOOKS: Final = 1
 """After so many looks at which no turn was given the watchdog rests until a thread is at work."""
 HOGGED_S: Final = 0.05
 """A handler that holds its thread longer than this is named."""

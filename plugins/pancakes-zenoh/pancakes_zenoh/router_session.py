@@ -24,8 +24,8 @@ from pancakes_zenoh.link_frames import LONGEST_PHRASE, PIECE_BYTES
 RETRY_S: Final = 1.0
 """So long at most until a session is tried for again where no router has answered, then twice as long ..."""
 LONGEST_RETRY_S: Final = 8.0
-"""... up to this, at random: hundreds of agents at once must not keep a router from answering any. A session that was lost
-Zenoh opens again by itself."""
+"""... up to this, at random: hundreds of agents at once must not keep a router from answering any. A session that was
+lost Zenoh opens again by itself."""
 CLOSE_S: Final = 2.0
 """For the last frames, and for the router to hear that the session ends."""
 ANSWER_S: Final = 3.0
