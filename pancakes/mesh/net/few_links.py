@@ -24,8 +24,11 @@ MADE_S: Final = 10.0
 """So long a link may take to be made; packets for the agent wait so long."""
 AVOIDED_S: Final = 60.0
 """An agent to which no link came to stand is not dialled unasked for so long."""
+MANY: Final = 2
+"""Links end where there are so many times more than are to be kept: else the other agent has too few, and makes one to
+a third, which has too many then."""
 REST_S: Final = 30.0
-"""A link that is one too many ends where no packet has gone over it for so long."""
+"""They end where no packet has gone over them for so long."""
 WALK_S: Final = 300.0
 """So often a link to another agent is made unasked, so that two halves of a fleet that were parted meet again."""
 
@@ -164,7 +167,7 @@ class FewLinks:
             drawn = self._random.sample(others, min(missing, len(others)))
             decisions.extend(self._make(name, now_s) for name in drawn)
         unused = [(use.quiet_s, name) for name, use in linked.items() if use.may_end and use.quiet_s >= REST_S]
-        surplus = len(linked) - self._most
+        surplus = len(linked) - MANY * self._most
         if surplus > 0:
             decisions.extend(EndLink(name) for _, name in sorted(unused, reverse=True)[:surplus])
         return decisions

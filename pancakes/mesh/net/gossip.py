@@ -75,7 +75,7 @@ class Gossiper:
         if self._few is None:
             agents = peers.gossip()
         else:  # a link that comes and goes is no reason to tell everything again
-            agents = self._few.fresh(now_s) if is_news else []
+            agents = self._few.fresh(now_s) if is_news else self._few.some(TO_ONE, now_s)
         for first in range(0, len(agents), ADDRESSES):
             self._tell(session, agents[first : first + ADDRESSES])
         # Of an address that peers have named they know, and the newcomer hears of all others and dials them.
