@@ -20,10 +20,10 @@ from zenoh_links.routers import Router
 
 TITLE = "agents with a few links each, at one Zenoh router, all on this machine"
 BESIDE = ""
-AGENTS = 300
+AGENTS = 200
 LINKS = 4
 DISCOVERY_HZ = 0.1
-AT_ONCE = 15
+AT_ONCE = 10
 """So many are started together: each of them takes a second of a core."""
 SETTLE_S = 60.0
 """So long they are left alone first: links that are too many end."""

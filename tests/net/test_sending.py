@@ -299,3 +299,28 @@ def test_in_whatever_way_a_packet_is_sent_it_arrives_once_and_in_order(its):
         sent, offered = [it.seq for it in peer.got()], [it.seq for it in peer.taken]
         assert sorted(sent + offered) == wanted and sent == sorted(sent) and offered == sorted(offered)
         assert peer.retries == sum(it[2] for seq, it in enumerate(its) if seq in wanted)
+
+
+def test_what_is_published_while_waiting_packets_are_sent_follows_them() -> None:
+    class Telling(Peer):
+        """Has something told on `log` at the first packet, as a gate does that holds one back."""
+
+        def offer(self, channel, key, message):
+            super().offer(channel, key, message)
+            if len(self.offered) == 1:
+                sending.send(Packet("log", "line", "a/client/x", "b/log", 0.0, 9, "held back"))
+
+    sought: list[str] = []
+
+    def seek(agent: str) -> bool:
+        sought.append(agent)
+        return True
+
+    sending = Sending(lambda packet: PeerLost(""), lambda function: function(), seek)
+    peer: Any = Telling()
+    for number in range(2):
+        assert sending.send(Packet("system", "n", "a/client/x", "b/client/y", 0.0, number, number)) == 1
+    assert sought == ["b"], "a link is asked for once"
+    sending.change({"b": peer}, (peer,))
+    assert [packet.body for packet in peer.taken] == [0, 1, "held back"]
+    assert sending.give_up("b") == 0

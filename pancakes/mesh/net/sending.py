@@ -135,7 +135,9 @@ class Sending:
         self._waiting: dict[str, _Waiting] = {}
         self._links: Mapping[str, Session] = {}
         self._neighbours: tuple[Session, ...] = ()
-        self._lock = threading.Lock()  # so that no way is made of links that are being replaced
+        # So that no way is made of links that are being replaced. What a gate holds back is told on `log`, which may be
+        # sent by the thread that has it.
+        self._lock = threading.RLock()
         self._ways: dict[Key, Way] = {}
         self._local = _Local(defer)
 
@@ -147,10 +149,11 @@ class Sending:
             neighbours: the sessions that the destination `*` means.
         """
         with self._lock:
-            for agent in self._waiting.keys() & links.keys():  # before all that is published from now on
-                for channel, key, message in self._waiting.pop(agent).packets:
-                    with suppress(PeerBusy):
-                        links[agent].offer(channel, key, message)
+            while there := self._waiting.keys() & links.keys():
+                for agent in there:  # before all that is published from now on
+                    for channel, key, message in self._waiting.pop(agent).packets:
+                        with suppress(PeerBusy):
+                            links[agent].offer(channel, key, message)
             self._links = links
             self._neighbours = neighbours
             self._ways = {}
