@@ -22,17 +22,17 @@ def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
 
 
 def test_where_the_transport_tells_deaths_heartbeats_rest(memory_rig):
-    """A peer that says nothing at all is a second look's, after twenty seconds."""
+    """A peer that says nothing at all is a second look's, after eighty seconds."""
     a = memory_rig.agent("a")
     a.transport.facts = lambda address: WayFacts(Reach.NETWORK, tells_deaths=True)
     silent = memory_rig.bare_peer("n", a)
     memory_rig.until(lambda: silent.is_up)
     silent.act = lambda actions: None
     began_s = memory_rig.clock.now()
-    memory_rig.timeline.run_until(began_s + 3.0)
+    memory_rig.timeline.run_until(began_s + 75.0)
     assert a.knows("n")
     memory_rig.until(lambda: a.downs)
-    assert 19.0 < memory_rig.clock.now() - began_s < 25.0
+    assert memory_rig.clock.now() - began_s < 105.0
 
 
 def test_who_sends_packets_sends_no_heartbeats(memory_rig):

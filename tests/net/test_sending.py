@@ -308,7 +308,7 @@ def test_what_is_published_while_waiting_packets_are_sent_follows_them() -> None
         def offer(self, channel, key, message):
             super().offer(channel, key, message)
             if len(self.offered) == 1:
-                sending.send(Packet("log", "line", "a/client/x", "b/log", 0.0, 9, "held back"))
+                sending.send(Packet("log", "words", "a/client/x", "b/log", 0.0, 9, "held back"))
 
     sought: list[str] = []
 
@@ -319,7 +319,7 @@ def test_what_is_published_while_waiting_packets_are_sent_follows_them() -> None
     sending = Sending(lambda packet: PeerLost(""), lambda function: function(), seek)
     peer: Any = Telling()
     for number in range(2):
-        assert sending.send(Packet("system", "n", "a/client/x", "b/client/y", 0.0, number, number)) == 1
+        assert sending.send(Packet("system", "words", "a/client/x", "b/client/y", 0.0, number, number)) == 1
     assert sought == ["b"], "a link is asked for once"
     sending.change({"b": peer}, (peer,))
     assert [packet.body for packet in peer.taken] == [0, 1, "held back"]
