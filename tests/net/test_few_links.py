@@ -18,9 +18,9 @@ from pancakes.mesh.net.few_links import (
     MOST_KNOWN,
     REST_S,
     WALK_S,
+    DropWaiting,
     EndLink,
     FewLinks,
-    GiveUp,
     LinkUse,
     MakeLink,
 )
@@ -71,7 +71,7 @@ def test_what_does_not_become_a_link_is_given_up_and_not_tried_unasked_for_a_whi
     it = few("d", most=1)
     it.tick(0.0, {})
     assert it.tick(MADE_S - 0.1, {}) == []
-    assert it.tick(MADE_S, {}) == [GiveUp("d", ("tcp://d:1",))]
+    assert it.tick(MADE_S, {}) == [DropWaiting("d", ("tcp://d:1",))]
     assert it.tick(MADE_S + 1, {}) == [] and it.tick(MADE_S + AVOIDED_S - 1, {}) == []
     assert it.seek("d", MADE_S + 2) != [], "somebody asks"
     it = few("d", most=1)

@@ -37,7 +37,7 @@ Sighting = tuple[str, tuple[str, ...], float]
 
 
 class MakeLink(msgspec.Struct, frozen=True):
-    """Dial an agent at these addresses, until a link to it stands or `GiveUp` comes."""
+    """Dial an agent at these addresses, until a link to it stands or `DropWaiting` comes."""
 
     name: str
     listen: tuple[str, ...]
@@ -49,14 +49,14 @@ class EndLink(msgspec.Struct, frozen=True):
     name: str
 
 
-class GiveUp(msgspec.Struct, frozen=True):
+class DropWaiting(msgspec.Struct, frozen=True):
     """No link to an agent came to stand: what waits for it is lost."""
 
     name: str
     listen: tuple[str, ...]
 
 
-FewDecision = MakeLink | EndLink | GiveUp
+FewDecision = MakeLink | EndLink | DropWaiting
 
 
 class LinkUse(msgspec.Struct, frozen=True):
@@ -71,7 +71,7 @@ class LinkUse(msgspec.Struct, frozen=True):
     quiet_s: float
 
 
-class _Known(msgspec.Struct):
+class _HeardOf(msgspec.Struct):
     listen: tuple[str, ...]
     heard_s: float
 
@@ -88,7 +88,7 @@ class FewLinks:
     def __init__(self, most: int, source: random.Random, now_s: float) -> None:
         self._most = most
         self._random = source
-        self._known: dict[str, _Known] = {}
+        self._known: dict[str, _HeardOf] = {}
         self._wanted: dict[str, float] = {}  # the agents to which links are being made, and until when
         self._avoided: dict[str, float] = {}  # the agents that are not dialled unasked, and until when
         self._to_tell: list[str] = []
@@ -113,7 +113,7 @@ class FewLinks:
         if known is not None and known.heard_s >= heard_s:
             return
         if listen and age_s < FRESH_S and (known is not None or len(self._known) < MOST_KNOWN):
-            self._known[name] = _Known(tuple(listen), heard_s)
+            self._known[name] = _HeardOf(tuple(listen), heard_s)
 
     def knows(self, name: str) -> bool:
         """Returns whether it knows where an agent can be dialled. Any thread."""
@@ -157,7 +157,7 @@ class FewLinks:
                 del self._wanted[name]
                 self._avoided[name] = now_s + AVOIDED_S
                 known = self._known.get(name)
-                decisions.append(GiveUp(name, known.listen if known is not None else ()))
+                decisions.append(DropWaiting(name, known.listen if known is not None else ()))
         missing = self._most - len(linked) - len(self._wanted)
         if now_s >= self._walks_s:
             self._walks_s = now_s + WALK_S

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from pancakes.mesh.net.few_links import GiveUp
+from pancakes.mesh.net.few_links import DropWaiting
 from pancakes.mesh.wire.link_messages import Refusal
 
 
@@ -35,4 +35,4 @@ class Rest(msgspec.Struct, frozen=True):
     link: int
 
 
-Decision = Dial | Admit | TurnDown | Rest | GiveUp
+Decision = Dial | Admit | TurnDown | Rest | DropWaiting

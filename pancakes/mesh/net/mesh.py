@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.address_book import RESTS_S
 from pancakes.mesh.net.alarm import Alarm
-from pancakes.mesh.net.few_links import FewLinks, GiveUp
+from pancakes.mesh.net.few_links import DropWaiting, FewLinks
 from pancakes.mesh.net.gate import OPEN, Gate
 from pancakes.mesh.net.gossip import Gossiper
 from pancakes.mesh.net.link_decision import Admit, Decision, Dial, Rest
@@ -457,7 +457,7 @@ class Mesh:
                 self._sessions[session.number] = session
                 self._transport.dial(decision.address, session)
                 continue
-            if isinstance(decision, GiveUp):
+            if isinstance(decision, DropWaiting):
                 self._log.given_up(decision.name, self._sending.give_up(decision.name))
                 continue
             found = self._sessions.get(decision.link)
