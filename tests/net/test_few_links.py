@@ -247,3 +247,25 @@ def test_a_full_agent_gives_the_place_of_an_unused_link_to_a_newcomer(memory_rig
     memory_rig.until(lambda: late.is_up and peers[-1].over)
     assert [peer.own.name for peer in peers if peer.over] == [peers[-1].own.name]
     assert peers[-1].over.goodbye == Goodbye("rest", RESTS_S)
+
+
+def test_what_is_on_its_way_when_a_link_ends_as_one_too_many_arrives(memory_rig):
+    fleet = crowd(memory_rig, 12, links=2)
+    ender, others = fleet[5], [one for one in fleet if one.name != "a05"]
+    sent = dict.fromkeys((one.name for one in others), 0)
+
+    def ends():
+        return sum(reason == "a05 has no use for it now" for _, reason, _ in ender.downs)
+
+    for _ in range(5):
+        for one in others:
+            ender.say(f"{one.name}/client/test")
+        memory_rig.until(lambda: len(ender.mesh.connected()) == len(others))
+        before = ends()
+        memory_rig.until(lambda count=before: ends() > count)
+        for one in others:  # they have not heard of it yet
+            sent[one.name] += 1
+            assert one.say("a05/client/test", sent[one.name]) == 1
+        memory_rig.timeline.run_until(memory_rig.clock.now() + MADE_S)
+    heard = {name: [it.body for it in ender.packets if it.source.startswith(f"{name}/")] for name in sent}
+    assert heard == {name: list(range(1, count + 1)) for name, count in sent.items()}

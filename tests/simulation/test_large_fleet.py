@@ -16,7 +16,7 @@ from pancakes.simulation import Simulation
 from pancakes.task import Task, Tick, every, on
 
 AGENTS = int(os.environ.get("PANCAKES_LARGE_FLEET", "40"))
-"""A thousand take a quarter of an hour."""
+"""Hundreds take minutes."""
 LINKS = 4
 TASKS = AGENTS // 8
 GUARDED = 3

@@ -25,6 +25,7 @@ from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.newcomers import MAX_HANDSHAKES, makes_room
 from pancakes.mesh.net.peers import Peers, is_namesake
 from pancakes.mesh.net.receiving import Receiving
+from pancakes.mesh.net.resting import Resting
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
 from pancakes.mesh.net.timekeeping import Timekeeping
@@ -131,6 +132,7 @@ class Mesh:
         later, now = transport.call_later, host_clock.now
         self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
         self._receiving = Receiving(self._trust, self._log, now, self._log.attempt, on_packets, on_unfit)
+        self._resting = Resting(transport, self._receiving)
         self.clocks = Timekeeping(timebase, now, self._links, self._tell)
         self._sending = Sending(self._lost, defer, self.seek)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
@@ -305,6 +307,7 @@ class Mesh:
             self._leave()
 
     def _leave(self) -> None:
+        self._resting.close()
         for session in list(self._sessions.values()):
             if session.link is not None:
                 self._act(session, session.link.leave(self._goodbye(), self._now()))
@@ -352,6 +355,9 @@ class Mesh:
         if session.link is None:
             return
         now_s = self._now()
+        if session in self._resting:
+            self._resting.received(session, data, now_s)
+            return
         was_up = session.is_up
         actions = session.link.receive(data, now_s)
         # Where all sessions are up, as most of the time, there is none that this link could make needless.
@@ -365,6 +371,7 @@ class Mesh:
         """See `Owner`."""
         if session.number in self._sessions:
             self._over(session, Over(reason))
+        self._resting.end(session, reason)
 
     def _act(self, session: Session, actions: Sequence[Action]) -> None:
         """Carries out what a link asks for."""
@@ -431,7 +438,8 @@ class Mesh:
     def _over(self, session: Session, over: Over) -> None:
         assert self._peers is not None
         del self._sessions[session.number]
-        session.end(over.reason)
+        if session not in self._resting:
+            session.end(over.reason)
         why = over.refused or over.refusing
         refusal = over.reason if over.refused is not None or over.turned_away else ""
         decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken, refusal)
@@ -466,7 +474,9 @@ class Mesh:
             if isinstance(decision, Admit):
                 self._act(found, found.link.admit(self._now()))
             elif isinstance(decision, Rest):
-                self._act(found, found.link.leave(Goodbye("rest", RESTS_S), self._now()))
+                self._act(found, found.link.rest(Goodbye("rest", RESTS_S), self._now()))
+                self._resting.begin(found)
+                self._over(found, Over(f"{self.identity.name} has no use for it now"))
             else:
                 self._refuse(found, decision.code, decision.reason)
         self._arm()

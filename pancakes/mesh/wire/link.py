@@ -323,6 +323,10 @@ class Link:
             return []
         return [self._send(goodbye, now_s), *self._over("this agent said goodbye")]
 
+    def rest(self, goodbye: Goodbye, now_s: float) -> list[Action]:
+        """Says goodbye as the last thing, and goes on to hear what the peer has sent before it hears that."""
+        return [self._send(goodbye, now_s)]
+
     def hurry(self) -> None:
         """Has the next pings follow each other as the first ones did: nothing is known of the peer's clock any more."""
         self.pace_s = self._times.first_s
