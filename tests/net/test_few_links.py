@@ -65,6 +65,8 @@ def test_an_agent_for_which_there_is_something_gets_a_link_where_it_is_known():
     assert it.seek("d", 0.0) == [MakeLink("d", ("tcp://d:1",))] and it.seek("d", 0.5) == []
     assert it.tick(1.0, {**linked, "d": IN_USE}) == []
     assert it.seek("d", 2.0) != [], "its link may end"
+    it.stood_up("d")
+    assert it.seek("d", 2.1) != [], "at once, too"
 
 
 def test_what_does_not_become_a_link_is_given_up_and_not_tried_unasked_for_a_while():

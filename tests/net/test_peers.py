@@ -392,6 +392,13 @@ def test_a_mesh_has_its_bounds():
     assert it.met(it.new_link(), hello("d", role="client"), "", 0.0) == [Admit(MAX_AGENTS + 1)]
 
 
+def test_a_terminal_links_to_more_agents_than_an_agent_does():
+    it = Peers(hello("0", role="client"), (), random.Random(1), LinkTimes(), 0.0)
+    for number in range(MAX_AGENTS + 10):
+        connect(it, f"n{number}")
+    assert it.met(it.new_link(), hello("z"), "", 0.0) == [Admit(MAX_AGENTS + 11)]
+
+
 def full_of_clients(quiet_s):
     """An agent with all the clients that it takes, each on a machine of its own."""
     quiet: dict[int, float] = {}

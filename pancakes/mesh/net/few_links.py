@@ -137,6 +137,10 @@ class FewLinks:
         known = self._known.get(name)
         return [self._make(name, now_s)] if known is not None and name not in self._wanted else []
 
+    def stood_up(self, name: str) -> None:
+        """A link to an agent stands. Where it ends soon, another one is made for what comes then."""
+        self._wanted.pop(name, None)
+
     def tick(self, now_s: float, linked: Mapping[str, LinkUse]) -> list[FewDecision]:
         """Looks at all links.
 

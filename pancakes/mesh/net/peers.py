@@ -268,6 +268,8 @@ class Peers:
         candidate.up_s = now_s
         candidate.until_s = math.inf
         self._up[name] = candidate
+        if self._few is not None:
+            self._few.stood_up(name)
         known_address = self._book.get(candidate.address)
         if known_address is not None:
             known_address.refused, known_address.rests = "", False
@@ -425,7 +427,9 @@ class Peers:
             reason = f"{self._own.name} is full: it has {clients} clients, and all of them are in use"
             return reason if clients >= MAX_CLIENTS else ""
         agents = len(self._up) - clients + 1
-        return f"{self._own.name} is full: it is in a mesh of {agents} already" if agents >= MAX_AGENTS else ""
+        # A terminal looks at all agents of a fleet of hundreds.
+        most = MAX_LEARNT if self._own.role == "client" else MAX_AGENTS
+        return f"{self._own.name} is full: it is in a mesh of {agents} already" if agents >= most else ""
 
     def _make_room(self, newcomer: _Candidate, now_s: float) -> list[Decision]:
         """Ends the link of a client whose place a new client gets; none where there is no such client.
