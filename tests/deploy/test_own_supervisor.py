@@ -91,9 +91,10 @@ def test_what_ends_in_order_or_would_end_each_time_is_not_started_again(supervis
 
 
 def test_it_ends_its_agent_with_what_that_says_last(supervised: Supervised):
-    end = "import signal\nsignal.signal(signal.SIGTERM, lambda *it: (print('farewell', flush=True), os._exit(0)))\n"
-    supervised.start(LIVES.replace("while True", end + "while True"))
-    pid = supervised.wait(lambda it: it["state"] == "active")["pid"]
+    end = "import os, signal\nsignal.signal(signal.SIGTERM, lambda *it: (print('farewell', flush=True), os._exit(0)))\n"
+    supervised.start(end + LIVES)
+    # It says that it is ready before it says that it lives.
+    pid = supervised.wait(lambda it: it["state"] == "active" and supervised.log() != "")["pid"]
     assert supervised.process is not None
     supervised.process.send_signal(signal.SIGTERM)
     assert supervised.process.wait(PATIENCE_S) == 0

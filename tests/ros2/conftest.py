@@ -8,9 +8,17 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from ros2.environments import MAKING_S
 from ros2.ros_rig import RosAgent, RosPeer
 
 _DOMAINS = count()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The test that is the first on a new machine makes the environments: any of them may be it."""
+    for item in items:
+        if item.path.parent == Path(__file__).parent and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(2 * MAKING_S))
 
 
 @pytest.fixture(scope="session")
