@@ -61,7 +61,7 @@ def test_it_makes_links_until_they_are_enough_and_draws_the_agents():
 def test_an_agent_for_which_there_is_something_gets_a_link_where_it_is_known():
     it = few("a", "b", "c", "d")
     linked = dict.fromkeys("abc", IN_USE)
-    assert it.tick(0.0, linked) == [] and it.seek("x", 0.0) == []
+    assert it.tick(0.0, linked) == [] and it.seek("x", 0.0) == [DropWaiting("x", ())]
     assert it.seek("d", 0.0) == [MakeLink("d", ("tcp://d:1",))] and it.seek("d", 0.5) == []
     assert it.tick(1.0, {**linked, "d": IN_USE}) == []
     assert it.seek("d", 2.0) != [], "its link may end"

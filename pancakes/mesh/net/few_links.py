@@ -134,8 +134,9 @@ class FewLinks:
 
     def seek(self, name: str, now_s: float) -> list[FewDecision]:
         """There is something for an agent to which there may be no link."""
-        known = self._known.get(name)
-        return [self._make(name, now_s)] if known is not None and name not in self._wanted else []
+        if name not in self._known:  # it was forgotten just now
+            return [DropWaiting(name, ())]
+        return [self._make(name, now_s)] if name not in self._wanted else []
 
     def stood_up(self, name: str) -> None:
         """A link to an agent stands. Where it ends soon, another one is made for what comes then."""

@@ -284,6 +284,8 @@ class Mesh:
     def _seek(self, agent: str) -> None:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.seek(agent, self._now()))
+        else:  # it went to sleep just now
+            self._log.given_up(agent, self._sending.give_up(agent))
 
     def _redial(self) -> None:
         if self._peers is not None and self._state == "running":
