@@ -208,8 +208,9 @@ class Agent:
         told = {(RECORD, str(one.task_id)) for one in lost}
         self.skipped.extend(str(aside) for aside in journal.set_aside if (aside.kind, aside.key) not in told)
         self.skipped.extend(f"{one.task_id} is not started: {one.undecided(self.name)}" for one in lost)
+        fleet, role = config.agent.fleet, config.agent.role
         self.mesh = Mesh(
-            Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role, journal.life),
+            Identity(self.name, journal.uuid, journal.boot, fleet, role, journal.life, journal.copy),
             transport,
             addresses,
             config.agent.peers,

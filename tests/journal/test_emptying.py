@@ -18,7 +18,7 @@ def test_a_journal_is_removed_with_what_was_put_aside_and_all_else_stays(tmp_pat
 
     assert empty(tmp_path / "state")
 
-    assert sorted(path.name for path in (tmp_path / "state").iterdir()) == ["lock", "mine.txt"]
+    assert sorted(path.name for path in (tmp_path / "state").iterdir()) == ["lock", "mark", "mine.txt"]
     again = FileJournal(tmp_path / "state")
     assert (again.boot, again.entries("record"), again.set_aside) == (1, [], ())
     assert again.uuid != journal.uuid

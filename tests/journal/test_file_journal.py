@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -200,3 +201,20 @@ def test_a_link_that_leads_to_itself_is_a_sentence(tmp_path):
     link.symlink_to(link)
     with pytest.raises(JournalError, match="is a symbolic link to"):
         FileJournal(link)
+
+
+def test_a_directory_that_is_moved_is_the_original_and_a_copy_is_told(tmp_path: Path) -> None:
+    FileJournal(tmp_path / "state").close()
+    (tmp_path / "state").rename(tmp_path / "moved")
+    moved = FileJournal(tmp_path / "moved")
+    moved.close()
+    assert (moved.copy, moved.remarks) == ("", ())
+
+    shutil.copytree(tmp_path / "moved", tmp_path / "copy")
+    copy = FileJournal(tmp_path / "copy")
+    copy.close()
+    (said,) = copy.remarks
+    assert str(tmp_path / "copy") in said and "is a copy" in said
+    again = FileJournal(tmp_path / "copy")
+    again.close()
+    assert (again.copy, again.remarks) == (copy.copy, ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -9,6 +10,7 @@ from typing import Protocol
 import pytest
 
 from pancakes.runtime.journal import FileJournal, Journal, JournalEntry, JournalError, MemoryJournal
+from pancakes.runtime.journal.memory_journal import MARK
 
 
 class Disk(Protocol):
@@ -21,6 +23,9 @@ class Disk(Protocol):
     def read(self, name: str) -> bytes: ...
 
     def write(self, name: str, data: bytes) -> None: ...
+
+    def copy(self) -> Disk:
+        """Returns a copy, as a backup makes one that takes a file at a time."""
 
 
 class DirectoryDisk:
@@ -39,6 +44,11 @@ class DirectoryDisk:
     def write(self, name: str, data: bytes) -> None:
         (self.directory / name).write_bytes(data)
 
+    def copy(self) -> DirectoryDisk:
+        directory = self.directory.with_name(f"copy{len(list(self.directory.parent.iterdir()))}")
+        shutil.copytree(self.directory, directory)
+        return DirectoryDisk(directory)
+
 
 class DictionaryDisk:
     def __init__(self) -> None:
@@ -55,6 +65,11 @@ class DictionaryDisk:
 
     def write(self, name: str, data: bytes) -> None:
         self.cells[name] = data
+
+    def copy(self) -> DictionaryDisk:
+        copy = DictionaryDisk()
+        copy.cells.update((name, data) for name, data in self.cells.items() if name != MARK)
+        return copy
 
 
 @pytest.fixture(params=["file", "memory"])
@@ -98,6 +113,27 @@ def test_a_journal_keeps_its_id_and_counts_its_boots(disk: Disk) -> None:
 
     assert (first.uuid, first.boot) == ("first", 1)
     assert (second.uuid, second.boot) == ("first", 2)
+
+
+def opened(disk: Disk, life: str) -> tuple[str, bool]:
+    """Opens a journal, and returns which copy it is, and whether it has just become one."""
+    journal = disk.open(life)
+    journal.close()
+    return journal.copy, journal.copied
+
+
+def test_a_copy_is_told_from_the_original_and_from_other_copies(disk: Disk) -> None:
+    assert opened(disk, "first") == opened(disk, "second") == ("", False)
+    backup = disk.copy()
+    assert opened(disk, "third") == ("", False)
+
+    one, other = backup.copy(), backup.copy()
+
+    (of_one, is_new), (of_other, _) = opened(one, "fourth"), opened(other, "fifth")
+    assert is_new and len({"", of_one, of_other}) == 3
+    assert opened(one, "sixth") == (of_one, False)
+    assert opened(one.copy(), "seventh")[0] not in (of_one, "")
+    assert one.open("eighth").uuid == "first"
 
 
 def test_two_cannot_have_it_at_once(disk: Disk) -> None:

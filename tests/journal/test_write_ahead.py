@@ -164,20 +164,21 @@ def test_where_another_program_has_removed_or_cut_the_file_nothing_is_lost(journ
 
 
 def test_what_a_full_disk_has_cut_is_written_over(journal: FileJournal) -> None:
-    journal.write([entry("a", "1")])
+    long = 1000 * b"1"  # other files are shorter than the one that is cut
+    journal.write([entry("a", long)])
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, ((journal.directory / WRITE_AHEAD).stat().st_size + 20, limits[1]))
     try:
         with pytest.raises(JournalError, match="cannot write: File too large"):
             journal.write([entry("b", "1")])
-        assert kept(after_a_crash(journal)) == {"a": b"1"}
+        assert kept(after_a_crash(journal)) == {"a": long}
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
     journal.write([entry("c", "1")])
 
     again = after_a_crash(journal)
-    assert (again.uuid, kept(again)) == ("first", {"a": b"1", "c": b"1"})
+    assert (again.uuid, kept(again)) == ("first", {"a": long, "c": b"1"})
 
 
 def test_a_journal_that_is_closed_leaves_a_file_for_each_entry(journal: FileJournal) -> None:
@@ -185,7 +186,7 @@ def test_a_journal_that_is_closed_leaves_a_file_for_each_entry(journal: FileJour
     journal.close()
 
     names = sorted(path.name for path in journal.directory.iterdir())
-    assert names == ["identity.identity.rec", "lock", "task.a.rec", "task.b.rec"]
+    assert names == ["identity.identity.rec", "lock", "mark", "task.a.rec", "task.b.rec"]
 
 
 def test_one_that_has_much_written_ahead_leaves_that_to_the_next_opening(journal: FileJournal) -> None:

@@ -12,6 +12,7 @@ from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import addressed
 from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.runtime.journal.memory_journal import MARK
 from pancakes.runtime.services.log_record import record_of as record_of_log
 from pancakes.testing import FleetInTest
 
@@ -45,6 +46,16 @@ def fleet():
 def guarded(fleet):
     assert fleet.run_until(lambda: guards(fleet) == [["a", "b", "c"]], 10)
     return fleet
+
+
+def copy_of(fleet, name):
+    """Returns a copy of a disk, as a backup makes one that takes a file at a time."""
+    return {file: data for file, data in fleet.fleet.disk(name).items() if file not in ("lock", MARK)}
+
+
+def put(fleet, name, disk):
+    fleet.fleet.disk(name).clear()
+    fleet.fleet.disk(name).update(disk)
 
 
 def guard_row(agent):
@@ -313,6 +324,46 @@ def test_an_owner_whose_disk_was_restored_goes_on_from_what_the_guardians_have(g
     assert any("is an old copy" in line for line in a.lines("error"))
     guarded.run_for(5.0)
     assert where(guarded) == [owner]
+
+
+def test_guardians_of_which_one_is_a_copy_and_the_other_has_lagged_do_not_go_on_without_what_was_kept(guarded):
+    c = guarded.agents["c"]
+    copy = copy_of(guarded, "b")
+    guarded.run_for(1.0)
+    make_room = guarded.faults.fill_disk("c")
+    guarded.run_for(5.0)
+    n, kept = guarded.agents["a"].task("Count").state.n, record(guarded, "a").no
+    guarded.crash("a")
+    guarded.crash("b")
+    guarded.run_for(12.0)  # what c was to write is given up
+    make_room()
+    put(guarded, "b", copy)
+    guarded.restart("b")
+    guarded.connect()
+    guarded.run_for(20.0)
+    assert where(guarded) == [] and guard_row(c)["checkpoint"] < kept - 5
+    guarded.restart("a")
+    assert guarded.run_until(lambda: where(guarded) == ["a"], 10)
+    assert guarded.agents["a"].task("Count").state.n >= n - 10
+
+
+def test_an_owner_on_a_copy_of_its_disk_is_its_own_guardian_again_after_a_minute(guarded):
+    guarded.run_for(2.0)
+    guarded.crash("a")
+    del guarded.fleet.disk("a")[MARK]
+    a = guarded.restart("a")
+    assert guarded.run_until(lambda: where(guarded) == ["a"], 3.0), "the two others are a quorum"
+    copy = a.agent.mesh.identity.copy
+    assert copy not in [one.copy for one in record(guarded, "a").guards.members()]
+
+    def are_three():
+        return guards(guarded) == [["a", "b", "c"]] and copy in [it.copy for it in record(guarded, "a").guards.sets[0]]
+
+    assert guarded.run_until(are_three, 70.0)
+    assert where(guarded) == ["a"]
+    guarded.crash("b")
+    guarded.run_for(6.0)
+    assert where(guarded) == ["a"], "it and c are a quorum"
 
 
 def test_a_guardian_whose_disk_is_full_tells_an_owner_what_it_was_told(guarded):

@@ -25,6 +25,7 @@ from pancakes.mesh.security.access import Access
 from pancakes.mesh.security.rules import RIGHTS, AccessRule, Right
 from pancakes.packet import NETWORK
 from pancakes.runtime.hosting import guardian
+from pancakes.runtime.journal.memory_journal import MARK
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.testing import FleetInTest
 
@@ -129,6 +130,27 @@ def test_a_guardian_whose_disk_was_lost_is_not_believed_to_be_the_old_one(fleet)
     assert answered(fleet, "c", meant_for_the_old_one) is None
     denied = answered(fleet, "c", replace(meant_for_the_old_one, journal=journal(fleet, "b")))
     assert isinstance(denied, DenyLease) and "knows nothing of it" in denied.reason
+
+
+def test_a_guardian_whose_disk_is_a_copy_is_not_believed_to_be_the_old_one(fleet):
+    answered(fleet, "a", keep(fleet))
+    meant_for_the_old_one = seize(fleet)
+    fleet.crash("b")
+    del fleet.fleet.disk("b")[MARK]
+    b = fleet.restart("b")
+    fleet.connect()
+    assert any("b guards a/Scan anew: its disk is a copy" in line for line in b.lines("warning"))
+    denied = answered(fleet, "c", meant_for_the_old_one)
+    assert isinstance(denied, DenyLease) and "knows nothing of it" in denied.reason
+    assert "is none of its guardians" in answered(fleet, "a", keep(fleet, 2)).reason
+    new = Guards(OLD, 1, ((GuardianId("a", journal(fleet, "a")), denied.guardian),))
+    assert may_guard(fleet, journal(fleet, "b")) == [""]
+    assert isinstance(answered(fleet, "a", keep(fleet, 3, guards=new)), LeaseKept)
+    fleet.crash("b")
+    b = fleet.restart("b")
+    fleet.connect()
+    assert answered(fleet, "a", keep(fleet, 4, guards=new)).guardian == denied.guardian, "it is the same copy"
+    assert not any("is a copy" in line for line in b.lines("warning"))
 
 
 def test_one_that_has_lost_a_register_guards_the_task_no_more(fleet):

@@ -15,15 +15,17 @@ MOST_GUARDIANS: Final = 5
 
 
 class GuardianId(NamedTuple):
-    """A guardian. An agent whose disk was lost has another journal, and so is another guardian.
+    """A guardian. An agent whose disk was lost, or is a copy, has forgotten pledges, and so is another guardian.
 
     Attributes:
         agent: the agent's name.
         journal: the id of its journal.
+        copy: which copy of that journal it has; empty: the original.
     """
 
     agent: AgentName
     journal: Annotated[str, msgspec.Meta(max_length=64)]
+    copy: Annotated[str, msgspec.Meta(max_length=64)] = ""
 
 
 GuardianSet = Annotated[tuple[GuardianId, ...], msgspec.Meta(min_length=1, max_length=MOST_GUARDIANS)]

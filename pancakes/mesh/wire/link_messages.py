@@ -198,7 +198,11 @@ LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | LinkNews
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """What an agent is, for its links; see `Hello` for the attributes."""
+    """What an agent is, for its links; see `Hello` for the attributes.
+
+    Attributes:
+        copy: which copy of its journal it has; empty: the original. Its hello does not tell that.
+    """
 
     name: str
     journal: str
@@ -206,6 +210,7 @@ class Identity(msgspec.Struct, frozen=True):
     fleet: str = DEFAULT_FLEET
     role: Role = "agent"
     life: str = ""
+    copy: str = ""
 
     def hello(self, listen: Sequence[str] = ()) -> Hello:
         """Returns the hello of this agent, which can be dialled at the addresses of `listen`.

@@ -130,6 +130,9 @@ class Guardian(Component):
         self._began_s = self.kernel.host.now()
         for task, why in self._registers.lost().items():
             self.log("error", f"{self.agent} guards {task!a} no more, as it may have forgotten a pledge: {why}")
+        if of_original := self._registers.of_original():
+            names = ", ".join(map(str, of_original))
+            self.log("warning", f"{self.agent} guards {names} anew: its disk is a copy, and lacks later pledges")
         for register in self._registers.all():
             one = self._new(register)
             one.heard_s = one.as_of_s = self._began_s

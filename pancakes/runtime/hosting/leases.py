@@ -45,6 +45,7 @@ from pancakes.runtime.hosting.tenancy import Tenancy
 from pancakes.runtime.kernel.guard_notes import GuardNote
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.runtime.supervision.task_messages import GoOn
 
 REPLACED_S: Final = 60.0
@@ -411,8 +412,8 @@ class Leases:
     def _ask(self, place: Place, tenancy: Tenancy) -> None:
         tenancy.asked_s = self._host.kernel.host.now()
         tenancy.answers = {}
-        for guardian in self._talk.neighbours():
-            self._talk.to_guardian(guardian, MayGuard(place.task_id, tenancy.type))
+        for peer in self._talk.neighbours():
+            self._talk.say(peer, GUARDIAN, MayGuard(place.task_id, tenancy.type))
         self._host.after_host(ANSWERED_S, partial(self._choose, place))
 
     def can_guard(self, place: Place, peer: str, answer: CanGuard) -> None:

@@ -15,8 +15,8 @@ from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 
-ToGuardian = KeepLease | SeizeTask | YieldLease | MayGuard
-ToPeer = Message | ToGuardian | GuardAnswer | AskLease | LeaseSeen | CanGuard | TakeTask
+ToGuardian = KeepLease | SeizeTask | YieldLease | AskLease
+ToPeer = Message | ToGuardian | MayGuard | GuardAnswer | LeaseSeen | CanGuard | TakeTask
 
 
 class PeerTalk:
@@ -27,21 +27,21 @@ class PeerTalk:
         mesh: knows this agent's journal, and the neighbours with theirs.
 
     Attributes:
-        me: this agent as a guardian: its name, and the id of its journal.
+        me: this agent as a guardian: its name, the id of its journal, and which copy of that it has.
         boot: which life of this agent this is.
     """
 
     def __init__(self, speaker: Component | HostingService, mesh: Mesh) -> None:
-        self.me = GuardianId(speaker.agent, mesh.identity.journal)
+        self.me = GuardianId(speaker.agent, mesh.identity.journal, mesh.identity.copy)
         self.boot = mesh.identity.boot
         self._speaker = speaker
         self._mesh = mesh
 
-    def neighbours(self) -> list[GuardianId]:
-        """Returns the guardians of all agents that are linked."""
-        return [GuardianId(name, hello.journal) for name, hello in self._mesh.connected().items() if hello.journal]
+    def neighbours(self) -> list[str]:
+        """Returns the agents that are linked and have a journal."""
+        return [name for name, hello in self._mesh.connected().items() if hello.journal]
 
-    def to_guardian(self, guardian: GuardianId, message: ToGuardian | AskLease) -> None:
+    def to_guardian(self, guardian: GuardianId, message: ToGuardian) -> None:
         """Sends a message to a guardian, on this agent or another one."""
         self.say(guardian.agent, GUARDIAN, message, guardian.journal)
 

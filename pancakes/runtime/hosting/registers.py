@@ -29,10 +29,16 @@ class RegisterWritten(msgspec.Struct, frozen=True):
     why_not: str = ""
 
 
+class _OnDisk(msgspec.Struct, frozen=True):
+    register: GuardRegister
+    copy: str
+
+
 class Registers:
     """The registers of one guardian. Any thread; of one task, one thread at a time writes.
 
-    A guardian that has lost a register has forgotten its pledge, so it is no guardian of that task any more.
+    A guardian that has lost a register has forgotten its pledge, so it is no guardian of that task any more. One whose
+    journal is a copy has none: what it has promised since is not in them.
 
     Args:
         disk: what they are kept on.
@@ -41,18 +47,26 @@ class Registers:
     def __init__(self, disk: Disk) -> None:
         self._lost = {aside.key: str(aside) for aside in disk.journal.missing if aside.kind == KIND}
 
+        self._copy, self._copied = disk.journal.copy, disk.journal.copied
+
         def malformed(key: str, why: str) -> None:
             self._lost[key] = f"the journal has it, and it cannot be read: {why}"
 
-        self._table = RecordTable(disk, KIND, codecs.decoder(GuardRegister), malformed)
+        self._table = RecordTable(disk, KIND, codecs.decoder(_OnDisk), malformed)
 
     def all(self) -> Iterable[GuardRegister]:
         """Returns those that are on disk."""
-        return list(self._table.on_disk.values())
+        return [it.register for it in list(self._table.on_disk.values()) if it.copy == self._copy]
+
+    def of_original(self) -> list[TaskId]:
+        """Returns the tasks that the original guards, at the first start of a copy."""
+        found = list(self._table.on_disk.values()) if self._copied else []
+        return [it.register.task_id for it in found if it.copy != self._copy]
 
     def get(self, task_id: TaskId) -> GuardRegister | None:
         """Returns the register of a task that is on disk; None: there is none."""
-        return self._table.on_disk.get(str(task_id))
+        found = self._table.on_disk.get(str(task_id))
+        return found.register if found is not None and found.copy == self._copy else None
 
     def lost(self) -> dict[str, str]:
         """Returns what became of those that are lost, by task."""
@@ -68,4 +82,4 @@ class Registers:
         def failed(why_not: str) -> None:
             tell(guardian, RegisterWritten(task_id, why_not))
 
-        self._table.write(str(task_id), register, written, failed)
+        self._table.write(str(task_id), _OnDisk(register, self._copy), written, failed)

@@ -16,6 +16,7 @@ from pancakes.runtime.journal.seal import JournalEntry, JournalError, seal
 from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead, seal_batch
 
 _LOCK: Final = "lock"
+_MARK: Final = "mark"
 _TEMPORARY: Final = ".tmp"
 CHECK_S: Final = 0.4
 """How often, in seconds, it is looked whether the directory is still there."""
@@ -66,6 +67,11 @@ class FileJournal(Journal):
             self._clear_up()
             doubt = self._recover()
             self._open(lambda: new_uuid or str(uuid.uuid4()), agent, doubt)
+            if self.copied:
+                self.remarks += (
+                    f"the state directory {directory} is a copy, as a restored backup is: what was written to the"
+                    " original since then is not in it",
+                )
             if doubt:
                 self._rename(WRITE_AHEAD, WRITE_AHEAD + BAD)
         except OSError as error:
@@ -167,6 +173,12 @@ class FileJournal(Journal):
         if self._opened is None:
             raise JournalError(f"the journal in {self.directory} is closed")
         return self._opened.handle
+
+    def _mark(self) -> str:
+        # No program can set the time at which a file was changed last, and this file is not changed once it is there.
+        with os.fdopen(self._open_file(_MARK, os.O_RDONLY | os.O_CREAT), "rb") as file:
+            os.fsync(file.fileno())
+            return str(os.fstat(file.fileno()).st_ctime_ns)
 
     def _names(self, ending: str) -> list[str]:
         return sorted(name for name in os.listdir(self._handle) if name.endswith(ending))

@@ -46,6 +46,9 @@ class Journal(ABC):
         uuid: the journal's id.
         boot: how often it was opened, this time included.
         life: drawn anew at each opening: two that have the same boot and another life are copies of one journal.
+        copy: which copy of the journal this is, where a file at a time was copied, as backups and moves to another
+            disk do; empty: the original. A copy of the whole disk is taken for what it is a copy of.
+        copied: whether this opening is the first of that copy.
         former: the names of the agents that have opened it before, other than the one that does now.
         set_aside: what was found at opening and could not be believed; to be reported by name.
         missing: what was set aside at this opening or an earlier one, and has no entry in its place since then.
@@ -58,6 +61,8 @@ class Journal(ABC):
     uuid: str
     boot: int
     life: str
+    copy: str
+    copied: bool
     former: tuple[str, ...]
     set_aside: tuple[SetAside, ...]
     missing: tuple[SetAside, ...]
@@ -120,17 +125,18 @@ class Journal(ABC):
         aside: list[SetAside] = []
         names = self._names(SUFFIX)
         identity = name_of(_IDENTITY, _IDENTITY)
-        self.uuid, self.boot, self.life = "", 0, new_uuid()
-        names_before: tuple[str, ...] = ()
+        self.life, found = new_uuid(), _JournalIdentity()
         if identity in names:
             try:
                 if doubt:
                     raise Unbelievable(doubt)
-                self.uuid, self.boot, names_before = _read_identity(self._load(identity))
+                found = _read_identity(self._load(identity))
             except Unbelievable as error:
                 aside.append(self._put_aside(identity, str(error)))
         # Without an identity of its own, entries that are there belong to another journal, and are put aside.
-        self.uuid = self.uuid or self.life
+        self.uuid, mark = found.uuid or self.life, self._mark()
+        self.copied = bool(found.uuid) and found.mark != mark
+        self.copy = self.life if self.copied else found.copy
         for name in names:
             if name == identity:
                 continue
@@ -144,10 +150,10 @@ class Journal(ABC):
                 self._entries[entry.kind, entry.key] = entry
         self.set_aside = tuple(aside)
         self.missing = self._missing()
-        self.boot += 1
-        self.former = tuple(name for name in names_before if name != agent)
-        names_now = (*self.former, agent) if agent else self.former
-        contents = codecs.encode_small(_JournalIdentity(self.uuid, self.boot, names_now[-MOST_NAMES:]))
+        self.boot = found.boot + 1
+        self.former = tuple(name for name in found.agents if name != agent)
+        names_now = ((*self.former, agent) if agent else self.former)[-MOST_NAMES:]
+        contents = codecs.encode_small(_JournalIdentity(self.uuid, self.boot, names_now, mark, self.copy))
         self._replace({identity: seal(self.uuid, JournalEntry(_IDENTITY, _IDENTITY, contents))})
 
     def _is_of(self, journal: str) -> bool:
@@ -190,6 +196,10 @@ class Journal(ABC):
         return tuple(missing)
 
     @abstractmethod
+    def _mark(self) -> str:
+        """Returns what a copy of the place does not have in common with it, and what it keeps for life."""
+
+    @abstractmethod
     def _names(self, ending: str) -> list[str]:
         """Returns the names of all that is stored and ends with `ending`, sorted."""
 
@@ -211,9 +221,11 @@ class Journal(ABC):
 
 
 class _JournalIdentity(NamedTuple):
-    uuid: str
-    boot: int
+    uuid: str = ""
+    boot: int = 0
     agents: tuple[str, ...] = ()
+    mark: str = ""
+    copy: str = ""
 
 
 _DECODE_IDENTITY: Final = codecs.decoder(_JournalIdentity)

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from pancakes.runtime.journal.journal import Journal
 from pancakes.runtime.journal.seal import JournalError
+
+
+MARK: Final = "mark"
+"""Under this name a disk has what no copy of it has that is made a file at a time: leave it out there."""
 
 
 class MemoryJournal(Journal):
@@ -35,6 +41,9 @@ class MemoryJournal(Journal):
         if not self._closed:
             self._closed = True
             self._disk.pop("lock", None)
+
+    def _mark(self) -> str:
+        return self._disk.setdefault(MARK, self.life.encode()).decode()
 
     def _names(self, ending: str) -> list[str]:
         return sorted(name for name in self._disk if name.endswith(ending))
