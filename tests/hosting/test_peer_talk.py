@@ -7,11 +7,13 @@ import pytest
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.guarding.choosing import MayGuard
+from pancakes.mesh.guarding.taking_over import AskLease
 from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.record import TaskId
 from pancakes.runtime.hosting.peer_talk import PeerTalk
 
 ASKED = MayGuard(TaskId("a", "Count"), "count")
+LOOKS = AskLease(TaskId("a", "Count"))
 
 
 class Speaker:
@@ -43,7 +45,9 @@ def speaker() -> Speaker:
 def talk(speaker: Speaker) -> PeerTalk:
     peers = {"b": SimpleNamespace(journal="of-b"), "desk": SimpleNamespace(journal="")}
     mesh = SimpleNamespace(
-        identity=SimpleNamespace(journal="of-a", boot=3, copy=""), connected=lambda: peers, seek=lambda agent: agent == "far"
+        identity=SimpleNamespace(journal="of-a", boot=3, copy=""),
+        connected=lambda: peers,
+        seek=lambda agent: agent == "far",
     )
     return PeerTalk(cast(Any, speaker), cast(Any, mesh))
 
@@ -59,7 +63,7 @@ def test_a_message_is_for_the_disk_that_the_agent_has_now(talk: PeerTalk, speake
 def test_nothing_is_said_to_another_disk_or_where_there_is_no_link(
     talk: PeerTalk, speaker: Speaker, guardian: tuple[str, str]
 ) -> None:
-    talk.to_guardian(GuardianId(*guardian), ASKED)
+    talk.to_guardian(GuardianId(*guardian), LOOKS)
     assert speaker.said == []
 
 
@@ -72,6 +76,6 @@ def test_what_cannot_be_sent_is_lost_and_noted(talk: PeerTalk, speaker: Speaker)
 def test_what_is_for_a_known_disk_waits_for_a_link_and_what_is_for_any_is_said_again(
     talk: PeerTalk, speaker: Speaker
 ) -> None:
-    talk.to_guardian(GuardianId("far", "of-far"), ASKED)
+    talk.to_guardian(GuardianId("far", "of-far"), LOOKS)
     talk.say("far", "client", ASKED)
     assert speaker.said == [("far/kernel/Guardian", "of-far")]

@@ -69,7 +69,7 @@ class _Course:
         self._alive = [at for at in range(len(parties)) if at != gone]
         self._box: list[tuple[int, Any, int]] = []
         self._round = 0
-        self._tenures = [rules.tenure.Tenure() for _ in parties]
+        self._tenures = [rules.tenure.begun(0, 0.0, it.original) for it in parties]
         self._parties = [Party(it.record, register=it.register, journal=it.journal) for it in parties]
 
     def failure(self) -> str:

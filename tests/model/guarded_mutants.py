@@ -45,12 +45,14 @@ class GuardedMutant(msgspec.Struct, frozen=True):
         edits: module, text as it stands there once, text instead.
         scenario: the one that convicts it.
         prunes: as in `Rules`.
+        tells_copies: as in `Rules`.
     """
 
     name: str
     edits: tuple[Edit, ...]
     scenario: Scenario = TAKER
     prunes: bool = True
+    tells_copies: bool = True
 
     def make(self) -> Rules:
         """Returns the rules with the edits made.
@@ -66,7 +68,7 @@ class GuardedMutant(msgspec.Struct, frozen=True):
             made[core] = edited(core, self.name)
             for half in _HALVES:
                 setattr(made[core], half.__name__.rpartition(".")[2], made[half])
-        return Rules(made[core], made[guardian_core], made[tenure], made[seizing], self.prunes)
+        return Rules(made[core], made[guardian_core], made[tenure], made[seizing], self.tells_copies, self.prunes)
 
 
 def _mutant(
@@ -275,6 +277,15 @@ MUTANTS: Final = (
         guarded_task,
         "return [Remember(Volatile(running=True)), start]",
         "return [Remember(Volatile(running=True))]",
+    ),
+    # Copies of disks.
+    GuardedMutant("a copy of a guardian's disk is believed", (), SUITE["the disk of a guardian copied"], True, False),
+    _mutant(
+        "a copy of the owner's disk has its agent act before it hears what was given away",
+        tenure,
+        " and tenure.original != record.epoch",
+        "",
+        SUITE["the disk of a source copied"],
     ),
     # A hand-off.
     _mutant(

@@ -50,6 +50,7 @@ class Scenario(NamedTuple):
         swapped: whether it begins where they have, and not all old guardians know: of those that stay, others than the
             owner know of both sets, and those that go of nothing; a KEEP from before is still on its way.
         wipes: the agents whose disks may be lost, each once.
+        copies: the agents whose disks may be replaced by a copy, each once: it was made at any time before.
         stops: whether a person may have the task stopped, and then started again, once.
         adopts: whether a person has the task adopted where most of its guardians have lost their disks.
         goodbyes: so often an owner's agent may be shut down in order, and come back.
@@ -73,12 +74,25 @@ class Scenario(NamedTuple):
     swap: str = ""
     swapped: bool = False
     wipes: str = ""
+    copies: str = ""
     stops: bool = False
     adopts: bool = False
     goodbyes: int = 0
     bare: bool = False
     crashes: str = "ABCD"
     at_once: bool = True
+
+
+class Backup(NamedTuple):
+    """A copy of a disk.
+
+    Attributes:
+        record: the record of the task.
+        register: what a guardian has of it that believes the copy; the product's does not.
+    """
+
+    record: Record
+    register: GuardRegister = GuardRegister(TASK)
 
 
 class Party(NamedTuple):
@@ -97,7 +111,9 @@ class Party(NamedTuple):
         register: what its guardian has on disk.
         lease: what its guardian has granted.
         until: the asking with which that lease lapses; 0: it has, and may end at any time.
-        journal: the number of its journal.
+        journal: the number of its journal, and of the copy of that.
+        original: the epoch under which it owned the task when that copy was made that it came back with.
+        backup: the copy that was made of its disk; None: there is none, or it was used.
     """
 
     record: Record
@@ -113,6 +129,8 @@ class Party(NamedTuple):
     lease: Lease = Lease(boot=BOOT)
     until: int = 0
     journal: int = 0
+    original: Epoch = NO_EPOCH
+    backup: Backup | None = None
 
     @property
     def acts(self) -> bool:
@@ -131,6 +149,7 @@ class Budget(NamedTuple):
     moves: int = 0
     swaps: int = 0
     wipes: str = ""
+    copies: str = ""
     stops: int = 0
     adopts: int = 0
     goodbyes: int = 0
@@ -182,6 +201,7 @@ class Rules(NamedTuple):
         guardian: decides for a guardian.
         tenure: what an owner makes of its guardians' answers.
         seizing: what an agent makes of them that is to take the task.
+        tells_copies: whether a guardian whose disk is a copy is another guardian.
         prunes: whether messages that can change nothing are left out; of a variant that is not sure.
     """
 
@@ -189,6 +209,7 @@ class Rules(NamedTuple):
     guardian: ModuleType | Any = guardian_core
     tenure: ModuleType | Any = tenure
     seizing: ModuleType | Any = seizing
+    tells_copies: bool = True
     prunes: bool = True
 
 

@@ -1,4 +1,4 @@
-"""The scenarios of guarded tasks: hand-off, take-over, guardians replaced, lost disks, stop, adopt and goodbye."""
+"""The scenarios of guarded tasks: hand-off, take-over, guardians replaced, disks lost or copied, stop, goodbye."""
 
 from __future__ import annotations
 
@@ -21,6 +21,13 @@ SUITE: Final = {
         Scenario("the guard set up", guards="A", swap="ABC", takers="B", crashes=""),
         Scenario("the disk of a guardian lost", wipes="B", takers="C", crashes=""),
         Scenario("the disk of the owner lost", wipes="A", takers="B", crashes="B"),
+        Scenario("the disk of a guardian copied", copies="C", takers="B", crashes=""),
+        Scenario("the disk of the owner copied", copies="A", takers="B", crashes=""),
+        Scenario("the disk of a taker copied", copies="B", takers="B", crashes=""),
+        Scenario("the disk of a source copied", "ABC", "B", copies="B", takers="", moves="A", numbers=2, crashes=""),
+        Scenario(
+            "the disk of a destination copied", "ABC", "B", copies="A", takers="", moves="A", numbers=2, crashes=""
+        ),
         Scenario("stopped and started", takers="B", stops=True, crashes=""),
         Scenario("a goodbye", takers="B", goodbyes=1, crashes=""),
         Scenario("adopted", takers="", moves="B", wipes="BC", adopts=True, numbers=2, crashes=""),
@@ -46,6 +53,16 @@ DEEP: Final = {
         Scenario("a hand-off while guardians are replaced", "ABCD", "B", takers="", moves="A", swap="ABD", numbers=2),
         Scenario("guardians replaced, and crashes", agents="ABCD", swap="ABD", takers="C"),
         Scenario("the disk of a guardian lost, and crashes", wipes="B", swap="AB1C", takers="C"),
+        Scenario("the disk of a guardian copied, and a packet", copies="C", takers="B", packets=1),
+        Scenario("the disk of the owner copied, and a packet", copies="A", takers="B", packets=1, crashes=""),
+        Scenario("the disk of a taker copied, and a packet", copies="B", takers="B", packets=1, crashes=""),
+        Scenario(
+            "the disk of a source copied, a taker", "ABC", "B", copies="B", takers="C", moves="A", numbers=2, crashes=""
+        ),
+        Scenario(
+            "the disk of a destination copied, and crashes", "ABC", "B", copies="A", takers="", moves="A", numbers=2
+        ),
+        Scenario("guardians replaced, a disk copied", agents="ABCD", swap="ABD", copies="B", takers="C", crashes=""),
         Scenario("the guard set up, and crashes", guards="A", swap="ABC", takers="B"),
         Scenario("a goodbye, and crashes", takers="B", goodbyes=1),
         Scenario("a goodbye and two askings", takers="B", goodbyes=1, own=2),

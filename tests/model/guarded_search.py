@@ -147,7 +147,7 @@ class GuardedSearch:
         if s.swapped:
             net = self.steps.bit(KeepLease(TASK, TYPE, epoch, 0, 1.0, CheckpointId(epoch, 0), self._first))
         swaps = int(bool(s.swap) and not s.swapped)
-        left = Budget(int(bool(s.moves)), swaps, s.wipes, int(s.stops), int(s.adopts), s.goodbyes)
+        left = Budget(int(bool(s.moves)), swaps, s.wipes, s.copies, int(s.stops), int(s.adopts), s.goodbyes)
         return GuardedWorld(tuple(parties), net, 0, 0, epoch, left)
 
     def run(self) -> Result:
@@ -183,6 +183,7 @@ class GuardedSearch:
         if s.moves:
             wanted |= {"COMMITTED", "PREPARED", "RELEASED"}
         wanted |= {f"{name} loses its disk" for name in s.wipes}
+        wanted |= {f"{name} comes back with an older disk" for name in s.copies}
         wanted |= {"the new guardians are in use"} if s.swap else set()
         wanted |= {"a stop is answered"} if s.stops else set()
         wanted |= {"a lease ends at a goodbye"} if s.goodbyes else set()
@@ -232,7 +233,7 @@ class GuardedSearch:
             return "S5: two agents own the task under one epoch"
         if self.scenario.adopts:
             return ""
-        disks = tuple((it.record, it.register, it.journal) for it in parties)
+        disks = tuple((it.record, it.register, it.journal, it.original) for it in parties)
         broken = self._healed.get(disks)
         if broken is None:
             broken = self._healed[disks] = self.healing.fault_of(parties)
@@ -265,6 +266,8 @@ class GuardedSearch:
                     yield (i, "crashes, and comes back", 0), self._deafened(new, i)
             if self.names[i] in world.left.wipes:
                 yield (i, "loses its disk", 0), self._wiped(world, i)
+            if self.names[i] in world.left.copies:
+                yield self._copied(world, i, number)
         if world.top:
             yield (-1, "The oldest asking lapses", 0), self._lapsed(world)
 
@@ -294,6 +297,17 @@ class GuardedSearch:
             return world
         net = self.pruning.of_former_life(world.net, self.names[i])
         return world._replace(net=self.pruning.pruned(net, world.parties)) if net != world.net else world
+
+    def _copied(self, world: GuardedWorld, i: int, number: int) -> tuple[Any, GuardedWorld]:
+        name, party = self.names[i], self.steps.parties[number]
+        if party.backup is None:
+            return (i, "has its disk copied", 0), self._with(world, i, self.steps.backed_up(number), 0)
+        if party.backup.record != party.record or party.register.promised > self._first.epoch:
+            self.reached.add(f"{name} comes back with an older disk")
+        back, sent = self.steps.restored(i, number, world.top)
+        left = world.left._replace(copies=world.left.copies.replace(name, ""))
+        new = self._deafened(self._with(world._replace(left=left), i, back, sent), i)
+        return (i, "comes back with the copy of its disk", 0), new
 
     def _wiped(self, world: GuardedWorld, i: int) -> GuardedWorld:
         name = self.names[i]

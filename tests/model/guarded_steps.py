@@ -16,6 +16,7 @@ from model.guarded_parts import (
     STOPPED,
     TASK,
     TYPE,
+    Backup,
     Farewell,
     Message,
     Party,
@@ -313,7 +314,8 @@ class GuardedSteps:
         def make() -> list[tuple[Party, int, int]]:
             party = self.parties[number]
             rules = self.rules.tenure
-            if not rules.may_ask(rules.Tenure(party.record.epoch, top, behind=party.behind), party.record):
+            had = rules.Tenure(party.record.epoch, top, behind=party.behind, original=party.original)
+            if not rules.may_ask(had, party.record):
                 return [(party, 0, 0)]
             tenure = rules.asked_again(rules.Tenure(party.record.epoch, top), party.record)
             keep = rules.keep_lease(tenure, party.record, TYPE, 1.0, with_body)
@@ -432,6 +434,20 @@ class GuardedSteps:
             found = self._crashed[key] = (self.number(party), sent)
         return found
 
+    def backed_up(self, number: int) -> int:
+        """Returns the agent once a copy of its disk was made."""
+        party = self.parties[number]
+        believed = Backup(party.record) if self.rules.tells_copies else Backup(party.record, party.register)
+        return self.number(party._replace(backup=believed))
+
+    def restored(self, i: int, number: int, top: int) -> tuple[int, int]:
+        """Returns the agent after a restart with that copy in the place of its disk, and what it sent."""
+        party = self.parties[number]
+        assert party.backup is not None
+        (record, register), journal = party.backup, party.journal + self.rules.tells_copies
+        copy = Party(record, register=register, journal=journal, original=record.epoch)
+        return self.crash(i, self.number(copy), top)
+
     def goodbye(self, i: int, number: int, top: int) -> Outcome:
         """The agent is shut down in order: it takes leave of its guardians."""
 
@@ -456,4 +472,6 @@ def _written(party: Party, record: Record) -> Party:
 
 def _crashed(party: Party) -> Party:
     """Returns what a crash leaves of an agent, before it has begun anew."""
-    return Party(party.record, register=party.register, journal=party.journal)
+    return Party(
+        party.record, register=party.register, journal=party.journal, original=party.original, backup=party.backup
+    )

@@ -11,6 +11,7 @@ from services.numbered import Sink
 
 from pancakes.control import Checkpoints, Describe, HeldCheckpoint, Revive
 from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.runtime.journal.memory_journal import MARK
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")
@@ -166,3 +167,24 @@ def test_an_owner_from_an_old_disk_does_not_go_on_without_its_guardians(fleet: F
     assert fleet.run_until(lambda: bool(a.events("permit_lost")), 5.0)
     refused = a.ask(from_held({**row, "no": 10_000}, force=True))
     assert not refused.ok and "from an old copy of its disk, older than what c holds" in refused.reason
+
+
+def test_where_all_disks_are_copies_a_person_has_the_task_go_on(fleet: FleetInTest):
+    n = fleet.agents["a"].task("Count").state.n
+    for name in "abcd":
+        fleet.crash(name)
+        del fleet.fleet.disk(name)[MARK]
+    for name in "abcd":
+        fleet.restart(name)
+    fleet.connect()
+    fleet.run_for(20.0)
+    a = fleet.agents["a"]
+    assert where(fleet) == []
+    assert any("`pancakes task revive a/Count` does" in line for line in a.lines("warning"))
+    assert a.ask(Revive("a/Count", force=True)).ok
+    fleet.run_for(5.0)
+    assert where(fleet) == ["a"] and a.task("Count").state.n >= n - 10
+    assert guards(fleet, "a") == [["a", "b", "c"]]
+    fleet.crash("a")
+    fleet.run_for(8.0)
+    assert where(fleet) in (["b"], ["c"], ["d"])

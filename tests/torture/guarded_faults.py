@@ -154,7 +154,7 @@ class GuardedFleet:
         else:
             hit = self._target(kind, owner)
         tally.faults[kind] += 1
-        if kind == "kill, restored disk":
+        if kind == "kill, restored disk" and (draw.random() < 0.5 or not self._strokes.is_backed_up(hit)):
             self._strokes.back_up(hit)
             self._waits.let(draw.uniform(0.5, 2.0))
         if during == "hand-off" or (second and kind not in (*LOSSES, "full disk")):

@@ -124,6 +124,10 @@ class Strokes:
                 return
         raise OSError(f"no copy of {self._fleet.state / name} could be made: it changes all the time")
 
+    def is_backed_up(self, name: str) -> bool:
+        """Returns whether there is a copy of an agent's disk; it may be of any age."""
+        return self._copy(name).exists()
+
     def _copy(self, name: str) -> Path:
         return self._fleet.directory / f"copy-{name}"
 

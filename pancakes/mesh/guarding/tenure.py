@@ -64,6 +64,8 @@ class Tenure(msgspec.Struct, frozen=True):
         answers: what each guardian has said last.
         behind: whether a guardian has, or was told of, a later checkpoint of the epoch than the owner had when it heard
             so: the owner's disk is an old copy. It asks for no lease any more, so the guardians look for another owner.
+        original: where the owner's disk is a copy: the epoch under which the original owned the task. It may have given
+            the task away since, by a word that the copy does not know, so the copy asks for no lease under it.
     """
 
     epoch: Epoch = NO_EPOCH
@@ -71,6 +73,7 @@ class Tenure(msgspec.Struct, frozen=True):
     since: int = 0
     answers: tuple[LastAnswer, ...] = ()
     behind: bool = False
+    original: Epoch = NO_EPOCH
 
     def of(self, guardian: GuardianId) -> LastAnswer:
         """Returns what one guardian has said last."""
@@ -116,25 +119,26 @@ def _named(answers: Iterable[LastAnswer], beat: int) -> set[GuardianId]:
     return {one.guardian for one in answers if one.beat >= beat}
 
 
-def begun(boot: int, now_s: float) -> Tenure:
+def begun(boot: int, now_s: float, original: Epoch = NO_EPOCH) -> Tenure:
     """Returns what an owner has that begins: an answer to its predecessor is older than every beat of its own.
 
     Args:
         boot: which life of the agent this is; the host clock may begin anew with each.
         now_s: host time.
+        original: see `Tenure`.
     """
-    return Tenure(beat=boot * BEATS_OF_BOOT + int(now_s * 1e4))
+    return Tenure(beat=boot * BEATS_OF_BOOT + int(now_s * 1e4), original=original)
 
 
 def may_ask(tenure: Tenure, record: Record) -> bool:
     """Returns whether the owner asks for leases: one whose disk is an old copy does not."""
-    return not (tenure.behind and tenure.epoch == record.epoch)
+    return not (tenure.behind and tenure.epoch == record.epoch) and tenure.original != record.epoch
 
 
 def asked_again(tenure: Tenure, record: Record) -> Tenure:
     """Returns what the owner has as it asks for leases once more."""
     if tenure.epoch != record.epoch:
-        return Tenure(record.epoch, tenure.beat + 1, tenure.beat + 1)
+        return Tenure(record.epoch, tenure.beat + 1, tenure.beat + 1, original=tenure.original)
     return replace(tenure, beat=tenure.beat + 1)
 
 

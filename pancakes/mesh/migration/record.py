@@ -95,6 +95,7 @@ class Record(msgspec.Struct, frozen=True):
         guards: the guardians of a guarded task that this agent owns.
         no: of a guarded task: the how-manieth checkpoint under `epoch` the snapshot is, with what is wanted.
         service: the service that keeps the record; known on disk only, where a tombstone could not tell otherwise.
+        copy: the copy of the journal in which `epoch` began here; empty: the original. Known on disk only.
     """
 
     task_id: TaskId
@@ -110,6 +111,7 @@ class Record(msgspec.Struct, frozen=True):
     service: str = ""
     guards: Guards = NO_GUARDS
     no: int = 0
+    copy: str = ""
 
     @property
     def unborn(self) -> bool:

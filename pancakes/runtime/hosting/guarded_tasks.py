@@ -49,7 +49,7 @@ class GuardedTasks:
         self._host = host
         self._records = records
         self._talk = talk
-        self._leases = Leases(host, self._talk, checkpointing.look_at, deliveries.on_disk, disputes.outvoted)
+        self._leases = Leases(host, self._talk, records, checkpointing.look_at, deliveries.on_disk, disputes.outvoted)
         self._takings = Takings(host, self._talk)
         self.begin = self._leases.begin
         self.close = self._leases.close

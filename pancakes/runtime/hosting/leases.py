@@ -40,6 +40,7 @@ from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.machine import idle
 from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import OtherOwner, Place
+from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.snapshots import rules_of
 from pancakes.runtime.hosting.tenancy import Tenancy
 from pancakes.runtime.kernel.guard_notes import GuardNote
@@ -67,6 +68,7 @@ class Leases:
     Args:
         host: the service.
         talk: how it talks to guardians.
+        records: say which tasks the original of this disk owned, where it is a copy.
         save: has tasks written down, by name.
         on_disk: acknowledges a packet.
         outvoted: learns that the guardians of a task follow another owner.
@@ -76,12 +78,14 @@ class Leases:
         self,
         host: HostingService,
         talk: PeerTalk,
+        records: Records,
         save: Callable[[Sequence[str]], None],
         on_disk: Callable[[Place, PacketId], None],
         outvoted: Callable[[Place, OtherOwner], None],
     ) -> None:
         self._host = host
         self._talk = talk
+        self._records = records
         self._on_disk = on_disk
         self._outvoted = outvoted
         self._held: list[Place] = []
@@ -136,7 +140,7 @@ class Leases:
     def _begin(self, place: Place) -> None:
         now_s = self._host.kernel.host.now()
         place.tenancy = Tenancy(
-            tenure=begun(self._talk.boot, now_s),
+            tenure=begun(self._talk.boot, now_s, self._records.original_epoch(place.task_id)),
             lost_s=now_s,
             renewal=self._deadlines.new(partial(self._renew, place)),
             end=self._deadlines.new(partial(self._look_for_end, place)),
@@ -148,6 +152,8 @@ class Leases:
         self._learn_rule(place)
         self._host.kernel.permits.revoke(_right(place))
         self._looks.begin(place)
+        if not may_ask(place.tenancy.tenure, place.standing.record):
+            self._tell_copied(place)
 
     def _end(self, place: Place) -> None:
         assert place.tenancy is not None
@@ -348,6 +354,15 @@ class Leases:
         )
         self._host.event("disk_is_old", task=place.task_id.name)
 
+    def _tell_copied(self, place: Place) -> None:
+        agent, task_id = self._host.agent, place.task_id
+        others = sorted({one.agent for one in place.standing.record.guards.members()} - {agent})
+        self._host.log(
+            "warning",
+            f"{task_id} stands still on {agent}, whose disk is a copy: its guardians ({', '.join(others) or 'none'})"
+            f" have an agent go on with it; where they are gone, `pancakes task revive {agent}/{task_id.name}` does",
+        )
+
     def owe(self, place: Place, packet: PacketId) -> None:
         """Acknowledges a packet once the checkpoint with its effect is at a quorum, so that a take-over keeps it."""
         assert place.tenancy is not None
@@ -397,6 +412,8 @@ class Leases:
         for place in list(self._held):
             tenancy, record = place.tenancy, place.standing.record
             if tenancy is None or record.phase is not Phase.OWNER or len(record.guards.sets) != 1:
+                continue
+            if not may_ask(tenancy.tenure, record):
                 continue
             members = record.guards.sets[0]
             if len(members) == tenancy.number and not self._silent(place, tenancy, REPLACED_S):

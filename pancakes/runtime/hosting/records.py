@@ -9,6 +9,7 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.record import Record, TaskId
 from pancakes.runtime.hosting import adoption
 from pancakes.runtime.hosting.lost import Lost
@@ -39,6 +40,7 @@ class Records:
     """
 
     def __init__(self, disk: Disk) -> None:
+        self._copy = disk.journal.copy
         self._lost: dict[TaskId, Lost] = {}
         self._claims: dict[TaskId, str] = {}
         for aside in disk.journal.missing:
@@ -75,6 +77,11 @@ class Records:
     def get(self, task_id: TaskId) -> Record | None:
         """Returns the record of a task as it is on disk; None: there is none."""
         return self._records.on_disk.get(str(task_id))
+
+    def original_epoch(self, task_id: TaskId) -> Epoch:
+        """Returns the epoch of a task that began before this disk was copied; `NO_EPOCH`: it has begun since."""
+        record = self._records.on_disk.get(str(task_id))
+        return record.epoch if record is not None and record.copy != self._copy else NO_EPOCH
 
     def service_of(self, task_id: TaskId) -> str:
         """Returns the name of the service whose record of a task is on disk; empty: there is none, or it says none."""
@@ -130,7 +137,9 @@ class Records:
             tell(service, RecordWritten(task_id, why_not))
 
         written = partial(tell, service, RecordWritten(task_id))
-        self._records.write(str(task_id), replace(record, service=service.name), written, failed, may)
+        known = self._records.newest.get(str(task_id))
+        copy = known.copy if known is not None and known.epoch == record.epoch else self._copy
+        self._records.write(str(task_id), replace(record, service=service.name, copy=copy), written, failed, may)
 
 
 def _read(entry: JournalEntry | None) -> Record | None:

@@ -7,7 +7,6 @@ from typing import Final
 from pancakes.runtime.journal.journal import Journal
 from pancakes.runtime.journal.seal import JournalError
 
-
 MARK: Final = "mark"
 """Under this name a disk has what no copy of it has that is made a file at a time: leave it out there."""
 
