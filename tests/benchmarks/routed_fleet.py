@@ -23,6 +23,8 @@ BESIDE = ""
 AGENTS = 200
 LINKS = 4
 DISCOVERY_HZ = 0.1
+SILENT_S = 10.0
+"""As zenohd has it, of routers and agents."""
 AT_ONCE = 10
 """So many are started together: each of them takes a second of a core."""
 SETTLE_S = 60.0
@@ -44,12 +46,13 @@ def measure(plan: Plan) -> Iterator[Figure]:
     links = Figure(f"{size} agents: links of one", "")
     lost = Figure(f"{size // 10} of them talk at 10 Hz: packets that did not arrive", "", wanted=0.0, absolute=True)
     p50, p99 = (Figure(f"{size // 10} of them talk at 10 Hz: on the way, {it}", "ms") for it in ("p50", "p99"))
-    router = Router()
+    router = Router(more=("--silent", str(SILENT_S)))
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         directory, names = Path(name), names_of(size)
         speakers = names[::10]
         hearers = {one: names[(names.index(one) + size // 2 + 1) % size] for one in speakers}
-        network = f"[service.network]\nsettings = {{ discovery_hz = {DISCOVERY_HZ} }}\n"
+        zenoh = f"transports = {{ zenoh = {{ silent_s = {SILENT_S} }} }}"
+        network = f"[service.network]\nsettings = {{ discovery_hz = {DISCOVERY_HZ}, {zenoh} }}\n"
         rest = dict.fromkeys(names, f"links = {LINKS}\n{network}")
         for one, other in hearers.items():
             rest[one] += f"[task.Talker]\ntype = 'soak.Talker'\nsettings = {{ to = '{other}', "

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from net.conftest import Ear, TlsRig
@@ -26,18 +27,19 @@ class Router:
     Args:
         joins: another router that it joins.
         at: where that is reached; empty: where it listens.
+        more: further options of the command.
     """
 
-    def __init__(self, joins: Router | None = None, at: str = "") -> None:
+    def __init__(self, joins: Router | None = None, at: str = "", more: Sequence[str] = ()) -> None:
         at = at or (joins.address if joins is not None else "")
-        self._joins = ("--connect", at) if at else ()
+        self._more = (*(("--connect", at) if at else ()), *more)
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.address: str = f"tcp/127.0.0.1:{free.getsockname()[1]}"
         self.process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
         self.process = subprocess.Popen(
-            [*COMMAND, "--listen", self.address, *self._joins], stdout=subprocess.PIPE, text=True
+            [*COMMAND, "--listen", self.address, *self._more], stdout=subprocess.PIPE, text=True
         )
         assert self.process.stdout is not None
         assert "listens at" in self.process.stdout.readline()

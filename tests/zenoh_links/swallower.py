@@ -1,4 +1,7 @@
-"""A program that takes all links through a router, and reads all that comes: python swallower.py ROUTER ADDRESS."""
+"""A program that takes all links through a router, and reads all that comes.
+
+python swallower.py ROUTER ADDRESS [SILENT_S]
+"""
 
 import sys
 import threading
@@ -21,7 +24,7 @@ class Swallower(ConnectionHandler):
 
 
 if __name__ == "__main__":
-    settings = {"zenoh": {"insecure": True, "routers": [sys.argv[1]]}}
+    settings = {"zenoh": {"insecure": True, "routers": [sys.argv[1]], "silent_s": float((*sys.argv, "2")[3])}}
     transport = SocketTransport(MonotonicClock(), "swallower", Plugins(), settings)
     print(transport.listen(sys.argv[2], Swallower), flush=True)
     threading.Event().wait()

@@ -210,6 +210,8 @@ def test_what_is_wrong_is_said_with_what_to_do(rig, tmp_path):
         transport_with(rig).listen("zenoh://x:1", rig.ear)
     with pytest.raises(PancakesError, match="nonsense cannot be used for Zenoh"):
         transport_with(rig, routers=["nonsense"]).listen("zenoh://x:1", rig.ear)
+    with pytest.raises(PancakesError, match=r"silent_s.*>= 0.5"):
+        transport_with(rig, routers=["tcp/127.0.0.1:1"], silent_s=0.1).listen("zenoh://x:1", rig.ear)
     with pytest.raises(PancakesError, match="none.json5 cannot be used for Zenoh"):
         transport_with(rig, file=str(tmp_path / "none.json5")).listen("zenoh://x:1", rig.ear)
     ear = rig.ear()

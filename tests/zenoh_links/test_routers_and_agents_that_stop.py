@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -27,17 +28,23 @@ def own_rig(router: Router, tmp_path: Path) -> Iterator[ZenohRig]:
     made.close()
 
 
-@pytest.fixture
-def stopped_address(router: Router) -> Iterator[tuple[subprocess.Popen[str], str]]:
+@contextmanager
+def swallower(router: Router, address: str, silent_s: float = 2.0) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A process that takes links, and the address at which it does."""
     program = Path(__file__).with_name("swallower.py")
-    command = [sys.executable, str(program), router.address, "zenoh://swallower:1"]
+    command = [sys.executable, str(program), router.address, address, str(silent_s)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     yield process, process.stdout.readline().strip()
     process.kill()
     process.wait(10)
     process.stdout.close()
+
+
+@pytest.fixture
+def stopped_address(router: Router) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    with swallower(router, "zenoh://swallower:1") as made:
+        yield made
 
 
 def test_of_several_agents_one_that_stops_holds_none_of_the_others(router, tmp_path, stopped_address):
@@ -84,6 +91,26 @@ def test_one_whose_process_dies_is_told_of_without_a_heartbeat(router, tmp_path,
         assert here.closed_for[0].endswith("its session with the routers has ended")
     finally:
         rig.close()
+
+
+def test_one_that_stops_is_told_of_once_it_was_silent_for_as_long_as_it_may(router, tmp_path):
+    rig = ZenohRig(tmp_path, router)
+    with (
+        swallower(router, "zenoh://short:1", 0.5) as (short, at),
+        swallower(router, "zenoh://long:1", 5.0) as (long, to),
+    ):
+        soon, late = rig.ear(), rig.ear()
+        transport = rig.transport("a")
+        transport.dial(at, soon)
+        transport.dial(to, late)
+        rig.until(lambda: soon.connection and late.connection)
+        for process in (long, short):
+            os.kill(process.pid, signal.SIGSTOP)
+            os.waitpid(process.pid, os.WUNTRACED)
+        rig.until(lambda: soon.closed_for)
+        assert soon.closed_for[0].endswith(ENDED) and not late.closed_for
+        rig.until(lambda: late.closed_for)
+    rig.close()
 
 
 def test_agents_find_each_other_again_once_their_router_is_back(own_rig, router):

@@ -25,13 +25,22 @@ def zenoh() -> None:
     "--connect", multiple=True, metavar="ADDRESS", help="Another router that it joins, such as tcp/HOST:7447."
 )
 @click.option("--config", "file", default="", metavar="FILE", help="A configuration file of Zenoh's, with TLS, say.")
-def router(listen: Sequence[str], connect: Sequence[str], file: str) -> None:
+@click.option(
+    "--silent",
+    "silent_s",
+    default=2.0,
+    show_default=True,
+    type=click.FloatRange(0.5, 60.0),
+    metavar="SECONDS",
+    help="Agents take it for gone once it is silent for so long.",
+)
+def router(listen: Sequence[str], connect: Sequence[str], file: str, silent_s: float) -> None:
     """Run a Zenoh router until SIGINT or SIGTERM."""
     import zenoh as upstream  # and with it 20 MiB, for which --help has no use
 
     from pancakes_zenoh.router_session import first_words, session_config
 
-    config = session_config("router", connect, file, "")
+    config = session_config("router", connect, file, "", silent_s)
     at = list(listen) or ([] if file else [DEFAULT_LISTEN])
     # Before there are threads, which would not inherit it.
     ends = {signal.SIGINT, signal.SIGTERM}

@@ -30,9 +30,10 @@ CLOSE_S: Final = 2.0
 """For the last frames, and for the router to hear that the session ends."""
 ANSWER_S: Final = 3.0
 """For the routers to find the session that listens at an address."""
-LEASE_S: Final = 2.0
-"""A session that is silent for so long has ended. It speaks to its router four times as often, and agents need not
-speak to each other for that."""
+SILENT_S: Final = 2.0
+"""A session that is silent for so long has ended, where nothing else is said."""
+SAYINGS: Final = 4
+"""So often it speaks to its router in that time. Agents need not speak to each other for that."""
 _NOWHERE: Final = "-/0"
 """No agent listens there."""
 _LARGEST_MESSAGE: Final = PIECE_BYTES + LONGEST_PHRASE
@@ -59,6 +60,7 @@ class RouterSession:
         file: a configuration file of Zenoh's; empty: none.
         space: the name below which the fleet's keys are.
         user: hears of its news.
+        silent_s: it has ended for the routers once it is silent for so long.
 
     Attributes:
         id: its id, which is drawn at random.
@@ -68,9 +70,11 @@ class RouterSession:
         PancakesError: the file is of no use; the sentence says why.
     """
 
-    def __init__(self, routers: Sequence[str], file: str, space: str, user: SessionUser) -> None:
+    def __init__(
+        self, routers: Sequence[str], file: str, space: str, user: SessionUser, silent_s: float = SILENT_S
+    ) -> None:
         self.id = f"{secrets.randbits(127) | 1 << 127:032x}"
-        self._config = session_config("client", routers, file, self.id)
+        self._config = session_config("client", routers, file, self.id, silent_s)
         self._where = " or ".join(routers) or f"where {file} says"
         self._root = f"pancakes/1/{space}"
         self._user = user
@@ -238,7 +242,9 @@ class RouterSession:
             self._user.gone(str(sample.key_expr).rpartition("/")[2], "its session with the routers has ended")
 
 
-def session_config(mode: str, routers: Sequence[str], file: str, session: str) -> zenoh.Config:
+def session_config(
+    mode: str, routers: Sequence[str], file: str, session: str, silent_s: float = SILENT_S
+) -> zenoh.Config:
     """Returns the configuration of a session.
 
     Args:
@@ -246,6 +252,7 @@ def session_config(mode: str, routers: Sequence[str], file: str, session: str) -
         routers: routers that it connects to; empty: those of the file.
         file: a configuration file of Zenoh's that says the rest; empty: none.
         session: its id; empty: one is drawn.
+        silent_s: it has ended for the other side once it is silent for so long.
 
     Raises:
         PancakesError: the file is of no use, or a router's address is none; the sentence says why.
@@ -258,8 +265,8 @@ def session_config(mode: str, routers: Sequence[str], file: str, session: str) -
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
             "transport/shared_memory/enabled": False,
-            "transport/link/tx/lease": int(1000 * LEASE_S),
-            "transport/link/tx/keep_alive": 4,
+            "transport/link/tx/lease": int(1000 * silent_s),
+            "transport/link/tx/keep_alive": SAYINGS,
         }
         if session:
             values["id"] = session

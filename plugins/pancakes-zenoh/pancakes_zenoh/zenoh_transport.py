@@ -63,6 +63,8 @@ class ZenohTransport(SchemeTransport):
                 environment variable `PANCAKES_ZENOH`.
             file: a configuration file of Zenoh's, with certificates for the routers, say; empty: none.
             dial_s: so long a dial may take, in seconds of host time.
+            silent_s: an agent that stands still has ended for the routers once it is silent for so long, in seconds of
+                host time. It speaks to its router four times as often: a longer one spares a large fleet that work.
             insecure: whether it connects without keys too: what is said can then be read, changed and made up by all
                 that reach a router.
         """
@@ -70,6 +72,7 @@ class ZenohTransport(SchemeTransport):
         routers: tuple[str, ...] = ()
         file: str = ""
         dial_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 5.0
+        silent_s: Annotated[float, msgspec.Meta(ge=0.5, le=60)] = 2.0
         insecure: bool = False
 
     def __init__(self, loop: Loop, settings: Settings, keys: Keys | None = None) -> None:
@@ -79,7 +82,7 @@ class ZenohTransport(SchemeTransport):
         self.open: dict[Disposable, None] = {}
         self.credit = CreditPool()
         self.links: dict[int, RoutedLink] = {}
-        self._insecure = settings.insecure
+        self._insecure, self._silent_s = settings.insecure, settings.silent_s
         self._file = settings.file
         self._routers = settings.routers or _routers_of_environment()
         self._listeners: dict[str, Callable[[], ConnectionHandler]] = {}
@@ -246,7 +249,7 @@ class ZenohTransport(SchemeTransport):
                 space = self.keys.own.fleet if self.keys is not None else DEFAULT_FLEET
                 inbox = Inbox(self.loop)
                 try:
-                    self._made = (RouterSession(self._routers, self._file, space, self), inbox)
+                    self._made = (RouterSession(self._routers, self._file, space, self, self._silent_s), inbox)
                 except PancakesError:
                     self.loop.call_later(0.0, inbox.close)
                     raise
