@@ -368,6 +368,23 @@ def test_a_task_does_not_go_on_from_a_copy_of_its_owners_disk_but_from_what_the_
     assert where(guarded) == [owner]
 
 
+def test_a_task_that_was_not_guarded_is_guarded_on_a_copy_too():
+    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+        fleet.start("a", tasks={"Count": Count})
+        fleet.start("b")
+        fleet.start("c")
+        fleet.connect()
+        fleet.run_for(2.0)
+        fleet.crash("a")
+        del fleet.fleet.disk("a")[MARK]
+        fleet.start("a", tasks=GUARDED)
+        fleet.connect()
+        assert fleet.run_until(lambda: guards(fleet) == [["a", "b", "c"]], 10)
+        fleet.crash("a")
+        fleet.restart("a")
+        assert fleet.run_until(lambda: where(fleet) == ["a"], 2.0), "it is the owner by this copy"
+
+
 def test_a_guardian_whose_disk_is_full_tells_an_owner_what_it_was_told(guarded):
     """The owner comes back with an old disk, and hears that one alone: it does not go on as if nothing were lost."""
     b, c = guarded.agents["b"], guarded.agents["c"]

@@ -28,6 +28,7 @@ from pancakes.mesh.guarding.tenure import (
     may_ask,
     yield_lease,
 )
+from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId, PermitGiven
 from pancakes.mesh.migration.guard_rule import PERMIT_SHARE, RENEWED, GuardRule
 from pancakes.mesh.migration.guards import GuardianId, forgotten_guards
@@ -138,9 +139,11 @@ class Leases:
                     self._talk.to_guardian(guardian, yield_lease(tenure, record, guardian))
 
     def _begin(self, place: Place) -> None:
-        now_s = self._host.kernel.host.now()
+        now_s, original = self._host.kernel.host.now(), self._records.original_epoch(place.task_id)
+        if self._talk.me in place.standing.record.guards.members():
+            original = NO_EPOCH  # it was not guarded there
         place.tenancy = Tenancy(
-            tenure=begun(self._talk.boot, now_s, self._records.original_epoch(place.task_id)),
+            tenure=begun(self._talk.boot, now_s, original),
             lost_s=now_s,
             renewal=self._deadlines.new(partial(self._renew, place)),
             end=self._deadlines.new(partial(self._look_for_end, place)),
