@@ -216,6 +216,19 @@ def test_packets_for_an_agent_that_has_died_are_lost_and_that_is_told(memory_rig
         sender.say("unknown/client/test")
 
 
+def test_what_is_said_as_the_agent_goes_to_sleep_is_lost_and_told_and_what_comes_after_that_arrives(memory_rig, fleet):
+    sender, receiver = stranger_of(fleet)
+    sender.mesh.sleep(5.0)
+    assert sender.say(f"{receiver.name}/client/test", "lost") == 1, "its own thread has not got to that yet"
+    memory_rig.timeline.run_until(memory_rig.clock.now() + 1.0)
+    assert f"a packet for {receiver.name} is lost: no link" in sender.log("warning")
+    sender.mesh.wake()
+    memory_rig.until(lambda: sender.mesh.connected())
+    sender.say(f"{receiver.name}/client/test", "after")
+    memory_rig.until(lambda: receiver.packets)
+    assert [packet.body for packet in receiver.packets] == ["after"]
+
+
 def test_what_waits_for_a_link_is_bounded(memory_rig):
     a = memory_rig.agent("a", links=2)
     peer = memory_rig.bare_peer("b", a)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import pytest
 from net.conftest import Ear
 from pancakes_zenoh.credit_pool import LEAST_BYTES, TOTAL_BYTES
+from pancakes_zenoh.router_session import waits_between_tries_s
 from zenoh_links.routers import Router, ZenohRig, link_of
 
 LINKS, SENDERS = 24, 4
@@ -134,6 +137,13 @@ def test_agents_begin_without_a_router_and_meet_once_there_is_one(own_rig, route
     own_rig.until(lambda: "no router answers at" in b.log("info"))
     router.start()
     own_rig.until(lambda: a.knows("b") and b.knows("a"))
+
+
+def test_where_no_router_answers_it_is_tried_again_ever_less_often_and_not_by_all_at_once():
+    waits_s = [list(islice(waits_between_tries_s(random.Random(seed)), 8)) for seed in range(20)]
+    for one in waits_s:
+        assert all(half <= wait_s <= 2 * half for wait_s, half in zip(one, (0.5, 1, 2, 4, 4, 4, 4, 4), strict=True))
+    assert len({round(one[0], 3) for one in waits_s}) > 15
 
 
 def test_a_router_that_stops_holds_no_thread_of_an_agent(router, tmp_path):

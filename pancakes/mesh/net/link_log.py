@@ -82,7 +82,8 @@ class LinkLog:
     def given_up(self, agent: str, packets: int) -> None:
         """No link to an agent came to stand for which packets were waiting."""
         if packets:
-            self._say("warning", f"{packets} packets for {agent} are lost: no link to it could be made")
+            lost = f"{packets} packets for {agent} are" if packets > 1 else f"a packet for {agent} is"
+            self._say("warning", f"{lost} lost: no link to it could be made")
 
     def drops(self, session: Session, now_s: float) -> None:
         """Names a peer that lost packets since it was last named."""

@@ -9,10 +9,11 @@ from __future__ import annotations
 import contextlib
 import json
 import queue
+import random
 import re
 import secrets
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -136,12 +137,11 @@ class RouterSession:
     # In its thread
 
     def _run(self) -> None:
-        longest_s = RETRY_S
+        retries_s = waits_between_tries_s(secrets.SystemRandom())
         while not self._open():
             self._tried.set()
-            if self._closing.wait(secrets.SystemRandom().uniform(longest_s / 2, longest_s)):
+            if self._closing.wait(next(retries_s)):
                 return
-            longest_s = min(2 * longest_s, LONGEST_RETRY_S)
         self.fault = ""
         self._tried.set()
         while (call := self._calls.get()) is not None:
@@ -240,6 +240,14 @@ class RouterSession:
     def _heard(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.DELETE:
             self._user.gone(str(sample.key_expr).rpartition("/")[2], "its session with the routers has ended")
+
+
+def waits_between_tries_s(draw: random.Random) -> Iterator[float]:
+    """Yields how long to wait, in seconds, before a session is tried for again, each time."""
+    longest_s = RETRY_S
+    while True:
+        yield draw.uniform(longest_s / 2, longest_s)
+        longest_s = min(2 * longest_s, LONGEST_RETRY_S)
 
 
 def session_config(
