@@ -182,8 +182,15 @@ class Simulation:
 
     def _begin(self, names: Sequence[str]) -> None:
         """Waits until agents are ready and have met all others, and lets their clocks begin."""
-        fleet = self._running()
-        if not fleet.run_until(lambda: not any(self._missing(name) for name in names), READY_S):
+        fleet, late = self._running(), list(names)
+
+        def there() -> bool:  # is asked after each event, so it looks at all of a large fleet only where that may be true
+            while late and not self._missing(late[-1]):
+                late.pop()
+            late.extend([] if late else [name for name in names if self._missing(name)])
+            return not late
+
+        if not fleet.run_until(there, READY_S):
             waiting = "; ".join(f"{name} {missing}" for name in names if (missing := self._missing(name)))
             raise SimulationError(f"the simulation cannot begin after {READY_S:g} s of virtual time: {waiting}")
         begin_s = fleet.now() + COUNTDOWN_S
