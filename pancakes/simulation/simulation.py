@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -183,32 +183,35 @@ class Simulation:
     def _begin(self, names: Sequence[str]) -> None:
         """Waits until agents are ready and have met all others, and lets their clocks begin."""
         fleet, late = self._running(), list(names)
+        members: dict[str, dict[str, None]] = {}
+        for name in self.agents:
+            members.setdefault(self._configs[name].agent.fleet, {})[name] = None
 
-        def there() -> bool:  # is asked after each event, so it looks at all of a large fleet only where that may be true
-            while late and not self._missing(late[-1]):
+        def there() -> (
+            bool
+        ):  # is asked after each event, so it looks at all of a large fleet only where that may be true
+            while late and not self._missing(late[-1], members):
                 late.pop()
-            late.extend([] if late else [name for name in names if self._missing(name)])
+            late.extend([] if late else [name for name in names if self._missing(name, members)])
             return not late
 
         if not fleet.run_until(there, READY_S):
-            waiting = "; ".join(f"{name} {missing}" for name in names if (missing := self._missing(name)))
+            waiting = "; ".join(f"{name} {missing}" for name in names if (missing := self._missing(name, members)))
             raise SimulationError(f"the simulation cannot begin after {READY_S:g} s of virtual time: {waiting}")
         begin_s = fleet.now() + COUNTDOWN_S
         for name in names:
             self.agents[name].publish(SYSCTRL, Begin(begin_s - fleet.now()))
         fleet.run_for(COUNTDOWN_S)
 
-    def _missing(self, name: str) -> str:
-        """Returns what an agent waits for; empty: nothing."""
+    def _missing(self, name: str, members: Mapping[str, Collection[str]]) -> str:
+        """Returns what an agent waits for; empty: nothing. `members`: the agents of each fleet."""
         found = self.agents[name].agent
         if not found.ready.is_set():
             return "is not ready"
-        own = self._configs[name].agent.fleet
-        others = [other for other in self.agents if other != name and self._configs[other].agent.fleet == own]
-        met = found.mesh.connected()
-        unmet = [other for other in others if other not in met]
-        is_enough = has_met(self._configs[name].agent.links, len(others) - len(unmet), len(others))
-        return "" if is_enough else f"has not met {', '.join(unmet)}"
+        fleet, met = members[self._configs[name].agent.fleet], found.mesh.connected()
+        if has_met(self._configs[name].agent.links, sum(other in fleet for other in met), len(fleet) - 1):
+            return ""
+        return f"has not met {', '.join(other for other in fleet if other != name and other not in met)}"
 
     def step(self, seconds: float) -> None:
         """Runs all agents for so many seconds of virtual time.
