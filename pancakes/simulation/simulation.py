@@ -189,7 +189,7 @@ class Simulation:
 
         def there() -> (
             bool
-        ):  # is asked after each event, so it looks at all of a large fleet only where that may be true
+        ):  # asked after each event, so it looks at all of a large fleet only where need be
             while late and not self._missing(late[-1], members):
                 late.pop()
             late.extend([] if late else [name for name in names if self._missing(name, members)])
