@@ -15,12 +15,13 @@ from pathlib import Path
 
 from benchmarks.figure import Figure, Plan
 from soak.agents import Fleet, NotInTime, names_of
+from soak.tasks import TALK
 from soak.vitals import processor_s, vitals_of
 from zenoh_links.routers import Router
 
 TITLE = "agents with a few links each, at one Zenoh router, all on this machine"
 BESIDE = ""
-AGENTS = 200
+AGENTS = 300
 LINKS = 4
 DISCOVERY_HZ = 0.1
 SILENT_S = 10.0
@@ -55,11 +56,12 @@ def measure(plan: Plan) -> Iterator[Figure]:
         network = f"[service.network]\nsettings = {{ discovery_hz = {DISCOVERY_HZ}, {zenoh} }}\n"
         rest = dict.fromkeys(names, f"links = {LINKS}\n{network}")
         for one, other in hearers.items():
-            rest[one] += f"[task.Talker]\ntype = 'soak.Talker'\nsettings = {{ to = '{other}', "
+            rest[one] += f"[channel.{TALK}]\n[task.Talker]\ntype = 'soak.Talker'\nsettings = {{ to = '{other}', "
             rest[one] += f"while_there = '{directory / 'talk'}' }}\n"
         for other in set(hearers.values()):
             rest[other] += (
-                f"[task.Listener]\ntype = 'soak.Listener'\nsettings = {{ file = '{directory}/{other}.heard' }}\n"
+                f"[channel.{TALK}]\n[task.Listener]\ntype = 'soak.Listener'\n"
+                f"settings = {{ file = '{directory}/{other}.heard' }}\n"
             )
         addresses = {one: f"zenoh://{one}:7400" for one in names}
         router.start()

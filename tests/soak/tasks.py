@@ -16,6 +16,8 @@ from pancakes.task import Task, Tick, every, on, reliable
 
 SWEPT_S = 2.0
 """How often rubbish is collected."""
+TALK = "talk"
+"""A channel of their own: of `system` only the newest waits for a peer that is slow."""
 PIECE_BYTES = 256
 """Size of a piece of memory that is lost on purpose."""
 
@@ -65,7 +67,7 @@ class Talker(Task):
         """Says something, where it is to."""
         if os.path.exists(self.settings.while_there):
             self.state.said += 1
-            self.publish(SYSTEM, Said(self.state.said, time.monotonic()), to=join(self.settings.to, "client/Listener"))
+            self.publish(TALK, Said(self.state.said, time.monotonic()), to=join(self.settings.to, "client/Listener"))
 
 
 class Listener(Task):
@@ -83,7 +85,7 @@ class Listener(Task):
     def on_stop(self) -> None:
         os.close(self._file)
 
-    @on(SYSTEM, Said, keep=reliable(1024), addressed=True)
+    @on(TALK, Said, keep=reliable(1024), addressed=True)
     def hear(self, packet: Packet) -> None:
         """Somebody has said something."""
         took_s = time.monotonic() - packet.body.at_s
