@@ -187,9 +187,7 @@ class Simulation:
         for name in self.agents:
             members.setdefault(self._configs[name].agent.fleet, {})[name] = None
 
-        def there() -> (
-            bool
-        ):  # asked after each event, so it looks at all of a large fleet only where need be
+        def there() -> bool:  # asked after each event, so it looks at all of a large fleet only where need be
             while late and not self._missing(late[-1], members):
                 late.pop()
             late.extend([] if late else [name for name in names if self._missing(name, members)])
