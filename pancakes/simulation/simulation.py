@@ -24,8 +24,10 @@ from pancakes.simulation.built_fleet import BuiltFleet, has_met, meeting
 from pancakes.simulation.faults import Faults
 from pancakes.simulation.made_in_code import parts, registered, silent
 
-READY_S = 30.0
+READY_S = 120.0
 """How long, in virtual time, the agents have at a reset to become ready and to meet."""
+MOST_NAMED = 8
+"""So many agents that another one has not met are named."""
 COUNTDOWN_S = 0.25
 """How long, in virtual time, before the mission begins all agents are told."""
 DIGITS = 7
@@ -160,7 +162,7 @@ class Simulation:
             seed: draws all that is drawn: noise, starts, the order of the actors, jitter, faults.
 
         Raises:
-            SimulationError: there is no agent, or they were not ready or had not met in 30 s of virtual time.
+            SimulationError: there is no agent, or they were not ready or had not met in 120 s of virtual time.
             PancakesError: an agent cannot start: two have one address, a class is missing, ...
         """
         if not self._configs:
@@ -209,7 +211,9 @@ class Simulation:
         fleet, met = members[self._configs[name].agent.fleet], found.mesh.connected()
         if has_met(self._configs[name].agent.links, sum(other in fleet for other in met), len(fleet) - 1):
             return ""
-        return f"has not met {', '.join(other for other in fleet if other != name and other not in met)}"
+        unmet = [other for other in fleet if other != name and other not in met]
+        more = f" and {len(unmet) - MOST_NAMED} others" if len(unmet) > MOST_NAMED else ""
+        return f"has not met {', '.join(unmet[:MOST_NAMED])}{more}"
 
     def step(self, seconds: float) -> None:
         """Runs all agents for so many seconds of virtual time.

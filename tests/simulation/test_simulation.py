@@ -195,10 +195,21 @@ def test_what_it_cannot_do_is_said_in_a_sentence(hearts, tmp_path: Path):
         Simulation.of_demo("encirclment")
 
 
+def test_of_many_agents_that_cannot_meet_some_are_named():
+    with Simulation() as simulation:
+        simulation.add("a", peers=())
+        for number in range(12):
+            simulation.add(f"b{number}", peers=())
+        with pytest.raises(
+            SimulationError, match=r"time: a has not met b0, b1, .*, b7 and 4 others; b0 has not met a, b1"
+        ):
+            simulation.reset()
+
+
 def test_agents_that_cannot_meet_are_named(no_leaks):
     with Simulation() as simulation:
         simulation.add("a").add("b", peers=())
-        with pytest.raises(SimulationError, match="cannot begin after 30 s of virtual time: a has not met b"):
+        with pytest.raises(SimulationError, match="cannot begin after 120 s of virtual time: a has not met b"):
             simulation.reset()
         with pytest.raises(SimulationError, match="call `reset` first"):
             simulation.step(1.0)
