@@ -190,28 +190,35 @@ class Simulation:
             members.setdefault(self._configs[name].agent.fleet, {})[name] = None
 
         def there() -> bool:  # asked after each event, so it looks at all of a large fleet only where need be
-            while late and not self._missing(late[-1], members):
+            while late and self._is_there(late[-1], members):
                 late.pop()
-            late.extend([] if late else [name for name in names if self._missing(name, members)])
+            late.extend([] if late else [name for name in names if not self._is_there(name, members)])
             return not late
 
         if not fleet.run_until(there, READY_S):
-            waiting = "; ".join(f"{name} {missing}" for name in names if (missing := self._missing(name, members)))
+            missing = [name for name in names if not self._is_there(name, members)]
+            waiting = "; ".join(f"{name} {self._lacks(name, members)}" for name in missing[:MOST_NAMED])
+            waiting += f"; and so on with {len(missing)} agents in all" if len(missing) > MOST_NAMED else ""
             raise SimulationError(f"the simulation cannot begin after {READY_S:g} s of virtual time: {waiting}")
         begin_s = fleet.now() + COUNTDOWN_S
         for name in names:
             self.agents[name].publish(SYSCTRL, Begin(begin_s - fleet.now()))
         fleet.run_for(COUNTDOWN_S)
 
-    def _missing(self, name: str, members: Mapping[str, Collection[str]]) -> str:
-        """Returns what an agent waits for; empty: nothing. `members`: the agents of each fleet."""
+    def _is_there(self, name: str, members: Mapping[str, Collection[str]]) -> bool:
+        """Returns whether an agent is ready, and has met enough others; `members`: the agents of each fleet."""
+        found, config = self.agents[name].agent, self._configs[name].agent
+        fleet = members[config.fleet]
+        met = sum(other in fleet for other in found.mesh.connected())
+        return found.ready.is_set() and has_met(config.links, met, len(fleet) - 1)
+
+    def _lacks(self, name: str, members: Mapping[str, Collection[str]]) -> str:
+        """Returns what an agent waits for that is not there yet."""
         found = self.agents[name].agent
         if not found.ready.is_set():
             return "is not ready"
-        fleet, met = members[self._configs[name].agent.fleet], found.mesh.connected()
-        if has_met(self._configs[name].agent.links, sum(other in fleet for other in met), len(fleet) - 1):
-            return ""
-        unmet = [other for other in fleet if other != name and other not in met]
+        met = found.mesh.connected()
+        unmet = [other for other in members[self._configs[name].agent.fleet] if other != name and other not in met]
         more = f" and {len(unmet) - MOST_NAMED} others" if len(unmet) > MOST_NAMED else ""
         return f"has not met {', '.join(unmet[:MOST_NAMED])}{more}"
 
