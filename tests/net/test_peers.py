@@ -8,7 +8,6 @@ import random
 import pytest
 
 from pancakes.mesh.net.address_book import FORGET_AFTER, MAX_LEARNT, MOST_OF_PEER, AddressBook
-from pancakes.mesh.net.few_links import FewLinks
 from pancakes.mesh.net.link_decision import Admit, Dial, TurnDown
 from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS, MOST_DIALS, Peers, reachable
 from pancakes.mesh.wire.link import LinkTimes
@@ -303,14 +302,6 @@ def test_who_refuses_us_for_good_is_asked_at_the_longest_interval(refused):
     (dial,) = it.tick(0.0)
     it.over(dial.link, 0.0, refused=refused)
     assert it.due_s() == 10.0
-
-
-def test_one_that_keeps_a_few_links_soon_dials_a_full_agent_again_which_makes_room():
-    few = FewLinks(3, random.Random(1), 0.0)
-    it = Peers(hello("m"), ["tcp://a:1"], random.Random(1), LinkTimes(), 0.0, few=few)
-    (dial,) = it.tick(0.0)
-    it.over(dial.link, 0.0, refused="full")
-    assert dials(it.tick(0.2)) == ["tcp://a:1"]
 
 
 def test_who_breaks_the_protocol_is_not_dialled_again_at_once():

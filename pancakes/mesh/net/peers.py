@@ -299,7 +299,7 @@ class Peers:
             broken: whether it broke the protocol.
             refusal: the peer's sentence, where the peer refused.
         """
-        hopeless = refused in ("version", "fleet", "name", "old") or broken or (refused == "full" and self._few is None)
+        hopeless = refused in ("version", "fleet", "name", "full", "old") or broken
         candidate = self._candidates.pop(link, None)
         if candidate is None:
             address = self._dials.pop(link, "")
