@@ -46,7 +46,6 @@ class Registers:
 
     def __init__(self, disk: Disk) -> None:
         self._lost = {aside.key: str(aside) for aside in disk.journal.missing if aside.kind == KIND}
-
         self._copy, self._copied = disk.journal.copy, disk.journal.copied
 
         def malformed(key: str, why: str) -> None:
