@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -61,6 +63,42 @@ class Router:
             self.process = None
 
 
+class Relay:
+    """A way to a router that one agent takes, and that can be lost on the agent's side alone.
+
+    Args:
+        router: where it leads.
+    """
+
+    def __init__(self, router: Router) -> None:
+        host, _, port = router.address.removeprefix("tcp/").partition(":")
+        self._target = host, int(port)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        self._near, _ = self._listener.accept()
+        self._listener.close()  # nobody else comes this way, nor the agent again
+        self._far = socket.create_connection(self._target)
+        back = threading.Thread(target=self._carry, args=(self._far, self._near), daemon=True)
+        back.start()
+        self._carry(self._near, self._far)
+
+    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                sink.sendall(data)
+
+    def lose(self) -> None:
+        """Ends it for the agent; the router sees no end until `close`."""
+        self._near.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        self._near.close()
+        self._far.close()
+
+
 class ZenohRig(TlsRig):
     """Transports through one router, without keys; each agent listens at a name of its own."""
 
@@ -69,6 +107,7 @@ class ZenohRig(TlsRig):
         self.routers = [router.address]
         self.router = router
         self.keyed = keyed
+        self.silent_s = 2.0
         self._names = 0
 
     @property
@@ -81,7 +120,7 @@ class ZenohRig(TlsRig):
 
     def with_keys(self, folder: Path | None) -> Transport:
         keys = Keys(folder) if folder is not None else None
-        settings = {"zenoh": {"insecure": keys is None, "routers": self.routers}}
+        settings = {"zenoh": {"insecure": keys is None, "routers": self.routers, "silent_s": self.silent_s}}
         made = SocketTransport(self.clock, keys.own.name if keys is not None else "none", Plugins(), settings, keys)
         self.transports.append(made)
         self._keys[made] = keys

@@ -17,7 +17,7 @@ import pytest
 from net.conftest import Ear
 from pancakes_zenoh.credit_pool import LEAST_BYTES, TOTAL_BYTES
 from pancakes_zenoh.router_session import waits_between_tries_s
-from zenoh_links.routers import Router, ZenohRig, link_of
+from zenoh_links.routers import Relay, Router, ZenohRig, link_of
 
 LINKS, SENDERS = 24, 4
 ENDED = "its session with the routers has ended"
@@ -179,4 +179,23 @@ def test_agents_at_two_routers_meet_and_an_agent_that_loses_one_takes_the_other(
         own_rig.until(lambda: a.downs and b.downs)
         own_rig.until(lambda: a.knows("b") and b.knows("a"))
     finally:
+        other.end()
+
+
+def test_one_that_loses_its_router_and_has_another_at_once_ends_its_links_at_the_other_end_too(own_rig, router):
+    """The other end hears of no death: the agent has come back before its first router takes it for gone."""
+    other = Router(joins=router, more=("--silent", "60"))
+    other.start()
+    relay = Relay(other)
+    try:
+        a = own_rig.agent("a")
+        own_rig.routers, own_rig.silent_s = [relay.address, router.address], 60.0
+        b = own_rig.agent("b", [a.address])
+        own_rig.until(lambda: a.knows("b") and b.knows("a"))
+        relay.lose()
+        own_rig.until(lambda: a.downs and b.downs)
+        assert "its session with the routers was lost" in a.downs[0][1] and ENDED in b.downs[0][1]
+        own_rig.until(lambda: a.knows("b") and b.knows("a"))
+    finally:
+        relay.close()
         other.end()

@@ -52,6 +52,9 @@ class SessionUser(Protocol):
     def gone(self, session: str, why: str) -> None:
         """Another session has ended, or no frame gets there."""
 
+    def there(self, session: str) -> None:
+        """A session is there, for the first time or again after it was gone."""
+
 
 class RouterSession:
     """One session.
@@ -238,8 +241,11 @@ class RouterSession:
             self._user.came(sample.payload.to_bytes())
 
     def _heard(self, sample: zenoh.Sample) -> None:
+        session = str(sample.key_expr).rpartition("/")[2]
         if sample.kind == zenoh.SampleKind.DELETE:
-            self._user.gone(str(sample.key_expr).rpartition("/")[2], "its session with the routers has ended")
+            self._user.gone(session, "its session with the routers has ended")
+        else:
+            self._user.there(session)
 
 
 def waits_between_tries_s(draw: random.Random) -> Iterator[float]:

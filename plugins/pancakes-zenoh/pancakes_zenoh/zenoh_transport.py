@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 SCHEME: Final = "zenoh"
 COST: Final = 5.0
 """See `WayFacts`; through one router on the same machine, as docs/zenoh.md has it."""
+MOST_CUT: Final = 512
+"""So many sessions that have ended are kept in mind at most, in case they come back."""
 ROUTERS: Final = "PANCAKES_ZENOH"
 """The routers of a terminal, and of an agent whose configuration names none: addresses with a comma between them."""
 
@@ -82,6 +84,7 @@ class ZenohTransport(SchemeTransport):
         self.open: dict[Disposable, None] = {}
         self.credit = CreditPool()
         self.links: dict[int, RoutedLink] = {}
+        self._cut: dict[str, list[int]] = {}  # sessions that have ended, and the links that ended with them
         self._insecure, self._silent_s = settings.insecure, settings.silent_s
         self._file = settings.file
         self._routers = settings.routers or _routers_of_environment()
@@ -134,8 +137,7 @@ class ZenohTransport(SchemeTransport):
 
     def link_ended(self, link: RoutedLink) -> None:
         """See `LinkOwner`."""
-        if self._made is not None and not any(other.peer == link.peer for other in self.links.values()):
-            self._made[0].forget(link.peer)
+        self._spare(link.peer)
 
     def ask(self, address: str, answer: Callable[[str, str], None]) -> str:
         """Asks which session listens at an address; the answer comes in the loop's thread.
@@ -180,6 +182,11 @@ class ZenohTransport(SchemeTransport):
         if self._made is not None:
             self._made[1].put(lambda: self._gone(session, why))
 
+    def there(self, session: str) -> None:
+        """See `SessionUser`."""
+        if self._made is not None:
+            self._made[1].put(lambda: self._there(session))
+
     # In the loop's thread
 
     def _take(self, data: bytes) -> None:
@@ -211,7 +218,20 @@ class ZenohTransport(SchemeTransport):
 
     def _gone(self, session: str, why: str) -> None:
         for link in [it for it in self.links.values() if it.peer == session]:
+            self._cut.setdefault(session, []).append(link.number)
             link.gone(why)
+        if len(self._cut) > MOST_CUT:
+            del self._cut[next(iter(self._cut))]
+
+    def _there(self, session: str) -> None:
+        # Where an agent loses its router and finds another at once, only the agent sees its links end.
+        for number in self._cut.pop(session, ()):
+            self.post(session, frame_bytes(FrameKind.BREAK, number, 0, 0, b"its session with the routers was lost"))
+            self._spare(session)
+
+    def _spare(self, session: str) -> None:
+        if self._made is not None and not any(link.peer == session for link in self.links.values()):
+            self._made[0].forget(session)
 
     # From any thread
 
