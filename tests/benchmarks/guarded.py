@@ -30,6 +30,8 @@ AGENTS = ("a", "b", "c", "d", "e")
 TASKS = 100
 STATE_BYTES = 1024
 MEASURED_S = 10.0
+ANSWERED_S = 1.0
+"""So long after the agents were asked what they have written: what the answers cost is not the tasks'."""
 GUARDED_S = 30.0
 """So long it may take until each task has its guardians."""
 
@@ -77,15 +79,15 @@ def _run(tasks: int, guard: str) -> list[float]:
         with Client(Where(addresses), 5.0) as client:
             if guard:
                 _wait_for_guardians(client, tasks)
-            time.sleep(1.0)
-            used, before = _used(processes), _told(client)
-            began_s = time.monotonic()
+            told_at, told = time.monotonic(), _told(client)
+            time.sleep(ANSWERED_S)
+            used_at, used = time.monotonic(), _used(processes)
             time.sleep(MEASURED_S)
-            lasted_s = time.monotonic() - began_s
-            told = (now - then for now, then in zip(_told(client), before, strict=True))
-            shares = _used(processes) - used, *told
+            shares = [(_used(processes) - used) / (time.monotonic() - used_at)]
+            told_s = time.monotonic() - told_at
+            shares += [(now - then) / told_s for now, then in zip(_told(client), told, strict=True)]
         units = (100.0, 3600e-6, 3600.0, 1e-3)
-        return [share * unit / lasted_s / len(AGENTS) for share, unit in zip(shares, units, strict=True)]
+        return [share * unit / len(AGENTS) for share, unit in zip(shares, units, strict=True)]
 
 
 def _config(name: str, directory: Path) -> str:

@@ -102,7 +102,7 @@ class Fleet:
         )
 
 
-@pytest.mark.timeout(300 + 3 * AGENTS)
+@pytest.mark.timeout(300 + 10 * AGENTS)
 def test_tasks_move_letters_follow_and_agents_die_where_most_have_no_link_to_each_other() -> None:
     with Simulation() as simulation:
         fleet = Fleet(simulation)
