@@ -264,6 +264,22 @@ def test_a_full_agent_gives_the_place_of_an_unused_link_to_a_newcomer(memory_rig
     assert peers[-1].over.goodbye == Goodbye("rest", RESTS_S)
 
 
+def test_a_full_agent_whose_links_are_all_in_use_reaches_one_for_which_it_has_something(memory_rig):
+    a, z = memory_rig.agent("a", links=2), memory_rig.agent("z", links=2)
+    peers = [memory_rig.bare_peer(f"n{number:03d}", a) for number in range(MAX_AGENTS - 1)]
+    memory_rig.until(lambda: all(peer.is_up for peer in peers))
+    peers[0].act(peers[0].link.tell(Gossip((AgentSeen("z", z.address),)), memory_rig.clock.now()))
+    memory_rig.timeline.run_until(memory_rig.clock.now() + 0.1)
+    a.say("z/client/test", "for z")
+    for _ in range(round(MADE_S)):
+        for peer in peers:
+            if peer.over is None:
+                a.say(f"{peer.own.name}/client/test")
+        memory_rig.timeline.run_until(memory_rig.clock.now() + 1.0)
+    assert [it.body for it in z.packets] == ["for z"]
+    assert [peer.over.goodbye for peer in peers if peer.over] == [Goodbye("rest", RESTS_S)], "one has lost its place"
+
+
 def test_what_is_on_its_way_when_a_link_ends_as_one_too_many_arrives(memory_rig):
     fleet = crowd(memory_rig, 12, links=2)
     ender, others = fleet[5], [one for one in fleet if one.name != "a05"]

@@ -68,7 +68,11 @@ class Fleet:
         simulation.reset(seed=7)
 
     def hosts(self) -> dict[str, list[str]]:
-        return {task: self.simulation.where(task) for task in self.births}
+        found: dict[str, list[str]] = {task: [] for task in self.births}
+        for name, handle in self.simulation.agents.items():  # each once: `where` looks at all of them for each task
+            for task in handle.running():
+                found[task].append(name)
+        return found
 
     def is_on(self, task: str, agent: str) -> bool:
         return self.simulation.where(task) == [agent]

@@ -18,6 +18,8 @@ SWEPT_S = 2.0
 """How often rubbish is collected."""
 TALK = "talk"
 """A channel of their own: of `system` only the newest waits for a peer that is slow."""
+TALK_HZ = 10.0
+"""So often a talker talks; before, it looks once a second whether it is to, and rests otherwise."""
 PIECE_BYTES = 256
 """Size of a piece of memory that is lost on purpose."""
 
@@ -62,12 +64,21 @@ class Talker(Task):
     settings: Settings
     state: State
 
-    @every(hz=10)
+    def on_start(self) -> None:
+        self._talks = False
+
+    @every(hz=1)
+    def look(self, tick: Tick) -> None:
+        """Begins to talk, or ends, as the file says."""
+        if self._talks is not os.path.exists(self.settings.while_there):
+            self._talks = not self._talks
+            self.reschedule(TALK_HZ if self._talks else 0.0, "talk")
+
+    @every(hz=0)
     def talk(self, tick: Tick) -> None:
-        """Says something, where it is to."""
-        if os.path.exists(self.settings.while_there):
-            self.state.said += 1
-            self.publish(TALK, Said(self.state.said, time.monotonic()), to=join(self.settings.to, "client/Listener"))
+        """Says something."""
+        self.state.said += 1
+        self.publish(TALK, Said(self.state.said, time.monotonic()), to=join(self.settings.to, "client/Listener"))
 
 
 class Listener(Task):

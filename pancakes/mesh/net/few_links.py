@@ -119,6 +119,10 @@ class FewLinks:
         """Returns whether it knows where an agent can be dialled. Any thread."""
         return name in self._known
 
+    def wants(self, name: str) -> bool:
+        """Returns whether it has a link to an agent made."""
+        return name in self._wanted
+
     def fresh(self, now_s: float) -> list[Sighting]:
         """Returns all agents to tell others of, by name."""
         ages = ((name, it.listen, max(0.0, now_s - it.heard_s)) for name, it in sorted(self._known.items()))

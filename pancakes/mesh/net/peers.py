@@ -434,11 +434,15 @@ class Peers:
     def _make_room(self, newcomer: _Candidate, now_s: float) -> list[Decision]:
         """Ends the link of a client whose place a new client gets; none where there is no such client.
 
-        Where a few links are enough, an agent gets the place of that link to an agent that is used least.
+        Where a few links are enough, an agent gets the place of that link to an agent that is used least. One for which
+        there is something here gets it also where all are used: as long as a letter finds no way, it is sent to all
+        neighbours again and again, so that no link is quiet.
         """
         if newcomer.hello.role != "client":
             unused = max(self._linked(), key=lambda it: self._unused_s(it, now_s), default=None)
-            if self._few is None or unused is None or self._unused_s(unused, now_s) < QUIET_S:
+            if self._few is None or unused is None:
+                return []
+            if self._unused_s(unused, now_s) < QUIET_S and not self._few.wants(newcomer.hello.name):
                 return []
             unused.rests = True
             return [Rest(unused.link)]

@@ -37,12 +37,16 @@ class Checkpointing:
     def __init__(self, host: HostingService) -> None:
         self._host = host
         self.late: dict[TaskId, Place] = {}
+        self._begun = False
 
     def begin(self) -> None:
-        """Looks at all tasks from now on."""
-        self._host.after_host(CHECKPOINT_S, self._look_at_all)
+        """Looks at all tasks from now on, as long as there are any."""
+        if not self._begun:
+            self._begun = True
+            self._host.after_host(CHECKPOINT_S, self._look_at_all)
 
     def _look_at_all(self) -> None:
+        self._begun = False
         # A guarded task has a time of its own.
         names = [name for name in self._host.slots if self._host.places.at[name].tenancy is None]
         batches = [names[start : start + AT_ONCE] for start in range(0, len(names), AT_ONCE)]
@@ -51,7 +55,8 @@ class Checkpointing:
                 self.look_at(batch)
             else:
                 self._host.after_host(number * CHECKPOINT_S / len(batches), partial(self.look_at, batch))
-        self.begin()
+        if self._host.slots:
+            self.begin()
 
     def look_at(self, names: Sequence[str]) -> None:
         """Looks at some tasks, by name."""

@@ -167,7 +167,6 @@ class ClientService(Service):
         for place in list(self.places.values()):
             if place.slot is None:
                 self.feed_place(place, hosting_event.TakeUp())
-        self._checkpointing.begin()
         self._guarded.begin(self.places.values())
         self._mover.begin()
         self._disputes.begin()
@@ -257,8 +256,10 @@ class ClientService(Service):
         self.places.bind(spec.name)
         place = self.places.at[spec.name]
         self._note(place)
-        slot.rest = rest_of(place.standing.record, place.unsure.word)
-        self.show(slot)
+        self._checkpointing.begin()
+        if rest := rest_of(place.standing.record, place.unsure.word):
+            slot.rest = rest
+            self.show(slot)
         return slot
 
     def _carry_out(self, place: Place, effect: hosting_effect.HostingEffect, slot: Slot | None) -> None:

@@ -18,7 +18,7 @@ from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead, seal_b
 _LOCK: Final = "lock"
 _MARK: Final = "mark"
 _TEMPORARY: Final = ".tmp"
-CHECK_S: Final = 0.4
+CHECK_S: Final = 0.8
 """How often, in seconds, it is looked whether the directory is still there."""
 MOST_AHEAD_BYTES: Final = 4 * 2**20
 """Where the write-ahead file would become longer, its entries get files of their own, ..."""
