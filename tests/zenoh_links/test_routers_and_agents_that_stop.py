@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from net.conftest import Ear
 from pancakes_zenoh.credit_pool import LEAST_BYTES, TOTAL_BYTES
-from pancakes_zenoh.router_session import waits_between_tries_s
+from pancakes_zenoh.router_session import session_config, waits_between_tries_s
 from zenoh_links.routers import Relay, Router, ZenohRig, link_of
 
 LINKS, SENDERS = 24, 4
@@ -114,6 +114,11 @@ def test_one_that_stops_is_told_of_once_it_was_silent_for_as_long_as_it_may(rout
         assert soon.closed_for[0].endswith(ENDED) and not late.closed_for
         rig.until(lambda: late.closed_for)
     rig.close()
+
+
+def test_a_session_tells_its_router_for_how_long_it_may_be_silent():
+    config = session_config("client", ["tcp/127.0.0.1:1"], "", "", silent_s=0.5)
+    assert config.get_json("transport/link/tx/lease") == "500"
 
 
 def test_agents_find_each_other_again_once_their_router_is_back(own_rig, router):
