@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 from collections.abc import Callable, Iterator
 from time import monotonic
@@ -118,6 +119,30 @@ def test_a_task_whose_guardians_are_gone_goes_on_as_it_stands(guarded: Guarded):
     (done,) = rig.listed("task", "revive", "a/Count", "--force")
     assert done["done"] == "revived"
     assert soon(lambda: [row for row in guarded.guards() if row["guardian"] == "a" and row["permit_s"]])
+
+
+def test_a_task_whose_agents_all_have_copied_disks_is_named_and_goes_on_once_a_person_says_so(guarded: Guarded):
+    rig = guarded.rig
+    guarded.kill("a", "b", "c", "d")
+    for name in "abcd":
+        (state,) = (path for path in (rig.directory / "state").rglob(name) if path.is_dir())
+        shutil.copytree(state, rig.directory / "copy")
+        shutil.rmtree(state)
+        (rig.directory / "copy").rename(state)
+    for name in "dcba":
+        guarded.back(name)
+    heard(guarded.agents["a"], "a/Count stands still on a, whose disk is a copy")
+    (row,) = (row for row in rig.listed("task", "list") if row["task"] == "Count")
+    assert row["rest"] == "stands still"
+    assert "none: it stands still, as the disk is a copy" in rig.pancakes("task", "info", "a/Count").stdout
+    doctor = rig.pancakes("doctor").stdout
+    assert "the disk of a is a copy" in doctor and "pancakes task revive a/Count" in doctor
+    meaning = rig.pancakes("task", "revive", "a/Count")
+    assert meaning.returncode == 1 and "more than half do not answer" in meaning.stderr
+    (done,) = rig.listed("task", "revive", "a/Count", "--force")
+    assert done["done"] == "revived"
+    assert soon(lambda: [row for row in guarded.guards() if row["guardian"] == "a" and row["permit_s"]])
+    assert "is a copy" not in rig.pancakes("doctor").stdout
 
 
 def test_what_is_known_of_a_guarded_task_is_shown(guarded: Guarded):

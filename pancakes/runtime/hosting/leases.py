@@ -156,6 +156,7 @@ class Leases:
         self._host.kernel.permits.revoke(_right(place))
         self._looks.begin(place)
         if not may_ask(place.tenancy.tenure, place.standing.record):
+            self._note(place, place.tenancy)
             self._tell_copied(place)
 
     def _end(self, place: Place) -> None:

@@ -53,10 +53,12 @@ class GuardNote(msgspec.Struct, frozen=True):
             permit_s: for how long the task may act yet; None or 0: it stands still.
         """
         return {
+            "task_id": self.right.task_id,
             "epoch": str(self.tenure.epoch),
             "guard": self.number,
             "lease_s": self.lease_s,
             "permit_s": permit_s or 0.0,
+            "copied": self.tenure.original == self.right.epoch,
             "checkpoint": self.tenure.replicated_no(self.guards),
             "age_s": self.age_s(now_s),
             "answering": self.answering(now_s),

@@ -49,7 +49,7 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
     note = kernel.guard_notes.of(entry.address)
     if note is not None:
         told["guarding"] = note.plain(kernel.host.now(), kernel.permits.left_s(note.right))
-        if not told["guarding"]["permit_s"] and life.state is State.RUNNING:
+        if not told["guarding"]["permit_s"] and (life.state is State.RUNNING or told["guarding"]["copied"]):
             told["rest"] = STANDS_STILL
     if not entry.device:
         return told

@@ -156,6 +156,9 @@ def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:
                 "error", about, text, f"pancakes task resolve AGENT/{task['task']} says which of the two lives"
             )
         yield from _check_unsure(about, task)
+        if task.get("guarding", {}).get("copied"):
+            text = f"stands still: the disk of {name} is a copy, so its guardians have an agent go on with the task"
+            yield Finding("error", about, text, f"where they are gone: pancakes task revive {about}")
         if task["state"] == "stuck":
             text = "was asked to stop and does not come back from what it is doing"
             yield Finding("error", about, text, "restart its agent; a task that waits for long sets blocking = True")

@@ -69,8 +69,8 @@ def revive(
         birthplace = body.task_id.partition("/")[0] if body is not None else birthplace
         held = _held(client, Checkpoints(name.task, birthplace))
         services = {name.service} if name.service else {body.service} if body else {row["service"] for row in held}
-        _must_be_lost(client, name, services, held)
-        body = body or _from_newest(client, name, held)
+        here = _must_be_lost(client, name, services, held)
+        body = body or (Revive(here) if here and not held else _from_newest(client, name, held))
         seen = max((row["seen"] for row in held), default=0)
         body = msgspec.structs.replace(body, seen=seen, force=force or dry_run, dry_run=dry_run)
         reply = accepted(client, name.agent, body)
@@ -108,7 +108,7 @@ def _held(client: Client, asked: Checkpoints) -> list[dict[str, Any]]:
     return [row for _, reply in replies if reply.ok for row in reply.result]
 
 
-def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequence[dict[str, Any]]) -> None:
+def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequence[dict[str, Any]]) -> str:
     """Looks whether the task runs, or is about to be taken over.
 
     Args:
@@ -116,6 +116,9 @@ def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequ
         name: the task.
         services: those that may look after it; empty: any.
         held: the checkpoints of it that agents hold.
+
+    Returns:
+        Its id, where it stands still on the agent that is to go on with it; else an empty text.
 
     Raises:
         ControlRefused: it does.
@@ -132,7 +135,7 @@ def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequ
                     f"{name.task} stands still on {agent['agent']}, with its state: `pancakes task revive"
                     f" {agent['agent']}/{name.task}` has it go on there without its guardians"
                 )
-            return
+            return str(row["guarding"]["task_id"])
     guarding = [row for row in held if row["guardians"]]
     if guarding and has_quorum(newest(guarding), guarding):
         row = newest(guarding)
@@ -140,6 +143,7 @@ def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequ
             f"more than half of the guardians of {row['task_id']} answer, so it is not lost: they have another agent go"
             f" on with it by themselves, or at `pancakes task take {row['agent']}/{name.task}`"
         )
+    return ""
 
 
 def newest(held: Iterable[dict[str, Any]]) -> dict[str, Any]:

@@ -267,8 +267,9 @@ def _permit(guarding: Mapping[str, Any] | None) -> dict[str, str]:
         return {}
     permit_s, age_s = guarding["permit_s"], guarding["age_s"]
     age = f", {age_s:.1f} s old" if age_s is not None else ""
+    why = ", as the disk is a copy" if guarding["copied"] else ""
     return {
-        "permit": f"{permit_s:.1f} s" if permit_s else "none: it stands still",
+        "permit": f"{permit_s:.1f} s" if permit_s else f"none: it stands still{why}",
         "guardians answer": f"{guarding['answering']} of {len(guarding['guardians'])}, {guarding['guard']} are wanted",
         "checkpoint they have": f"{guarding['epoch']}/{guarding['checkpoint']}{age}",
     }
