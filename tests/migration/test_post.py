@@ -8,6 +8,7 @@ import pytest
 from pancakes.errors import MailboxFull
 from pancakes.mesh.migration.outbox import Outbox
 from pancakes.mesh.migration.post import (
+    ASKED,
     IN_FLIGHT,
     LONGEST_S,
     RESEND_S,
@@ -21,6 +22,7 @@ from pancakes.mesh.migration.post import (
     Outgoing,
     Receipt,
     StreamsBegan,
+    asked_now,
     false_name,
 )
 from pancakes.mesh.migration.record import TaskId
@@ -273,3 +275,19 @@ def test_what_waits_is_bounded_in_bytes_too_but_one_may_always_wait():
 def test_a_letter_bears_the_names_of_the_agent_alone_that_brings_it(sender, source, other):
     packet = Packet("chat", "words", source, "task:a/Scan", 0.0, 1, None) if source else None
     assert false_name(Letter("a/Scan", STREAM, 1, 1, b"", sender), packet, "b") == other
+
+
+@pytest.mark.parametrize("count", [0, 1, ASKED])
+def test_so_few_neighbours_are_all_asked_each_time(count):
+    names = [f"n{number:02d}" for number in range(count)]
+    assert asked_now(names, 0.0) == asked_now(names, 10 * LONGEST_S) == names
+
+
+def test_of_more_neighbours_each_is_asked_in_its_turn():
+    names = [f"n{number:02d}" for number in range(5 * ASKED)]
+    asked = [asked_now(names, (turn + 0.5) * LONGEST_S) for turn in range(5)]
+    assert sorted(name for some in asked for name in some) == names
+    assert asked_now(names, 2.1 * LONGEST_S) == asked_now(names, 2.9 * LONGEST_S) == asked[2]
+    fewer = names[:-3]
+    uneven = [asked_now(fewer, (turn + 0.5) * LONGEST_S) for turn in range(5)]
+    assert {len(set(some)) for some in uneven} == {ASKED} and {name for some in uneven for name in some} == {*fewer}

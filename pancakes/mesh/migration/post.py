@@ -9,7 +9,7 @@ speaks for itself alone (`docs/protocol.md`, packets).
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Final
 
 import msgspec
@@ -28,7 +28,9 @@ IN_FLIGHT: Final = 64
 RESEND_S: Final = 0.3
 """First pause before what is on its way is sent again, in host time; it doubles ..."""
 LONGEST_S: Final = 2.4
-"""... up to this; from then on all agents are asked, because the one that knew where the task is may be gone."""
+"""... up to this; from then on neighbours are asked, because the agent that knew where the task is may be gone."""
+ASKED: Final = 16
+"""So many neighbours are asked at a time; of more, each in its turn, so that unused links may end all the same."""
 STREAMS: Final = 1024
 """Most streams that a task's duplicate filter remembers; of more, the one not heard from for longest is forgotten."""
 MOST_STREAMS: Final = 1024
@@ -173,12 +175,20 @@ class OutgoingLetter(msgspec.Struct, frozen=True):
     """What to send, and to which agent.
 
     Attributes:
-        peer: the agent; empty: this one and all neighbours.
+        peer: the agent; empty: this one and neighbours, see `asked_now`.
         letter: the letter.
     """
 
     peer: str
     letter: Letter
+
+
+def asked_now(neighbours: Sequence[str], now_s: float) -> Sequence[str]:
+    """Returns the neighbours that are asked now where a task is; at one time they are the same for all tasks."""
+    if len(neighbours) <= ASKED:
+        return neighbours
+    first = int(now_s / LONGEST_S) * ASKED % len(neighbours)
+    return [*neighbours, *neighbours][first : first + ASKED]
 
 
 class Outgoing:

@@ -5,7 +5,16 @@ from __future__ import annotations
 from typing import Any, Final
 
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
-from pancakes.mesh.migration.post import RESEND_S, AskBegan, ForwardTo, Letter, Receipt, StreamsBegan, false_name
+from pancakes.mesh.migration.post import (
+    RESEND_S,
+    AskBegan,
+    ForwardTo,
+    Letter,
+    Receipt,
+    StreamsBegan,
+    asked_now,
+    false_name,
+)
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.whereabouts import WhereIs, whereabouts
 from pancakes.mesh.net.mesh import Mesh
@@ -192,8 +201,9 @@ class Courier(Component):
 
     def _send(self) -> None:
         letters = self._outbox.take_unsent()
+        asked = asked_now(self._mesh.neighbours(), self.kernel.host.now())
         for dispatch in letters:
-            for peer in (dispatch.peer,) if dispatch.peer else (self.agent, *self._mesh.neighbours()):
+            for peer in (dispatch.peer,) if dispatch.peer else (self.agent, *asked):
                 self._say(peer, dispatch.letter)
         if letters and not self._looking:
             self._look_later()
