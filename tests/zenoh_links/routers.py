@@ -79,7 +79,7 @@ class Relay:
 
     def _run(self) -> None:
         self._near, _ = self._listener.accept()
-        self._listener.close()  # nobody else comes this way, nor the agent again
+        self._listener.close()  # the agent cannot come this way again
         self._far = socket.create_connection(self._target)
         back = threading.Thread(target=self._carry, args=(self._far, self._near), daemon=True)
         back.start()

@@ -434,9 +434,8 @@ class Peers:
     def _make_room(self, newcomer: _Candidate, now_s: float) -> list[Decision]:
         """Ends the link of a client whose place a new client gets; none where there is no such client.
 
-        Where a few links are enough, an agent gets the place of that link to an agent that is used least. One for which
-        there is something here gets it also where all are used: as long as a letter finds no way, it is sent to all
-        neighbours again and again, so that no link is quiet.
+        Where a few links are enough, an agent gets the place of that link to an agent that is used least: of an unused
+        one, or of any where there is something here for the newcomer.
         """
         if newcomer.hello.role != "client":
             unused = max(self._linked(), key=lambda it: self._unused_s(it, now_s), default=None)
