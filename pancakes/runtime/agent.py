@@ -189,7 +189,7 @@ class Agent:
             store = VirtualStore(virtual.journal, transport.call_later, self.kernel.host.now, self.kernel.log)
         else:
             store = ThreadedStore(
-                journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, lost=self._journal_lost
+                journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, self._journal_lost, defer
             )
         self.store = store
         self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use

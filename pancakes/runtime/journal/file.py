@@ -20,7 +20,7 @@ _MARK: Final = "mark"
 _TEMPORARY: Final = ".tmp"
 CHECK_S: Final = 0.8
 """How often, in seconds, it is looked whether the directory is still there."""
-MOST_AHEAD_BYTES: Final = 4 * 2**20
+MOST_AHEAD_BYTES: Final = 16 * 2**20
 """Where the write-ahead file would become longer, its entries get files of their own, ..."""
 MOST_AHEAD: Final = 1000
 """... and where it would have more entries: a disk may take half a second for so many files."""

@@ -146,6 +146,8 @@ class ThreadedStore(RecordStore):
         now: the clock, in seconds.
         say: told, in the store's thread, when the journal cannot write; see `RecordStore`.
         lost: called once, in the store's thread, with what has happened, where the journal is not the one any more.
+        defer: runs a function at the end of the calling actor's turn, or at once outside of one; so what one turn writes
+            down goes in one round.
     """
 
     def __init__(
@@ -155,8 +157,10 @@ class ThreadedStore(RecordStore):
         now: Callable[[], float] = MonotonicClock.now,
         say: Say = lambda level, text: None,
         lost: Callable[[str], None] = lambda reason: None,
+        defer: Callable[[Callable[[], None]], None] = lambda function: function(),
     ) -> None:
         super().__init__(journal, now, say)
+        self._defer = defer
         self._lost = lost
         self._gone = ""  # why nothing can be written any more
         self._jobs: list[_Job] = []
@@ -170,10 +174,17 @@ class ThreadedStore(RecordStore):
         with self._news:
             if not self._closing and not self._gone:
                 self._jobs.append(_Job(entry, persisted, failed, self._now(), may))
-                self._news.notify()
-                return
-            reason = self._gone or "the journal is closed"
-        failed(reason)
+                reason = ""
+            else:
+                reason = self._gone or "the journal is closed"
+        if reason:
+            failed(reason)
+        else:
+            self._defer(self._wake)
+
+    def _wake(self) -> None:
+        with self._news:
+            self._news.notify()
 
     def trouble(self, kind: str, key: str) -> str:
         with self._news:
