@@ -83,6 +83,21 @@ def test_what_waits_is_written_together_and_told_in_order() -> None:
     assert told == [b"a", b"b", b"c", b"d"]
 
 
+def test_what_one_turn_writes_down_goes_in_one_round() -> None:
+    journal, put_off = SlowJournal(), []
+    journal.go_on.set()
+    store = ThreadedStore(journal, defer=put_off.append)
+    for data in (b"a", b"b", b"c"):
+        store.persist(entry(data), lambda: None, never)
+    assert not journal.writing.is_set()
+    for wake in put_off:
+        wake()
+    assert journal.writing.wait(10)
+    store.close()
+
+    assert journal.rounds == [[b"a", b"b", b"c"]]
+
+
 def test_one_entry_at_fault_does_not_fail_those_that_wait_with_it() -> None:
     journal = SlowJournal()
     store = ThreadedStore(journal)

@@ -125,7 +125,8 @@ def test_of_a_journal_that_lost_its_identity_what_was_written_ahead_is_missing_t
     assert again.uuid == "second" and [it.entry for it in again.missing] == [entry("a", "1")]
 
 
-def test_a_long_file_is_begun_anew_and_nothing_is_lost(journal: FileJournal) -> None:
+def test_a_long_file_is_begun_anew_and_nothing_is_lost(journal: FileJournal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file, "MOST_AHEAD_BYTES", 4 * 2**20)
     for number in range(200):
         journal.write([entry(str(number % 7), bytes([number]) * 60_000)])
 

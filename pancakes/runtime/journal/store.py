@@ -146,7 +146,7 @@ class ThreadedStore(RecordStore):
         now: the clock, in seconds.
         say: told, in the store's thread, when the journal cannot write; see `RecordStore`.
         lost: called once, in the store's thread, with what has happened, where the journal is not the one any more.
-        defer: runs a function at the end of the calling actor's turn, or at once outside of one; so what one turn writes
+        defer: runs a function at the end of the calling actor's turn, or at once outside of one: what one turn writes
             down goes in one round.
     """
 
