@@ -84,7 +84,7 @@ def test_what_waits_is_written_together_and_told_in_order() -> None:
 
 
 def test_what_one_turn_writes_down_goes_in_one_round() -> None:
-    journal, put_off = SlowJournal(), []
+    journal, put_off = SlowJournal(), list[Callable[[], None]]()
     journal.go_on.set()
     store = ThreadedStore(journal, defer=put_off.append)
     for data in (b"a", b"b", b"c"):
