@@ -201,9 +201,11 @@ class Courier(Component):
 
     def _send(self) -> None:
         letters = self._outbox.take_unsent()
-        asked = asked_now(self._mesh.neighbours(), self.kernel.host.now())
         for dispatch in letters:
-            for peer in (dispatch.peer,) if dispatch.peer else (self.agent, *asked):
+            if dispatch.peer:
+                self._say(dispatch.peer, dispatch.letter)
+                continue
+            for peer in (self.agent, *asked_now(self._mesh.neighbours(), self.kernel.host.now())):
                 self._say(peer, dispatch.letter)
         if letters and not self._looking:
             self._look_later()

@@ -225,8 +225,10 @@ class ZenohTransport(SchemeTransport):
 
     def _there(self, session: str) -> None:
         # Where an agent loses its router and finds another at once, only the agent sees its links end.
-        for number in self._cut.pop(session, ()):
+        numbers = self._cut.pop(session, ())
+        for number in numbers:
             self.post(session, frame_bytes(FrameKind.BREAK, number, 0, 0, b"its session with the routers was lost"))
+        if numbers:
             self._spare(session)
 
     def _spare(self, session: str) -> None:
