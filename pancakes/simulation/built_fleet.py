@@ -178,10 +178,15 @@ class BuiltFleet(Generic[HandleT]):
         return self._start(config, settle)
 
     def restart(self, name: str, settle: bool = True) -> HandleT:
-        """Starts an agent again that was stopped or has crashed, with the configuration, clock and disk that it had."""
+        """Starts an agent again that was stopped or has crashed, with the configuration, clock and disk that it had.
+
+        It knows all agents that the fleet ever had; with a few links, one that runs.
+        """
         config = self._configs[name]
-        addresses = [other.agent.addresses[-1] for known, other in self._configs.items() if known != name]
-        return self._start(replace(config, agent=replace(config.agent, peers=tuple(addresses))), settle)
+        links = config.agent.links
+        known = [it for it in self._configs.values() if links is None or it.agent.name in self.agents]
+        peers = meeting(name, known, links)["peers"]
+        return self._start(replace(config, agent=replace(config.agent, peers=peers)), settle)
 
     def _start(self, config: Config, settle: bool) -> HandleT:
         plugins = registered(self._classes)

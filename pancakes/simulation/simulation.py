@@ -209,8 +209,10 @@ class Simulation:
         """Returns whether an agent is ready, and has met enough others; `members`: the agents of each fleet."""
         found, config = self.agents[name].agent, self._configs[name].agent
         fleet = members[config.fleet]
-        met = sum(other in fleet for other in found.mesh.connected())
-        return found.ready.is_set() and has_met(config.links, met, len(fleet) - 1)
+        met = found.mesh.connected()
+        if not found.ready.is_set() or not has_met(config.links, len(met), len(fleet) - 1):
+            return False
+        return has_met(config.links, sum(other in fleet for other in met), len(fleet) - 1)
 
     def _lacks(self, name: str, members: Mapping[str, Collection[str]]) -> str:
         """Returns what an agent waits for that is not there yet."""

@@ -20,6 +20,9 @@ FORGOTTEN_S: Final = 600.0
 """It is forgotten after so long."""
 LOOK_S: Final = 3.0
 """So often it is looked whether links are too few or too many."""
+SOON_S: Final = 0.2
+"""Where links are missing and nothing more was known, it is looked so soon after an agent was heard of: peers tell of
+many at once, and the links are drawn from all of them."""
 MADE_S: Final = 10.0
 """So long a link may take to be made; packets for the agent wait so long."""
 AVOIDED_S: Final = 60.0
@@ -94,6 +97,7 @@ class FewLinks:
         self._to_tell: list[str] = []
         self._forgets_s = now_s + FORGOTTEN_S / 10
         self._walks_s = now_s + source.uniform(0.0, WALK_S)
+        self._lacks = True  # links are missing, and there was no agent left to make one to
         self.due_s = now_s
 
     def describe(self) -> dict[str, int]:
@@ -114,6 +118,8 @@ class FewLinks:
             return
         if listen and age_s < FRESH_S and (known is not None or len(self._known) < MOST_KNOWN):
             self._known[name] = _HeardOf(tuple(listen), heard_s)
+            if self._lacks and known is None:
+                self.due_s = min(self.due_s, now_s + SOON_S)
 
     def knows(self, name: str) -> bool:
         """Returns whether it knows where an agent can be dialled. Any thread."""
@@ -171,9 +177,11 @@ class FewLinks:
         if now_s >= self._walks_s:
             self._walks_s = now_s + WALK_S
             missing = max(missing, 1)
+        self._lacks = False
         if missing > 0:
             others = [name for name, _, _ in self.fresh(now_s) if not self._is_taken(name, linked)]
             drawn = self._random.sample(others, min(missing, len(others)))
+            self._lacks = len(drawn) < missing
             decisions.extend(self._make(name, now_s) for name in drawn)
         unused = [(use.quiet_s, name) for name, use in linked.items() if use.may_end and use.quiet_s >= REST_S]
         surplus = len(linked) - MANY * self._most
