@@ -148,7 +148,10 @@ def draw(root: Path, files: Sequence[str], count: int, source: random.Random) ->
         if len(mutants) == count:
             break
         operator, number, end = source.choice(sites[file, family, start])
-        after = mutate_code(texts[file], operator, number)
+        try:
+            after = mutate_code(texts[file], operator, number)
+        except AttributeError:  # cosmic-ray cannot change `except a.b`, yet lists it as a site
+            continue
         if after is not None and after != texts[file]:
             mutants.append(Mutant(file, start[0], end[0], texts[file], after))
     return mutants

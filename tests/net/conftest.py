@@ -25,7 +25,7 @@ from pancakes.mesh.security.keys import Keys
 from pancakes.mesh.security.rules import AccessRule
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
-from pancakes.mesh.wire.link_messages import Identity, Role
+from pancakes.mesh.wire.link_messages import Identity, Role, Timebase
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock, MonotonicClock, VirtualClock
 from pancakes.runtime.plugins import Plugins
@@ -356,6 +356,7 @@ class Agent:
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         follows: bool = False,
         links: int | None = None,
+        timebase: Callable[[], Timebase] | None = None,
     ) -> None:
         self._rig = rig
         self.name = name
@@ -385,6 +386,7 @@ class Agent:
             access=None if follows else access,
             keys=keys,
             links=links,
+            timebase=timebase,
         )
         self.mesh.start()
 

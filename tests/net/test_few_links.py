@@ -17,6 +17,7 @@ from pancakes.mesh.net.few_links import (
     MANY,
     MOST_KNOWN,
     REST_S,
+    SOON_S,
     WALK_S,
     DropWaiting,
     EndLink,
@@ -56,6 +57,21 @@ def test_it_makes_links_until_they_are_enough_and_draws_the_agents():
     it = few("a", "b", "c", "d")
     assert made(it.tick(0.0, {"a": IN_USE, "z": IN_USE})) != [] and it.due_s == LOOK_S
     assert made(it.tick(1.0, {"a": IN_USE, "z": IN_USE})) == [], "one is being made"
+
+
+def test_a_newcomer_looks_again_soon_after_it_hears_of_the_first_agents_and_others_do_not():
+    it = few()
+    it.tick(0.0, {})
+    it.heard("a", ("tcp://a:1",), 0.0, 1.0)
+    it.heard("b", ("tcp://b:1",), 0.0, 1.1)
+    assert it.due_s == 1.0 + SOON_S < LOOK_S
+    assert made(it.tick(it.due_s, {})) == ["a", "b"], "of three that it is to have"
+    it.heard("a", ("tcp://a:1",), 0.0, 1.3)
+    assert it.due_s == 1.0 + SOON_S + LOOK_S, "nothing new"
+    it.heard("c", ("tcp://c:1",), 0.0, 1.4)
+    assert made(it.tick(it.due_s, {"a": IN_USE, "b": IN_USE})) == ["c"] and it.due_s == 1.4 + SOON_S + LOOK_S
+    it.heard("d", ("tcp://d:1",), 0.0, 1.7)
+    assert it.due_s == 1.4 + SOON_S + LOOK_S, "it has enough"
 
 
 def test_an_agent_for_which_there_is_something_gets_a_link_where_it_is_known():

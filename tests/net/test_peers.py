@@ -46,6 +46,20 @@ def test_all_static_addresses_are_dialled_side_by_side_at_once():
     assert it.tick(5.0) == [] and it.due_s() == math.inf, "a dial under way is not doubled"
 
 
+def test_an_agent_is_awaited_until_a_dial_to_it_has_failed_or_it_is_there():
+    it = peers("tcp://a:1")
+    assert it.are_awaited()
+    (dial,) = it.tick(0.0)
+    it.over(dial.link, 0.0)
+    assert not it.are_awaited()
+    it = peers("tcp://a:1")
+    (dial,) = it.tick(0.0)
+    it.met(dial.link, hello("a"), "tcp://a:1", 0.0)
+    it.up(dial.link, 0.0)
+    assert not it.are_awaited()
+    assert not peers().are_awaited()
+
+
 def test_waits_double_from_a_tenth_of_a_second_to_ten_seconds_with_full_jitter():
     bounds = [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
     waits: list[list[float]] = [[] for _ in bounds]

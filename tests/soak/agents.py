@@ -6,7 +6,6 @@ import json
 import os
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -16,6 +15,7 @@ from typing import Final
 from keys_in_test import KeysInTest
 
 from pancakes.client import Client, Where
+from pancakes.tools.launch.forked import ForkedProcess, ForkServer
 
 CONNECTED: Final = " is connected"
 SWEPT: Final = "/client/Sweeper: soak_swept pieces="
@@ -58,7 +58,7 @@ class AgentProcess:
         self.name = name
         self.address = address
         self.log = log
-        self.process: subprocess.Popen[bytes] | None = None
+        self.process: ForkedProcess | None = None
         self.is_ready = False
         self.links: set[str] = set()
         self.ended: list[tuple[str, str]] = []
@@ -67,17 +67,14 @@ class AgentProcess:
         self._file: int | None = None
         self._rest = b""
 
-    def start(self, environment: Mapping[str, str]) -> None:
+    def start(self, server: ForkServer) -> None:
         """Starts it, or starts it again with the state that it left. It ends with this process."""
-        command = [sys.executable, "-m", "pancakes.tools.cli.agent_command", "--config", str(self._config)]
-        command.append(f"--die-with-parent={os.getpid()}")
         self.is_ready, self.links, self.pieces = False, set(), 0
         with self.log.open("ab") as out:
             if self._file is None:
                 self._file = os.open(self.log, os.O_RDONLY)
-            self.process = subprocess.Popen(
-                command, env=dict(environment), stdin=subprocess.DEVNULL, stdout=out, stderr=out
-            )
+            arguments = ["--config", str(self._config), f"--die-with-parent={os.getpid()}"]
+            self.process = server.fork(arguments, out.fileno(), None)
 
     def end(self, kill: bool) -> None:
         """Ends it, with SIGKILL or in good order, and waits for that; it may be dead already."""
@@ -143,7 +140,7 @@ class Fleet:
 
     Attributes:
         agents: them, by name.
-        environment: that of their processes.
+        environment: that of their processes, as it is when the first one starts.
     """
 
     def __init__(
@@ -158,6 +155,7 @@ class Fleet:
         keys = KeysInTest(directory)
         self.environment = {**_offer_tasks(directory), **keys.environment}
         self._offered = keys.offered()
+        self._server = ForkServer(self.environment)
         self.agents: dict[str, AgentProcess] = {}
         addresses = addresses or dict(zip(names, free_addresses(len(names)), strict=True))
         for name in names:
@@ -176,6 +174,7 @@ class Fleet:
     def __exit__(self, *error: object) -> None:
         with ExitStack() as stack:
             stack.push(self._offered)
+            stack.callback(self._server.close)
             for agent in self.agents.values():
                 stack.callback(agent.close)
 
@@ -186,7 +185,7 @@ class Fleet:
     def start(self, *names: str) -> None:
         """Starts agents, all at once; all of them where none is named."""
         for name in names or self.agents:
-            self.agents[name].start(self.environment)
+            self.agents[name].start(self._server)
 
     def read(self) -> None:
         """Reads all logs."""

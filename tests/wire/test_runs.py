@@ -297,6 +297,12 @@ def test_a_packet_that_fits_no_frame_is_refused():
         RowEncoder(head).encode(packet(bytes(spare + 1)))
 
 
+def test_words_may_be_as_long_as_is_said():
+    longest = "x" * 256
+    packet = Packet(longest, longest, longest, longest, 0.0, 1, None, (longest, 2))
+    assert read(payload_of(packet)) == [[packet]]
+
+
 @pytest.mark.parametrize("words", [("", "t", "s"), ("c", "", "s"), ("c", "t", ""), ("c", "t", "s" * 257)])
 def test_a_head_that_would_be_refused_is_refused_at_home(words):
     with pytest.raises(LocalProtocolError, match="1 to 256"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import random
 import shutil
-import subprocess
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -31,7 +30,7 @@ from pancakes.tools.demo.losses import Losses, LossStep
 from pancakes.tools.demo.timeliness import late_ones
 from pancakes.tools.launch.afresh import check_alone, empty_state
 from pancakes.tools.launch.keys_of_run import keys_of_run, set_keys
-from pancakes.tools.launch.process import end_all, start_agent
+from pancakes.tools.launch.process import AgentProcess, Starter, end_all
 from pancakes.tools.recording.virtual_recorder import VirtualRecorder
 
 HOST = MonotonicClock()
@@ -101,7 +100,8 @@ class Processes:
     def __init__(self, plan: DemoPlan) -> None:
         self._plan = plan
         self._keys: Mapping[str, Path] = {}
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._starter = Starter()
+        self._processes: dict[str, AgentProcess] = {}
 
     def start(self, keys: Mapping[str, Path]) -> None:
         """Starts them all.
@@ -119,7 +119,7 @@ class Processes:
         plan = self._plan
         sets = (*plan.sets[agent], *set_keys(self._keys.get(agent)))
         with (plan.out / "logs" / f"{agent}.txt").open("ab") as output:
-            self._processes[agent] = start_agent(plan.files[agent], sets, output)
+            self._processes[agent] = self._starter.start(plan.files[agent], sets, output.fileno())
 
     def kill(self, agent: str) -> None:
         """Ends one of them at once: it gets no word in. From then on it is none of those that should run."""
@@ -139,6 +139,7 @@ class Processes:
     def stop(self) -> None:
         """Stops them all: in good order where they can, by force where they do not in time."""
         end_all(self._processes.values(), STOP_S)
+        self._starter.close()
 
 
 def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> dict[str, Any]:

@@ -7,46 +7,58 @@ import subprocess
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import IO
 
 from pancakes.runtime.clock import MonotonicClock
+from pancakes.tools.launch.forked import ForkedProcess, ForkServer
 
 HOST = MonotonicClock()
 """Processes live in the host's time, whatever the mission's clock does."""
 
-
-def start_agent(
-    config: Path, sets: Sequence[str], output: int | IO[bytes], ready_fd: int | None = None
-) -> subprocess.Popen[bytes]:
-    """Starts `pancakes-agent`. To be called in a thread that stays: the agent ends with it.
-
-    Args:
-        config: its configuration file.
-        sets: what is changed of that, as `--set` takes it.
-        output: what takes its standard output and error.
-        ready_fd: a file descriptor that it writes a line to once it is ready.
-
-    Raises:
-        OSError: no process can be made.
-    """
-    command = [sys.executable, "-m", "pancakes.tools.cli.agent_command", "--config", str(config)]
-    command.append(f"--die-with-parent={os.getpid()}")
-    for change in sets:
-        command += ["--set", change]
-    if ready_fd is not None:
-        command.append(f"--ready-fd={ready_fd}")
-    return subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=output,
-        stderr=output,
-        # A session of its own: an interrupt at the terminal reaches the launcher, which stops its agents in order.
-        start_new_session=True,
-        pass_fds=() if ready_fd is None else (ready_fd,),
-    )
+AgentProcess = subprocess.Popen[bytes] | ForkedProcess
 
 
-def end_all(processes: Iterable[subprocess.Popen[bytes]], within_s: float) -> None:
+class Starter:
+    """Starts agents, each a process of its own. In one thread that stays: the agents end with it."""
+
+    def __init__(self) -> None:
+        self._server = ForkServer() if sys.platform.startswith("linux") else None
+
+    def start(self, config: Path, sets: Sequence[str], output: int, ready_fd: int | None = None) -> AgentProcess:
+        """Starts `pancakes-agent`.
+
+        Args:
+            config: its configuration file.
+            sets: what is changed of that, as `--set` takes it.
+            output: the file descriptor that takes its standard output and error.
+            ready_fd: a file descriptor that it writes a line to once it is ready.
+
+        Raises:
+            OSError: no process can be made.
+        """
+        arguments = ["--config", str(config), f"--die-with-parent={os.getpid()}"]
+        for change in sets:
+            arguments += ["--set", change]
+        if self._server is not None:
+            return self._server.fork(arguments, output, ready_fd)
+        if ready_fd is not None:
+            arguments.append(f"--ready-fd={ready_fd}")
+        return subprocess.Popen(
+            [sys.executable, "-m", "pancakes.tools.cli.agent_command", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            # A session of its own: an interrupt at the terminal reaches the launcher, which stops its agents in order.
+            start_new_session=True,
+            pass_fds=() if ready_fd is None else (ready_fd,),
+        )
+
+    def close(self) -> None:
+        """Starts no more agents; those that it has started go on."""
+        if self._server is not None:
+            self._server.close()
+
+
+def end_all(processes: Iterable[AgentProcess], within_s: float) -> None:
     """Ends processes, and waits for that: in good order where they can, by force where they do not in time."""
     running = [process for process in processes if process.poll() is None]
     for process in running:

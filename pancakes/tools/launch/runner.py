@@ -17,7 +17,7 @@ from pancakes.tools.launch.course import Action, BeginMission, Course, Kill, Spa
 from pancakes.tools.launch.host_agents import HostAgents
 from pancakes.tools.launch.lines import Lines
 from pancakes.tools.launch.member import Member
-from pancakes.tools.launch.process import end_all, start_agent
+from pancakes.tools.launch.process import Starter, end_all
 
 _ENDS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CHUNK: Final = 65_536
@@ -45,11 +45,11 @@ Elsewhere = Callable[[selectors.BaseSelector, Callable[[], float]], HostAgents]
 class _Process:
     """One agent's process, and the pipes that lead to it."""
 
-    def __init__(self, member: Member) -> None:
+    def __init__(self, member: Member, starter: Starter) -> None:
         self.output, output = os.pipe()
         self.ready, ready = os.pipe()
         try:
-            self.process = start_agent(member.path, member.sets, output, ready)
+            self.process = starter.start(member.path, member.sets, output, ready)
         except BaseException:
             os.close(self.output)
             os.close(self.ready)
@@ -88,6 +88,7 @@ class Runner:
         self._voice = voice
         self._let_begin = let_begin
         self._now = MonotonicClock().now
+        self._starter = Starter()
         self._processes: dict[str, _Process] = {}
         self._selector = selectors.DefaultSelector()
         self._pids: dict[str, int] = {}
@@ -117,6 +118,7 @@ class Runner:
             if self._elsewhere is not None:
                 self._elsewhere.close()
             end_all([it.process for it in self._processes.values()], 0.0)
+            self._starter.close()
         return self._course.exit_code
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
@@ -177,7 +179,7 @@ class Runner:
             self._elsewhere.start(name)
             return
         try:
-            place = _Process(self._members[name])
+            place = _Process(self._members[name], self._starter)
         except OSError as error:
             self._do(self._course.unstartable(name, (error.strerror or str(error)).lower(), self._now()))
             return

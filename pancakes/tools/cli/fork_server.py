@@ -1,0 +1,119 @@
+"""A process that has loaded what each agent needs, and forks agents for a launcher, whose children they are.
+
+`python -m pancakes.tools.cli.fork_server FD PID`, with the number of a socket, and of the launcher. It ends when the
+launcher closes the socket, or ends; agents go on when it ends. See `pancakes.tools.launch.forked` for the other end.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import os
+import pkgutil
+import socket
+import sys
+from collections.abc import Sequence
+from typing import Final
+
+import msgpack
+from setproctitle import setproctitle
+
+from pancakes.runtime.plugins import Plugins
+from pancakes.tools.cli import agent_command, agent_process, quiet_interrupt  # noqa: F401 - loaded for the agents
+from pancakes.tools.cli.parent import die_with_parent
+
+LOADED: Final = ("pancakes.runtime", "pancakes.mesh.net")
+"""Agents run what is in these packages. Plug-ins are loaded by each agent: a thread that one begins would be lost."""
+LONGEST: Final = 1 << 20
+"""So many bytes the arguments of an agent have at most."""
+STANDARD_STREAMS: Final = (1, 2)
+
+
+def main() -> None:
+    """Loads what agents need, forks them as it is asked to, and is each of them."""
+    channel, launcher_pid = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])
+    die_with_parent(launcher_pid)
+    gc.disable()
+    for name in LOADED:
+        package = importlib.import_module(name)
+        for module in pkgutil.walk_packages(package.__path__, f"{name}."):
+            importlib.import_module(module.name)
+    Plugins().unreadable()  # reading the entry points loads parts of Python, too
+    gc.collect()
+    gc.freeze()  # no collection writes to what all of them share
+    arguments = _serve(channel)
+    if arguments is not None:
+        gc.enable()
+        sys.argv[1:] = arguments
+        setproctitle(" ".join((sys.executable, "-m", agent_command.__name__, *arguments)))
+        agent_command.agent(prog_name="pancakes-agent")
+
+
+def _serve(channel: socket.socket) -> list[str] | None:
+    """Forks agents until the launcher ends; returns None then, and in each agent its arguments."""
+    while True:
+        data, files, _, _ = socket.recv_fds(channel, LONGEST, len(STANDARD_STREAMS))
+        if not data:
+            return None
+        try:
+            is_agent = _fork(channel)
+        except OSError as error:
+            channel.send(msgpack.packb([0, error.errno]))
+        else:
+            if is_agent:
+                channel.close()
+                return _take_place(msgpack.unpackb(data), files)
+        for file in files:
+            os.close(file)
+
+
+def _fork(channel: socket.socket) -> bool:
+    """Forks an agent, and tells the launcher its process; returns whether this is the agent.
+
+    A process between the two ends at once: the system gives its child to the launcher, which asks for that. The agent
+    waits until then, because it asks the system to end it with its parent.
+    """
+    said, say = os.pipe()
+    held, release = os.pipe()
+    between = os.fork()
+    if between == 0:
+        os.close(said)
+        os.close(release)
+        pid, error = 0, 0
+        try:
+            pid = os.fork()
+        except OSError as failed:
+            error = failed.errno or 0
+        else:
+            if pid == 0:
+                os.close(say)
+                if not os.read(held, 1):  # the fork server has ended, and the launcher knows nothing of this one
+                    os._exit(0)
+                os.close(held)
+                return True
+        os.write(say, msgpack.packb([pid, error]))
+        os._exit(0)
+    os.close(say)
+    os.close(held)
+    answer = os.read(said, LONGEST)
+    os.waitpid(between, 0)
+    os.close(said)
+    os.write(release, b"\0")
+    os.close(release)
+    channel.send(answer)
+    return False
+
+
+def _take_place(arguments: Sequence[str], files: Sequence[int]) -> list[str]:
+    """Gives an agent a session and its output; returns its arguments, with the descriptor that learns of its start."""
+    # An interrupt at the terminal reaches the launcher, which stops its agents in order.
+    os.setsid()
+    output, *ready = files
+    for stream in STANDARD_STREAMS:
+        os.dup2(output, stream)
+    os.close(output)
+    return [*arguments, *(f"--ready-fd={file}" for file in ready)]
+
+
+if __name__ == "__main__":
+    main()

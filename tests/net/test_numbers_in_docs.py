@@ -1,0 +1,32 @@
+"""The bounds that docs/architecture.md tells are those of the code."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from pancakes.mesh.net.address_book import MOST_OF_PEER
+from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS, MOST_DIALS
+from pancakes.mesh.wire.link import LinkTimes
+
+DOCS = Path(__file__).parents[2] / "docs" / "architecture.md"
+TIMES = LinkTimes()
+
+
+@pytest.mark.parametrize(
+    "sentence, values",
+    [
+        (r"each agent: (\d+) agents, (\d+) of each peer", (MAX_AGENTS, MOST_OF_PEER)),
+        (r"(\d+) dials at a time, (\d+) clients", (MOST_DIALS, MAX_CLIENTS)),
+        (r"Heartbeats every ([\d.]+) s; four missed", (TIMES.heartbeat_s,)),
+        (
+            r"Reconnection after ([\d.]+) s, doubling to (\d+) s",
+            (TIMES.retry_first_s, TIMES.retry_longest_s),
+        ),
+    ],
+)
+def test_a_sentence_tells_the_bounds_that_hold(sentence: str, values: tuple[float, ...]) -> None:
+    found = re.search(sentence, " ".join(DOCS.read_text(encoding="utf-8").split()))
+    assert found is not None and tuple(map(float, found.groups())) == values
