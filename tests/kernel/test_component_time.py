@@ -7,6 +7,9 @@ import pytest
 from kernel.actors import put_back
 from kernel.virtual_rig import Diary, VirtualRig
 
+from pancakes.mesh.wire.clock_estimate import ClockOffset
+from pancakes.mesh.wire.link_messages import Timebase
+from pancakes.mesh.wire.peer_clock import PeerClock
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import Tick, every
 from pancakes.runtime.kernel.kernel import Kernel
@@ -115,3 +118,13 @@ def test_each_tick_is_told_with_its_lateness_to_those_that_want_to_hear(virtual:
     virtual.kernel.unhear_lateness(hear)
     virtual.run_until(0.55)
     assert len(told) == 2 and len(metronome.ticks) == 5
+
+
+def test_a_stamp_of_another_agent_is_told_on_ones_own_mission_clock_where_its_clocks_are_known(virtual):
+    kernel = virtual.kernel
+    assert (kernel.restamped("a", 7.0), kernel.restamped("b", 7.0)) == (7.0, 0.0)
+    ahead = PeerClock(ClockOffset(0.0, 1000.0, 0.001), Timebase(1000.0 + kernel.mission.host_time(0.0), 5.0))
+    kernel.peer_clock = {"b": ahead}.get
+    assert kernel.restamped("b", 12.0) == pytest.approx(7.0), "its mission began at 5, when this one began at 0"
+    assert kernel.restamped("b", 3.0) == 0.0, "before this mission began"
+    assert kernel.restamped("c", 7.0) == 0.0

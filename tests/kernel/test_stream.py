@@ -218,6 +218,23 @@ def test_subscribers_are_listed_in_the_order_in_which_they_came():
     assert stream.subscribers("no such channel") == []
 
 
+def test_how_a_reader_reads_is_described_and_what_waits_for_it():
+    stream = InformationStream("a")
+    newest = Reader(stream, "a/client/Newest", ("system", "pose"), keep=queue(3))
+    Reader(stream, "a/client/Sure", ("system", "pose"), ("system", "word"), keep=reliable(7))
+    for seq in range(1, 6):
+        stream.publish(packet(seq=seq))
+    first, second = stream.describe("system")
+    assert first["address"] == newest.address
+    assert (first["keep"], first["limit"], first["waiting"], first["dropped"]) == ("newest", 3, 3, 2)
+    assert (second["keep"], second["limit"], second["waiting"], second["dropped"]) == ("reliable", 14, 5, 0)
+    assert first["waiting_bytes"] == 0, "none is heavy"
+    assert [it["channel"] for it in stream.readings(newest.address)] == ["system"]
+    assert stream.readings("a/client/Nobody") == []
+    with pytest.raises(UnknownChannel, match="no channel 'sytem', only system"):
+        stream.describe("sytem")
+
+
 def test_a_component_with_two_subscriptions_gets_a_packet_once():
     stream = InformationStream("a")
     reader = Reader(stream, "a/client/T", ("system", "pose"), ("system", None))

@@ -27,7 +27,7 @@ class Eavesdropper:
     """A session of none of ours at the router, where nothing keeps sessions apart: it reads and writes all keys."""
 
     def __init__(self, router: Router) -> None:
-        self.session = zenoh.open(session_config("client", [router.address], "", ""))
+        self.session = zenoh.open(session_config("client", [router.address], "", "", silent_s=2.0))
         self.heard: list[tuple[str, bytes]] = []
         self.session.declare_subscriber("**", self._hear)
 

@@ -75,7 +75,12 @@ def _fork(channel: socket.socket) -> bool:
     """
     said, say = os.pipe()
     held, release = os.pipe()
-    between = os.fork()
+    try:
+        between = os.fork()
+    except OSError:
+        for file in (said, say, held, release):
+            os.close(file)
+        raise
     if between == 0:
         os.close(said)
         os.close(release)

@@ -31,8 +31,6 @@ CLOSE_S: Final = 2.0
 """For the last frames, and for the router to hear that the session ends."""
 ANSWER_S: Final = 3.0
 """For the routers to find the session that listens at an address."""
-SILENT_S: Final = 2.0
-"""A session that is silent for so long has ended, where nothing else is said."""
 SAYINGS: Final = 4
 """So often it speaks to its router in that time. Agents need not speak to each other for that."""
 _NOWHERE: Final = "-/0"
@@ -74,9 +72,7 @@ class RouterSession:
         PancakesError: the file is of no use; the sentence says why.
     """
 
-    def __init__(
-        self, routers: Sequence[str], file: str, space: str, user: SessionUser, silent_s: float = SILENT_S
-    ) -> None:
+    def __init__(self, routers: Sequence[str], file: str, space: str, user: SessionUser, silent_s: float) -> None:
         self.id = f"{secrets.randbits(127) | 1 << 127:032x}"
         self._config = session_config("client", routers, file, self.id, silent_s)
         self._where = " or ".join(routers) or f"where {file} says"
@@ -256,9 +252,7 @@ def waits_between_tries_s(draw: random.Random) -> Iterator[float]:
         longest_s = min(2 * longest_s, LONGEST_RETRY_S)
 
 
-def session_config(
-    mode: str, routers: Sequence[str], file: str, session: str, silent_s: float = SILENT_S
-) -> zenoh.Config:
+def session_config(mode: str, routers: Sequence[str], file: str, session: str, silent_s: float) -> zenoh.Config:
     """Returns the configuration of a session.
 
     Args:
