@@ -123,8 +123,8 @@ def test_each_tick_is_told_with_its_lateness_to_those_that_want_to_hear(virtual:
 def test_a_stamp_of_another_agent_is_told_on_ones_own_mission_clock_where_its_clocks_are_known(virtual):
     kernel = virtual.kernel
     assert (kernel.restamped("a", 7.0), kernel.restamped("b", 7.0)) == (7.0, 0.0)
-    ahead = PeerClock(ClockOffset(0.0, 1000.0, 0.001), Timebase(1000.0 + kernel.mission.host_time(0.0), 5.0))
+    ahead = PeerClock(ClockOffset(0.0, 1000.0, 0.001), Timebase(998.0 + kernel.mission.host_time(0.0), 5.0))
     kernel.peer_clock = {"b": ahead}.get
-    assert kernel.restamped("b", 12.0) == pytest.approx(7.0), "its mission began at 5, when this one began at 0"
-    assert kernel.restamped("b", 3.0) == 0.0, "before this mission began"
+    assert kernel.restamped("b", 12.0) == pytest.approx(5.0), "its mission began at 5, two seconds before this one"
+    assert kernel.restamped("b", 6.0) == 0.0, "before this one began"
     assert kernel.restamped("c", 7.0) == 0.0

@@ -72,6 +72,11 @@ def test_a_newcomer_looks_again_soon_after_it_hears_of_the_first_agents_and_othe
     assert made(it.tick(it.due_s, {"a": IN_USE, "b": IN_USE})) == ["c"] and it.due_s == 1.4 + SOON_S + LOOK_S
     it.heard("d", ("tcp://d:1",), 0.0, 1.7)
     assert it.due_s == 1.4 + SOON_S + LOOK_S, "it has enough"
+    it = few()
+    it.tick(0.0, {})
+    assert it.tick(1.0, dict.fromkeys("xyz", IN_USE)) == []
+    it.heard("a", ("tcp://a:1",), 0.0, 1.1)
+    assert it.due_s == 1.0 + LOOK_S, "others have dialled it"
 
 
 def test_an_agent_for_which_there_is_something_gets_a_link_where_it_is_known():

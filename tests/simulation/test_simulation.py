@@ -226,3 +226,14 @@ def test_a_comparison_is_its_mission_and_its_files_go_where_they_are_wanted(tmp_
         simulation.reset()
         assert list((tmp_path / "temporary").iterdir())
     assert not list((tmp_path / "temporary").iterdir())
+
+
+def test_an_agent_with_a_few_links_has_no_more_once_it_is_started_again() -> None:
+    with Simulation() as simulation:
+        for number in range(12):
+            simulation.add(f"a{number:02d}", links=2)
+        simulation.reset(seed=3)
+        simulation.step(5.0)
+        simulation.crash("a05")
+        simulation.step(5.0)
+        assert 2 <= len(simulation.restart("a05").agent.mesh.connected()) < 6
