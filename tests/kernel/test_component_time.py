@@ -10,10 +10,13 @@ from kernel.virtual_rig import Diary, VirtualRig
 from pancakes.mesh.wire.clock_estimate import ClockOffset
 from pancakes.mesh.wire.link_messages import Timebase
 from pancakes.mesh.wire.peer_clock import PeerClock
+from pancakes.packet import Packet
+from pancakes.runtime.foundation.local_time import LocalTime
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import Tick, every
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.runtime.kernel.turn_meter import MeterReading, TurnMeter
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 
@@ -128,3 +131,33 @@ def test_a_stamp_of_another_agent_is_told_on_ones_own_mission_clock_where_its_cl
     assert kernel.restamped("b", 12.0) == pytest.approx(5.0), "its mission began at 5, two seconds before this one"
     assert kernel.restamped("b", 6.0) == 0.0, "before this one began"
     assert kernel.restamped("c", 7.0) == 0.0
+    stamped = [Packet("system", "t", f"{agent}/client/T", "", 12.0, 1, None) for agent in ("a", "b", "c")]
+    own, others, stranger = map(kernel.local_time, stamped)
+    assert own == LocalTime(12.0, 0.0) and stranger is None
+    assert others is not None and others.time_s == pytest.approx(5.0) and others.bound_s > 0.0
+
+
+def test_a_timer_tells_how_late_its_ticks_were_on_average(virtual):
+    metronome = virtual.spawn(Metronome, "a/client/M")
+    timer = metronome.timers["tick"]
+    assert timer.describe()["lateness_mean_s"] == 0.0
+    virtual.run_until(0.25)
+    timer.lateness_sum_s = 3.0
+    assert (timer.describe()["ticks"], timer.describe()["lateness_mean_s"]) == (2, 1.5)
+
+
+def test_a_subscription_that_says_nothing_else_keeps_256_packets(virtual):
+    reader = virtual.spawn(Component, "a/client/R")
+    reader.subscribe("system", None, lambda packet: None)
+    (described,) = virtual.kernel.stream.readings(reader.address)
+    assert (described["limit"], described["keep"]) == (256, "newest")
+
+
+def test_what_turns_and_ticks_take_is_added_up_with_the_squares():
+    meter = TurnMeter()
+    before = meter.read()
+    for used_s in (1.0, 3.0):
+        meter.turn("a/client/M", used_s)
+        meter.tick("a/client/M", "tick", used_s)
+    assert meter.read() == MeterReading({"a/client/M": (2, 4.0)}, {("a/client/M", "tick"): (2, 4.0, 10.0)})
+    assert before == MeterReading({}, {}), "a reading stays as it was"
