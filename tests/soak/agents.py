@@ -15,7 +15,8 @@ from typing import Final
 from keys_in_test import KeysInTest
 
 from pancakes.client import Client, Where
-from pancakes.tools.launch.forked import ForkedProcess, ForkServer
+from pancakes.tools.launch.fork_server import ForkServer
+from pancakes.tools.launch.forked_process import ForkedProcess
 
 CONNECTED: Final = " is connected"
 SWEPT: Final = "/client/Sweeper: soak_swept pieces="

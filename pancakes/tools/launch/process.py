@@ -9,7 +9,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from pancakes.runtime.clock import MonotonicClock
-from pancakes.tools.launch.forked import ForkedProcess, ForkServer
+from pancakes.tools.launch.fork_server import ForkServer
+from pancakes.tools.launch.forked_process import ForkedProcess
 
 HOST = MonotonicClock()
 """Processes live in the host's time, whatever the mission's clock does."""

@@ -1,16 +1,14 @@
-"""The processes of agents that a fork server forks: they start in half the time, and share what is loaded.
+"""The fork server of a launcher, whose agents start in half the time, and share what is loaded. Linux alone.
 
-Linux alone. While an agent is forked the launcher is what Linux calls a child subreaper: it becomes the parent of the
-agent as the process between the two ends, and learns like that of any child how it ends.
+While an agent is forked the launcher is what Linux calls a child subreaper: it becomes the parent of the agent as the
+process between the two ends, and learns like that of any child how it ends.
 """
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import errno
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -18,59 +16,14 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import msgpack
-import psutil
 
-PROGRAM: Final = "pancakes.tools.cli.fork_server"
+from pancakes.tools.launch.forked_process import ForkedProcess
+
+PROGRAM: Final = "pancakes.tools.cli.forking_program"
 ANSWER_BYTES: Final = 64
 ANSWER_S: Final = 30.0
 """An agent is forked within so long, and what it needs is loaded before the first one; else there is none."""
 _PR_SET_CHILD_SUBREAPER: Final = 36  # from <linux/prctl.h>
-
-
-class ForkedProcess:
-    """A child that `subprocess` has not made, and that is used as one that it has.
-
-    Attributes:
-        pid: its number.
-        returncode: its exit code, minus the number of the signal that ended it; None: it runs, or `poll` was not asked.
-    """
-
-    def __init__(self, pid: int) -> None:
-        self.pid = pid
-        self.returncode: int | None = None
-        self._process = psutil.Process(pid)
-
-    def poll(self) -> int | None:
-        """Returns its exit code; None: it runs."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self.wait(0.0)
-        return self.returncode
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Waits until it has ended; returns its exit code.
-
-        Raises:
-            subprocess.TimeoutExpired: it has not within `timeout` seconds.
-        """
-        if self.returncode is None:
-            try:
-                self.returncode = int(self._process.wait(timeout))
-            except psutil.TimeoutExpired:
-                raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0) from None
-        return self.returncode
-
-    def terminate(self) -> None:
-        """Sends it SIGTERM, where it runs."""
-        self._send(signal.SIGTERM)
-
-    def kill(self) -> None:
-        """Sends it SIGKILL, where it runs."""
-        self._send(signal.SIGKILL)
-
-    def _send(self, number: signal.Signals) -> None:
-        if self.returncode is None:
-            with contextlib.suppress(psutil.NoSuchProcess):
-                self._process.send_signal(number)
 
 
 class ForkServer:

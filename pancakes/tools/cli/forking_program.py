@@ -1,7 +1,7 @@
-"""A process that has loaded what each agent needs, and forks agents for a launcher, whose children they are.
+"""The program of a fork server: it loads what each agent needs, and forks agents, as children of the launcher.
 
-`python -m pancakes.tools.cli.fork_server FD PID`, with the number of a socket, and of the launcher. It ends when the
-launcher closes the socket, or ends; agents go on when it ends. See `pancakes.tools.launch.forked` for the other end.
+`python -m pancakes.tools.cli.forking_program FD PID`, with the number of a socket, and of the launcher. It ends when
+the launcher closes the socket, or ends; agents go on when it ends. See `pancakes.tools.launch.fork_server`.
 """
 
 from __future__ import annotations
