@@ -220,17 +220,16 @@ class Arrivals:
         snapshot = self._host.snapshot(slot, slot.carried) if carries else b""
         return Room(asked, snapshot=snapshot, guardian=self._host.first_guardian(place))
 
-    def open(self, place: Place, start: StartTask) -> None:
-        """Opens a place for a task among the tasks of the service."""
+    def open(self, place: Place, start: StartTask) -> PlaceFree | NoPlace | None:
+        """Opens a place for a task among the tasks of the service; returns what follows."""
         if place.task_id.name in self._host.slots:
-            return  # the actor of a task of the same name that was given away has not ended yet
+            return None  # the actor of a task of the same name that was given away has not ended yet
         try:
             self._host.open_slot(self._spec_here(Snapshot.decode(start.snapshot)))
         except PancakesError as error:
             self._host.log("error", f"{place.task_id} is ours, but cannot be started: {error}")
-            self._host.feed_place(place, NoPlace(str(error)))
-        else:
-            self._host.feed_place(place, PlaceFree())
+            return NoPlace(str(error))
+        return PlaceFree()
 
     def _spec_here(self, snapshot: Snapshot) -> TaskSpec:
         """Returns how to start a task that this agent's configuration does not name.
@@ -243,8 +242,8 @@ class Arrivals:
         born_here = snapshot.task_id.birthplace == self._host.agent
         return replace(spec, created=True) if born_here else spec
 
-    def prepare(self, slot: Slot, place: Place, start: StartTask) -> None:
-        """Gives the place of a task what it begins with, and its actuators."""
+    def prepare(self, slot: Slot, place: Place, start: StartTask) -> Admitted | LeaveRefused:
+        """Gives the place of a task what it begins with, and its actuators; returns whether it may start."""
         snapshot = Snapshot.decode(start.snapshot)
         place.written, place.looked_s = None, self._host.kernel.host.now()
         slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
@@ -265,7 +264,7 @@ class Arrivals:
         place.unsure = self._disputes.copied.of(place) or SURE
         reason = CLOSES if self._host.closing else place.unsure.why or self._host.admit(slot)
         reason = reason or self._host.kernel.registry.hold(slot.address, slot.spec.cls.requires)
-        self._host.feed_place(place, LeaveRefused(reason) if reason else Admitted(start.incarnation + 1))
+        return LeaveRefused(reason) if reason else Admitted(start.incarnation + 1)
 
     def _settings_now(self, slot: Slot, snapshot: Snapshot) -> Mapping[str, Any]:
         """Returns the settings that a task goes on with: its own, and what its configuration has changed since."""

@@ -206,9 +206,10 @@ class ClientService(Service):
         if self.slots.get(name) is slot:  # else it is a late timer of a task that has left
             self.feed_place(self.places.at[name], event)
 
-    def feed_place(self, place: Place, event: AnyEvent) -> None:
+    def feed_place(self, place: Place, event: AnyEvent | None) -> None:
         """Feeds an event to a task, and carries out what follows. One that comes meanwhile waits until then."""
-        self._events.append((place, event))
+        if event is not None:
+            self._events.append((place, event))
         if self._turning:
             return
         self._turning = True
@@ -253,9 +254,9 @@ class ClientService(Service):
 
     def open_slot(self, spec: TaskSpec) -> Slot:
         slot = super().open_slot(spec)
-        self.places.bind(spec.name)
+        task_id = self.places.bind(spec.name)
         place = self.places.at[spec.name]
-        self._note(place)
+        self.state.note(self.name, spec.name, task_id, place.standing.record)
         self._checkpointing.begin()
         if rest := rest_of(place.standing.record, place.unsure.word):
             slot.rest = rest
@@ -283,7 +284,7 @@ class ClientService(Service):
             case handoff_effect.HandedOver():
                 self._mover.handed_over(place, effect)
             case hosting_effect.OpenPlace():
-                self._arrivals.open(place, effect.start)
+                self.feed_place(place, self._arrivals.open(place, effect.start))
             case hosting_effect.Unreserve():
                 self.kernel.registry.unreserve(join(self.address, place.task_id.name))
             case hosting_effect.Decided():
@@ -312,17 +313,19 @@ class ClientService(Service):
             case hosting_effect.AskRoom():
                 self.feed_place(place, self._arrivals.room(slot, place, effect))
             case hosting_effect.Prepare():
-                self._arrivals.prepare(slot, place, effect.start)
+                self.feed_place(place, self._arrivals.prepare(slot, place, effect.start))
             case hosting_effect.Rested():
                 self.rested(slot)
             case handoff_effect.Freeze():
-                self._departures.freeze(slot, place, effect)
+                self.feed_place(place, self._departures.freeze(slot, place, effect))
             case hosting_effect.TakeDown():
-                self._departures.take_down(slot, place, effect)
+                self.feed_place(place, self._departures.take_down(slot, place, effect))
             case hosting_effect.LetGoOn():
                 self._departures.let_go_on(slot)
             case hosting_effect.Vacate():
-                self._departures.vacate(slot)
+                for other in self._departures.vacate(slot):
+                    if isinstance(other.standing.waits, handoff_effect.StartTask):
+                        self.feed_place(other, hosting_event.PlaceFree())
             case _:
                 assert_never(effect)
 
@@ -409,20 +412,18 @@ class ClientService(Service):
                         self._guarded.has_no_permit(self.places.at[slot.name])
             case RecordWritten():
                 self._written(message)
-            case LetterGiven():
-                self._deliveries.given(message)
-            case CameFor():
-                self._deliveries.arrived(message)
-            case AskedBegan():
-                self._deliveries.asked_began(message)
+            case LetterGiven() | CameFor() | AskedBegan():
+                self._deliveries.heard(message)
             case ClaimsCame() | NeighbourCame() | FactsCame() | CopyNoticed():
                 self._disputes.heard(message)
             case PeerDown():
                 self._arrivals.drop_pieces(message.peer)
             case BidAwarded():
-                self._mover.awarded(message)
+                place = self.places[message.task_id]
+                self.feed_place(place, self._mover.awarded(place, message))
             case Accounted():
-                self._mover.accounted(message)
+                place = self.places[message.task_id]
+                self.feed_place(place, self._mover.accounted(place))
             case MoveOver():
                 self._mover.over(message)
             case MigratorBegan():
@@ -444,9 +445,10 @@ class ClientService(Service):
         """Takes a hand-off message in."""
         task_id = packet.body.task_id
         # Of a task that no agent has asked a place for nothing is kept: a peer may make up as many as it likes.
-        place = self.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
+        known = self.places.get(task_id)
+        place = known or Place(task_id, Standing(Record(task_id)))
         received = self._arrivals.receive(packet, place)
-        if place.promised is not None:
+        if known is None and place.promised is not None:
             self.places.keep(place)
         if received is not None:
             self.feed_place(place, received)

@@ -37,7 +37,17 @@ class Deliveries:
     def __init__(self, host: HostingService) -> None:
         self._host = host
 
-    def arrived(self, came: CameFor) -> None:
+    def heard(self, message: CameFor | LetterGiven | AskedBegan) -> None:
+        """Another actor of this agent has said something about letters."""
+        match message:
+            case CameFor():
+                self._arrived(message)
+            case LetterGiven():
+                self._given(message)
+            case AskedBegan():
+                self._asked_began(message)
+
+    def _arrived(self, came: CameFor) -> None:
         """Takes a letter; where it cannot be given to the task now, its sender keeps it and sends it again."""
         letter, host = came.letter, self._host
         place = host.places.get(TaskId.parse(letter.task_id))
@@ -70,7 +80,7 @@ class Deliveries:
         if letters.give(slot.task, letter, packet):
             tell(slot.task, Give(letter, addressed))
 
-    def given(self, told: LetterGiven) -> None:
+    def _given(self, told: LetterGiven) -> None:
         """A task says what has become of a letter."""
         letter, task = told.give.letter, told.task
         place = self._host.places.get(TaskId.parse(letter.task_id))
@@ -113,7 +123,7 @@ class Deliveries:
             return
         place.began = began_from(record.epoch, snapshot)
 
-    def asked_began(self, message: AskedBegan) -> None:
+    def _asked_began(self, message: AskedBegan) -> None:
         """An agent that has sent letters to a task asks from what state it began here."""
         place = self._host.places.get(TaskId.parse(message.asked.task_id))
         if place is not None and place.began is not None and place.standing.record.phase is Phase.OWNER:

@@ -10,7 +10,7 @@ from pancakes.mesh.migration.event import FreezeFailed, Frozen
 from pancakes.mesh.migration.sequel import Sequel
 from pancakes.packet import join
 from pancakes.runtime.hosting.hosting_effect import TakeDown
-from pancakes.runtime.hosting.hosting_event import PlaceFree, StillOverdue, StoodStill
+from pancakes.runtime.hosting.hosting_event import StillOverdue, StoodStill
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.kernel.tell import tell
@@ -29,16 +29,16 @@ class Departures:
     def __init__(self, host: HostingService) -> None:
         self._host = host
 
-    def freeze(self, slot: Slot, place: Place, effect: Freeze) -> None:
-        """Has a task stand still; it answers `StoodStill`."""
+    def freeze(self, slot: Slot, place: Place, effect: Freeze) -> StoodStill | None:
+        """Has a task stand still; its actor answers `StoodStill`. Where it has none, that is returned."""
         if slot.task is None:
-            self._host.feed_place(place, StoodStill(effect.offer, reason="it does not run"))
-            return
+            return StoodStill(effect.offer, reason="it does not run")
         tell(slot.task, StandStill(effect.offer))
         self._host.after_host(STUCK_S, partial(self._host.feed_place, place, StillOverdue(effect.offer)))
+        return None
 
-    def take_down(self, slot: Slot, place: Place, effect: TakeDown) -> None:
-        """Writes down a task that stands still, and holds its actuators."""
+    def take_down(self, slot: Slot, place: Place, effect: TakeDown) -> Frozen | FreezeFailed:
+        """Writes down a task that stands still, and holds its actuators; returns what follows."""
         self._host.hold_actuators(slot, "its task is handed over")
         assert isinstance(effect.carried, Carried)
         try:
@@ -46,12 +46,11 @@ class Departures:
         except PancakesError as error:
             self._host.outbox.stay(place.task_id)
             self.let_go_on(slot)
-            self._host.feed_place(place, FreezeFailed(effect.offer, str(error)))
-            return
+            return FreezeFailed(effect.offer, str(error))
         self._host.event("task_frozen", task=slot.name, offer=effect.offer.n)
         move = place.move
         sequel = Sequel(move.then, move.ledger).encode() if move is not None else b""
-        self._host.feed_place(place, Frozen(effect.offer, snapshot, sequel))
+        return Frozen(effect.offer, snapshot, sequel)
 
     def let_go_on(self, slot: Slot) -> None:
         """Lets a task go on that stands still."""
@@ -76,8 +75,12 @@ class Departures:
             self._host.hold_actuators(slot, "its task was handed over")
             self._host.kernel.registry.release(slot.address)
 
-    def vacate(self, slot: Slot) -> None:
-        """A task was given away: what is left of it here is the tombstone in the journal."""
+    def vacate(self, slot: Slot) -> list[Place]:
+        """A task was given away: what is left of it here is the tombstone in the journal.
+
+        Returns:
+            The places of other tasks of this name, which may wait for its slot.
+        """
         slot.carried = None
         slot.mailbox.clear_data()
         if slot.fence is not None:
@@ -85,5 +88,4 @@ class Departures:
         if slot.name not in self._host.residents:
             del self._host.slots[slot.name]
             self._host.kernel.tasks.strike_out(self._host.name, slot.name)
-        for other in self._host.places.named(slot.name):
-            self._host.feed_place(other, PlaceFree())
+        return self._host.places.named(slot.name)

@@ -37,8 +37,8 @@ class HostingService(Reference, Protocol):
         self, channel: str, body: type | str | None, handler: Callable[[Packet], None], keep: Keep | None = None
     ) -> None: ...
 
-    def feed_place(self, place: Place, event: AnyEvent) -> None:
-        """Feeds an event to a task, and carries out what follows."""
+    def feed_place(self, place: Place, event: AnyEvent | None) -> None:
+        """Feeds an event to a task, and carries out what follows; None: nothing has happened to it."""
 
     def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
         """Returns a task as data, encoded."""

@@ -184,12 +184,11 @@ class Mover:
 
     # What the Task Migrator tells ------------------------------------------------------------------------------
 
-    def awarded(self, awarded: BidAwarded) -> None:
-        """The bids are compared: hands the task to the cheapest bidder."""
-        place = self._host.places[awarded.task_id]
+    def awarded(self, place: Place, awarded: BidAwarded) -> Award:
+        """The bids are compared: hands the task to the cheapest bidder; returns what follows."""
         if place.move is not None:
             place.move.ledger = awarded.ledger
-        self._host.feed_place(place, Award(awarded.peer, awarded.request))
+        return Award(awarded.peer, awarded.request)
 
     def over(self, over: MoveOver) -> None:
         """The move is over, one way or the other."""
@@ -240,12 +239,12 @@ class Mover:
         host.tell_actor(MIGRATOR, place.account)
         self._follow(sequel.then, place)
 
-    def accounted(self, accounted: Accounted) -> None:
-        """The account of a move is kept."""
-        place = self._host.places[accounted.task_id]
-        if place.account is not None:
-            place.account = None
-            self._host.feed_place(place, PartConcluded())
+    def accounted(self, place: Place) -> PartConcluded | None:
+        """The account of a move is kept; returns what follows."""
+        if place.account is None:
+            return None
+        place.account = None
+        return PartConcluded()
 
     def _follow(self, name: str, gone: Place) -> None:
         """Starts a task because another one has gone; once its record says that it is wanted, that is concluded."""
