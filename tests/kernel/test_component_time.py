@@ -2,6 +2,7 @@
 
 import math
 import random
+from time import thread_time, time
 
 import pytest
 from kernel.actors import put_back
@@ -161,3 +162,23 @@ def test_what_turns_and_ticks_take_is_added_up_with_the_squares():
         meter.tick("a/client/M", "tick", used_s)
     assert meter.read() == MeterReading({"a/client/M": (2, 4.0)}, {("a/client/M", "tick"): (2, 4.0, 10.0)})
     assert before == MeterReading({}, {}), "a reading stays as it was"
+
+
+def test_of_a_turn_only_its_own_time_is_metered(virtual: VirtualRig) -> None:
+    sum(number & 7 for number in range(1_000_000))  # this thread has computed before
+    diary = virtual.spawn(Diary, "a/client/Diary")
+    virtual.kernel.meter = meter = TurnMeter()
+    before_s = thread_time()
+    diary.call(lambda: sum(number & 7 for number in range(200_000)))
+    virtual.settle()
+    turns, used_s = meter.read().turns["a/client/Diary"]
+    assert turns == 1 and 0 < used_s <= thread_time() - before_s
+
+
+def test_the_time_of_day_without_a_stamp_is_the_present_one(kernel: Kernel) -> None:
+    before_s, now_s = time(), kernel.utc_s()
+    assert now_s is not None and before_s - 0.1 <= now_s <= time() + 0.1
+
+
+def test_in_virtual_time_there_is_no_time_of_day(virtual: VirtualRig) -> None:
+    assert virtual.kernel.utc_s() is None and virtual.kernel.utc_s(1.0) is None

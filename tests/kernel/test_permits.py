@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from kernel.virtual_rig import VirtualRig, Word
 
+from pancakes.errors import NoPermit
 from pancakes.packet import Fence
+from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.permits import PermitEnd, Permits
 
 FIRST = Fence("a/Scan", (1, "a"))
@@ -122,3 +125,15 @@ def test_what_is_held_back_is_counted_and_said_once_each_time_that_a_permit_is_o
     clocks.pass_s(3.0)
     permits.hold_back(FIRST, "packets")
     assert len(clocks.lines) == 3 and permits.held_back("a/Scan")["packets"] == 7
+
+
+@pytest.mark.parametrize("channel", ["ctrl", "network", "system"])
+def test_what_may_not_act_publishes_on_log_alone(virtual: VirtualRig, channel: str) -> None:
+    actor = virtual.spawn(Component, "a/client/Guarded")
+    actor.fence = FIRST
+    virtual.kernel.permits.revoke(FIRST)
+    with pytest.raises(NoPermit, match="a/client/Guarded may not act until its guardians answer"):
+        actor.publish(channel, Word("late"))
+    assert virtual.kernel.permits.held_back(FIRST.task_id) == {"packets": 1}
+    actor.log("info", "I wait")
+    assert "I wait" in virtual.lines()

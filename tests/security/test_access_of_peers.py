@@ -6,7 +6,7 @@ import pytest
 from services.counting import Count
 
 from pancakes.bodies.devices.types import Load
-from pancakes.control import Configure, Describe, Follow, Migrate, Reschedule, Shutdown, Start, Stop
+from pancakes.control import Configure, Describe, Follow, Migrate, Reschedule, Revive, Shutdown, Start, Stop
 from pancakes.mesh.migration.claim import Owned, OwnerClaim
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.record import TaskId
@@ -142,3 +142,11 @@ def test_an_agent_claims_for_itself_alone(fleet):
     w.publish(NETWORK, Owned((OwnerClaim(TaskId("a", "Count"), Epoch(9, "w")),)), to="a/kernel/Census")
     fleet.run_for(1.0)
     assert a.running("client") == ["Count"] and a.events("task_disputed") == []
+
+
+def test_to_revive_a_task_needs_the_right_on_the_place_that_it_gets(fleet):
+    _, b = two(fleet, allowed('["adopt"]', '["a/client/Sink"]'))
+    allowed_here = b.ask(Revive("c/Sink", "test.Sink", force=True), to="a")
+    assert "the right" not in allowed_here.reason
+    refused = b.ask(Revive("c/Other", "test.Sink", force=True), to="a")
+    assert not refused.ok and "on 'a/client/Other'" in refused.reason

@@ -299,3 +299,15 @@ def test_an_agent_that_does_not_say_to_whom_it_gave_a_task_is_named(fleet):
         forge(fleet, "z", (5, "z"))
     (refused,) = far.events("command_refused", by="z/device/wheels")
     assert refused["reason"].startswith("a does not say where it gave a/Circle; pancakes task fence")
+
+
+def test_an_agent_whose_claim_was_refused_makes_another_after_a_second(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    fleet.start("z")
+    fleet.connect()
+    forge(fleet, "z", (5, "z"), for_s=0.9)
+    (first,) = far.events("command_refused")
+    forge(fleet, "z", (5, "z"), task_id="a/Other", for_s=0.3)
+    assert far.events("command_refused") == [first], "it is not looked at"
+    forge(fleet, "z", (5, "z"), task_id="a/Other", for_s=0.3)
+    assert "a/Other" in far.events("command_refused")[-1]["reason"]

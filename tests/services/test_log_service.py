@@ -228,3 +228,32 @@ def test_a_recording_that_goes_on_keeps_its_settings_and_the_file_and_the_consol
         assert (recorder["path"], recorder["channels"]) == (path, ("system",))
         assert agent.ask(Describe("log/Console")).result["settings"]["level"] == "error"
         assert sorted(found.name for found in tmp_path.iterdir()) == ["a.jsonl", "r.002.mcap", "r.mcap"]
+
+
+class Pipe:
+    """A pipe whose reader goes away."""
+
+    def __init__(self):
+        self.written, self.broken = [], False
+
+    def write(self, text):
+        if self.broken:
+            raise BrokenPipeError(32, "Broken pipe")
+        self.written.append(text)
+
+    def flush(self):
+        pass
+
+
+def test_a_console_whose_reader_has_gone_stops_and_its_service_goes_on(monkeypatch):
+    pipe = Pipe()
+    monkeypatch.setattr("sys.stderr", pipe)
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", services={"log": {"settings": {"console": True}}})
+        agent.publish("log", LogLine("warning", "read"))
+        assert any("read" in text for text in pipe.written) and agent.running("log") == ["Console"]
+        pipe.broken = True
+        agent.publish("log", LogLine("warning", "not read"))
+        fleet.run_for(0.1)
+        assert agent.running("log") == [] and agent.events("task_failed") == []
+        assert any(record.get("text") == "not read" for record in agent.ask(History()).result)

@@ -136,6 +136,9 @@ def test_an_agent_notes_nothing_until_it_is_asked_and_ceases_when_nobody_asks_an
         answer = agent.ask(Traces()).result
         assert [row[2:4] for row in answer["rows"][:2]] == [["load", "a/client/Read"], ["load", "a/client/Steer"]]
         assert len(answer["rows"]) >= 20
+        assert answer["now_ns"] == pytest.approx(fleet.now() * 1e9, abs=0.2e9), "in virtual time, from its beginning"
+        last = agent.ask(Traces(most=1)).result
+        assert [row[1] for row in last["rows"]] == ["system", "ctrl"] and last["left_out"] > 0
         again = agent.ask(Traces(answer["until_ns"])).result
         assert again["rows"] == []
         fleet.run_for(LEASE_S - 1.0)
@@ -168,6 +171,20 @@ def test_who_asks_no_more_may_say_so_and_others_still_get_answers():
         assert len(ask("page2")) >= 20
         ask_no_more("page2")
         assert ask("page3") == [], "it had ended"
+
+
+def test_after_the_last_question_no_packet_is_looked_at(monkeypatch):
+    looked_at: list[Packet] = []
+    monkeypatch.setattr(TracedPackets, "hear", lambda traced, ns, packet: looked_at.append(packet))
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
+        assert agent.ask(Traces()).ok
+        fleet.run_for(1.0)
+        assert {packet.channel for packet in looked_at} >= {"system", "ctrl"}
+        agent.ask(Traces(most=0))
+        looked_at.clear()
+        fleet.run_for(1.0)
+        assert looked_at == []
 
 
 def test_an_answer_is_found_in_short_steps():
