@@ -190,23 +190,13 @@ class HandedOver(msgspec.Struct, frozen=True):
     epoch: Epoch
 
 
-Effect = (
-    Persist
-    | Remember
-    | Send
-    | StartTask
-    | Freeze
-    | Resume
-    | Seize
-    | LookForOwner
-    | GiveWay
-    | Discard
-    | Ack
-    | Deliver
-    | Forward
-    | After
-    | Warn
-    | Decline
-    | AttemptFailed
-    | HandedOver
-)
+OfHost = Send | Seize | LookForOwner | Ack | After | Warn | AttemptFailed
+"""What the host of a task does, whatever the task itself does meanwhile."""
+
+OfLife = Persist | Remember | StartTask | Freeze | Resume | GiveWay | Discard | Decline | HandedOver
+"""What means something for the life of the task, or waits for it."""
+
+OfPackets = Deliver | Forward
+"""What becomes of a packet for the task."""
+
+Effect = OfHost | OfLife | OfPackets

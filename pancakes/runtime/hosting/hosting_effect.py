@@ -100,24 +100,8 @@ class Vacate(msgspec.Struct, frozen=True):
     """Clear its place: it is elsewhere. Where others wait for the place, they are fed `PlaceFree`."""
 
 
-Joined = (
-    life_effect.AskLeave
-    | life_effect.Settle
-    | life_effect.WriteRest
-    | handoff_effect.Remember
-    | handoff_effect.Persist
-    | handoff_effect.StartTask
-    | handoff_effect.Freeze
-    | handoff_effect.Resume
-    | handoff_effect.GiveWay
-    | handoff_effect.Discard
-    | handoff_effect.Decline
-    | handoff_effect.HandedOver
-)
+Joined = life_effect.AskLeave | life_effect.Settle | life_effect.WriteRest | handoff_effect.OfLife
 """Effects of the one half that mean something for the other: the machine has a rule for each."""
-
-OfPackets = handoff_effect.Deliver | handoff_effect.Forward
-"""Effects of a packet for a task. `Deliveries` carries them out, past the machine."""
 
 PassedOn = (
     life_effect.Spawn
@@ -143,14 +127,8 @@ HostingEffect = (
     | Lasts
     | Drop
     | handoff_effect.Persist
-    | handoff_effect.Send
     | handoff_effect.Resume
-    | handoff_effect.Seize
-    | handoff_effect.LookForOwner
-    | handoff_effect.Ack
-    | handoff_effect.After
-    | handoff_effect.Warn
-    | handoff_effect.AttemptFailed
     | handoff_effect.HandedOver
+    | handoff_effect.OfHost
 )
 """Effects that a task without a slot may have too."""

@@ -138,7 +138,7 @@ class HostingStep:
     def _carry(self, effect: life_effect.Effect | handoff_effect.Effect) -> None:
         if isinstance(effect, hosting_effect.Joined):
             RULES[type(effect)](self, effect)
-        elif not isinstance(effect, hosting_effect.OfPackets):
+        elif not isinstance(effect, handoff_effect.OfPackets):
             self.do(effect)
 
     def done(self) -> None:
