@@ -199,3 +199,11 @@ def test_a_partition_has_healed_at_the_time_that_was_named(memory_rig):
         memory_rig.timeline.run_until(at_s)
         told.append(memory_rig.network.parted("a", "b"))
     assert told == [False, True, True, False]
+
+
+def test_nothing_at_all_is_not_sent(memory_rig):
+    here, there = join(memory_rig)
+    heard = len(there.threads)
+    here.connection.send(b"")
+    memory_rig.timeline.run_until(1.0)
+    assert len(there.threads) == heard

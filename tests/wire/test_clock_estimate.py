@@ -176,3 +176,10 @@ def test_what_is_believed_outlasts_a_link_without_the_answers_that_it_rests_on()
     assert estimate.take(30.0, 35.001, 30.002), "it goes with what was believed"
     estimate.rest()
     assert not estimate.take(40.0, 99.0, 40.002), "the clock was set meanwhile"
+
+
+def test_a_rate_is_never_better_known_than_it_may_wander():
+    """Over the shortest of ways, too."""
+    pair = Pair(1, way_s=(1e-6, 0.0))
+    list(pair.run(300.0, looks=1))
+    assert len(pair.estimate.kept) > 2 and 2e-5 <= pair.found.drift_bound < 3e-5

@@ -293,7 +293,8 @@ def test_a_packet_that_fits_no_frame_is_refused():
     spare = MAX_MESSAGE_BYTES - 3 - len(head) - len(RowEncoder(head).encode(packet(bytes(70_000)))) + 70_000
     largest = packet(bytes(spare))
     assert read(payload_of(largest)) == [[largest]]
-    with pytest.raises(LocalProtocolError, match="a frame has room"):
+    tells = rf"it takes {MAX_MESSAGE_BYTES - 2} bytes, and a frame has room for {MAX_MESSAGE_BYTES - 3}"
+    with pytest.raises(LocalProtocolError, match=tells):
         RowEncoder(head).encode(packet(bytes(spare + 1)))
 
 

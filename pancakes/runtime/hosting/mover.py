@@ -19,7 +19,6 @@ from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import SYSTEM, Packet, agent_of
 from pancakes.runtime.hosting.bidding_messages import (
     MIGRATOR,
-    Accounted,
     AttemptOver,
     BidAwarded,
     BrokenOff,
