@@ -182,3 +182,23 @@ def test_the_time_of_day_without_a_stamp_is_the_present_one(kernel: Kernel) -> N
 
 def test_in_virtual_time_there_is_no_time_of_day(virtual: VirtualRig) -> None:
     assert virtual.kernel.utc_s() is None and virtual.kernel.utc_s(1.0) is None
+
+
+def test_the_timers_of_an_actor_end_with_it(virtual: VirtualRig) -> None:
+    first = virtual.spawn(Metronome, "a/client/M")
+    virtual.run_until(0.25)
+    first.stop()
+    virtual.settle()
+    virtual.spawn(Diary, "a/client/M", mailbox=first.actor_inbox)
+    virtual.run_until(1.0)
+    assert [tick.time_s for tick in first.ticks] == pytest.approx([0.1, 0.2])
+
+
+def test_a_step_is_one_thing_that_happens_also_where_others_happen_at_the_same_time(virtual: VirtualRig) -> None:
+    calls: list[float] = []
+    for time_s in (0.1, 0.2, 0.2, 0.2):
+        virtual.dispatcher.call_at(time_s, lambda: calls.append(virtual.dispatcher.clock.now_s))
+    told = []
+    while virtual.dispatcher.step():
+        told.append(len(calls))
+    assert told == [1, 2, 3, 4] and calls == [0.1, 0.2, 0.2, 0.2]

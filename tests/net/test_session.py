@@ -158,3 +158,14 @@ def test_what_has_waited_for_a_slow_peer_does_not_leave_after_its_right_has_ende
     assert rights.held_back == [("a/Scan", 1)] and session.counters.dropped == {"chat": 1}
     session.offer("chat", ("a/client/X", "t", "b"), Message(b"again", True, b"\x97", SCAN))
     assert b"again" not in b"".join(connection.data) and rights.held_back == [("a/Scan", 1)] * 2
+
+
+def test_what_is_sent_once_the_connection_has_closed_is_counted_as_given_up() -> None:
+    connection = Taken()
+    session = speaking(Rights(), connection)
+    session.send([train(session, b"\xc0", None)])
+    assert len(connection.data) == 1 and session.counters.dropped == {}
+    session.closed("the other side closed the connection")
+    session.send([train(session, b"\xc0", None, rows=3)])
+    session.offer("ctrl", ("a", "b", "c"), Message(b"\xc0", True, b"\x97"))
+    assert len(connection.data) == 1 and session.counters.dropped == {"system": 3, "ctrl": 1}

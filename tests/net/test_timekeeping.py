@@ -35,3 +35,13 @@ def test_nothing_is_said_of_a_stranger_nor_by_an_end_without_a_mission(memory_ri
     memory_rig.timeline.run_until(5.0)
     assert a.mesh.clocks.describe("z") is None
     assert terminal.knows("a") and terminal.mesh.clocks.describe("a") is None
+
+
+def test_only_agents_that_may_say_so_are_believed_their_mission(memory_rig):
+    a = memory_rig.agent("a", timebase=lambda: Timebase(1.0))
+    memory_rig.agent("b", [a.address], timebase=lambda: Timebase(2.0, 0.0, 1.0))
+    memory_rig.agent("liar", [a.address], timebase=lambda: Timebase(3.0, 0.0, 1.0))
+    memory_rig.agent("t", [a.address], role="client", timebase=lambda: Timebase(3.0, 0.0, 1.0))
+    memory_rig.timeline.run_until(5.0)
+    missions, unknown = a.mesh.clocks.missions(lambda peer: peer != "liar")
+    assert ([it.peer for it in missions], unknown) == (["b"], False)
