@@ -12,6 +12,7 @@ from pancakes.mesh.net.few_links import (
     AVOIDED_S,
     FORGOTTEN_S,
     FRESH_S,
+    LATE_S,
     LOOK_S,
     MADE_S,
     MANY,
@@ -77,6 +78,19 @@ def test_a_newcomer_looks_again_soon_after_it_hears_of_the_first_agents_and_othe
     assert it.tick(1.0, dict.fromkeys("xyz", IN_USE)) == []
     it.heard("a", ("tcp://a:1",), 0.0, 1.1)
     assert it.due_s == 1.0 + LOOK_S, "others have dialled it"
+
+
+def test_where_a_link_takes_long_another_agent_is_drawn_as_well():
+    it = few(*"abcdef")
+    first = made(it.tick(0.0, {}))
+    linked = {first[0]: IN_USE}
+    assert made(it.tick(LATE_S - 0.1, linked)) == [], "the two others may stand soon"
+    others = made(it.tick(LATE_S, linked))
+    assert len(others) == 2 and not {*first} & {*others}
+    assert made(it.tick(LATE_S + 0.1, {**linked, others[0]: IN_USE})) == []
+    linked = dict.fromkeys((*others, first[0]), IN_USE)
+    assert made(it.tick(2 * LATE_S, linked)) == [], "it has enough, whatever becomes of the first"
+    assert {row.name for row in it.tick(MADE_S, linked) if isinstance(row, DropWaiting)} == {*first[1:]}
 
 
 def test_an_agent_for_which_there_is_something_gets_a_link_where_it_is_known():

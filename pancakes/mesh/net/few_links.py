@@ -23,6 +23,8 @@ LOOK_S: Final = 3.0
 SOON_S: Final = 0.2
 """Where links are missing and nothing more was known, it is looked so soon after an agent was heard of: peers tell of
 many at once, and the links are drawn from all of them."""
+LATE_S: Final = 2.0
+"""A link that takes longer to be made counts as missing: the agent may be dead, and another one is drawn as well."""
 MADE_S: Final = 10.0
 """So long a link may take to be made; packets for the agent wait so long."""
 AVOIDED_S: Final = 60.0
@@ -173,7 +175,8 @@ class FewLinks:
                 self._avoided[name] = now_s + AVOIDED_S
                 known = self._known.get(name)
                 decisions.append(DropWaiting(name, known.listen if known is not None else ()))
-        missing = self._most - len(linked) - len(self._wanted)
+        soon = sum(until_s - now_s > MADE_S - LATE_S for until_s in self._wanted.values())
+        missing = self._most - len(linked) - soon
         if now_s >= self._walks_s:
             self._walks_s = now_s + WALK_S
             missing = max(missing, 1)
