@@ -1,7 +1,7 @@
 """Draws random mutants of an area, runs the area's own tests against each, and shows those that survive.
 
 cosmic-ray makes the mutants. A site (a place in a file, with a kind of change) is drawn first, then one of the changes
-that are possible there; annotations of types are left alone, as mypy reads them and Python does not. The tests run once
+that are possible there; annotations of types are left alone, and `frozen`: mypy sees to them. The tests run once
 without a mutant, to find out which lines each of them touches. For a mutant only those that touch its line run, the
 quickest first, until one fails. A run that takes too long counts as killed.
 """
@@ -110,14 +110,20 @@ def python_files(root: Path, places: Iterable[str]) -> list[str]:
     return found
 
 
-def annotations(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Returns where the annotations of a module begin and end, each as (line, column)."""
+def left_to_mypy(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Returns where a module says what mypy reads: annotations, and whether a class is `frozen`.
+
+    Returns:
+        Where each begins and ends, as (line, column).
+    """
     nodes: list[ast.expr | None] = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.AnnAssign | ast.arg):
             nodes.append(node.annotation)
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             nodes.append(node.returns)
+        elif isinstance(node, ast.keyword) and node.arg == "frozen":
+            nodes.append(node.value)
     return [
         ((it.lineno, it.col_offset), (it.end_lineno or it.lineno, it.end_col_offset or 0))
         for it in nodes
@@ -136,7 +142,7 @@ def draw(root: Path, files: Sequence[str], count: int, source: random.Random) ->
     sites: dict[tuple[str, str, Any], list[tuple[Any, int, Any]]] = {}
     texts = {file: (root / file).read_text(encoding="utf-8") for file in files}
     for file, text in texts.items():
-        nodes, types = list(ast_nodes(get_ast(text))), annotations(text)
+        nodes, types = list(ast_nodes(get_ast(text))), left_to_mypy(text)
         for operator in operators:
             positions = [position for node in nodes for position in operator.mutation_positions(node)]
             family = type(operator).__name__.partition("_")[0]

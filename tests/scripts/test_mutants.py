@@ -125,9 +125,10 @@ def test_a_mutant_is_known_as_equal_by_its_lines_wherever_they_stand(mutants):
     assert not equal.is_of(mutant_of(mutants, 12, "found = 0", "found = 1"))
 
 
-def test_annotations_are_no_place_for_a_mutant(mutants):
-    assert mutants.annotations("def f(x: int | None) -> bool: ...") == [((1, 24), (1, 28)), ((1, 9), (1, 19))]
-    assert mutants.annotations(TEXT)[0] == ((1, 7), (1, 17))
+def test_what_mypy_reads_is_no_place_for_a_mutant(mutants):
+    assert mutants.left_to_mypy("def f(x: int | None) -> bool: ...") == [((1, 24), (1, 28)), ((1, 9), (1, 19))]
+    assert mutants.left_to_mypy(TEXT)[0] == ((1, 7), (1, 17))
+    assert mutants.left_to_mypy("class A(Struct, frozen=True): ...") == [((1, 23), (1, 27))]
 
 
 def test_mutants_are_drawn_by_their_seed(mutants, tree):

@@ -472,3 +472,10 @@ def test_the_rate_of_discovery_is_a_tasks_rate_like_any_other(fleet):
     fleet.run_for(0.0)
     assert beacons_in(10.0) == 5
     assert assert_published(agent, Event, lambda event: event.kind == "rate_changed").body.fields["rate_hz"] == 0.5
+
+
+def test_only_an_actuator_says_whether_it_holds_by_itself():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", devices={"motors": "null.motors", "pose": "null.pose"})
+        assert "holds_by_itself_s" in agent.ask(Describe("motors")).result
+        assert "holds_by_itself_s" not in agent.ask(Describe("pose")).result
