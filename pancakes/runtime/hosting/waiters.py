@@ -11,7 +11,7 @@ from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.life.life import State
 from pancakes.runtime.life.request import Request
 
-ANSWERED_S: Final = 1.5
+JOURNAL_S: Final = 1.5
 """The sender of a request that waits for the journal is told so after this time, in host time."""
 GUARDIANS_S: Final = 4.0
 """That of one that waits for guardians is told so after this time, in host time."""
@@ -36,7 +36,7 @@ class Waiters:
 
         What was asked for is done all the same once the journal can write, or more than half of them answer.
         """
-        self._host.after_host(ANSWERED_S, lambda: self._look(place, request))
+        self._host.after_host(JOURNAL_S, lambda: self._look(place, request))
         if place.standing.record.guarded:
             self._host.after_host(GUARDIANS_S, lambda: self._look_at_guardians(place, request))
 

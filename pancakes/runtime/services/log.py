@@ -30,6 +30,7 @@ from pancakes.runtime.services.log_record import line_of, record_of
 from pancakes.runtime.services.log_writer import LogWriter
 from pancakes.runtime.services.syslog_levels import for_standard_error
 from pancakes.runtime.services.wanted_recordings import NOTHING, WantedRecording
+from pancakes.runtime.supervision.answers import ANSWERED_S
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.runtime.weight import weigh
@@ -42,8 +43,6 @@ if TYPE_CHECKING:
     from pancakes.runtime.services.traces import Tracing
 
 RECORDER = "Recorder"
-ANSWERED_S = 2.5
-"""An asker whose command for the recorder is not done after so long, in host time, is told what it waits for."""
 KEEP = queue(4096)
 """A file or terminal that is slow for a moment loses nothing; one that is stuck loses the oldest."""
 

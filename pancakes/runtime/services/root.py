@@ -59,14 +59,12 @@ from pancakes.runtime.services.measuring import Measuring
 from pancakes.runtime.services.mission_start import MissionStart
 from pancakes.runtime.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
 from pancakes.runtime.services.service_spec import ServiceSpec
-from pancakes.runtime.supervision.answers import Answers
+from pancakes.runtime.supervision.answers import ANSWERED_S, Answers
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN, AskedOfGuardian, GuardianAnswers
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, ServiceEnded, ServiceReady
 from pancakes.runtime.supervision.task_commands import WAITING
 from pancakes.runtime.supervision.task_description import describe_task
 
-ANSWERED_S = 2.5
-"""An asker whose command for a service is not done after so long, in host time, is told what it waits for."""
 NETWORK = "network"
 CLIENT_SERVICE = "client"
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 from pancakes.control import Reply
 from pancakes.errors import PancakesError
 from pancakes.packet import SYSCTRL, Cause
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.life.request import Request
+
+ANSWERED_S: Final = 2.5
+"""An asker whose command is not done after so long, in host time, is told what it waits for."""
 
 
 class Answers:
