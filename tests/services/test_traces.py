@@ -86,6 +86,11 @@ def test_of_too_many_commands_some_are_told_the_newest_always_and_the_rest_count
     assert all_of_them["left_out"] == 1000 - len(told) > 0
 
 
+def test_where_there_is_nothing_new_the_next_question_begins_where_this_one_did():
+    traced = TracedPackets("a")
+    assert [traced.answer(Traces(since_ns), 5)["until_ns"] for since_ns in (7, 0, -7)] == [7, 0, 0]
+
+
 def test_old_packets_are_forgotten():
     traced = TracedPackets("a")
     reaction(traced, 100, 1)
