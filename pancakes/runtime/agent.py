@@ -353,7 +353,7 @@ class Agent:
 
     def _release(self) -> None:
         for place in (COURIER, CENSUS, GUARDIAN):
-            actor = self.kernel.registry.get(join(self.name, place))
+            actor = self.kernel.actor(place)
             if actor is not None:
                 actor.stop()
         self.mesh.stop()
@@ -457,9 +457,8 @@ class Agent:
             self._clients.add(hello.name)
         else:
             self._unsaid.say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
-        census = self.kernel.registry.get(join(self.name, CENSUS))
-        if hello.role == "agent" and census is not None:
-            tell(census, NeighbourUp(hello.name, Boot(hello.journal, hello.boot, hello.life)))
+        if hello.role == "agent":
+            self.kernel.tell(CENSUS, NeighbourUp(hello.name, Boot(hello.journal, hello.boot, hello.life)))
 
     def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
         if name in self._clients:
@@ -467,9 +466,8 @@ class Agent:
         else:
             self._unsaid.say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
         for spec in self._specs:
-            service = self.kernel.registry.get(join(self.name, spec.name))
-            if service is not None and issubclass(spec.cls, (NetworkService, ClientService)):
-                tell(service, PeerDown(name))
+            if issubclass(spec.cls, (NetworkService, ClientService)):
+                self.kernel.tell(spec.name, PeerDown(name))
 
     # Composition -----------------------------------------------------------------------------------------------
 

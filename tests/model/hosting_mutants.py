@@ -268,7 +268,7 @@ MUTANTS: Final = (
     # Room
     HostingMutant(
         "there is always room",
-        "    if event.reason and record.phase not in DOUBT:",
+        "    if event.reason and not record.in_doubt:",
         "    if False:\n",
     ),
     HostingMutant(
@@ -286,7 +286,7 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what is on its way here is refused, and tried again",
-        "event.reason and record.phase not in DOUBT:",
+        "event.reason and not record.in_doubt:",
         "event.reason:",
     ),
     HostingMutant(

@@ -33,7 +33,6 @@ from pancakes.runtime.life.request import Request
 TASK: Final = TaskId("a", "Task")
 GOING: Final = (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
 """The phases in which nothing can be asked of a task."""
-DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 MOST_WAIT: Final = 1
 """So many events wait for a record to be written; messages and timers that repeat themselves come later then."""
 MESSAGES: Final = (Received, Award, AdoptionAsked, ForgettingAsked, RemovalAsked, ClaimHeard)
@@ -220,7 +219,7 @@ class Steps:
         stands = record.phase is Phase.OWNER and world.life is not None and world.life.at_rest
         if self._bounds.removals and stands and not is_disputed(record) and not world.closing:
             yield "it is removed", replace(asked, asked_for=world.asked_for | {"remove"}), RemovalAsked()
-        if record.phase in DOUBT:
+        if record.in_doubt:
             yield "it is adopted", adopting, AdoptionAsked()
         if is_disputed(record) and world.life is not None and world.life.at_rest and not world.closing:
             yield "it is adopted", adopting, AdoptionAsked()

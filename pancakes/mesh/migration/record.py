@@ -129,6 +129,21 @@ class Record(msgspec.Struct, frozen=True):
         return self.unborn or self.removed
 
     @property
+    def here(self) -> bool:
+        """Whether the task is here, or on its way here."""
+        return self.phase not in (Phase.ABSENT, Phase.RELEASED)
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a hand-off of the task is under way, from here or to here."""
+        return self.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether this agent cannot know by itself whether the task is its own."""
+        return self.phase in (Phase.COMMITTED, Phase.PREPARED)
+
+    @property
     def guarded(self) -> bool:
         """Whether its guardians decide which agent may run it."""
         return bool(self.guards.sets)

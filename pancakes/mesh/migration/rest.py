@@ -37,11 +37,7 @@ def resting(agent: str, tasks: Iterable[str], records: Mapping[TaskId, Record]) 
         tasks: the names of the tasks that its configuration starts.
         records: its records as they are on disk, before anything starts.
     """
-    here = {
-        task_id.name: record
-        for task_id, record in records.items()
-        if record.phase not in (Phase.ABSENT, Phase.RELEASED)
-    }
+    here = {task_id.name: record for task_id, record in records.items() if record.here}
     known = {name: here.get(name) or records.get(TaskId(agent, name)) for name in tasks}
     words = {name: rest_of(record) for name, record in known.items() if record is not None}
     return {name: word for name, word in words.items() if word}

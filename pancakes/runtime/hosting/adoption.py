@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Final
+from collections.abc import Sequence
 
 from pancakes.errors import ControlRefused
 from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.runtime.hosting.lost import Lost
-
-DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
-"""The phases in which an agent cannot know by itself whether a task is its own."""
-
-
-def in_doubt(records: Iterable[Record]) -> list[Record]:
-    """Returns the records of those tasks whose hand-off stands undecided."""
-    return [record for record in records if record.phase in DOUBT]
 
 
 def was_forgotten(record: Record) -> bool:
@@ -49,7 +40,8 @@ def chosen(
     meant = [record for record in records if birthplace in ("", record.task_id.birthplace)]
     found: list[Record | Lost] = [one for one in lost if birthplace in ("", one.task_id.birthplace)]
     if verb == "adopt":
-        found += [*in_doubt(meant), *(record for record in meant if was_forgotten(record) or is_disputed(record))]
+        found += [record for record in meant if record.in_doubt]
+        found += [record for record in meant if was_forgotten(record) or is_disputed(record)]
     known = {one.task_id for one in found}
     meant = [record for record in meant if record.task_id in known or not record.unborn]
     if len(found) == 1:

@@ -253,7 +253,7 @@ class Arrivals:
         kernel = self._host.kernel
         self._host.outbox.arrive(place.task_id, snapshot.posted, start.fresh, kernel.host.now(), kernel.restamped)
         if snapshot.posted is not None:
-            self._host.tell_actor(COURIER, SendUnsent())
+            self._host.kernel.tell(COURIER, SendUnsent())
         if place.came_from:
             place.ask_again_s = self._host.kernel.host.now() + SETTLE_S
             state = in_brief(snapshot.state)

@@ -100,7 +100,7 @@ class TaskMigrator(Task):
     def on_stop(self) -> None:
         self._state.measured = self._state.battery_level = None
         self._state.negotiated = ()
-        appraiser = self.kernel.registry.get(join(self.agent, APPRAISER))
+        appraiser = self.kernel.actor(APPRAISER)
         if appraiser is not None:
             appraiser.stop()
 
@@ -301,8 +301,8 @@ class TaskMigrator(Task):
         self.after_host(APPRAISED_S, lambda: self._not_appraised(number))
 
     def _appraiser(self) -> Reference:
-        path = join(self.agent, APPRAISER)
-        return self.kernel.registry.get(path) or self.kernel.spawn(Appraiser, path, costs=self._state.costs)
+        found = self.kernel.actor(APPRAISER)
+        return found or self.kernel.spawn(Appraiser, join(self.agent, APPRAISER), costs=self._state.costs)
 
     def _appraised(self, found: Appraised) -> None:
         peer, request = self._appraising.pop(found.number, ("", None))

@@ -283,7 +283,7 @@ class Births:
     def _ask(self, peers: tuple[str, ...]) -> None:
         task_ids = tuple(task_id for unborn in self._unborn.values() for task_id in unborn.task_ids)
         if task_ids:
-            self._host.tell_actor(CENSUS, AskAbout(peers, task_ids))
+            self._host.kernel.tell(CENSUS, AskAbout(peers, task_ids))
 
     def _ask_again(self) -> None:
         """A question or an answer may be lost. What waits looks again each second."""

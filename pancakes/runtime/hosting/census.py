@@ -130,9 +130,7 @@ class Census(Component):
             self._claims.heard(peer, claim)
             claims[claim.task_id] = claim
         self._tell_services(ClaimsCame(peer, claims))
-        courier = self.kernel.registry.get(join(self.agent, COURIER))
-        if courier is not None:
-            tell(courier, OwnerHeard(peer, packet.body.claims))
+        self.kernel.tell(COURIER, OwnerHeard(peer, packet.body.claims))
 
     @on(NETWORK, AskTasks, keep=KEEP, addressed=True)
     def on_ask(self, packet: Packet) -> None:

@@ -24,7 +24,7 @@ from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, join
 from pancakes.runtime.hosting import hosting_effect, hosting_event
 from pancakes.runtime.hosting.arrivals import Arrivals
-from pancakes.runtime.hosting.bidding_messages import MIGRATOR, Accounted, BidAwarded, MigratorBegan, MoveOver
+from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
 from pancakes.runtime.hosting.births import BirthRule
 from pancakes.runtime.hosting.census_messages import ClaimsCame, CopyNoticed, FactsCame, NeighbourCame
 from pancakes.runtime.hosting.checkpointing import Checkpointing
@@ -53,7 +53,6 @@ from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import reliable
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.task_table import TaskEntry
-from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import RESTS
 from pancakes.runtime.life.life_effect import Answer, News, Tell
 from pancakes.runtime.life.request import Request
@@ -156,7 +155,6 @@ class ClientService(Service):
         for record in self._records.all().values():
             if record.service == self.name:
                 place = self.places.open(record)
-                self._note(place)
                 self._mover.found(record)
                 specs += self._arrivals.found(place)
         return specs
@@ -240,23 +238,17 @@ class ClientService(Service):
                 self._carry_out_at(slot, place, effect)
             else:
                 self.keeper.carry_out(slot, effect)
-        if place.standing.record.phase is not before.record.phase or place.standing.leaving != before.leaving:
-            self._note(place)
         record = place.standing.record
+        if record.here is not before.record.here or place.standing.leaving is not before.leaving:
+            self.places.bind(place.task_id.name)
         if record.phase is Phase.OWNER and (before.record.phase, before.record.epoch) != (record.phase, record.epoch):
             self._deliveries.became_owner(place)
             self._disputes.became_owner(place)
 
-    def _note(self, place: Place) -> None:
-        """A phase or a slot has changed: keeps true which slot is whose, also for others on this agent."""
-        name = place.task_id.name
-        self.state.note(self.name, name, self.places.bind(name), place.standing.record)
-
     def open_slot(self, spec: TaskSpec) -> Slot:
         slot = super().open_slot(spec)
-        task_id = self.places.bind(spec.name)
+        self.places.bind(spec.name)
         place = self.places.at[spec.name]
-        self.state.note(self.name, spec.name, task_id, place.standing.record)
         self._checkpointing.begin()
         if rest := rest_of(place.standing.record, place.unsure.word):
             slot.rest = rest
@@ -392,11 +384,6 @@ class ClientService(Service):
         # What it has heard it has heard: its sender may not know yet, and sends that again.
         slot.carried = Carried(slot.spec.settings, {}, heard=self.carried_of(slot).heard)
 
-    def tell_actor(self, path: str, message: object) -> None:
-        component = self.kernel.registry.get(join(self.agent, path))
-        if component is not None:
-            tell(component, message)
-
     # What others tell ------------------------------------------------------------------------------------------
 
     def on_receive(self, message: Any) -> Any:
@@ -464,9 +451,6 @@ class ClientService(Service):
 
     def connected(self, peer: str) -> bool:
         return self._talk.connected(peer)
-
-    def has_migrator(self) -> bool:
-        return self.kernel.registry.get(join(self.agent, MIGRATOR)) is not None
 
     # What is asked of it ---------------------------------------------------------------------------------------
 

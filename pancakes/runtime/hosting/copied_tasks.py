@@ -160,7 +160,7 @@ class CopiedTasks:
         self._asked_s = self._host.kernel.host.now()
         if places:
             task_ids = tuple(place.task_id for place in places)
-            self._host.tell_actor(CENSUS, AskAbout(tuple(sorted(self._sayers)), task_ids))
+            self._host.kernel.tell(CENSUS, AskAbout(tuple(sorted(self._sayers)), task_ids))
 
     def _ask_again(self, place: Place) -> None:
         """A question or an answer may be lost. What waits looks again each second."""

@@ -225,4 +225,4 @@ class Courier(Component):
     def _service_of(self, task_id: TaskId) -> Reference | None:
         """Returns the service here that has a record of a task, where it runs. Any thread."""
         service = self._records.service_of(task_id)
-        return self.kernel.registry.get(join(self.agent, service)) if service else None
+        return self.kernel.actor(service) if service else None

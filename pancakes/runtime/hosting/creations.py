@@ -117,7 +117,7 @@ class Creations:
         if self._records.service_of(task_id) not in ("", host.name):
             service = self._records.service_of(task_id)
             raise ControlRefused(f"{host.agent} has a record of {task_id} in its service {service!r}")
-        if (record := self._place(task_id).standing.record).phase not in (Phase.ABSENT, Phase.RELEASED):
+        if (record := self._place(task_id).standing.record).here:
             raise ControlRefused(f"{task_id} is {record.phase.value} here: see `pancakes task list {host.agent}`")
 
     def _refuse_unfit(self, task_id: TaskId, asked: Creation) -> None:

@@ -106,7 +106,7 @@ class Decisions:
 
     def _adopt_doubtful(self, record: Record, body: Adopt, request: Request) -> None:
         host, task_id, peer = self._host, record.task_id, record.peer
-        if not host.has_migrator():
+        if host.kernel.actor(MIGRATOR) is None:
             raise ControlRefused(
                 f"{task_id} is not adopted: the Network Service of {host.agent} is stopped, so it is unknown whether"
                 f" {peer} is there"
@@ -150,7 +150,7 @@ class Decisions:
         if record.phase is Phase.OWNER and stands_still and not is_disputed(record):
             self._stand_alone(place, body, request)
             return
-        if lost is not None or record.phase not in (Phase.ABSENT, Phase.RELEASED):
+        if lost is not None or record.here:
             raise ControlRefused(f"{task_id} is known on {host.agent}: see `pancakes task adopt` and `task resolve`")
         other = self._disputes.claimant(task_id)
         if other is not None and host.connected(other.peer):
@@ -219,7 +219,7 @@ class Decisions:
         record = place.standing.record
         if record.phase is Phase.OWNER:
             # The asker of the move that was in doubt has waited for this.
-            host.tell_actor(MIGRATOR, AttemptOver(host, task_id, "", adopted.reason, adopted.ledger))
+            host.kernel.tell(MIGRATOR, AttemptOver(host, task_id, "", adopted.reason, adopted.ledger))
             host.event("task_adopted", task=task_id.name, peer=adopted.peer, epoch=record.epoch.n)
             if why_not:
                 why_not = f"{task_id} belongs to {host.agent} now, but does not run: {why_not}"

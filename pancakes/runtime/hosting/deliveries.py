@@ -151,4 +151,4 @@ class Deliveries:
         self._say(sender, receipt)
 
     def _say(self, peer: str, body: Receipt | ForwardTo | StreamsBegan) -> None:
-        self._host.tell_actor(COURIER, Say(peer, body))
+        self._host.kernel.tell(COURIER, Say(peer, body))

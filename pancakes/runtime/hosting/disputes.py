@@ -58,7 +58,7 @@ class Disputes:
     def begin(self) -> None:
         """The service has begun."""
         self.births.begin()
-        self._host.tell_actor(CENSUS, HostBegan(self._host))
+        self._host.kernel.tell(CENSUS, HostBegan(self._host))
 
     def heard(self, news: CensusNews) -> None:
         """The census has news."""
@@ -122,13 +122,13 @@ class Disputes:
         if record.guarded and claim.epoch != record.epoch and not is_by_person(record, claim.epoch):
             # Which of them may run it the guardians decide; the lower one gives it up by itself.
             if claim.epoch < record.epoch:
-                self._host.tell_actor(CENSUS, Owns(OwnerClaim(place.task_id, record.epoch), peer))
+                self._host.kernel.tell(CENSUS, Owns(OwnerClaim(place.task_id, record.epoch), peer))
             self._host.feed_place(place, ClaimHeard(peer, claim.epoch))
             return
         if record.phase is not Phase.OWNER:
             return
         # It may have become an owner since this agent told all what it owns.
-        self._host.tell_actor(CENSUS, Owns(OwnerClaim(place.task_id, record.epoch), peer))
+        self._host.kernel.tell(CENSUS, Owns(OwnerClaim(place.task_id, record.epoch), peer))
         if claim.epoch < record.epoch:
             self._tell(record, other, stands_still=False)
         else:
@@ -162,7 +162,7 @@ class Disputes:
 
     def became_owner(self, place: Place) -> None:
         """This agent owns a task from now on, or under another epoch: all others are told."""
-        self._host.tell_actor(CENSUS, Owns(OwnerClaim(place.task_id, place.standing.record.epoch)))
+        self._host.kernel.tell(CENSUS, Owns(OwnerClaim(place.task_id, place.standing.record.epoch)))
         other = place.other
         if other is not None and other.epoch >= place.standing.record.epoch:
             self._give_way(place, other)

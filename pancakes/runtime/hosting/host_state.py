@@ -13,7 +13,7 @@ from pancakes.mesh.guarding.guardian_core import GuardRegister
 from pancakes.mesh.migration.capability import Capability
 from pancakes.mesh.migration.cost import Cost, HostLoad
 from pancakes.mesh.migration.messages import Reserve, Solicit
-from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.reservations import Reservation, Reservations
 from pancakes.mesh.migration.times import Times
 from pancakes.packet import join
@@ -22,8 +22,6 @@ from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.reference import Reference
 
-UNDER_WAY = frozenset((Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED))
-"""The phases in which a hand-off is under way."""
 MOST_SLOTS: Final = 64
 """Most slots that are kept for the tasks of one peer."""
 
@@ -63,8 +61,7 @@ class HostState:
         self.costs = costs
         self._records = records
         self._lock = threading.Lock()
-        self._names: dict[str, dict[str, TaskId]] = {}  # by service
-        self._under_way: dict[TaskId, str] = {}  # and their services
+        self._hosting: dict[str, None] = {}  # the services that host tasks, also where they are stopped now
         self._reservations = Reservations()
         self.battery_level: float | None = None
         self.measured: MeasuredLoad | None = None
@@ -76,20 +73,7 @@ class HostState:
     def begin(self, service: str) -> None:
         """A service begins that takes tasks in."""
         with self._lock:
-            self._names[service] = {}
-
-    def note(self, service: str, name: str, task_id: TaskId | None, record: Record) -> None:
-        """Learns of a record that is on disk now, and which task its name belongs to in a service; None: to none."""
-        with self._lock:
-            names = self._names[service]
-            if task_id is not None:
-                names[name] = task_id
-            else:
-                names.pop(name, None)
-            if record.phase in UNDER_WAY:
-                self._under_way[record.task_id] = service
-            else:
-                self._under_way.pop(record.task_id, None)
+            self._hosting[service] = None
 
     def reserve(self, peer: str, message: Reserve) -> str:
         """Keeps a slot for a task that is about to come; says why that cannot be."""
@@ -123,19 +107,18 @@ class HostState:
     def under_way(self, service: str = "") -> list[TaskId]:
         """Returns the tasks of a service that are being handed over; empty: of all services that run."""
         services = [service] if service else self._running()
-        with self._lock:
-            return [task_id for task_id, its in self._under_way.items() if its in services]
+        records = self._records.all().values()
+        return [record.task_id for record in records if record.under_way and record.service in services]
 
     def _running(self) -> list[str]:
         with self._lock:
-            services = list(self._names)
-        registry, agent = self._kernel.registry, self._kernel.agent
-        return [service for service in services if registry.get(join(agent, service)) is not None]
+            services = list(self._hosting)
+        return [service for service in services if self._kernel.actor(service) is not None]
 
     def services(self) -> list[Reference]:
         """Returns the services that run and take tasks in."""
-        components = (self._kernel.registry.get(join(self._kernel.agent, name)) for name in self._running())
-        return [component for component in components if component is not None]
+        services = map(self._kernel.actor, self._running())
+        return [service for service in services if service is not None]
 
     def _kept(self) -> tuple[TaskId, ...]:
         with self._lock:
@@ -146,24 +129,27 @@ class HostState:
         if fault := self._kernel.access.fault(peer, "host", request.type):
             return fault
         registry = self._kernel.registry
-        services = self._running()
-        with self._lock:
-            names = {name: task_id for service in services for name, task_id in self._names[service].items()}
-        for task_id in self._kept():
-            names.setdefault(task_id.name, task_id)
+        holder = self._holder_of(request.task_id.name)
         version = self._version(request.type)
         recorded = self._records.service_of(request.task_id)
         capability = Capability(
             role=self._role,
             devices=tuple(registry.device_types()),
             types={request.type: version} if version is not None else {},
-            services=tuple(services),
+            services=tuple(self._running()),
             records={request.task_id: recorded} if recorded else {},
-            names=names,
+            names={holder.name: holder} if holder is not None else {},
             costs=tuple(self.costs()),
             battery_level=self.battery_level,
         )
         return capability.refusal_of(request) or self._taken(request)
+
+    def _holder_of(self, name: str) -> TaskId | None:
+        """Returns the task that a name belongs to here: it has a slot, or one is kept for it. None: it is free."""
+        for service in self._running():
+            if self._kernel.tasks.get(service, name) is not None:
+                return self._records.here(service, name) or TaskId(self._kernel.agent, name)
+        return next((task_id for task_id in self._kept() if task_id.name == name), None)
 
     def runs(self, type: str) -> bool:
         """Returns whether this agent runs tasks, and has this type of them."""

@@ -56,13 +56,7 @@ class HostingService(Reference, Protocol):
     def connected(self, peer: str) -> bool:
         """Returns whether there is a link to an agent now."""
 
-    def tell_actor(self, path: str, message: object) -> None:
-        """Tells another actor of this agent something, such as the courier; nothing where it does not run."""
-
     def open_slot(self, spec: TaskSpec) -> Slot: ...
-
-    def has_migrator(self) -> bool:
-        """Returns whether the Task Migrator runs."""
 
     def hold_actuators(self, slot: Slot, reason: str) -> None: ...
 

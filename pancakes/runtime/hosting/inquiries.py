@@ -69,7 +69,7 @@ class Inquiries:
             done(InquiryFindings((), ()))
             return
         self._open[task_id] = inquiry = _Inquiry(type_name, peers, [], done)
-        self._host.tell_actor(CENSUS, AskAbout((), (task_id,)))
+        self._host.kernel.tell(CENSUS, AskAbout((), (task_id,)))
         self._host.after_host(ANSWERED_S, lambda: self._conclude(task_id, inquiry))
 
     def heard(self, peer: str, told: TasksKnown) -> None:

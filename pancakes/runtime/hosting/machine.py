@@ -20,7 +20,6 @@ from pancakes.mesh.migration.owner import dispute_of
 from pancakes.mesh.migration.record import Phase, Wanted
 from pancakes.mesh.migration.snapshot import begins_alike
 from pancakes.runtime.hosting import hosting_effect, hosting_event
-from pancakes.runtime.hosting.adoption import DOUBT
 from pancakes.runtime.hosting.leave import Leave
 from pancakes.runtime.hosting.now import Now
 from pancakes.runtime.hosting.standing import Standing, disputed_in
@@ -330,7 +329,7 @@ def _room(step: HostingStep, event: hosting_event.Room) -> None:
     if step.life is None or step.life.state not in UNDECIDED:
         step.unreserve()  # it was decided otherwise since
         return
-    if event.reason and record.phase not in DOUBT:  # else its hand-off decides where it runs
+    if event.reason and not record.in_doubt:  # else its hand-off decides where it runs
         step.live(life_event.LeaveRefused(event.reason, event.for_good))
     elif record.may_begin and step.standing.waits is None:  # else it is being adopted
         step.feed(handoff_event.Born(event.snapshot, event.guardian))
@@ -384,7 +383,7 @@ def _persisted(step: HostingStep, event: hosting_event.Persisted) -> None:
 
 
 def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None:
-    standing = step.standing
+    standing, record = step.standing, step.standing.record
     waits = standing.waits
     if not isinstance(waits, handoff_effect.Persist):
         return
@@ -397,7 +396,7 @@ def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None
         step.do(hosting_effect.Lasts(event.reason))
     adopted_later = any(isinstance(later, handoff_event.AdoptionAsked) for later in standing.events)
     adopted = owner and waits.record.epoch != standing.record.epoch
-    elsewhere = standing.record.phase in (*DOUBT, Phase.RELEASED) and not standing.record.removed
+    elsewhere = (record.in_doubt or record.phase is Phase.RELEASED) and not record.removed
     if (elsewhere or adopted) and not adopted_later:
         # An adoption is not tried again by itself: the person may have learnt better meanwhile.
         step.do(hosting_effect.Decided(f"{standing.record.task_id} is not adopted: {event.reason}"))

@@ -54,8 +54,8 @@ class Mover:
         for record, ledger in self._broken_off:
             reason = f"{self._host.address} was started anew before {ledger.winner} had the task"
             stayed = ledger.stayed(str(record.offer), reason)
-            self._host.tell_actor(MIGRATOR, BrokenOff(self._host, record.task_id, stayed, reason))
-        self._host.tell_actor(MIGRATOR, ServiceBegan(self._host))
+            self._host.kernel.tell(MIGRATOR, BrokenOff(self._host, record.task_id, stayed, reason))
+        self._host.kernel.tell(MIGRATOR, ServiceBegan(self._host))
 
     def found(self, record: Record) -> None:
         """Learns of a record that was on disk."""
@@ -80,7 +80,7 @@ class Mover:
         place = self._host.places.at[slot.name]
         record, volatile = place.standing.record, place.standing.volatile
         describes = isinstance(body, Describe)
-        going = volatile.freezing or record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
+        going = volatile.freezing or record.under_way
         if going and not describes:
             peer = volatile.asked or record.peer
             raise ControlRefused(f"{slot.address} is being handed over between {self._host.agent} and {peer}")
@@ -120,7 +120,7 @@ class Mover:
             raise ControlRefused(f"{slot.address} cannot move: {fault}")
         if body.then and body.then not in host.slots:
             raise ControlRefused(f"{host.address} has no task {body.then!r} that could follow {slot.name}")
-        if not host.has_migrator():
+        if host.kernel.actor(MIGRATOR) is None:
             raise ControlRefused(f"{slot.address} cannot move: the Network Service of {host.agent} is stopped")
         offer = self._offer(place, body.cost)
         self._asks += 1
@@ -140,7 +140,7 @@ class Mover:
         place.move = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
         host.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
-        host.tell_actor(MIGRATOR, Negotiate(self._host, request, asked_by, body.to, body.dry_run))
+        host.kernel.tell(MIGRATOR, Negotiate(self._host, request, asked_by, body.to, body.dry_run))
 
     def _offer(self, place: Place, cost: CostChoice) -> bytes:
         """Returns what bidders are told of a task.
@@ -208,7 +208,7 @@ class Mover:
         """
         for place in list(self._host.places.values()):
             if place.account is not None:
-                self._host.tell_actor(MIGRATOR, place.account)
+                self._host.kernel.tell(MIGRATOR, place.account)
             elif place.move is not None and place.move.ledger is None:
                 self.over(MoveOver(place.task_id, "the Task Migrator was started anew", None))
 
@@ -219,7 +219,7 @@ class Mover:
         ledger = place.move.take_ledger() if place.move is not None else None
         if effect.peer or place.move is not None:
             message = AttemptOver(self._host, place.task_id, effect.peer, effect.reason, ledger)
-            self._host.tell_actor(MIGRATOR, message)
+            self._host.kernel.tell(MIGRATOR, message)
 
     def handed_over(self, place: Place, effect: HandedOver) -> None:
         """Another agent has the task: does what is to follow."""
@@ -235,7 +235,7 @@ class Mover:
         note = f"{on_its_way}, so the duration ends with the choice of {peer}"
         # Where the migrator does not run, it is told once it does.
         place.account = HasMoved(host, task_id, peer, str(effect.epoch), sequel.ledger, note)
-        host.tell_actor(MIGRATOR, place.account)
+        host.kernel.tell(MIGRATOR, place.account)
         self._follow(sequel.then, place)
 
     def accounted(self, place: Place) -> PartConcluded | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.mesh.migration.record import Record, TaskId
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.supervision.slot import Slot
@@ -54,25 +54,15 @@ class Places(dict[TaskId, Place]):
         """Returns the places of all tasks of a name: each birthplace may have one."""
         return list(self._by_name.get(name, ()))
 
-    def bind(self, name: str) -> TaskId | None:
-        """Finds out anew which place the slot of a name belongs to: a record has changed, or the slot has.
-
-        Returns:
-            The task that it is for; of one that came from elsewhere, its birthplace is another agent. None: there is no
-            such slot.
-        """
+    def bind(self, name: str) -> None:
+        """Finds out anew which place the slot of a name belongs to: a record has changed, or the slot has."""
         for place in self._by_name.get(name, ()):
             place.slot = None
         slot = self._slots.get(name)
         if slot is None:
             self.at.pop(name, None)
-            return None
-        here = [place for place in self._by_name.get(name, ()) if _is_here(place.standing)]
+            return
+        here = [place for place in self._by_name.get(name, ()) if place.standing.leaving or place.standing.record.here]
         place = here[0] if here else self[TaskId(self._agent, name)]
         place.slot = slot
         self.at[name] = place
-        return place.task_id
-
-
-def _is_here(standing: Standing) -> bool:
-    return standing.leaving or standing.record.phase not in (Phase.ABSENT, Phase.RELEASED)

@@ -11,7 +11,6 @@ from msgspec.structs import replace
 from pancakes.errors import MigrationError
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.record import Record, TaskId
-from pancakes.runtime.hosting import adoption
 from pancakes.runtime.hosting.lost import Lost
 from pancakes.runtime.journal import Disk, JournalEntry, May, RecordTable
 from pancakes.runtime.kernel.reference import Reference
@@ -88,6 +87,14 @@ class Records:
         record = self._records.on_disk.get(str(task_id))
         return record.service if record is not None else ""
 
+    def here(self, service: str, name: str) -> TaskId | None:
+        """Returns the task of a name that a service has here, as the disk says; None: no record says that of any."""
+        with self._lock:
+            task_ids = self._by_name.get(name, ())
+        records = (self._records.on_disk.get(str(task_id)) for task_id in task_ids)
+        found = (it.task_id for it in records if it is not None and it.here and it.service == service)
+        return next(found, None)
+
     def lost(self, task_id: TaskId) -> Lost | None:
         """Returns what is known of a task whose record was lost; None: it was not, or has been decided about since.
 
@@ -115,7 +122,7 @@ class Records:
         with self._lock:
             task_ids = self._by_name.get(name, ())
         records = [self._records.on_disk.get(str(task_id)) for task_id in task_ids]
-        services = {record.service for record in records if record is not None and adoption.in_doubt([record])}
+        services = {record.service for record in records if record is not None and record.in_doubt}
         return services | {self.decider_of(lost) for lost in self.all_lost() if lost.task_id.name == name}
 
     def trouble(self, task_id: TaskId) -> str:

@@ -18,7 +18,6 @@ from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import TaskId, Wanted
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.packet import join
 from pancakes.runtime.hosting.bidding_messages import MIGRATOR, AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
 from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.snapshots import rules_of
@@ -143,9 +142,11 @@ class Takeovers:
             owner = orphan.held.checkpoint.epoch.minter
             told = {"by": epoch.minter, "source_agent": owner, **self._loss(orphan)}
             self._guardian.event("taken_over", task=task_id.name, **told)
-            self._tell_migrator(HasMoved(self._guardian, task_id, epoch.minter, str(epoch), None, ""))
+            self._guardian.kernel.tell(MIGRATOR, HasMoved(self._guardian, task_id, epoch.minter, str(epoch), None, ""))
         else:
-            self._tell_migrator(AttemptOver(self._guardian, task_id, "", f"{epoch.minter} owns it", None))
+            self._guardian.kernel.tell(
+                MIGRATOR, AttemptOver(self._guardian, task_id, "", f"{epoch.minter} owns it", None)
+            )
 
     def _cause(self, orphan: _Orphan) -> str:
         silent_s, owner = self._guardian.kernel.host.now() - orphan.heard_s, orphan.held.checkpoint.epoch.minter
@@ -247,7 +248,7 @@ class Takeovers:
         owner, cause = orphan.held.checkpoint.epoch.minter, self._cause(orphan)
         asked_by = asked.request.by if asked is not None else "guardians"
         dry_run = asked is not None and asked.dry_run
-        self._tell_migrator(Negotiate(self._guardian, request, asked_by, "", dry_run, owner, cause))
+        self._guardian.kernel.tell(MIGRATOR, Negotiate(self._guardian, request, asked_by, "", dry_run, owner, cause))
 
     def _offer(self, snapshot: Snapshot, cost: CostChoice) -> bytes:
         try:
@@ -261,7 +262,7 @@ class Takeovers:
         orphan = self._orphans.get(awarded.task_id)
         if orphan is None:
             reason = "its owner is back"
-            self._tell_migrator(AttemptOver(self._guardian, awarded.task_id, "", reason, None))
+            self._guardian.kernel.tell(MIGRATOR, AttemptOver(self._guardian, awarded.task_id, "", reason, None))
             return
         orphan.called = awarded.peer
         register = orphan.register
@@ -276,7 +277,7 @@ class Takeovers:
         task_id = orphan.register.task_id
         if self._orphans.get(task_id) is orphan and orphan.called == peer:
             reason = f"did not take it within {CALLED_S:g} s"
-            self._tell_migrator(AttemptOver(self._guardian, task_id, peer, reason, None))
+            self._guardian.kernel.tell(MIGRATOR, AttemptOver(self._guardian, task_id, peer, reason, None))
 
     def over(self, over: MoveOver) -> None:
         """The negotiation is over, one way or the other."""
@@ -320,8 +321,3 @@ class Takeovers:
         asked, orphan.asked = orphan.asked, None
         if asked is not None:
             tell(asked.root, GuardianAnswers(asked.request, reason, result))
-
-    def _tell_migrator(self, message: object) -> None:
-        migrator = self._guardian.kernel.registry.get(join(self._guardian.agent, MIGRATOR))
-        if migrator is not None:
-            tell(migrator, message)

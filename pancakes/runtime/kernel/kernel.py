@@ -17,7 +17,7 @@ from pancakes.events import LogLine
 from pancakes.mesh.security.access import Access
 from pancakes.mesh.wire.link_messages import Timebase
 from pancakes.mesh.wire.peer_clock import PeerClock
-from pancakes.packet import LOG, Packet, agent_of, type_name
+from pancakes.packet import LOG, Packet, agent_of, join, type_name
 from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock, SkewedClock, day_s
 from pancakes.runtime.folders import Folders
 from pancakes.runtime.foundation.local_time import LocalTime
@@ -30,10 +30,12 @@ from pancakes.runtime.kernel.guest import Guest
 from pancakes.runtime.kernel.permits import PermitEnd, Permits, moment_of_host
 from pancakes.runtime.kernel.pinned import PinnedDispatcher
 from pancakes.runtime.kernel.pool import PoolDispatcher
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.registry import Registry
 from pancakes.runtime.kernel.stream import InformationStream
 from pancakes.runtime.kernel.task_table import TaskTable
 from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.timer import Timer, VirtualTimer
 from pancakes.runtime.kernel.timer_table import TimerTable
 from pancakes.runtime.kernel.turn_meter import TurnMeter
@@ -165,6 +167,19 @@ class Kernel:
     def attach(self, component: Component) -> None:
         """Puts a component on the dispatcher that suits it."""
         (self._pinned if component.blocking else self._shared).attach(component)
+
+    def actor(self, path: str) -> Reference | None:
+        """Returns the actor at a path of this agent, such as `network/TaskMigrator`; None: none runs there."""
+        return self.registry.get(join(self.agent, path))
+
+    def tell(self, path: str, message: object) -> bool:
+        """Gives the actor at a path of this agent a message, see `pancakes.runtime.kernel.tell`. Any thread.
+
+        Returns:
+            False where none runs there, and the message is forgotten.
+        """
+        actor = self.actor(path)
+        return actor is not None and tell(actor, message)
 
     def seq_of(self, address: str) -> Counter:
         """Returns the counter of the packets of a source; it outlives the actor, so that numbers never repeat."""

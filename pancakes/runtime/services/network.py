@@ -20,7 +20,6 @@ from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.kernel.handlers import Tick, every
 from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.services.follower import LEAST_HZ, Follower
 from pancakes.runtime.supervision.service_messages import PeerDown
@@ -44,9 +43,7 @@ class NetworkClient(Task):
 
     def on_start(self) -> None:
         self.kernel.stream.gateway = self.send
-        census = self.kernel.registry.get(join(self.agent, CENSUS))
-        if census is not None:
-            tell(census, NetworkBegan())
+        self.kernel.tell(CENSUS, NetworkBegan())
 
     def on_stop(self) -> None:
         self.kernel.stream.gateway = None

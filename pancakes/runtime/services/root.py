@@ -51,7 +51,6 @@ from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.dispatch import defer
 from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.life.life_event import StartAsked, StopAsked
 from pancakes.runtime.life.request import Request
@@ -243,8 +242,7 @@ class Root(Component):
             self._control_service(self.places[service], body, request)
 
     def _hand_to_guardian(self, body: Guarding | Checkpoints | Take, request: Request) -> None:
-        guardian = self.kernel.registry.get(join(self.agent, GUARDIAN))
-        if guardian is None or not tell(guardian, AskedOfGuardian(body, request, self)):
+        if not self.kernel.tell(GUARDIAN, AskedOfGuardian(body, request, self)):
             raise ControlRefused(f"the guardian of {self.agent} is being started anew")
 
     def _must_be_allowed(self, body: Any, request: Request, service: str, task: str) -> None:

@@ -67,7 +67,7 @@ class VirtualRecorder:
         if not isinstance(event, Event) or agent_of(packet.source) != self._kernel.agent:
             return
         name = str(event.fields.get("task"))
-        service = self._kernel.registry.get(join(self._kernel.agent, str(event.fields.get("service"))))
+        service = self._kernel.actor(str(event.fields.get("service")))
         if not isinstance(service, Service) or name not in service.slots:
             return
         if event.kind == "task_started":
