@@ -146,9 +146,8 @@ class HostState:
 
     def _holder_of(self, name: str) -> TaskId | None:
         """Returns the task that a name belongs to here: it has a slot, or one is kept for it. None: it is free."""
-        for service in self._running():
-            if self._kernel.tasks.get(service, name) is not None:
-                return self._records.here(service, name) or TaskId(self._kernel.agent, name)
+        if any(self._kernel.tasks.get(service, name) is not None for service in self._running()):
+            return self._records.here(name) or TaskId(self._kernel.agent, name)
         return next((task_id for task_id in self._kept() if task_id.name == name), None)
 
     def runs(self, type: str) -> bool:

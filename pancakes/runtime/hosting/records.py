@@ -87,13 +87,12 @@ class Records:
         record = self._records.on_disk.get(str(task_id))
         return record.service if record is not None else ""
 
-    def here(self, service: str, name: str) -> TaskId | None:
-        """Returns the task of a name that a service has here, as the disk says; None: no record says that of any."""
+    def here(self, name: str) -> TaskId | None:
+        """Returns the task of a name that is here, as the disk says; None: no record says that of any."""
         with self._lock:
             task_ids = self._by_name.get(name, ())
         records = (self._records.on_disk.get(str(task_id)) for task_id in task_ids)
-        found = (it.task_id for it in records if it is not None and it.here and it.service == service)
-        return next(found, None)
+        return next((record.task_id for record in records if record is not None and record.here), None)
 
     def lost(self, task_id: TaskId) -> Lost | None:
         """Returns what is known of a task whose record was lost; None: it was not, or has been decided about since.
