@@ -29,8 +29,8 @@ MOST_SLOTS: Final = 64
 class HostState:
     """Says whether this agent can take a task, and how busy it is. Any thread.
 
-    The services that host tasks and the Task Migrator keep it true; so none of them reads another. Its lock is held for
-    its own tables alone.
+    It reads the records and the kernel's tables, which the services keep true, so none of them reads another. What is
+    in neither of these, the Task Migrator and the guardian set. Its lock is held for its own tables alone.
 
     Args:
         kernel: the kernel, whose registry has the devices and all components.
