@@ -30,10 +30,10 @@ class LogFile(LogWriter):
     class Settings(msgspec.Struct):
         """Where to, and how much; see `LogService.Settings`."""
 
-        path: FilePath = "agent.jsonl"
-        limit_mib: Annotated[float, Meta(gt=0.0)] = 4.0
-        files: Annotated[int, Meta(ge=2, le=1000)] = 5
-        share_kib_s: Annotated[float, Meta(ge=0.0)] = 16.0
+        path: FilePath
+        limit_mib: Annotated[float, Meta(gt=0.0)]
+        files: Annotated[int, Meta(ge=2, le=1000)]
+        share_kib_s: Annotated[float, Meta(ge=0.0)]
 
     def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
