@@ -24,7 +24,8 @@ SOON_S: Final = 0.2
 """Where links are missing and nothing more was known, it is looked so soon after an agent was heard of: peers tell of
 many at once, and the links are drawn from all of them."""
 LATE_S: Final = 2.0
-"""A link that takes longer to be made counts as missing: the agent may be dead, and another one is drawn as well."""
+"""A link that takes longer to be made counts as missing at the next look: the agent may be dead, and another one is
+drawn as well."""
 MADE_S: Final = 10.0
 """So long a link may take to be made; packets for the agent wait so long."""
 AVOIDED_S: Final = 60.0
