@@ -212,6 +212,15 @@ def test_a_fleet_is_joined_by_few_links_and_each_agent_knows_all(memory_rig, fle
     assert all(agent.mesh.seek(name) for agent in fleet[:3] for name in far[agent.name])
 
 
+@pytest.mark.parametrize("name", ["z0", "z1", "z2", "z3"])  # each draws other agents
+def test_a_newcomer_has_its_links_soon_also_where_most_agents_are_silent(memory_rig, name):
+    fleet = crowd(memory_rig, 12)
+    memory_rig.network.partition([agent.name for agent in fleet[1:9]])
+    newcomer = memory_rig.agent(name, [fleet[0].address], links=3)
+    memory_rig.timeline.run_until(memory_rig.clock.now() + 20.0)
+    assert len(newcomer.mesh.connected()) >= 3
+
+
 def test_packets_for_an_agent_without_a_link_arrive_in_their_order(memory_rig, fleet):
     sender, receiver = stranger_of(fleet)
     for number in range(5):
