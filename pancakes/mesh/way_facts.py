@@ -72,7 +72,7 @@ def reachable_from(remote: str, addresses: Iterable[str], reach: ReachOf = reach
     return tuple(it for it in addresses if reach(it) >= far)
 
 
-def nameable_from(remote: str, addresses: Iterable[str], reach: ReachOf = reach_of) -> tuple[str, ...]:
+def nameable_from(remote: str, addresses: Iterable[str], reach: ReachOf) -> tuple[str, ...]:
     """Returns those addresses that a peer may name, so that this agent dials them.
 
     A peer elsewhere names nothing of this machine, and one behind routers nothing of this network. None names a path,

@@ -98,7 +98,7 @@ class Virtual(msgspec.Struct, frozen=True):
     dispatcher: VirtualDispatcher
     transport: Transport
     journal: MemoryJournal
-    clock: SkewedClock | None = None
+    clock: SkewedClock | None
 
 
 class Agent:

@@ -61,7 +61,7 @@ class MeasuredTask(msgspec.Struct, frozen=True):
     task_id: str
     turns: int
     turn_s: float
-    timers: tuple[MeasuredTimer, ...] = ()
+    timers: tuple[MeasuredTimer, ...]
 
 
 class MeasuredHost(msgspec.Struct, frozen=True):
@@ -167,8 +167,8 @@ class AgentForecast:
     host_load_after: Expected
     missed_hz: float
     missed_hz_after: Expected
-    battery_s: float | None = None
-    battery_after_s: Expected | None = None
+    battery_s: float | None
+    battery_after_s: Expected | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +183,7 @@ class Forecast:
 
     agents: tuple[AgentForecast, ...]
     known_from: tuple[str, ...]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
 
     def of(self, agent: str) -> AgentForecast:
         """Returns what it would do to an agent."""

@@ -15,7 +15,7 @@ MOVES = Rule("motion", "detected", RATES, above=0.5, quiet_after_s=5.0)
 
 
 def supervision(**rules):
-    return RateSupervision(SupervisorSettings(rules), 0.0)
+    return RateSupervision(SupervisorSettings(rules), 0.0, doubt=False)
 
 
 def decide(made, now_s):

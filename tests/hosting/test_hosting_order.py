@@ -34,7 +34,7 @@ class Bench:
 
     def feed(self, event: AnyEvent) -> list[str]:
         """Feeds an event; returns what is to be done about the hand-off, by name."""
-        at = Now("agent1", 0.0, lambda low, high: high)
+        at = Now("agent1", 0.0, lambda low, high: high, closing=False, permit=True)
         self.life, self.standing, self.effects = handle(self.life, self.standing, event, at)
         shown = (Persist, Prepare, Send, Resume, Ack, TakeDown, AskRoom)
         return [type(effect).__name__ for effect in self.effects if isinstance(effect, shown)]

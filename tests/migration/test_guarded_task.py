@@ -40,7 +40,7 @@ RUNS = Volatile(running=True)
 IDLE = Volatile()
 COMMITTED = replace(OWNER, phase=Phase.COMMITTED, offer=E2, seen=E2, peer="b")
 PREPARED = Record(TASK, Phase.PREPARED, seen=E1, offer=E1, peer="b", snapshot=b"p")
-SEIZED = Seized(E3, Guards(E2, 5, ((B, C),)), b"new", Wanted.RUNNING)
+SEIZED = Seized(E3, Guards(E2, 5, ((B, C),)), b"new", Wanted.RUNNING, "", NO_EPOCH)
 
 
 def kinds(effects):

@@ -15,7 +15,7 @@ REQUEST = Solicit(TaskId("agent1", "ScanTarget"), 1, "encirclement.ScanTarget", 
 
 
 def negotiation(*neighbours: str, to: str = "", dry_run: bool = False) -> Negotiation:
-    return Negotiation(REQUEST, "agent1", "rule", neighbours, 100.0, to=to, dry_run=dry_run)
+    return Negotiation(REQUEST, "agent1", "rule", neighbours, 100.0, to, dry_run, window_s=0.5, cause="")
 
 
 def message_of(outcome: object) -> str:

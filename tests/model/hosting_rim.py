@@ -72,7 +72,9 @@ class Rim:
     def __init__(self, step: Step, bounds: Bounds) -> None:
         self._machine = step
         self._bounds = bounds
-        self._moments = {closing: Now(ME, 0.0, lambda low, high: high, closing) for closing in (False, True)}
+        self._moments = {
+            closing: Now(ME, 0.0, lambda low, high: high, closing, permit=True) for closing in (False, True)
+        }
         self._known: dict[Any, tuple[Life | None, Standing, list[Any]]] = {}
 
     def feed(self, world: World, *events: Any) -> Iterator[World]:

@@ -99,7 +99,8 @@ def made(turn, peers):
     def lost(packet):
         return PeerLost(f"{packet.destination} is away")
 
-    sending = Sending(lost, turn.defer if turn is not None else lambda function: function())
+    defer = turn.defer if turn is not None else lambda function: function()
+    sending = Sending(lost, defer, seek=lambda agent: False)
     sending.change(peers, tuple(peers.values()))
     return sending
 

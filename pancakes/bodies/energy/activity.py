@@ -144,7 +144,7 @@ class RateSupervision(Decider):
         busy: whether something happens, by the name of the rule.
     """
 
-    def __init__(self, settings: SupervisorSettings, now_s: float, doubt: bool = False) -> None:
+    def __init__(self, settings: SupervisorSettings, now_s: float, doubt: bool) -> None:
         self._rules = settings.rules
         self._activities = {name: Activity(rule, now_s) for name, rule in settings.rules.items()}
         self._paces = {

@@ -41,10 +41,10 @@ class CanGuard(msgspec.Struct, frozen=True):
 
     task_id: TaskId
     guardian: GuardianId
-    refusal: str = ""
-    runs_type: bool = False
-    on_battery: bool = False
-    up_s: float = 0.0
+    refusal: str
+    runs_type: bool
+    on_battery: bool
+    up_s: float
     journal: str = ""
 
 

@@ -46,7 +46,7 @@ class CheckpointBody(msgspec.Struct, frozen=True):
         wanted: what is wanted of it.
     """
 
-    snapshot: bytes = b""
+    snapshot: bytes
     wanted: Wanted = Wanted.RUNNING
 
 

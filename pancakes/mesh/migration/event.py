@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.guards import GuardianId, Guards
 from pancakes.mesh.migration.messages import HandOffMessage, Solicit
 from pancakes.mesh.migration.record import Phase, Record, Wanted
@@ -166,8 +166,8 @@ class Seized(msgspec.Struct, frozen=True):
     guards: Guards
     snapshot: bytes
     wanted: Wanted
-    source: str = ""
-    offer: Epoch = NO_EPOCH
+    source: str
+    offer: Epoch
 
 
 class PersistFailed(msgspec.Struct, frozen=True):

@@ -62,10 +62,10 @@ class Negotiation:
         asked_by: str,
         neighbours: Iterable[str],
         now_s: float,
-        to: str = "",
-        dry_run: bool = False,
-        window_s: float = 0.5,
-        cause: str = "",
+        to: str,
+        dry_run: bool,
+        window_s: float,
+        cause: str,
     ) -> None:
         known = sorted(dict.fromkeys(neighbours))
         self.request = request

@@ -56,8 +56,8 @@ class PostedTo(msgspec.Struct, frozen=True):
     host: str
     epoch_n: int
     next_seq: int
-    packets: tuple[bytes, ...] = ()
-    began_n: int = -1
+    packets: tuple[bytes, ...]
+    began_n: int
 
 
 class Posted(msgspec.Struct, frozen=True):
@@ -69,7 +69,7 @@ class Posted(msgspec.Struct, frozen=True):
     """
 
     stream: str
-    to: tuple[PostedTo, ...] = ()
+    to: tuple[PostedTo, ...]
 
 
 class Heard(msgspec.Struct, frozen=True):

@@ -127,9 +127,7 @@ class Sending:
         seek: has a link made to an agent, and returns whether one is being made.
     """
 
-    def __init__(
-        self, lost: Callable[[Packet], PancakesError], defer: Defer, seek: Callable[[str], bool] = lambda agent: False
-    ) -> None:
+    def __init__(self, lost: Callable[[Packet], PancakesError], defer: Defer, seek: Callable[[str], bool]) -> None:
         self._lost = lost
         self._seek = seek
         self._waiting: dict[str, _Waiting] = {}

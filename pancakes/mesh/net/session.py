@@ -53,7 +53,7 @@ class Train(msgspec.Struct, gc=False):
     sessions: tuple[Session, ...]
     rows: list[bytes]
     retries: int
-    fence: Fence | None = None
+    fence: Fence | None
     run: bytes = b""
 
     def message(self) -> bytes:

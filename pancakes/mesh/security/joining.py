@@ -100,7 +100,7 @@ class Desk:
         PancakesError: it cannot wait there.
     """
 
-    def __init__(self, host: str, port: int, open_s: float = OPEN_S) -> None:
+    def __init__(self, host: str, port: int, open_s: float) -> None:
         self._now = MonotonicClock().now
         self._until_s = self._now() + open_s
         key = new_key()

@@ -28,7 +28,7 @@ class KeyPlaces:
         self._named = named
         self._sets: dict[KeyPath, str] = {}
 
-    def override(self, key: KeyPath, text: str, value: Any = None) -> None:
+    def override(self, key: KeyPath, text: str, value: Any) -> None:
         """Notes that `--set text` gave this key its value; what the file says below the key is gone."""
         for known in [path for path in self._lines if path[: len(key)] == key]:
             del self._lines[known]

@@ -37,7 +37,7 @@ def check_called(function: Any, given: Sequence[str], caller: str, write: str) -
         raise ClassError(f"{_head(function)} takes {_parameters(function)}, and {caller}: write `{write}`")
 
 
-def check_runs(function: Any, write: str = "") -> None:
+def check_runs(function: Any, write: str) -> None:
     """Refuses a function that does nothing when it is called, because the caller would have to await or iterate it.
 
     Args:

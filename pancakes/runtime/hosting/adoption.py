@@ -86,7 +86,7 @@ def meaning_of_copy(record: Record, me: str) -> str:
     )
 
 
-def cost_of_revival(task_id: TaskId, me: str, checkpoint: str = "") -> str:
+def cost_of_revival(task_id: TaskId, me: str, checkpoint: str) -> str:
     """Returns what reviving a task would mean, for a person who has not yet said `force`.
 
     Args:

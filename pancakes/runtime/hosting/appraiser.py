@@ -41,8 +41,8 @@ class Appraised(msgspec.Struct, frozen=True):
     """
 
     number: int
-    terms: Mapping[str, float] = {}
-    refusal: str = ""
+    terms: Mapping[str, float]
+    refusal: str
 
 
 class Appraiser(Component):

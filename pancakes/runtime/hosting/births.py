@@ -36,9 +36,9 @@ class BirthRule(msgspec.Struct, frozen=True):
         former: the names that this agent had before, with the same disk.
     """
 
-    peers: tuple[str, ...] = ()
-    wait_s: float = 0.0
-    former: tuple[str, ...] = ()
+    peers: tuple[str, ...]
+    wait_s: float
+    former: tuple[str, ...]
 
     @property
     def asks(self) -> bool:

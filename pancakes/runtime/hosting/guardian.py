@@ -89,7 +89,7 @@ class _Guarded(msgspec.Struct):
 
     register: GuardRegister
     alarm: Deadline
-    lease: Lease = Lease()
+    lease: Lease
     asker: str = ""
     effects: deque[GuardEffect] = msgspec.field(default_factory=deque)
     writing: GuardRegister | None = None

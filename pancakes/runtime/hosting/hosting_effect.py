@@ -19,7 +19,7 @@ class AskRoom(msgspec.Struct, frozen=True):
     """
 
     keep: bool
-    again: bool = False
+    again: bool
 
 
 class OpenPlace(msgspec.Struct, frozen=True):
@@ -53,7 +53,7 @@ class Decided(msgspec.Struct, frozen=True):
         reason: why it does not run; empty: it runs.
     """
 
-    reason: str = ""
+    reason: str
 
 
 class Lasts(msgspec.Struct, frozen=True):

@@ -66,7 +66,7 @@ class CameToRest(msgspec.Struct, frozen=True):
         snapshot: what it carried at the end, encoded; empty: what its record says.
     """
 
-    snapshot: bytes = b""
+    snapshot: bytes
 
 
 class Persisted(msgspec.Struct, frozen=True):

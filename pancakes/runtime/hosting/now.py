@@ -21,5 +21,5 @@ class Now(msgspec.Struct, frozen=True):
     me: str
     now_s: float
     draw: Draw
-    closing: bool = False
-    permit: bool = True
+    closing: bool
+    permit: bool

@@ -53,8 +53,8 @@ class SetAside(msgspec.Struct, frozen=True):
     name: str
     now: str
     reason: str
-    kind: str = ""
-    key: str = ""
+    kind: str
+    key: str
     entry: JournalEntry | None = None
     times: int = 1
 

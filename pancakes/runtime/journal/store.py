@@ -38,7 +38,7 @@ class _Job(msgspec.Struct, eq=False):
     persisted: Persisted
     failed: Failed
     since_s: float
-    may: May | None = None
+    may: May | None
     told: bool = False
 
     @property

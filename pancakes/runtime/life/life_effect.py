@@ -17,7 +17,7 @@ class AskLeave(msgspec.Struct, frozen=True):
         again: whether it was running, and failed.
     """
 
-    again: bool = False
+    again: bool
 
 
 class Spawn(msgspec.Struct, frozen=True):

@@ -78,7 +78,7 @@ class Finished(msgspec.Struct, frozen=True):
         blameless: whether that was no fault of its own, as where the guardians of a task do not answer.
     """
 
-    text: str = ""
+    text: str
     failed: bool = False
     hopeless: bool = False
     closing: bool = False

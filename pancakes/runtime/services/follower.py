@@ -40,7 +40,7 @@ class Follower:
         most_hz: at most so many packets a second of each source and type, `LEAST_HZ` or more; 0: all.
     """
 
-    def __init__(self, owner: Component, mesh: Mesh, agent: str, foreign: bool = False, most_hz: float = 0.0) -> None:
+    def __init__(self, owner: Component, mesh: Mesh, agent: str, foreign: bool, most_hz: float) -> None:
         self._owner = owner
         self._mesh = mesh
         self._agent = agent

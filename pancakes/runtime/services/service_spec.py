@@ -26,7 +26,7 @@ class ServiceSpec(msgspec.Struct, frozen=True):
 
     name: str
     cls: type[Service]
-    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    tasks: tuple[TaskSpec, ...] = ()
-    restart: RestartSpec = RestartSpec()
-    arguments: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    settings: Mapping[str, Any]
+    tasks: tuple[TaskSpec, ...]
+    restart: RestartSpec
+    arguments: Mapping[str, Any]

@@ -48,7 +48,7 @@ class ChangeTask(msgspec.Struct, frozen=True):
 
     request: Request
     body: Reschedule | Configure | Describe | SetFence
-    carry: bool = False
+    carry: bool
 
 
 class Look(msgspec.Struct, frozen=True):

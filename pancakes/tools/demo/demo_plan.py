@@ -43,7 +43,7 @@ class DemoPlan:
     sets: Mapping[str, tuple[str, ...]]
     files: Mapping[str, Path]
     configs: Mapping[str, Config]
-    claim: Claim | None = None
+    claim: Claim | None
 
     def peers(self, within_machine: bool) -> tuple[str, ...]:
         """Returns an address of each agent: the one within its machine, or else another."""

@@ -233,7 +233,7 @@ def run_virtual(
     plan: DemoPlan,
     mission: Mission,
     interrupted: threading.Event,
-    faults: NetworkFaults | None = None,
+    faults: NetworkFaults | None,
     onlooker: Onlooker | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:

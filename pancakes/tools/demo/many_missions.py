@@ -42,7 +42,7 @@ class MissionOutcome:
     seed: int
     out: Path
     verdict: str
-    reasons: Sequence[str] = ()
+    reasons: Sequence[str]
     summary: Mapping[str, Any] = field(default_factory=dict)
     said: Sequence[str] = ()
 

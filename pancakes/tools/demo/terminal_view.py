@@ -64,7 +64,7 @@ class LiveView:
         page: the address of the page beside it, which is to stay in sight; empty: there is none.
     """
 
-    def __init__(self, demo: Demo, mission: Mission, page: str = "") -> None:
+    def __init__(self, demo: Demo, mission: Mission, page: str) -> None:
         from rich.console import Console
         from rich.live import Live
 

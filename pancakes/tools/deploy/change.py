@@ -34,9 +34,9 @@ class AgentChange:
     version: str
     environment: str
     config: str
-    was: str = ""
-    last: str = ""
-    ran: bool = False
+    was: str
+    last: str
+    ran: bool
 
     @property
     def what(self) -> str:

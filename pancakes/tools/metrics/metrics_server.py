@@ -43,7 +43,7 @@ class MetricsServer:
         OSError: the port cannot be had.
     """
 
-    def __init__(self, port: int, registry: CollectorRegistry, token: str = "") -> None:
+    def __init__(self, port: int, registry: CollectorRegistry, token: str) -> None:
         self._server = _Server((HOST, port), _MetricsRequestHandler)
         self._server.set_app(_guarded(make_wsgi_app(registry), token))
         self.port = self._server.server_port

@@ -52,7 +52,7 @@ class OneTask(msgspec.Struct, frozen=True):
     incarnation: int
     waiting: int
     dropped: int
-    timers: tuple[TimerFigures, ...] = ()
+    timers: tuple[TimerFigures, ...]
 
 
 class OneLink(msgspec.Struct, frozen=True):
@@ -90,7 +90,7 @@ class TaskFigures(msgspec.Struct, frozen=True):
     """
 
     mission_s: float
-    tasks: tuple[OneTask, ...] = ()
+    tasks: tuple[OneTask, ...]
     links: tuple[OneLink, ...] = ()
     undelivered: int = 0
     dead_letters: int = 0

@@ -54,7 +54,7 @@ class TaskPresence:
     epoch: int
     first_ns: int
     last_ns: int
-    published: int = 0
+    published: int
 
 
 @dataclass

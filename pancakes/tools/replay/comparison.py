@@ -70,8 +70,8 @@ class StreamKey(NamedTuple):
 class Stream:
     """How many packets of one channel, type and destination agree, and how many do not."""
 
-    recorded: int = 0
-    now: int = 0
+    recorded: int
+    now: int
     equal: int = 0
     different: int = 0
     missing: int = 0

@@ -31,7 +31,7 @@ class Feeder:
         tally: what was fed so far.
     """
 
-    def __init__(self, client: Client, selection: Selection, say: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, client: Client, selection: Selection, say: Callable[[str], None]) -> None:
         self._client = client
         self._selection = selection
         self._say = say

@@ -26,7 +26,7 @@ class Given:
     time_s: float
     published_s: float
     packet: Packet
-    letter: bool = False
+    letter: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ class Span:
 
     from_s: float
     to_s: float
-    epoch: int | None = None
+    epoch: int | None
     ended: str = ""
 
 
