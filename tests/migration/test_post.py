@@ -70,6 +70,11 @@ class TestWhatIsLost:
         out.acknowledged(began(10, 1, 1, 5), "b", 0.0)
         assert out.take_lost() == []
 
+    def test_each_later_beginning_counts(self, out):
+        out.acknowledged(began(9, 1, 1, 8), "b", 0.0)
+        out.acknowledged(began(10, 2, 2, 7), "c", 0.0)
+        assert out.take_lost() == [LostLetters("a/Scan", 8, 9, "c")]
+
     @pytest.mark.parametrize("upto", [8, 9, -1])
     def test_nothing_where_its_state_has_it_or_that_is_not_known(self, out, upto):
         out.acknowledged(began(9, 1, 1, upto), "b", 0.0)

@@ -12,8 +12,10 @@ from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import addressed
 from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.runtime.hosting.takeover import CALLED_S
 from pancakes.runtime.journal.memory_journal import MARK
 from pancakes.runtime.services.log_record import record_of as record_of_log
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")
@@ -102,6 +104,25 @@ def test_a_take_over_is_told_as_an_arrival_with_the_state_and_by_the_guardian_th
     told = [packet for packet in packets if packet.body.kind == "taken_over"]
     assert [(it.body.fields["by"], it.body.fields["source_agent"]) for it in told] == [(taker, "a")]
     assert record_of_log(told[0])["source"] in ("b/kernel/Guardian", "c/kernel/Guardian")
+
+
+def test_no_guardian_that_arranged_a_take_over_fails_once_the_taker_had_its_time(guarded):
+    guarded.run_for(3.0)
+    guarded.crash("a")
+    assert guarded.run_until(lambda: where(guarded), 10)
+    guarded.run_for(CALLED_S + 1.0)
+    assert [line for name in "bc" for line in guarded.agents[name].lines("error")] == []
+
+
+def test_an_owner_without_enough_guardians_asks_its_neighbours_every_two_seconds():
+    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+        fleet.start("a", tasks=GUARDED)
+        b = fleet.start("b")
+        fleet.connect()
+        fleet.run_for(12.0)
+        assert guards(fleet) == [["a"]]
+        answers = b.kernel.seq_of(f"b/{GUARDIAN}").value - 1
+        assert 4 <= answers <= 7
 
 
 def test_an_owner_that_restarts_within_the_lease_goes_on(guarded):

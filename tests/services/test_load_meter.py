@@ -51,6 +51,14 @@ def test_lateness_counts_in_periods_and_a_missed_tick_as_one():
     assert look(meter, 3.0, *timers).lateness_share == 0.0
 
 
+def test_of_a_timer_that_is_new_all_ticks_count():
+    new = Timer(0.5)
+    meter = LoadMeter(lambda: 0.0, lambda: 0.0)
+    meter.look(0.0, [])
+    new.ticks, new.missed_total, new.lateness_sum_s = 3, 1, 0.5
+    assert look(meter, 1.0, new).lateness_share == pytest.approx((0.5 / 0.5 + 1) / 4)
+
+
 def test_a_timer_that_rests_is_never_late():
     resting = Timer(float("inf"))
     meter = LoadMeter(lambda: 0.0, lambda: 0.0)

@@ -8,6 +8,7 @@ from pancakes.errors import LocalProtocolError, MailboxFull
 from pancakes.mesh.migration.post import Letter
 from pancakes.mesh.net.memory import Quality
 from pancakes.mesh.wire.codec import Encoder
+from pancakes.runtime.hosting.courier_messages import COURIER, Say
 from pancakes.testing import FleetInTest, threaded_agent
 
 
@@ -106,9 +107,8 @@ class TestOnOneAgent:
         fleet.run_for(0.1)
         if keep_state is not None:
             assert agent.ask(Restart("Sink", keep_state=keep_state)).ok
-        courier = agent.component("kernel/Courier")
         again = Letter("a/Sink", agent.agent.outbox.name, 3, 3, Encoder().packet(last), "a")
-        courier.call(lambda: courier.say("a", again))
+        agent.kernel.tell(COURIER, Say("a", again))
         fleet.run_for(0.1)
         assert numbers(fleet) == ([] if keep_state is False else upto(3))
 

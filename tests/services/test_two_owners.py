@@ -80,6 +80,16 @@ def test_it_rests_over_a_restart_and_a_start_is_refused(fleet):
     assert state(a) == ("stopped", "disputed")
 
 
+def test_a_dispute_that_is_on_disk_is_not_told_again_when_the_other_owner_is_back(fleet):
+    a, _ = restored(fleet)
+    fleet.crash("a")
+    a = fleet.restart("a")
+    fleet.connect()
+    fleet.run_for(2.0)
+    assert state(a) == ("stopped", "disputed")
+    assert a.events("task_disputed") == []
+
+
 def test_adopted_it_lives_here_and_stands_still_on_the_other_agent(fleet):
     a, b = restored(fleet)
     told = a.ask(Adopt("Sink"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any, NamedTuple
 
 import msgspec
@@ -58,7 +57,7 @@ def snapshot_of(
         posted=posted,
         heard={stream: Heard(upto) for stream, upto in carried.heard.items()},
         sent=dict(sent),
-        restart=_plain_restart(spec.restart),
+        restart=asdict(spec.restart),
         durability=spec.durability,
         migrate=asdict(spec.rule) if spec.rule is not None else None,
         guard=asdict(spec.guard) if spec.guard is not None else None,
@@ -142,8 +141,3 @@ def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dic
     for key in removed:
         settings.pop(key, None)
     return settings, [*changed, *removed]
-
-
-@cache
-def _plain_restart(spec: RestartSpec) -> dict[str, Any]:
-    return asdict(spec)
