@@ -54,7 +54,6 @@ class HostingStep:
         self.why_not = ""
         self._lives: deque[tuple[life_event.Event, Leave]] = deque()
         self._living = False
-        self._going = False
         self.leave = Leave.ENTRY
         self.decided: handoff_event.Event | None = None
 
@@ -117,9 +116,6 @@ class HostingStep:
 
     def go_on(self) -> None:
         """Goes on with the hand-off, until one of its effects takes time."""
-        if self._going:
-            return
-        self._going = True
         while self.standing.waits is None:
             standing = self.standing
             if standing.effects:
@@ -132,7 +128,6 @@ class HostingStep:
                 self.change(events=tuple(waiting), effects=tuple(effects))
             else:
                 break
-        self._going = False
 
     def _carry(self, effect: life_effect.Effect | handoff_effect.Effect) -> None:
         if isinstance(effect, hosting_effect.Joined):
