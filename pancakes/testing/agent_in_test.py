@@ -3,28 +3,54 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from msgspec.structs import replace
 
+from pancakes.events import LogLine
 from pancakes.mesh.address import LOCAL
 from pancakes.packet import LOG, covers, join
 from pancakes.runtime.agent import Agent
 from pancakes.runtime.config import Config
+from pancakes.runtime.hosting.bidding_messages import MIGRATOR
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.service import Service
 from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle
 from pancakes.simulation.made_in_code import parts, registered
+from pancakes.simulation.probe import Probe
+
+OWN: Final = ("kernel", "client", "device", "log", "network", MIGRATOR)
+"""Pancakes' own actors, by their addresses on an agent; those below `kernel` are as well."""
 
 
 class AgentInTest(AgentHandle):
-    """One agent, and what a test asks of it; what does not come in time fails the test."""
+    """One agent, and what a test asks of it; what does not come in time fails the test.
+
+    Attributes:
+        may_fail: those of Pancakes' own actors that the test itself makes fail: `client`, `kernel/Courier`. Where
+            another one of these fails, `FleetInTest` and `threaded_agent` fail the test at its end.
+    """
 
     failure: ClassVar[type[Exception]] = AssertionError
+
+    def __init__(self, agent: Agent, probe: Probe) -> None:
+        super().__init__(agent, probe)
+        self.may_fail: set[str] = set()
+
+    def failures(self) -> list[str]:
+        """Returns how Pancakes' own actors on this agent have failed that may not. Tasks and a user's services may."""
+        own = [join(self.name, actor) for actor in OWN]
+        may = {join(self.name, actor) for actor in self.may_fail}
+        failures = []
+        for packet in self.probe.packets(LogLine, lambda line: bool(line.traceback)):
+            address = packet.body.text.partition(" ")[0]
+            if address not in may and (address in own or address.startswith(own[0] + "/")):
+                failures.append(packet.body.text)
+        return failures
 
     def slot(self, name: str, service: str = "client") -> Slot:
         """Returns the place of a task in its service."""
@@ -57,6 +83,12 @@ class AgentInTest(AgentHandle):
         ]
 
 
+def assert_sound(agents: Iterable[AgentInTest]) -> None:
+    """Fails a test in which actors of Pancakes' own have failed."""
+    failures = [failure for agent in agents for failure in agent.failures()]
+    assert not failures, "\n".join(["actors of Pancakes' own have failed, and are not in `may_fail`:", *failures])
+
+
 @contextmanager
 def threaded_agent(
     name: str = "a",
@@ -87,6 +119,7 @@ def threaded_agent(
             yield found
         finally:
             found.stop()
+        assert_sound([found])
 
 
 @cache

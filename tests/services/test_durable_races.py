@@ -193,6 +193,7 @@ def test_a_service_that_fails_in_the_middle_of_a_move_leaves_the_network_free_to
     def fails():
         raise RuntimeError("no luck")
 
+    a.may_fail.add("client")
     service.call(fails)
     fleet.run_for(5.0)
     assert a.component("client") is not service

@@ -312,6 +312,7 @@ def test_a_client_service_that_fails_loses_no_task(fleet):
     def fail():
         raise RuntimeError("the service itself")
 
+    agent.may_fail.add("client")
     agent.component("client").call(fail)
     fleet.run_for(1.0)
     assert agent.events("service_failed", service="client")

@@ -479,6 +479,7 @@ def test_a_migrator_that_fails_leaves_nobody_waiting(fleet):
     def fail():
         raise RuntimeError("the migrator itself")
 
+    a.may_fail.add("network/TaskMigrator")
     a.component("network/TaskMigrator").call(fail)
     reply = a.reply_to(moving)
     assert not reply.ok and "Task Migrator was started anew" in reply.reason

@@ -114,6 +114,7 @@ class TestOnOneAgent:
 
     def test_a_courier_that_fails_loses_nothing(self, fleet):
         agent = fleet.start("a", tasks={"Sink": Sink})
+        agent.may_fail.add("kernel/Courier")
         courier = agent.component("kernel/Courier")
 
         def fail():

@@ -141,6 +141,7 @@ def fails():
 
 
 def restart_migrator(agent):
+    agent.may_fail.add("network/TaskMigrator")
     agent.component("network/TaskMigrator").call(fails)
 
 
@@ -219,6 +220,7 @@ def test_where_the_service_alone_is_started_anew_it_is_as_where_the_agent_is(wan
     with two() as fleet:
         moving(fleet, wanted, then="Home")
         a = fleet.agents["a"]
+        a.may_fail.add("client")
         a.component("client").call(fails)
         fleet.run_for(20.0)
         *_, account = a.ask(Migrations()).result
