@@ -133,7 +133,7 @@ def test_an_actuator_remembers_each_task_that_it_has_seen():
     fences = Fences(Disk(journal, store, []))
     first, second = Fence("b/X", (2, "b")), Fence("b/Y", (1, "b"))
     for fence in (first, second):
-        fences.write("wheels", fence.task_id, Mark(*fence.epoch), lambda: None, pytest.fail)
+        fences.write("wheels", fence.task_id, Mark(*fence.epoch, "a"), lambda: None, pytest.fail)
     store.close()
     journal = MemoryJournal(disk, "x")
     fences = Fences(Disk(journal, VirtualStore(journal, lambda delay_s, function: None), []))
@@ -144,10 +144,12 @@ def test_an_actuator_remembers_each_task_that_it_has_seen():
 def test_a_damaged_fence_is_told_by_name():
     disk: dict[str, bytes] = {}
     journal = MemoryJournal(disk, "x")
-    journal.write([JournalEntry("fence", "wheels", b"\xc1"), JournalEntry("fence", "arm", b"\x81\xa3b/X\x92\x02\xa1b")])
+    journal.write(
+        [JournalEntry("fence", "wheels", b"\xc1"), JournalEntry("fence", "arm", b"\x81\xa3b/X\x93\x02\xa1b\xa1b")]
+    )
     unread: list[str] = []
     fences = Fences(Disk(journal, VirtualStore(journal, lambda delay_s, function: function()), unread))
-    assert fences.highest("arm", "b/X") == Mark(2, "b")
+    assert fences.highest("arm", "b/X") == Mark(2, "b", "b")
     assert fences.highest("wheels", "b/X") is None
     (sentence,) = unread
     assert sentence.startswith("the journal's fence of the actuator wheels is not used: ")

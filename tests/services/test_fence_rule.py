@@ -46,7 +46,7 @@ def record(phase, peer="", n=1):
         ("c", Mark(2, "x", "c"), None),  # which brought the last epoch
         ("c", Mark(2, "x", "c"), record(Phase.OWNER)),  # a person has said so
         ("c", None, record(Phase.RELEASED, "c")),
-        ("c", Mark(2, "me"), record(Phase.COMMITTED, "c")),
+        ("c", Mark(2, "me", "me"), record(Phase.COMMITTED, "c")),
     ],
 )
 def test_who_has_the_task_or_was_given_it_raises_the_fence(peer, mark, known):
@@ -86,7 +86,7 @@ def test_the_last_that_brought_an_epoch_is_asked_before_the_others():
     assert judged("me", claim("c"), marks(Mark(2, "x", "d")), None, ["b", "c", "d"]) == AskAgent("d")
     assert judged("me", claim("c"), marks(Mark(2, "x", "d")), None, ["b", "c"]) == AskAgent("b")
     assert judged("me", claim("c"), marks(None), record(Phase.RELEASED, "d"), ["b", "c", "d"]) == AskAgent("d")
-    assert judged("me", claim("c"), marks(Mark(2, "me")), None, ["b", "c", "d"]) == AskAgent("b")
+    assert judged("me", claim("c"), marks(Mark(2, "me", "me")), None, ["b", "c", "d"]) == AskAgent("b")
 
 
 def test_an_actuator_that_has_seen_very_many_tasks_takes_no_new_one_from_elsewhere():
@@ -157,7 +157,7 @@ NOWHERE = TaskAt("b/T")
             {"b": here("b", 2), "c": here("b", 9)},
             PresentOwner("b", Mark(2, "b", "b")),
         ),  # what c says of b counts not
-        (here("me", 4), {"b": NOWHERE}, PresentOwner("me", Mark(4, "me", ""))),
+        (here("me", 4), {"b": NOWHERE}, PresentOwner("me", Mark(4, "me", "me"))),
         (here("me", 4), {"b": here("b", 7), "c": here("c", 6)}, PresentOwner("b", Mark(7, "b", "b"))),
     ],
 )

@@ -243,7 +243,7 @@ def test_an_answer_that_comes_late_lowers_no_fence(fleet):
     fleet.network.heal()
     assert fleet.run_until(lambda: asked, at_most_s=30.0)
     fences = far.component("device").slots["wheels"].spec.arguments["fences"].fences
-    fences.write("wheels", "a/Circle", Mark(5, "x"), lambda: None, pytest.fail)
+    fences.write("wheels", "a/Circle", Mark(5, "x", "far"), lambda: None, pytest.fail)
     fleet.run_for(2.0)
     assert marks(far) == {"a/Circle": (5, "far")}
     assert "has passed, 5 has been seen" in far.events("command_refused", by="c/device/wheels")[-1]["reason"]

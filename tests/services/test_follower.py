@@ -39,6 +39,15 @@ def test_nothing_leaves_in_the_turn_of_the_publisher_and_all_that_waits_leaves_a
     assert came == sorted(came), "in the order in which they were published"
 
 
+def test_where_no_rate_is_set_all_that_is_published_at_one_moment_arrive(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    assert a.ask(Follow("system"), to="b").ok
+    for number in range(3):
+        b.publish("system", Load(number / 10))
+    fleet.run_for(0.1)
+    assert loads(a) == [0.0, 0.1, 0.2]
+
+
 def test_the_last_of_what_was_published_arrives_also_where_nothing_follows(fleet):
     a, b = fleet.agents["a"], fleet.agents["b"]
     assert a.ask(Follow("system", most_hz=2.0), to="b").ok

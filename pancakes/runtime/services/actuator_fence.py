@@ -190,7 +190,7 @@ class ActuatorFence:
         self._marks.write(
             task.name,
             claim.fence.task_id,
-            Mark(n, minter, "" if claim.peer == task.agent else claim.peer),
+            Mark(n, minter, claim.peer),
             lambda: task.call(lambda: self._written(claim, "")),
             lambda why_not: task.call(lambda: self._written(claim, why_not)),
         )

@@ -397,7 +397,7 @@ class DeviceService(Service):
     def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
         marks = self._fences.fences.of(slot.name)
         fences = [
-            {"task_id": task_id, "epoch": mark.n, "minter": mark.minter, "brought_by": mark.peer or self.agent}
+            {"task_id": task_id, "epoch": mark.n, "minter": mark.minter, "brought_by": mark.peer}
             for task_id, mark in sorted(marks.items())
         ]
         told = {**super().describe_in_detail(slot), "fences": fences}

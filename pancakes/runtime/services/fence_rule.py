@@ -29,12 +29,12 @@ class Mark(msgspec.Struct, frozen=True, array_like=True):
     Attributes:
         n: its number.
         minter: the agent that minted it.
-        peer: the agent that brought it; empty: the actuator's own.
+        peer: the agent that brought it, which may be the actuator's own.
     """
 
     n: int
     minter: str
-    peer: str = ""
+    peer: str
 
 
 class EpochClaim(msgspec.Struct, frozen=True):
@@ -159,7 +159,7 @@ def present_owner(
         )
     name = max(claims, key=lambda peer: claims[peer])
     epoch: Epoch = claims[name]
-    return PresentOwner(name, Mark(epoch.n, epoch.minter, "" if name == me else name))
+    return PresentOwner(name, Mark(epoch.n, epoch.minter, name))
 
 
 def _birthplace(task_id: str) -> str:
