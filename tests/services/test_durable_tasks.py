@@ -319,6 +319,11 @@ def test_a_client_service_that_fails_loses_no_task(fleet):
     assert agent.task("Count").state.n >= 30
 
 
+def test_a_service_says_with_which_tasks_it_has_started(fleet):
+    lines = fleet.start("a", tasks={"Count": Count}).lines("debug")
+    assert "a/client started with Count" in lines and "a/device started with no tasks" in lines
+
+
 def test_a_journal_that_is_in_use_is_not_shared(fleet):
     fleet.start("a")
     with pytest.raises(JournalError, match="two agents cannot share one"):

@@ -83,6 +83,18 @@ def test_turns_are_timed_while_something_measures_and_at_no_other_time(threaded_
     assert figures.task("Burn").timers[0].ticks > 0
 
 
+def test_one_that_begins_later_counts_only_the_turns_since_then(threaded_agent):
+    agent = threaded_agent(tasks={"Burn": Burn})
+    long = agent.publish(SYSCTRL, Measure(1.6))
+    agent.wait_until(lambda: agent.kernel.meter is not None)
+    before = agent.component("client/Burn").state.ticks
+    agent.wait_until(lambda: agent.component("client/Burn").state.ticks > before + 40)
+    late = measured(agent, 0.4).task("Burn")
+    whole = codecs.convert(agent.reply_to(long, 30.0).result, MeasuredAgent).task("Burn")
+    (timer,) = late.timers
+    assert timer.ticks <= late.turns < whole.turns - 20
+
+
 def test_a_task_that_begins_anew_meanwhile_is_counted_on(threaded_agent):
     agent = threaded_agent(tasks={"Burn": Burn})
     asked = agent.publish(SYSCTRL, Measure(1.0))
