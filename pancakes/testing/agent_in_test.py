@@ -83,8 +83,8 @@ class AgentInTest(AgentHandle):
         ]
 
 
-def assert_sound(agents: Iterable[AgentInTest]) -> None:
-    """Fails a test in which actors of Pancakes' own have failed."""
+def assert_none_failed(agents: Iterable[AgentInTest]) -> None:
+    """Fails a test in which actors of Pancakes' own have failed that may not."""
     failures = [failure for agent in agents for failure in agent.failures()]
     assert not failures, "\n".join(["actors of Pancakes' own have failed, and are not in `may_fail`:", *failures])
 
@@ -119,7 +119,7 @@ def threaded_agent(
             yield found
         finally:
             found.stop()
-        assert_sound([found])
+        assert_none_failed([found])
 
 
 @cache

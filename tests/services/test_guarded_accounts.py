@@ -10,6 +10,9 @@ import pytest
 from services.counting import Count
 
 from pancakes.control import Guarding, Migrations, Take
+from pancakes.creation import Create
+from pancakes.packet import NETWORK, Packet
+from pancakes.runtime.hosting.takeover import CALLED_S
 from pancakes.testing import FleetInTest
 
 GUARDED = {"type": "test.Count", "guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b", "c"]}
@@ -108,3 +111,25 @@ def test_the_newest_checkpoint_is_named_that_any_guardian_has(fleet: FleetInTest
     assert ours["checkpoint"] < theirs["checkpoint"]
     would = fleet.agents["b"].ask(Take("Count", dry_run=True)).result
     assert would["checkpoint"] == f"0@a/{theirs['checkpoint']}" and would["age_s"] <= 0.7
+
+
+@pytest.mark.parametrize("fleet", ["auto"], indirect=True)
+def test_where_the_cheapest_bidder_dies_once_it_is_called_the_next_one_takes_it(fleet: FleetInTest):
+    d = fleet.start("d")
+    fleet.connect()
+    called: list[Packet] = []
+    d.kernel.stream.tap(NETWORK, called.append, ("guard.call",))
+    for name in "bc":
+        assert fleet.agents[name].ask(Create("Other", "test.Count")).ok
+
+    def moved() -> list[dict[str, Any]]:
+        return [row for row in accounts(fleet) if row["task_id"] == "a/Count"]
+
+    fleet.crash("a")
+    assert fleet.run_until(lambda: bool(called), 8)
+    fleet.crash("d")
+    assert fleet.run_until(lambda: bool(moved()), 8)
+    (account,) = moved()
+    assert account["winner"] in ("b", "c")
+    fates = {line["peer"]: (line["fate"], line["reason"]) for line in account["lines"]}
+    assert fates["d"] == ("failed", f"did not take it within {CALLED_S:g} s")
