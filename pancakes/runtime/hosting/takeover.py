@@ -11,7 +11,7 @@ from pancakes.errors import ControlRefused, MigrationError
 from pancakes.mesh.guarding.guardian_core import GuardRegister
 from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen, TakeTask
 from pancakes.mesh.migration.cost import CostChoice, is_of_core
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId, Guards, newest
 from pancakes.mesh.migration.messages import Solicit
@@ -46,9 +46,9 @@ class _Orphan(msgspec.Struct):
         move: when it moves by itself; None: it does not.
         heard_s: when its owner was heard last, in host time.
         held: the newest checkpoint that any of them has.
-        over: the guardians that say that no lease runs there either.
         promised: the latest epoch that any of them follows.
         guards: the newest guards that any of them knows.
+        over: the guardians that say that no lease runs there either.
         asks: how often neighbours were asked for bids.
         negotiating_s: since when, in host time; None: bids are not compared now.
         called: the agent that was called to take it.
@@ -63,9 +63,9 @@ class _Orphan(msgspec.Struct):
     move: MigrationRule | None
     heard_s: float
     held: HeldUntil
+    promised: Epoch
+    guards: Guards
     over: set[GuardianId] = set()
-    promised: Epoch = NO_EPOCH
-    guards: Guards = Guards()
     asks: int = 0
     negotiating_s: float | None = None
     called: str = ""
@@ -99,9 +99,8 @@ class Takeovers:
         """
         members = register.guards.members()
         known = self._orphans.get(register.task_id)
-        if (
-            known is not None and self._talk.me in members
-        ):  # an agent asks for a pledge, which may be the one that was called
+        if known is not None and self._talk.me in members:
+            # An agent asks for a pledge, which may be the one that was called.
             known.register, known.promised = register, max(known.promised, register.promised)
             self._later(known, wait_s + RANK_S * members.index(self._talk.me))
             return
@@ -122,8 +121,8 @@ class Takeovers:
             rules.move,
             heard_s,
             held,
-            guards=register.guards,
-            promised=register.promised,
+            register.promised,
+            register.guards,
         )
         self._orphans[register.task_id] = orphan
         self._later(orphan, wait_s + RANK_S * members.index(self._talk.me))

@@ -27,11 +27,11 @@ class Tenancy(msgspec.Struct):
     Attributes:
         renewal: asks for leases again.
         end: the end of the permit.
+        tenure: what its guardians have said.
+        lost_s: since when, in host time, it may not act.
         type: entry point name of the task's class.
         rule: how the task is guarded; None: it is to be guarded no longer.
-        tenure: what its guardians have said.
         until: until when each asking would let the task act, by beat; without those that a quorum has granted.
-        lost_s: since when, in host time, it may not.
         told: the epoch, the checkpoint and the guards that guardians were told of last.
         bodies: which checkpoint each guardian was sent last, and with which beat.
         heard_s: when each guardian has said something last, in host time.
@@ -46,11 +46,11 @@ class Tenancy(msgspec.Struct):
 
     renewal: Deadline
     end: Deadline
+    tenure: Tenure
+    lost_s: float
     type: str = ""
     rule: GuardRule | None = None
-    tenure: Tenure = Tenure()
     until: dict[int, PermitEnd] = {}
-    lost_s: float = 0.0
     told: tuple[Epoch, int, int] | None = None
     bodies: dict[GuardianId, tuple[int, int]] = {}
     heard_s: dict[GuardianId, float] = {}
