@@ -106,9 +106,8 @@ class SkewedClock:
     def true_s(self, time_s: float) -> float:
         """Returns the first virtual time at which this clock has reached `time_s`."""
         found_s = (time_s - self.ahead_s) / self.rate
-        while (
-            self.ahead_s + found_s * self.rate < time_s
-        ):  # by rounding: a timer would come a hair too early, again and again
+        # By rounding it may be less: a timer would come a hair too early, again and again.
+        while self.ahead_s + found_s * self.rate < time_s:
             found_s = max(math.nextafter(found_s, math.inf), found_s + math.ulp(self.ahead_s) / self.rate)
         return found_s
 

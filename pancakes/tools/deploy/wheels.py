@@ -255,9 +255,8 @@ def _source_of(installed: Distribution) -> Path | None:
     """Returns the folder, or the wheel, from which a distribution was installed; None: it came from an index."""
     told = installed.read_text(ORIGIN)
     if told is None:
-        is_source = (
-            installed.read_text("METADATA") is None
-        )  # it lies beside its sources, as `setup.py develop` leaves it
+        # It lies beside its sources then, as `setup.py develop` leaves it.
+        is_source = installed.read_text("METADATA") is None
         return Path(str(installed.locate_file(""))) if is_source else None
     url = str(json.loads(told)["url"])
     return Path(unquote(urlsplit(url).path)) if url.startswith("file:") else None
