@@ -107,7 +107,7 @@ class Variant:
 
     name: str
     title: str
-    sets: tuple[str, ...]
+    sets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
