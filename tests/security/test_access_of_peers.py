@@ -60,6 +60,13 @@ def test_a_right_is_for_what_the_rule_names_alone(fleet):
     assert not refused.ok and "'change' on 'a/network/Discovery'" in refused.reason
 
 
+def test_the_right_to_move_is_for_a_task_too(fleet):
+    a, b = two(fleet, allowed('["move"]', '["a/client/*"]'))
+    assert b.ask(Migrate("Count", to="b"), to="a").ok
+    fleet.run_for(1.0)
+    assert b.running("client") == ["Count"] and a.running("client") == []
+
+
 def test_whole_services_and_the_agent_have_names_too(fleet):
     _, b = two(fleet, allowed('["change", "end"]', '["a/log/*", "a"]'))
     assert b.ask(Stop("log", dry_run=True), to="a").ok
