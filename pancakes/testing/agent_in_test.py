@@ -23,8 +23,8 @@ from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle
 from pancakes.simulation.made_in_code import parts, registered
 from pancakes.simulation.probe import Probe
 
-OWN: Final = ("kernel", "client", "device", "log", "network", MIGRATOR)
-"""Pancakes' own actors, by their addresses on an agent; those below `kernel` are as well."""
+OWN: Final = ("client", "device", "log", "network", MIGRATOR)
+"""Pancakes' own actors, by their addresses on an agent, besides those at `kernel` and below it."""
 
 
 class AgentInTest(AgentHandle):
@@ -43,12 +43,12 @@ class AgentInTest(AgentHandle):
 
     def failures(self) -> list[str]:
         """Returns how Pancakes' own actors on this agent have failed that may not. Tasks and a user's services may."""
-        own = [join(self.name, actor) for actor in OWN]
+        own, kernel = [join(self.name, actor) for actor in OWN], join(self.name, "kernel")
         may = {join(self.name, actor) for actor in self.may_fail}
         failures = []
         for packet in self.probe.packets(LogLine, lambda line: bool(line.traceback)):
             address = packet.body.text.partition(" ")[0]
-            if address not in may and (address in own or address.startswith(own[0] + "/")):
+            if address not in may and (address in own or covers(kernel, address)):
                 failures.append(packet.body.text)
         return failures
 

@@ -46,7 +46,7 @@ def test_an_actor_of_pancakes_own_fails_the_test_also_where_its_agent_is_gone(ad
 def test_on_threads_too() -> None:
     with pytest.raises(AssertionError, match="t/client is .*worn out"), threaded_agent("t") as agent:
         actor(agent, "client").call(fail)
-        agent.wait_for_event("service_failed", service="client")
+        agent.wait_until(lambda: agent.failures() != [])
 
 
 def test_one_that_may_fail_and_those_of_a_user_fail_no_test() -> None:

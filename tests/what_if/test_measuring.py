@@ -85,14 +85,14 @@ def test_turns_are_timed_while_something_measures_and_at_no_other_time(threaded_
 
 def test_one_that_begins_later_counts_only_the_turns_since_then(threaded_agent):
     agent = threaded_agent(tasks={"Burn": Burn})
-    long = agent.publish(SYSCTRL, Measure(1.6))
+    long = agent.publish(SYSCTRL, Measure(2.0))
     agent.wait_until(lambda: agent.kernel.meter is not None)
     before = agent.component("client/Burn").state.ticks
     agent.wait_until(lambda: agent.component("client/Burn").state.ticks > before + 40)
     late = measured(agent, 0.4).task("Burn")
     whole = codecs.convert(agent.reply_to(long, 30.0).result, MeasuredAgent).task("Burn")
     (timer,) = late.timers
-    assert timer.ticks <= late.turns < whole.turns - 20
+    assert timer.ticks <= late.turns < whole.turns / 2
 
 
 def test_a_task_that_begins_anew_meanwhile_is_counted_on(threaded_agent):
