@@ -368,7 +368,7 @@ class Service(Component):
                 keeps_subscriptions=True,  # this service knows whether a successor will read what they bring
                 **self.arguments_of(slot),
             )
-        except Exception as error:  # what a task's author wrote in __init__ may raise anything
+        except (Exception, SystemExit) as error:  # what a task's author wrote in __init__ may raise anything
             self.kernel.tasks.note_settings(slot.address, None)
             self._fail(slot, error, hopeless=isinstance(error, SettingsError))
 

@@ -22,7 +22,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get
 
 import msgspec
 
-from pancakes.errors import PancakesError
+from pancakes.errors import PancakesError, describe
 from pancakes.packet import field_names, has_fields
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import array_of, check_items, is_array, is_array_type, is_number
@@ -36,6 +36,9 @@ FilePath = Annotated[str, msgspec.Meta(extra_json_schema=_PATH)]
 agent, sets it below the folders alone that the agent's own configuration names."""
 
 UNKNOWN_KEY: Final = "unknown key"
+LEAST_INT: Final = -(2**63)
+MOST_INT: Final = 2**64 - 1
+"""msgpack writes no integers beyond these two."""
 
 _LEAVES: Final = frozenset((str, int, float, bool, type(None)))
 _WORDS = {
@@ -97,7 +100,7 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
     """Returns all that is wrong with plain values as settings of a class.
 
     Unknown and missing keys, wrong types, numbers out of the range that `Annotated[float, msgspec.Meta(...)]`
-    states, NaN, and what the dataclass refuses itself (a `ValueError` from its `__post_init__`).
+    states, NaN, what cannot be saved, and what the dataclass refuses itself (an error from its `__post_init__`).
 
     Args:
         cls: a dataclass or `msgspec.Struct`, such as the `Settings` of a task, a driver or a service.
@@ -111,14 +114,14 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
         try:
             _convert(settings, cls)
             return []
-        except (TypeError, ValueError, NameError):
+        except Exception:  # what its author wrote in __post_init__ may raise anything
             pass  # the walk says what is wrong, and where
     try:
         problems = list(_walk(cls, settings, ()))
-        nans = [] if allow_nan else [Problem(path, text) for path, text in _not_finite(settings, ())]
+        odd = [Problem(path, text) for path, text in _odd_in(settings, (), allow_nan)]
     except (TypeError, NameError, RecursionError) as error:  # a type that msgspec cannot check, or cannot resolve
         return [Problem((), f"{cls.__qualname__} cannot be checked: {error}")]
-    return nans + [problem for problem in problems if all(problem.path != nan.path for nan in nans)]
+    return odd + [problem for problem in problems if all(problem.path != it.path for it in odd)]
 
 
 def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = False, owner: str = "") -> _T:
@@ -133,8 +136,8 @@ def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = 
     if _is_simple(cls, settings, allow_nan):
         try:
             return _convert(settings, cls) if settings else cls()
-        except (TypeError, ValueError):
-            pass  # the walk says what is wrong, and where
+        except Exception:  # as in `check_settings`
+            pass
     problems = check_settings(cls, settings, allow_nan)
     if problems:
         raise SettingsError(owner or _owner(cls), problems)
@@ -154,7 +157,7 @@ def _is_simple(cls: type, settings: Mapping[str, Any], allow_nan: bool) -> bool:
         kind = type(value)
         if key not in known or not (kind is str or kind is int or kind is bool or kind is float):
             return False
-        if kind is float and not allow_nan and not math.isfinite(value):
+        if next(_odd_in(value, (), allow_nan), None) is not None:
             return False
     return True
 
@@ -301,21 +304,31 @@ def fault_of_class(cls: type) -> str:
     return ""
 
 
-def _not_finite(value: Any, path: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """The paths of all NaN and infinity in plain values: no robot can drive a circle of that size."""
-    if isinstance(value, float) and not math.isfinite(value):
-        yield path, "is not a number (nan)" if math.isnan(value) else f"is not finite ({value})"
+def _odd_in(value: Any, path: tuple[str | int, ...], allow_nan: bool) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """The paths of what in plain values no type forbids, and is no good all the same.
+
+    NaN and infinity: no robot can drive a circle of that size. And what msgpack cannot write.
+    """
+    if isinstance(value, float):
+        if not (allow_nan or math.isfinite(value)):
+            yield path, "is not a number (nan)" if math.isnan(value) else f"is not finite ({value})"
+    elif isinstance(value, int):
+        if not LEAST_INT <= value <= MOST_INT:
+            yield path, f"lies beyond what can be saved ({LEAST_INT} to {MOST_INT})"
+    elif isinstance(value, str):
+        if not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
+            yield path, "has a surrogate in it, which is half a letter, and cannot be saved"
     elif is_array(value):
         import numpy
 
-        if value.dtype.kind in "fc" and not numpy.isfinite(value).all():
+        if not allow_nan and value.dtype.kind in "fc" and not numpy.isfinite(value).all():
             yield path, "has a number in it that is nan or not finite"
     elif isinstance(value, Mapping):
         for key, item in value.items():
-            yield from _not_finite(item, (*path, str(key)))
+            yield from _odd_in(item, (*path, str(key)), allow_nan)
     elif isinstance(value, (list, tuple)):
         for index, item in enumerate(value):
-            yield from _not_finite(item, (*path, index))
+            yield from _odd_in(item, (*path, index), allow_nan)
 
 
 def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Problem]:
@@ -333,6 +346,10 @@ def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Proble
         _convert(value, kind)
     except msgspec.ValidationError as error:
         yield Problem(path, _phrase(str(error), value))
+    except (TypeError, NameError, RecursionError):
+        raise
+    except Exception as error:  # what its author wrote in __post_init__ may raise anything
+        yield Problem(path, describe(error, kind if isinstance(kind, type) else None))
 
 
 def _parts(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Problem]:

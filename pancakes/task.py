@@ -250,10 +250,14 @@ class Task(Component):
             raise
 
     def carry(self) -> Carried:
-        """Returns what the task would carry to another actor now, as plain values. In the actor."""
+        """Returns what the task would carry to another actor now, as plain values. In the actor.
+
+        Raises:
+            TypeError: its settings or its state cannot be written down.
+        """
         return Carried(
             self.__plain_settings(),
-            plain_settings(self.state),
+            self.__plain("state", self.state, self.State),
             {name: timer.period_s for name, timer in self.timers.items()},
             self.__heard.heard(),
         )
@@ -263,9 +267,14 @@ class Task(Component):
         note = self.kernel.tasks.settings_of(self.address)
         if note is not None and note.plain is not None and note.settings is self.__settings:
             return note.plain
-        plain = plain_settings(self.__settings)
+        plain = self.__plain("settings", self.__settings, self.Settings)
         self.kernel.tasks.note_settings(self.address, SettingsNote(self.__settings, plain))
         return plain
+
+    def __plain(self, name: str, value: Any, cls: type) -> Mapping[str, Any]:
+        if not isinstance(value, cls):
+            raise TypeError(f"`self.{name}` is of the class {type(value).__name__}, and not {cls.__qualname__}")
+        return plain_settings(value)
 
     def take_letter(self, stream: str, seq: int, first: int, packet: Packet | None) -> bool:
         """Handles a packet addressed to this task wherever it is, if it is the next of its stream. In the actor.

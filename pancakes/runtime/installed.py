@@ -42,6 +42,6 @@ class Installed:
         for name in self._plugins.names("pancakes.costs"):
             try:
                 costs[name] = self._plugins.get("pancakes.costs", name)()
-            except Exception:  # the constructor of a plug-in may raise anything
+            except (Exception, SystemExit):  # the constructor of a plug-in may raise anything
                 continue
         return costs

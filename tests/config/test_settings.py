@@ -125,6 +125,47 @@ def test_nan_is_no_setting_but_may_be_a_state():
     assert make_settings(Walker.Settings, {"speed_mps": nan}, allow_nan=True).speed_mps != 0.1
 
 
+@pytest.mark.parametrize("allow_nan", [False, True])
+def test_what_cannot_be_saved_is_neither_setting_nor_state(allow_nan: bool):
+    @dataclass
+    class Odd:
+        number: int = 0
+        name: str = ""
+        table: dict[str, list[int]] = field(default_factory=dict)
+
+    for number in (-(2**63) - 1, 2**64):
+        said = f"lies beyond what can be saved ({-(2**63)} to {2**64 - 1})"
+        assert [str(it) for it in check_settings(Odd, {"number": number}, allow_nan)] == [f"number: {said}"]
+        inside = {"table": {"x": [0, number]}}
+        assert [str(it) for it in check_settings(Odd, inside, allow_nan)] == [f"table.x[1]: {said}"]
+    half = "has a surrogate in it, which is half a letter, and cannot be saved"
+    assert [str(it) for it in check_settings(Odd, {"name": "a\udcff"}, allow_nan)] == [f"name: {half}"]
+    sound = {"number": 2**64 - 1, "name": "\ue000\ud7ff", "table": {"x": [-(2**63)]}}
+    assert check_settings(Odd, sound, allow_nan) == []
+    assert make_settings(Odd, sound, allow_nan).number == 2**64 - 1
+
+
+def test_whatever_a_class_raises_about_its_values_is_a_problem():
+    @dataclass
+    class Inner:
+        size: int = 0
+
+        def __post_init__(self) -> None:
+            if self.size > 2:
+                raise KeyError(self.size)
+
+    @dataclass
+    class Outer:
+        inner: Inner = field(default_factory=Inner)
+        table: dict[str, Inner] = field(default_factory=dict)
+
+    for settings, place in (({"inner": {"size": 3}}, "inner"), ({"table": {"x": {"size": 3}}}, "table.x")):
+        (problem,) = check_settings(Outer, settings)
+        assert str(problem).startswith(f"{place}: KeyError: 3 at test_settings.py:")
+    with pytest.raises(SettingsError, match="bad settings for a: KeyError: 3 at test_settings"):
+        make_settings(Inner, {"size": 3}, owner="a")
+
+
 def test_make_settings_names_the_owner_and_every_mistake():
     with pytest.raises(SettingsError) as error:
         make_settings(Walker.Settings, {"gate": "trot", "speed_mps": "fast"})

@@ -131,16 +131,35 @@ def test_a_rule_weighs_too():
         assert moved is not None and moved.cost == {"tasks": 1.0, "battery": 3.0}
 
 
-def test_a_function_that_fails_refuses_and_harms_nobody():
+@pytest.mark.parametrize("error", [ZeroDivisionError("by nought"), SystemExit(3)])
+def test_a_function_that_fails_refuses_and_harms_nobody(error: BaseException):
     class Broken(Cost):
         name = "broken"
 
         def terms(self, asked):
-            raise ZeroDivisionError("by nought")
+            raise error
 
     with FleetInTest(4, classes={"test.Rover": Rover, "broken": Broken}) as fleet:
         a = fleet.start("a", tasks={"Rover": Rover})
         fleet.start("b")
         fleet.connect()
         reason = a.ask(Migrate("Rover", cost={"broken": 2.0})).reason
-        assert "its cost function '2 broken' failed: ZeroDivisionError: by nought" in reason
+        assert f"its cost function '2 broken' failed: {type(error).__name__}: {error}" in reason
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("by nought"), SystemExit(3)])
+def test_a_function_that_cannot_be_made_is_not_known(error: BaseException):
+    class Unmade(Cost):
+        name = "unmade"
+
+        def __init__(self):
+            raise error
+
+        def terms(self, asked):
+            return {}
+
+    with FleetInTest(4, classes={"test.Rover": Rover, "unmade": Unmade}) as fleet:
+        a = fleet.start("a", tasks={"Rover": Rover})
+        fleet.start("b")
+        fleet.connect()
+        assert "b: knows no cost function 'unmade'" in a.ask(Migrate("Rover", cost="unmade")).reason

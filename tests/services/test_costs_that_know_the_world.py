@@ -154,6 +154,7 @@ def one(cost: type[Cost], task: type[Task] = Patrol, **others: Any) -> str:
     [
         ({"metres": math.nan}, "its cost function 'odd' is of no use: its cost is nan"),
         ({"metres": -1.0}, "its cost function 'odd' is of no use: its cost is negative (-1)"),
+        ({"metres": 2**2000}, "its cost function 'odd' failed: OverflowError"),
         ({"metres": "far"}, "its cost function 'odd' failed: TypeError"),
         ({1: 2.0}, "its cost function 'odd' told no numbers by name, but {1: 2.0}"),
         ([3.0], "its cost function 'odd' failed: TypeError"),

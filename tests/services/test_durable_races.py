@@ -78,7 +78,7 @@ def test_a_restart_while_a_checkpoint_is_being_written_starts_the_task_again(fle
 def test_a_state_that_cannot_be_written_down_is_told_and_does_not_end_the_task(fleet):
     agent = fleet.start("a", tasks={"Odd": Odd})
     fleet.run_for(3.5)
-    assert any("the state of a/client/Odd cannot be written down" in line for line in agent.lines("error"))
+    assert any("what a/client/Odd carries cannot be written down" in line for line in agent.lines("error"))
     assert not agent.events("task_failed")
     assert len(agent.probe.packets(Load, source="a/client/Odd")) == 3
 

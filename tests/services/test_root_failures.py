@@ -146,6 +146,19 @@ def test_a_service_that_fails_on_a_command_answers_it_once():
         assert len([packet for packet in agent.probe.packets() if packet.cause == (asked.source, asked.seq)]) == 1
 
 
+def test_a_service_that_exits_where_it_is_made_fails_alone():
+    class Made(Service):
+        def __init__(self, *args, **others):
+            super().__init__(*args, **others)
+            sys.exit(3)
+
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", services={"own": Made}, tasks={"Other": Count})
+        agent.wait_for_event("service_failed", service="own")
+        fleet.run_for(1.0)
+        assert agent.running() == ["Other"]
+
+
 @pytest.mark.parametrize("from_elsewhere", [False, True])
 def test_a_root_that_fails_ends_the_agent_and_answers_all_who_asked(from_elsewhere: bool):
     with FleetInTest() as fleet:

@@ -256,10 +256,10 @@ def appraise(choice: CostChoice, facts: CostFacts, known: Mapping[str, Cost]) ->
     function = f"its cost function {cost_text(choice)!r}"
     try:
         terms = dict(cost_of(choice, known).terms(facts))
-        cost = sum(terms.values())
+        cost = sum(value + 0.0 for value in terms.values())  # an integer beyond all floats raises here
     except MigrationError as error:
         return {}, f"cannot tell its cost: {error}"
-    except Exception as error:  # a cost function is a plug-in, and may raise anything
+    except (Exception, SystemExit) as error:  # a cost function is a plug-in, and may raise anything
         return {}, f"{function} failed: {type(error).__name__}: {error}"
     if not all(isinstance(name, str) and type(value) in (int, float) for name, value in terms.items()):
         return {}, f"{function} told no numbers by name, but {terms!r:.80}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from pancakes.errors import MigrationError, describe
 from pancakes.mesh.migration.cost import CostChoice
 
 ASK_AGAIN_S = 60.0
@@ -30,8 +31,15 @@ class MigrationRule(msgspec.Struct, frozen=True):
     then: str = ""
 
     def met_by(self, reading: object) -> bool:
-        """Returns whether a reading (a packet's body) asks for a move."""
-        value = reading.get(self.field) if isinstance(reading, dict) else getattr(reading, self.field, None)
+        """Returns whether a reading (a packet's body) asks for a move.
+
+        Raises:
+            MigrationError: its field cannot be read.
+        """
+        try:
+            value = reading.get(self.field) if isinstance(reading, dict) else getattr(reading, self.field, None)
+        except Exception as error:  # a property of a plug-in's packet may raise anything
+            raise MigrationError(f"the {self.field} of {self.when} cannot be read: {describe(error)}") from None
         if not isinstance(value, (int, float)):
             return False
         return (self.below is not None and value < self.below) or (self.above is not None and value > self.above)

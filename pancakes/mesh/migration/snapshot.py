@@ -7,7 +7,7 @@ are the old host's.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import msgspec
@@ -19,6 +19,7 @@ from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import array_from_extension, saved_array
 from pancakes.runtime.foundation.digest import sha256
 from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
+from pancakes.settings import dotted
 
 LIMIT_BYTES: Final = 16 * 1024 * 1024
 """The largest snapshot that travels."""
@@ -153,8 +154,9 @@ class Snapshot(msgspec.Struct, frozen=True):
         """
         try:
             data = _ENCODE(self)
-        except (TypeError, ValueError, OverflowError, MemoryError, msgspec.MsgspecError) as error:
-            raise MigrationError(f"the task {self.task_id} cannot be written as a snapshot: {error}") from None
+        except codecs.UNENCODABLE as error:
+            why = why_unwritable(self.settings, self.state, error)
+            raise MigrationError(f"the task {self.task_id} cannot be written as a snapshot: {why}") from None
         if len(data) > LIMIT_BYTES:
             raise MigrationError(f"the snapshot of {self.task_id} has {len(data)} bytes, {LIMIT_BYTES} may travel")
         return data
@@ -179,6 +181,18 @@ _DECODE_OFFER: Callable[[bytes], tuple[dict[str, Any], dict[str, Any]]] = codecs
     tuple[dict[str, Any], dict[str, Any]], array_from_extension
 )
 _DECODE: Callable[[bytes], Snapshot] = codecs.decoder(Snapshot, array_from_extension)
+
+
+def why_unwritable(settings: Mapping[str, Any], state: Mapping[str, Any], error: Exception) -> str:
+    """Returns why settings and state cannot be written: which value is at fault, and what is wrong with it.
+
+    Args:
+        settings: the settings, as plain values.
+        state: the state, as plain values.
+        error: what was raised where they were encoded.
+    """
+    path = codecs.unencodable_in({"settings": settings, "state": state}, _ENCODE)
+    return f"{dotted(path)}: {error}" if path else str(error)
 
 
 def offer_of(data: bytes) -> tuple[dict[str, Any], dict[str, Any]]:

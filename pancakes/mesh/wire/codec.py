@@ -80,7 +80,7 @@ class Encoder:
             )
             if len(message) > MAX_MESSAGE_BYTES:
                 raise LocalProtocolError(f"it takes {len(message)} bytes, and a frame has room for {MAX_MESSAGE_BYTES}")
-        except (WireError, OverflowError, UnicodeError, TypeError, ValueError, MemoryError) as error:
+        except (WireError, *codecs.UNENCODABLE) as error:
             raise unsendable(packet, error) from None
         return message
 

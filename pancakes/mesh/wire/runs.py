@@ -35,19 +35,8 @@ LONGEST_REASON: Final = 1000
 _ROOM: Final = MAX_MESSAGE_BYTES - 3  # for a head and its rows, behind the longest header of the array of rows
 
 _HEAD_LENGTH: Final = 7
-_BAD_BODY: Final = (
-    WireError,
-    OverflowError,
-    UnicodeError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    RecursionError,
-    MemoryError,
-)
-"""What a body raises that cannot travel: the last three one without one of its fields, one that contains itself, and
-one for which there is no memory.
-"""
+_BAD_BODY: Final = (WireError, AttributeError, *codecs.UNENCODABLE)
+"""What a body raises that cannot travel. `AttributeError`: it lacks one of its fields."""
 
 
 class PacketRun(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fields=True):

@@ -14,13 +14,15 @@ pyproject.toml forbids msgspec's own functions elsewhere. docs/architecture.md s
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Final, TypeVar, overload
 
 import msgspec
 from msgspec import inspect
 
+UNENCODABLE: Final = (TypeError, ValueError, OverflowError, RuntimeError, MemoryError, msgspec.MsgspecError)
+"""All that encoding raises. `RuntimeError`: it is too deep, or a mapping that its owner changes meanwhile."""
 LONG_JSON_BYTES: Final = 64 * 1024
 """JSON that is longer is read by Python's own decoder, which takes longer and survives a lack of memory."""
 
@@ -157,8 +159,7 @@ def encode(value: Any) -> bytes:
     """Encodes a value as msgpack. Any thread.
 
     Raises:
-        TypeError, ValueError, OverflowError, RecursionError: it cannot be encoded.
-        MemoryError: there is no memory for it; the sentence says so.
+        UNENCODABLE: it cannot be encoded; a MemoryError says in its sentence that there is no memory for it.
     """
     return _grown(_MSGPACK.encode_into, value)
 
@@ -166,6 +167,19 @@ def encode(value: Any) -> bytes:
 def encoder(hook: Callable[[Any], Any]) -> Callable[[Any], bytes]:
     """Returns what encodes a value as msgpack; the hook makes values that msgspec knows of those that it does not."""
     return partial(_grown, msgspec.msgpack.Encoder(enc_hook=hook).encode_into)
+
+
+def unencodable_in(value: Any, encode: Callable[[Any], bytes]) -> tuple[str | int, ...]:
+    """Returns where in plain values the first one is that cannot be encoded; empty: no part of it alone is at fault."""
+    if not isinstance(value, (Mapping, list, tuple)):
+        return ()
+    parts = value.items() if isinstance(value, Mapping) else enumerate(value)
+    for key, part in parts:
+        try:
+            encode(part)
+        except UNENCODABLE:
+            return (key, *unencodable_in(part, encode))
+    return ()
 
 
 def json_encoder(hook: Callable[[Any], Any] | None = None) -> Callable[[Any], bytes]:

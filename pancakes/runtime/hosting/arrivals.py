@@ -216,8 +216,9 @@ class Arrivals:
         if slot.fresh:
             slot.fresh = False
             self._host.drop_state(slot)
-        carries = slot.carried is not None or record.may_begin
-        snapshot = self._host.snapshot(slot, slot.carried) if carries else b""
+        snapshot = self._host.snapshot_at_rest(slot)
+        if not snapshot and record.may_begin:
+            snapshot = self._host.snapshot(slot, None)
         return Room(asked, snapshot=snapshot, guardian=self._host.first_guardian(place))
 
     def open(self, place: Place, start: StartTask) -> PlaceFree | NoPlace | None:

@@ -85,7 +85,7 @@ class Checkpointing:
     def looked(self, slot: Slot, looked: Looked) -> None:
         """A task says what it carries."""
         if looked.carried is None:
-            self._host.log("error", f"the state of {slot.address} cannot be written down: {looked.reason}")
+            self._tell_unwritable(slot, looked.reason)
         else:
             self.save(slot, looked.carried)
 
@@ -105,10 +105,18 @@ class Checkpointing:
                 place.looked_s = self._host.kernel.host.now()
                 return
             snapshot = self._host.snapshot(slot, carried)
-        except (PancakesError, TypeError, OverflowError, MemoryError) as error:
-            self._host.log("error", f"the state of {slot.address} cannot be written down: {error}")
+        except PancakesError as error:
+            self._tell_unwritable(slot, str(error))
             return
+        place.unwritable = False
         place.written, place.looked_s = last_checkpoint(slot.spec.cls, carried, plain), self._host.kernel.host.now()
         consumed = place.letters.consumed(carried.heard) if place.letters is not None else ()
         record = standing.record
         self._host.feed_place(place, Checkpoint(record.epoch, record.incarnation, snapshot, consumed))
+
+    def _tell_unwritable(self, slot: Slot, why: str) -> None:
+        """Tells `log` once what a task carries that cannot be written down, until it can again."""
+        place = self._host.places.at[slot.name]
+        if not place.unwritable:
+            place.unwritable = True
+            self._host.log("error", f"what {slot.address} carries cannot be written down: {why}")

@@ -7,6 +7,8 @@ from typing import Final
 
 import msgspec
 
+from pancakes.errors import MigrationError
+from pancakes.mesh.migration.snapshot import why_unwritable
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import saved_array
 from pancakes.runtime.kernel.task_table import SettingsNote
@@ -57,9 +59,12 @@ def plain_of(carried: Carried) -> bytes:
     """Returns what a task carries as bytes, which are the same as long as nothing has changed.
 
     Raises:
-        TypeError, OverflowError: its state cannot be encoded.
+        MigrationError: its settings or its state cannot be encoded.
     """
-    return _ENCODE([carried.settings, carried.state, carried.periods_s, carried.heard])
+    try:
+        return _ENCODE([carried.settings, carried.state, carried.periods_s, carried.heard])
+    except codecs.UNENCODABLE as error:
+        raise MigrationError(why_unwritable(carried.settings, carried.state, error)) from None
 
 
 _ENCODE: Final = codecs.encoder(saved_array)

@@ -12,6 +12,7 @@ import msgspec
 
 from pancakes import control
 from pancakes.creation import Create, Remove
+from pancakes.errors import MigrationError
 from pancakes.mesh.guarding.choosing import CanGuard
 from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept, Pledge
 from pancakes.mesh.guarding.taking_over import TakeTask
@@ -335,10 +336,19 @@ class ClientService(Service):
     # Starting and ending ---------------------------------------------------------------------------------------
 
     def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
-        """Returns a task as data, encoded."""
         sent, task_id = self.kernel.seq_of(slot.address).value - 1, self.places.at[slot.name].task_id
         of_slot = {slot.address: sent}
         return snapshot_of(slot.spec, task_id, self.name, carried, self.now(), of_slot, posted).encode()
+
+    def snapshot_at_rest(self, slot: Slot) -> bytes:
+        if slot.carried is None:
+            return b""
+        try:
+            return self.snapshot(slot, slot.carried)
+        except MigrationError as error:
+            slot.carried = None
+            self.log("error", f"what {slot.address} carried is lost, and what is on disk counts: {error}")
+            return b""
 
     def spawn(self, slot: Slot) -> None:
         super().spawn(slot)
@@ -362,8 +372,7 @@ class ClientService(Service):
             answer(slot, effect)
 
     def write_rest(self, slot: Slot) -> None:
-        snapshot = self.snapshot(slot, slot.carried) if slot.carried is not None else b""
-        self.feed(slot, hosting_event.CameToRest(snapshot))
+        self.feed(slot, hosting_event.CameToRest(self.snapshot_at_rest(slot)))
 
     def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
         told = {"tells_each_turn": True} if slot.spec.durability == "each" else {}

@@ -43,6 +43,9 @@ class HostingService(Reference, Protocol):
     def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
         """Returns a task as data, encoded."""
 
+    def snapshot_at_rest(self, slot: Slot) -> bytes:
+        """Returns a task that does not run as data, encoded; empty: what its record has is what counts."""
+
     def look_after(self, place: Place, request: Request) -> None:
         """Sees to it that a request which waits for the journal is told so in time."""
 

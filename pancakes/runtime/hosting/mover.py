@@ -171,15 +171,16 @@ class Mover:
             if rule is None or rule.when != packet.type or slot.life.state is not State.RUNNING:
                 continue
             place = host.places.at[slot.name]
-            due = host.kernel.host.now() >= place.ask_again_s
-            if due and place.move is None and rule.met_by(packet.body):
-                # What is to follow may exist only on the agent where the rule was written.
-                then = rule.then if rule.then in host.slots else ""
-                try:
+            if host.kernel.host.now() < place.ask_again_s or place.move is not None:
+                continue
+            # What is to follow may exist only on the agent where the rule was written.
+            then = rule.then if rule.then in host.slots else ""
+            try:
+                if rule.met_by(packet.body):
                     self.negotiate(slot, Migrate(slot.name, then=then, cost=rule.cost), None)
-                except ControlRefused as error:
-                    place.ask_again_s = host.kernel.host.now() + ASK_AGAIN_S
-                    host.log("warning", f"the rule of {slot.address} could not move it: {error}")
+            except (ControlRefused, MigrationError) as error:
+                place.ask_again_s = host.kernel.host.now() + ASK_AGAIN_S
+                host.log("warning", f"the rule of {slot.address} could not move it: {error}")
 
     # What the Task Migrator tells ------------------------------------------------------------------------------
 

@@ -162,6 +162,7 @@ class Place(msgspec.Struct):
         taking: what guardians have said of a task that this agent is to take; None: it is to take none.
         other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
         unsure: why it does not run, where this agent does not know what it must know.
+        unwritable: whether what it carries could not be written down when it was last looked at.
     """
 
     task_id: TaskId
@@ -186,6 +187,7 @@ class Place(msgspec.Struct):
     taking: Taking | None = None
     other: OtherOwner | None = None
     unsure: Unsure = SURE
+    unwritable: bool = False
 
     @property
     def owes(self) -> bool:

@@ -207,7 +207,7 @@ class ServiceKeeper:
                 owner=self._root,
                 **spec.arguments,
             )
-        except Exception as error:  # what a service's author wrote in __init__ may raise anything
+        except (Exception, SystemExit) as error:  # what a service's author wrote in __init__ may raise anything
             self._fail(place, error, hopeless=isinstance(error, SettingsError))
             return
         # Not before: the next try begins with the same where its constructor fails.

@@ -42,7 +42,7 @@ def data_of(packet: Packet) -> bytes:
     row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
     try:
         data = codecs.encode_json(row)
-    except _CANNOT_ENCODE:
+    except codecs.UNENCODABLE:
         return _exact_data(row, packet)
     return data if _holds_body(data, packet.body) else _exact_data(row, packet)
 
@@ -74,21 +74,19 @@ def _exact_data(row: _Row, packet: Packet) -> bytes:
     try:
         row.exact = base64.b64encode(_WIRE.packet(packet)).decode("ascii")
         return _LISTS(row)
-    except (*_CANNOT_ENCODE, LocalProtocolError) as error:
+    except (*codecs.UNENCODABLE, LocalProtocolError) as error:
         reason = error
     row.exact = ""
     try:
         data = codecs.encode_json(row)
         packet_from_data(packet.channel, packet.type, data)
         return data
-    except (*_CANNOT_ENCODE, RemoteProtocolError):
+    except (*codecs.UNENCODABLE, RemoteProtocolError):
         raise LocalProtocolError(
             f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be recorded: {reason}"
         ) from None
 
 
-# RuntimeError: too deep, or a mapping that its owner changes meanwhile, which no publisher should.
-_CANNOT_ENCODE: Final = (TypeError, ValueError, OverflowError, RuntimeError, MemoryError, msgspec.MsgspecError)
 _LISTS: Final = codecs.json_encoder(as_list)
 _READ: Final = codecs.json_decoder()
 _WIRE: Final = Encoder()

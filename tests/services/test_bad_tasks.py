@@ -1,0 +1,217 @@
+"""A task that does wrong harms itself alone: its service, and the other tasks of that, go on.
+
+What of Pancakes itself fails, fails the test: see docs/testing.md, "What may not fail".
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from msgspec import Struct
+
+from pancakes.control import Describe, Migrate, Restart, Start, Stop
+from pancakes.packet import packet_type
+from pancakes.task import Task, Tick, every
+from pancakes.testing import AgentInTest, FleetInTest
+
+
+@packet_type("bad_tasks.share")
+class Share(Struct, frozen=True):
+    """A reading with a property that fails."""
+
+    part: float
+    whole: float = 0.0
+
+    @property
+    def level(self) -> float:
+        return self.part / self.whole
+
+
+@dataclass
+class Chain:
+    """May contain itself."""
+
+    links: list[Chain] = field(default_factory=list)
+
+
+class Good(Task):
+    """Counts its ticks."""
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    state: State
+
+    @every(hz=10)
+    def tick(self, tick: Tick) -> None:
+        self.state.n += 1
+        if self.state.n == 12:
+            self.do_wrong()
+
+    def do_wrong(self) -> None:
+        pass
+
+
+class Keeps(Good):
+    """Keeps what a subclass puts there."""
+
+    @dataclass
+    class State:
+        n: int = 0
+        whole: int = 0
+        text: str = ""
+        raw: bytes = b""
+        chain: Chain = field(default_factory=Chain)
+
+    state: Any
+
+
+class KeepsALongInteger(Keeps):
+    def do_wrong(self) -> None:
+        self.state.whole = 2**64
+
+
+class KeepsASurrogate(Keeps):
+    def do_wrong(self) -> None:
+        self.state.text = b"\xff".decode(errors="surrogateescape")
+
+
+class KeepsTooMuch(Keeps):
+    def do_wrong(self) -> None:
+        self.state.raw = bytes(20 * 1024 * 1024)
+
+
+class KeepsItself(Keeps):
+    def do_wrong(self) -> None:
+        self.state.chain.links.append(self.state.chain)
+
+
+class KeepsAnotherClass(Keeps):
+    def do_wrong(self) -> None:
+        self.state = Chain()
+
+
+class HasNoState(Keeps):
+    def do_wrong(self) -> None:
+        self.state = None
+
+
+class HasNoSettings(Good):
+    def do_wrong(self) -> None:
+        self.settings = None
+
+
+class CannotBeMadeAgain(Good):
+    @dataclass
+    class State:
+        n: int = 0
+
+        def __post_init__(self) -> None:
+            if self.n >= 12:
+                raise KeyError("spare")
+
+
+class ExitsWhereItIsMade(Good):
+    def __init__(self, *args: Any, **others: Any) -> None:
+        super().__init__(*args, **others)
+        sys.exit(4)
+
+
+BAD = [
+    KeepsALongInteger,
+    KeepsASurrogate,
+    KeepsTooMuch,
+    KeepsItself,
+    KeepsAnotherClass,
+    HasNoState,
+    HasNoSettings,
+    CannotBeMadeAgain,
+    ExitsWhereItIsMade,
+]
+
+
+def with_a_bad_task(fleet: FleetInTest, cls: type[Task]) -> AgentInTest:
+    agent = fleet.start("a", tasks={"Bad": cls, "Good": Good})
+    fleet.start("b")
+    fleet.connect()
+    fleet.run_for(2.5)
+    return agent
+
+
+@pytest.mark.parametrize("asked", [Stop("Bad"), Restart("Bad"), Migrate("Bad"), Describe("Bad", state=True), None])
+@pytest.mark.parametrize("cls", BAD)
+def test_a_bad_task_harms_no_other(cls: type[Task], asked: object) -> None:
+    with FleetInTest(1) as fleet:
+        agent = with_a_bad_task(fleet, cls)
+        if asked is not None:
+            agent.ask(asked)
+            fleet.run_for(1.0)
+        good: Good = agent.task("Good")
+        assert good.state.n == pytest.approx(10 * fleet.now(), abs=1)
+        assert len(agent.events("task_started", task="Good")) == 1
+
+
+@pytest.mark.parametrize(
+    ("cls", "why"),
+    [
+        (KeepsALongInteger, "state.whole: can't serialize ints"),
+        (KeepsASurrogate, "state.text: 'utf-8' codec can't encode character '\\udcff'"),
+        (KeepsTooMuch, "the snapshot of a/Bad has"),
+        (KeepsAnotherClass, "`self.state` is of the class Chain, and not Keeps.State"),
+        (HasNoState, "`self.state` is of the class NoneType, and not Keeps.State"),
+        (HasNoSettings, "`self.settings` is of the class NoneType, and not Nothing"),
+    ],
+)
+def test_what_cannot_be_written_down_is_told_once_with_its_place(cls: type[Task], why: str) -> None:
+    with FleetInTest(1) as fleet:
+        agent = with_a_bad_task(fleet, cls)
+        fleet.run_for(3.0)
+        told = [line for line in agent.lines("error") if "cannot be written down" in line]
+        assert len(told) == 1, told
+        assert told[0].startswith(f"what a/client/Bad carries cannot be written down: {why}")
+
+
+def test_what_can_be_written_down_again_is_written_and_the_next_fault_is_told() -> None:
+    with FleetInTest(1) as fleet:
+        agent = with_a_bad_task(fleet, KeepsALongInteger)
+        for _ in range(2):
+            agent.task("Bad").state.whole = 3
+            fleet.run_for(1.5)
+            agent.task("Bad").state.whole = 2**64
+            fleet.run_for(1.5)
+        assert len([line for line in agent.lines("error") if "cannot be written down" in line]) == 3
+        fleet.crash("a")
+        again = fleet.start("a", tasks={"Bad": KeepsALongInteger, "Good": Good})
+        assert again.task("Bad").state.whole == 3
+
+
+def test_a_task_that_ends_with_what_cannot_be_written_begins_again_from_what_is_on_disk() -> None:
+    with FleetInTest(1) as fleet:
+        agent = with_a_bad_task(fleet, KeepsALongInteger)
+        assert agent.ask(Stop("Bad")).ok
+        lost = [line for line in agent.lines("error") if "carried is lost" in line]
+        assert len(lost) == 1 and "state.whole: can't serialize ints" in lost[0]
+        assert agent.ask(Start("Bad")).ok
+        # The last checkpoint was taken before the twelfth tick.
+        assert agent.task("Bad").state.n < 12 and agent.task("Bad").state.whole == 0
+
+
+def test_a_rule_whose_reading_cannot_be_read_is_told_and_asks_again_after_a_minute() -> None:
+    with FleetInTest(1) as fleet:
+        rule = {"when": "bad_tasks.share", "below": 0.5}
+        agent = fleet.start("a", tasks={"Good": {"type": Good, "migrate": rule}})
+        fleet.start("b")
+        fleet.connect()
+        for _ in range(3):
+            agent.publish("system", Share(1.0))
+            fleet.run_for(1.0)
+        (told,) = [line for line in agent.lines("warning") if "the rule of" in line]
+        assert "could not move it: the level of bad_tasks.share cannot be read: ZeroDivisionError" in told
+        fleet.run_for(60.0)
+        agent.publish("system", Share(1.0, 4.0))
+        fleet.run_for(1.0)
+        assert len(agent.events("migration_asked")) == 1
