@@ -108,6 +108,17 @@ def test_an_unknown_key_at_the_top():
         ("[device.d]\ndriver = 1\n", "a.toml:5: [device.d] driver: expected a string, got an integer"),
         ("[device.d]\ndriver = 'x'\nsettings = 1\n", "a.toml:6: [device.d] settings: expected a table, got an integer"),
         ("[device.d]\nrate_hz = 1\n", "a.toml:4: [device.d] driver: is missing"),
+        (
+            "[record]\ntask = 'Saver'\n",
+            "a.toml:4: [record]: task: 'Saver' is no task id: it must read birthplace/name",
+        ),
+        (
+            "[device.d]\ndriver = 'x'\nrate_hz = 100000000000000000000\n",
+            f"a.toml:6: [device.d] rate_hz: lies beyond what can be saved ({-(2**63)} to {2**64 - 1})",
+        ),
+        ("[device.d]\ndriver = ''\n", "a.toml:5: [device.d] driver: is empty"),
+        ("[service.vision]\ntype = ''\n", "a.toml:5: [service.vision] type: is empty"),
+        ("[task.X]\ntype = ''\n", "a.toml:5: [task.X] type: is empty"),
         ("[service.vision]\n", "a.toml:4: [service.vision] type: is missing"),
         ("[task.X]\n", "a.toml:4: [task.X] type: is missing"),
         (

@@ -12,6 +12,7 @@ from pancakes.bodies.devices.types import Battery, Pose
 from pancakes.errors import ConfigError
 from pancakes.mesh.net.tcp import TcpTransport
 from pancakes.runtime.config import load, parse
+from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.services.device import DeviceService
 from pancakes.runtime.services.network import NetworkService
@@ -131,6 +132,12 @@ radius_m = -1
         "a.toml:10: [service.log] settings.colour: unknown key",
         "a.toml:15: [task.Circle] settings.radius_m: expected a number > 0, not -1",
     ]
+
+
+def test_a_channel_of_the_client_service_has_a_name():
+    text = '[service.client]\nsettings = { channels = ["map", "a/b"] }\n'
+    (said,) = faults(text, {**PARTS, ("pancakes.services", "client"): ClientService})
+    assert said.startswith("a.toml:5: [service.client] settings: channels: 'a/b' is no name: a name has letters")
 
 
 def test_a_second_network_service_is_refused_and_second_ones_of_the_others_are_not():

@@ -202,6 +202,9 @@ class _ConfigReader:
             self._check_name(key, name)
             if "name" in values:
                 self._fault((*key, "name"), f"unknown key; the name stands in the head of the table: [{table}.NAME]")
+            for required in required_keys(cls):
+                if values.get(required) == "":
+                    self._fault((*key, required), "is empty")
             given = {**implied.get(name, {}), **{k: v for k, v in values.items() if k != "name"}, "name": name}
             made[name] = self._make(cls, given, key)
         return made
@@ -215,7 +218,8 @@ class _ConfigReader:
                 text = f"unknown key; the {key[0]}'s own settings belong into its key `settings`"
             bad.add(problem.path[0] if problem.path else "")
             self._fault((*key, *problem.path), text, near)
-        sound = {name: value for name, value in values.items() if name in own and name not in bad}
+        whole = "" not in bad  # else its parts are sound, and do not fit each other
+        sound = {name: value for name, value in values.items() if whole and name in own and name not in bad}
         return codecs.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)
 
     def _check_name(self, key: KeyPath, name: str, client: bool = False) -> bool:

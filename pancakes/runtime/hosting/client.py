@@ -23,6 +23,7 @@ from pancakes.mesh.migration.rest import rest_of
 from pancakes.mesh.migration.snapshot import Posted, Snapshot
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, join
+from pancakes.runtime.foundation.names import fault_of_name
 from pancakes.runtime.hosting import hosting_effect, hosting_event
 from pancakes.runtime.hosting.arrivals import Arrivals
 from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
@@ -98,6 +99,11 @@ class ClientService(Service):
         """
 
         channels: list[str] = []
+
+        def __post_init__(self) -> None:
+            for name in self.channels:
+                if fault := fault_of_name(name):
+                    raise ValueError(f"channels: {fault}")
 
     keeps_changes: ClassVar[bool] = True
     # A record must have been taken up before anything else is heard of its task.

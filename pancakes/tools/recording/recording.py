@@ -12,7 +12,6 @@ import msgspec
 
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.events import Event
-from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import TO_TASK, Packet, type_name
 from pancakes.runtime.clock import wall_ns
 from pancakes.runtime.kernel.backlog import Backlog
@@ -88,8 +87,6 @@ class Recording:
         # Only now: mcap is installed with an extra, and an agent that records nothing does without it.
         with needing_extra("nothing can be recorded"):
             from pancakes.tools.recording.parts import RecordingParts
-        if settings.task:
-            TaskId.parse(settings.task)  # a bare name fits no task, and the recording would stay empty
         self._kernel = kernel
         self._agent = kernel.agent
         self._settings = settings

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from pancakes.errors import MigrationError
+from pancakes.mesh.migration.record import TaskId
 from pancakes.settings import FilePath
 
 Size = Annotated[float, Meta(ge=0, le=1e9)]
@@ -37,3 +39,10 @@ class RecordingSettings(Struct):
     at_limit: Literal["stop", "drop_oldest"] = "stop"
     free_mib: Size = 64.0
     viewer: bool = True
+
+    def __post_init__(self) -> None:
+        try:
+            if self.task:  # a bare name fits no task, and the recording would stay empty
+                TaskId.parse(self.task)
+        except MigrationError as error:
+            raise ValueError(f"task: {error}") from None
