@@ -119,18 +119,25 @@ def test_any_mcap_reader_finds_topics_schemas_and_times(tmp_path):
     assert schema_for("pose")["properties"]["body"]["properties"]["x_m"]["type"] == "number"
 
 
+class Odd(str):
+    """Fails where it is made a string."""
+
+    def __str__(self) -> str:
+        raise KeyError("odd")
+
+
 def test_a_body_that_no_packet_may_hold_is_refused_and_the_file_is_as_it_was(tmp_path):
     writer = RecordingWriter(tmp_path / "r.mcap", {})
     around: dict[str, Any] = {}
     around["itself"] = around
     writer.write(pose(0))
-    for number, body in ((1, object()), (2, around)):
+    for number, body in ((1, object()), (2, around), (3, Odd("x"))):
         refused = f"the packet {number + 1} of the type 'pose' from a/device/pose cannot be recorded"
         with pytest.raises(LocalProtocolError, match=refused):
             writer.write(pose(number, body=body))
-    writer.write(pose(3))
+    writer.write(pose(4))
     writer.close()
-    assert [entry.packet.seq for entry in read(tmp_path / "r.mcap")[0]] == [1, 4]
+    assert [entry.packet.seq for entry in read(tmp_path / "r.mcap")[0]] == [1, 5]
 
 
 def test_a_file_that_is_cut_off_anywhere_gives_what_is_whole_and_is_repaired(tmp_path):

@@ -148,3 +148,17 @@ def test_a_task_that_comes_with_a_path_elsewhere_is_declined(fleet):
     assert a.running() == ["Writer", "Usual"]
     assert a.ask(Migrate("Usual")).ok, "what its class has as its default is the word of no other"
     assert b.running() == ["Usual"]
+
+
+def test_a_class_that_raises_anything_where_nothing_is_set_has_no_usual_paths(tmp_path):
+    @dataclass
+    class Settings:
+        path: FilePath = ""
+
+        def __post_init__(self) -> None:
+            if not self.path:
+                raise KeyError("path")
+
+    folders = Folders("a", [str(tmp_path)])
+    assert folders.refusal_of(Settings, {"path": str(tmp_path / "x")}) == ""
+    assert "lies outside of the folders" in folders.refusal_of(Settings, {"path": "/elsewhere"})

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.errors import LocalProtocolError, RemoteProtocolError, describe
 from pancakes.mesh.wire.codec import Encoder, packet_from_row, rows_from_payload
 from pancakes.packet import Cause, Fence, Packet, body_from_plain, has_fields
 from pancakes.runtime.foundation import codecs
@@ -42,7 +42,7 @@ def data_of(packet: Packet) -> bytes:
     row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
     try:
         data = codecs.encode_json(row)
-    except codecs.UNENCODABLE:
+    except Exception:  # what is in a body may run code of its own where it is encoded
         return _exact_data(row, packet)
     return data if _holds_body(data, packet.body) else _exact_data(row, packet)
 
@@ -74,14 +74,14 @@ def _exact_data(row: _Row, packet: Packet) -> bytes:
     try:
         row.exact = base64.b64encode(_WIRE.packet(packet)).decode("ascii")
         return _LISTS(row)
-    except (*codecs.UNENCODABLE, LocalProtocolError) as error:
-        reason = error
+    except Exception as error:  # as in `data_of`
+        reason = describe(error)
     row.exact = ""
     try:
         data = codecs.encode_json(row)
         packet_from_data(packet.channel, packet.type, data)
         return data
-    except (*codecs.UNENCODABLE, RemoteProtocolError):
+    except Exception:  # as in `data_of`
         raise LocalProtocolError(
             f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be recorded: {reason}"
         ) from None
