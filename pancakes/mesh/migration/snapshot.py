@@ -208,8 +208,11 @@ def offer_of(data: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def begins_alike(one: bytes, other: bytes) -> bool:
-    """Returns whether a task that begins from either of two snapshots is the same."""
-    return bool(one and other) and _without_phases(one) == _without_phases(other)
+    """Returns whether a task that begins from either of two snapshots is the same; one that cannot be read is none."""
+    try:
+        return bool(one and other) and _without_phases(one) == _without_phases(other)
+    except MigrationError:
+        return False
 
 
 def _without_phases(encoded: bytes) -> bytes:

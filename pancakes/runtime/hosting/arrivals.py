@@ -9,7 +9,7 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.control import Revive
-from pancakes.errors import PancakesError, RemoteProtocolError
+from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
 from pancakes.mesh.migration.candidate import would_take
 from pancakes.mesh.migration.effect import StartTask
 from pancakes.mesh.migration.event import Received
@@ -80,7 +80,8 @@ class Arrivals:
             place.began = began_from(record.epoch, snapshot)
             specs = [] if task_id.name in host.residents else [self._spec_here(snapshot)]
         except (PancakesError, msgspec.ValidationError) as error:
-            host.log("error", f"{task_id} rests in the journal and cannot be started: {error}")
+            if task_id.name not in host.residents:  # else that is said where its start is refused
+                host.log("error", f"{task_id} rests in the journal and cannot be started: {error}")
             return []
         if record.phase is Phase.PREPARED:
             # A task that is in doubt may be started any moment: no other task here may take its actuators before.
@@ -209,6 +210,11 @@ class Arrivals:
             place.unsure = unsure
             return Room(asked, unsure.why, for_good=unsure.for_good)
         reason = self._host.admit(slot)
+        if not reason and record.snapshot and slot.carried is None and not slot.fresh:
+            try:
+                Snapshot.decode(record.snapshot)
+            except MigrationError as error:
+                reason = self._unreadable(slot, error)
         if not reason and asked.keep:
             reason = registry.reserve(slot.address, slot.spec.cls.requires)
         if reason:
@@ -221,13 +227,19 @@ class Arrivals:
             snapshot = self._host.snapshot(slot, None)
         return Room(asked, snapshot=snapshot, guardian=self._host.first_guardian(place))
 
+    def _unreadable(self, slot: Slot, error: MigrationError) -> str:
+        return (
+            f"what is on disk of it cannot be read: {error}; `pancakes task restart --drop-state"
+            f" {self._host.agent}/{slot.name}` begins it as its configuration says"
+        )
+
     def open(self, place: Place, start: StartTask) -> PlaceFree | NoPlace | None:
         """Opens a place for a task among the tasks of the service; returns what follows."""
         if place.task_id.name in self._host.slots:
             return None  # the actor of a task of the same name that was given away has not ended yet
         try:
             self._host.open_slot(self._spec_here(Snapshot.decode(start.snapshot)))
-        except PancakesError as error:
+        except (PancakesError, msgspec.ValidationError) as error:
             self._host.log("error", f"{place.task_id} is ours, but cannot be started: {error}")
             return NoPlace(str(error))
         return PlaceFree()
@@ -245,7 +257,10 @@ class Arrivals:
 
     def prepare(self, slot: Slot, place: Place, start: StartTask) -> Admitted | LeaveRefused:
         """Gives the place of a task what it begins with, and its actuators; returns whether it may start."""
-        snapshot = Snapshot.decode(start.snapshot)
+        try:
+            snapshot = Snapshot.decode(start.snapshot)
+        except MigrationError as error:
+            return LeaveRefused(self._unreadable(slot, error))
         place.written, place.looked_s = None, self._host.kernel.host.now()
         slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(place.task_id), (start.epoch.n, start.epoch.minter))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, ClassVar, Final, assert_never
 
@@ -101,9 +102,8 @@ class ClientService(Service):
         channels: list[str] = []
 
         def __post_init__(self) -> None:
-            for name in self.channels:
-                if fault := fault_of_name(name):
-                    raise ValueError(f"channels: {fault}")
+            if faults := [fault for fault in map(fault_of_name, self.channels) if fault]:
+                raise ValueError(f"channels: {faults[0]}")
 
     keeps_changes: ClassVar[bool] = True
     # A record must have been taken up before anything else is heard of its task.
@@ -391,9 +391,10 @@ class ClientService(Service):
 
     def carried_of(self, slot: Slot) -> Carried:
         record = self.places.at[slot.name].standing.record
-        if slot.carried is not None or not record.snapshot:
-            return super().carried_of(slot)
-        return carried_of(Snapshot.decode(record.snapshot))
+        if slot.carried is None and record.snapshot:
+            with suppress(MigrationError):  # where it is started, that is said
+                return carried_of(Snapshot.decode(record.snapshot))
+        return super().carried_of(slot)
 
     def drop_state(self, slot: Slot) -> None:
         # What it has heard it has heard: its sender may not know yet, and sends that again.

@@ -10,7 +10,7 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.control import Checkpoints, Guarding, Take
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefused, MigrationError
 from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
 from pancakes.mesh.guarding.guard_messages import (
     NO_CHECKPOINT,
@@ -218,7 +218,11 @@ class Guardian(Component):
         }
         if owner != self.agent or register.body is None:
             return row
-        snapshot, permits = Snapshot.decode(register.body.snapshot), self.kernel.permits
+        try:
+            snapshot = Snapshot.decode(register.body.snapshot)
+        except MigrationError:  # where the task is started, that is said
+            return row
+        permits = self.kernel.permits
         address = join(self.agent, snapshot.service, register.task_id.name)
         return {
             **row,

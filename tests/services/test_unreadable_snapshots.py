@@ -1,0 +1,97 @@
+"""A task whose snapshot on disk cannot be read, as another version wrote it, say: it rests, and all else runs."""
+
+from typing import Any
+
+import msgpack
+import pytest
+from msgspec.structs import replace
+from services.counting import Count
+
+from pancakes.control import Describe, Guarding, Restart, Start, Stop
+from pancakes.creation import Create
+from pancakes.mesh.migration.record import Record, TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.runtime.journal.seal import JournalEntry, seal, unseal
+from pancakes.testing import AgentInTest, FleetInTest
+
+WHY = "what is on disk of it cannot be read: these 1 bytes are no snapshot of a task"
+HOW = "`pancakes task restart --drop-state a/Count` begins it as its configuration says"
+
+
+def rewritten(fleet: FleetInTest, name: str, snapshot: bytes | None = None, **changes: Any) -> AgentInTest:
+    """Ends a, has the record of a task say something else, and starts a again."""
+    journal = fleet.agents["a"].agent.mesh.identity.journal
+    fleet.run_for(2.0)
+    fleet.crash("a")
+    disk, file = fleet.fleet.disk("a"), f"record.a%2F{name}.rec"
+    entry = unseal(journal, disk[file])
+    record = Record.decode(entry.data)
+    if snapshot is None:
+        snapshot = replace(Snapshot.decode(record.snapshot), **changes).encode()
+    disk[file] = seal(journal, JournalEntry(entry.kind, entry.key, replace(record, snapshot=snapshot).encode()))
+    register = f"guard.a%2F{name}.rec"
+    if register in disk:
+        entry = unseal(journal, disk[register])
+        of_guardian = msgpack.unpackb(entry.data)
+        of_guardian["register"]["body"]["snapshot"] = snapshot
+        disk[register] = seal(journal, JournalEntry(entry.kind, entry.key, msgpack.packb(of_guardian)))
+    agent = fleet.restart("a")
+    fleet.run_for(5.0)
+    return agent
+
+
+@pytest.mark.parametrize("guard", [{}, {"guard": 3}])
+def test_a_configured_task_waits_until_a_person_drops_its_state(guard: dict[str, int]) -> None:
+    with FleetInTest(2) as fleet:
+        fleet.start("a", tasks={"Other": Count, "Count": {"type": Count, **guard}})
+        fleet.start("b")
+        fleet.start("c")
+        fleet.connect()
+        a = rewritten(fleet, "Count", b"\x80")
+        assert a.running() == ["Other"]
+        (told,) = [line for line in a.lines("error") if "a/client/Count" in line]
+        assert told.startswith(f"a/client/Count was not started: {WHY}") and told.endswith(HOW)
+        # It is tried again each second, and nothing is written for that.
+        client: Any = a.component("client")
+        place = client.places[TaskId("a", "Count")]
+        record = place.standing.record
+        fleet.run_for(5.0)
+        assert place.standing.record is record
+        assert a.ask(Describe("Count")).result["reason"].startswith(WHY)
+        guarded = a.ask(Guarding())
+        assert guarded.ok and ([row["task_id"] for row in guarded.result] == ["a/Count"] if guard else True)
+        for body in (Start("Count"), Restart("Count")):
+            assert a.ask(body).reason.startswith(WHY)
+
+        assert a.ask(Restart("Count", keep_state=False)).ok
+        fleet.run_for(2.0)
+        assert a.ask(Stop("Count")).ok
+        assert a.ask(Start("Count")).ok
+        n = a.task("Count").state.n
+        fleet.crash("a")
+        again = fleet.restart("a")
+        fleet.run_for(5.0)
+        assert again.task("Count").state.n >= n and again.lines("error") == []
+
+
+def test_a_stop_is_answered_and_outlives_the_agent() -> None:
+    with FleetInTest(2) as fleet:
+        fleet.start("a", tasks={"Other": Count, "Count": Count})
+        a = rewritten(fleet, "Count", b"\x80")
+        assert a.ask(Stop("Count")).ok
+        fleet.crash("a")
+        again = fleet.restart("a")
+        fleet.run_for(2.0)
+        assert again.running() == ["Other"] and again.lines("error") == []
+
+
+@pytest.mark.parametrize(
+    ("snapshot", "changes"), [(b"\x80", {}), (None, {"restart": {"policy": "daily"}}), (None, {"migrate": {"when": 3}})]
+)
+def test_a_task_that_no_file_names_harms_no_other(snapshot: bytes | None, changes: dict[str, Any]) -> None:
+    with FleetInTest(2, classes={"test.Count": Count}) as fleet:
+        a = fleet.start("a", tasks={"Other": Count})
+        assert a.ask(Create("Count", "test.Count")).ok
+        again = rewritten(fleet, "Count", snapshot, **changes)
+        assert again.running() == ["Other"]
+        assert any(line.startswith("a/Count rests in the journal") for line in again.lines("error"))
