@@ -1,5 +1,6 @@
-"""A task whose snapshot on disk cannot be read, as another version wrote it, say: it rests, and all else runs."""
+"""What other versions have left on disk: a task that cannot go on from it rests, and all else runs."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import msgpack
@@ -12,6 +13,7 @@ from pancakes.creation import Create
 from pancakes.mesh.migration.record import Record, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.runtime.journal.seal import JournalEntry, seal, unseal
+from pancakes.task import Task
 from pancakes.testing import AgentInTest, FleetInTest
 
 WHY = "what is on disk of it cannot be read: these 1 bytes are no snapshot of a task"
@@ -95,3 +97,44 @@ def test_a_task_that_no_file_names_harms_no_other(snapshot: bytes | None, change
         again = rewritten(fleet, "Count", snapshot, **changes)
         assert again.running() == ["Other"]
         assert any(line.startswith("a/Count rests in the journal") for line in again.lines("error"))
+
+
+class Earlier(Task):
+    @dataclass
+    class State:
+        n: int = 7
+        gone: int = 3
+
+
+class Later(Task):
+    @dataclass
+    class State:
+        n: int = 0
+        new: int = 5
+
+
+class Wider(Task):
+    @dataclass
+    class State:
+        n: int = 0
+        gone: int = 0
+        new: int = 5
+
+    state: State
+
+
+def test_a_later_version_of_a_class_reads_what_an_earlier_one_saved() -> None:
+    with FleetInTest(2) as fleet:
+        fleet.start("a", tasks={"Task": Earlier})
+        fleet.run_for(2.0)
+        fleet.crash("a")
+        wider = fleet.start("a", tasks={"Task": Wider})
+        state: Wider.State = wider.task("Task").state
+        assert (state.n, state.gone, state.new) == (7, 3, 5)
+        fleet.run_for(2.0)
+        fleet.crash("a")
+        later = fleet.start("a", tasks={"Task": Later, "Other": Count})
+        assert later.running() == ["Other"]
+        assert any("bad settings for Later.State: gone: unknown key" in line for line in later.lines("error"))
+        assert later.ask(Restart("Task", keep_state=False)).ok
+        assert later.task("Task").state == Later.State()
