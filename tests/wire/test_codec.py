@@ -134,6 +134,13 @@ class Place(NamedTuple):
     y_m: float
 
 
+class Fails(str):
+    """Fails where it is made a string."""
+
+    def __str__(self) -> str:
+        raise KeyError("fails")
+
+
 def test_named_tuples_enums_of_ints_and_the_like_become_plain():
     body = [Place(1.0, 2.0), Number.ONE, bytearray(b"b"), OrderedDict(a=1)]
     assert there_and_back(packet(body)).body == [[1.0, 2.0], 1, b"b", {"a": 1}]
@@ -155,6 +162,7 @@ def test_named_tuples_enums_of_ints_and_the_like_become_plain():
         ([0] * (MAX_ARRAY_LENGTH + 1), "list of 65537"),
         ({str(number): 0 for number in range(MAX_MAP_LENGTH + 1)}, "map of 4097"),
         (bytes(MAX_MESSAGE_BYTES), "a frame has room"),
+        ([Fails("x")], r"KeyError: 'fails' at test_codec.py:\d+ in __str__"),
     ],
 )
 def test_what_cannot_travel_is_an_error_that_names_the_packet(body, problem):

@@ -176,12 +176,20 @@ class NamedOpen(NamedTuple):
     anything: Any
 
 
+class Fails(str):
+    """Fails where it is made a string."""
+
+    def __str__(self) -> str:
+        raise KeyError("fails")
+
+
 NO_NUMBER: Any = object()
 A_SET: Any = {1}
 
 
 @pytest.mark.parametrize(
-    "body", [{1, 2}, [{"a": {1: 2}}], [0] * 65_537, Open({1}), Open([object()]), Pose(A_SET, 0, NO_NUMBER)]
+    "body",
+    [{1, 2}, [{"a": {1: 2}}], [0] * 65_537, Open({1}), Open([object()]), Open(Fails("x")), Pose(A_SET, 0, NO_NUMBER)],
 )
 def test_what_does_not_travel_is_found_at_any_depth(body):
     for _ in range(2):

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 
 import msgspec
 
-from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
+from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError, describe
 from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, MAX_PAYLOAD_BYTES
 from pancakes.mesh.wire.link_messages import LinkMessage
 from pancakes.mesh.wire.packet_bodies import encodable, received_body, unpacked
@@ -49,8 +49,9 @@ class _PacketRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc
 
 def unsendable(packet: Packet, error: Exception) -> LocalProtocolError:
     """Returns the sentence that names a packet and says why it cannot be sent."""
+    why = str(error) if isinstance(error, (WireError, *codecs.UNENCODABLE)) else describe(error)
     return LocalProtocolError(
-        f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be sent: {error}"
+        f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be sent: {why}"
     )
 
 
@@ -80,7 +81,7 @@ class Encoder:
             )
             if len(message) > MAX_MESSAGE_BYTES:
                 raise LocalProtocolError(f"it takes {len(message)} bytes, and a frame has room for {MAX_MESSAGE_BYTES}")
-        except (WireError, *codecs.UNENCODABLE) as error:
+        except Exception as error:  # what is in a body may run code of its own where it is encoded
             raise unsendable(packet, error) from None
         return message
 

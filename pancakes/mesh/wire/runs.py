@@ -35,8 +35,6 @@ LONGEST_REASON: Final = 1000
 _ROOM: Final = MAX_MESSAGE_BYTES - 3  # for a head and its rows, behind the longest header of the array of rows
 
 _HEAD_LENGTH: Final = 7
-_BAD_BODY: Final = (WireError, AttributeError, *codecs.UNENCODABLE)
-"""What a body raises that cannot travel. `AttributeError`: it lacks one of its fields."""
 
 
 class PacketRun(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fields=True):
@@ -141,7 +139,7 @@ class RowEncoder:
                 raise LocalProtocolError(
                     f"it takes {_ROOM - self.most + len(row)} bytes, and a frame has room for {_ROOM}"
                 )
-        except _BAD_BODY as error:
+        except Exception as error:  # as in `codec.Encoder.packet`
             raise unsendable(packet, error) from None
         return row
 
