@@ -114,7 +114,7 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
         try:
             _convert(settings, cls)
             return []
-        except Exception:  # what its author wrote in __post_init__ may raise anything
+        except (Exception, SystemExit):  # what its author wrote in __post_init__ may raise anything
             pass  # the walk says what is wrong, and where
     try:
         problems = list(_walk(cls, settings, ()))
@@ -136,7 +136,7 @@ def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = 
     if _is_simple(cls, settings, allow_nan):
         try:
             return _convert(settings, cls) if settings else cls()
-        except Exception:  # as in `check_settings`
+        except (Exception, SystemExit):  # as in `check_settings`
             pass
     problems = check_settings(cls, settings, allow_nan)
     if problems:
@@ -348,7 +348,7 @@ def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Proble
         yield Problem(path, _phrase(str(error), value))
     except (TypeError, NameError, RecursionError):
         raise
-    except Exception as error:  # what its author wrote in __post_init__ may raise anything
+    except (Exception, SystemExit) as error:  # what its author wrote in __post_init__ may raise anything
         yield Problem(path, describe(error, kind if isinstance(kind, type) else None))
 
 

@@ -52,5 +52,5 @@ def _usual(cls: type) -> dict[tuple[str | int, ...], str]:
     """Returns the paths that settings of a class have where nothing is set."""
     try:
         return dict(paths_in(cls, plain_settings(cls())))
-    except Exception:  # something must be set, or the class refuses itself as it is
+    except (Exception, SystemExit):  # something must be set, or the class refuses itself as it is
         return {}

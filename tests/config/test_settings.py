@@ -145,14 +145,15 @@ def test_what_cannot_be_saved_is_neither_setting_nor_state(allow_nan: bool):
     assert make_settings(Odd, sound, allow_nan).number == 2**64 - 1
 
 
-def test_whatever_a_class_raises_about_its_values_is_a_problem():
+@pytest.mark.parametrize("error", [KeyError(3), SystemExit(3)])
+def test_whatever_a_class_raises_about_its_values_is_a_problem(error: BaseException):
     @dataclass
     class Inner:
         size: int = 0
 
         def __post_init__(self) -> None:
             if self.size > 2:
-                raise KeyError(self.size)
+                raise error
 
     @dataclass
     class Outer:
@@ -161,8 +162,8 @@ def test_whatever_a_class_raises_about_its_values_is_a_problem():
 
     for settings, place in (({"inner": {"size": 3}}, "inner"), ({"table": {"x": {"size": 3}}}, "table.x")):
         (problem,) = check_settings(Outer, settings)
-        assert str(problem).startswith(f"{place}: KeyError: 3 at test_settings.py:")
-    with pytest.raises(SettingsError, match="bad settings for a: KeyError: 3 at test_settings"):
+        assert str(problem).startswith(f"{place}: {type(error).__name__}: 3 at test_settings.py:")
+    with pytest.raises(SettingsError, match=f"bad settings for a: {type(error).__name__}: 3 at test_settings"):
         make_settings(Inner, {"size": 3}, owner="a")
 
 
