@@ -42,6 +42,13 @@ def test_a_disk_that_comes_back_after_another_one_is_remembered() -> None:
     assert known.after(Boot("disk", 3, "third")) == MET
 
 
+def test_of_each_journal_the_newest_boot_is_remembered() -> None:
+    # Each came in a packet of its own: equal, and not the same text.
+    later = Boot("disk".upper().lower(), 6, "sixth")
+    assert later.journal is not MET.journal
+    assert seen(MET, later).boots == (later,)
+
+
 def test_the_newest_journals_of_an_agent_are_remembered() -> None:
     known = seen(MET, *(Boot(f"disk {number}", 1, "first") for number in range(MOST_JOURNALS)))
     assert len(known.boots) == MOST_JOURNALS and known.after(Boot("disk", 1, "first")) is None
