@@ -53,9 +53,9 @@ class OddValues:
             return draw.choice(list(kind))
         if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
             return self.of_class(kind, depth + 1)
-        if isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields"):
+        if isinstance(kind, type) and issubclass(kind, tuple):  # a named one
             hints = get_type_hints(kind, include_extras=True)
-            return kind(*(self.of(hints[name], depth + 1) for name in kind._fields))
+            return kind(*(self.of(hint, depth + 1) for hint in hints.values()))
         if origin is tuple and arguments[-1] is not Ellipsis:
             return tuple(self.of(it, depth + 1) for it in arguments)
         if origin in (list, tuple, set, frozenset):
