@@ -107,6 +107,17 @@ def test_the_share_is_a_setting_and_without_one_everything_is_written(fleet, tmp
     assert 1 <= written < 20 and written + left_out == 3000
 
 
+def test_what_is_said_is_written_in_its_own_letters(fleet, tmp_path):
+    class Says(Task):
+        def on_start(self):
+            self.log("info", "die Räder sind lose")
+
+    path = tmp_path / "a.jsonl"
+    fleet.start("a", tasks={"Says": Says}, services=log_of(file=str(path)))
+    fleet.run_for(0.1)
+    assert "die Räder sind lose" in path.read_text(encoding="utf-8")
+
+
 def test_what_the_log_service_remembers_is_not_cut_short(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Chatty": Chatty}, services=log_of(file=str(tmp_path / "a.jsonl")))
     fleet.run_for(3.0)
@@ -123,7 +134,9 @@ def test_the_log_takes_no_more_of_the_disk_than_its_settings_say(fleet, tmp_path
     fleet.run_for(10.0)
     names = sorted(found.name for found in tmp_path.iterdir())
     assert names == ["a.jsonl", "a.jsonl.1", "a.jsonl.2"]
-    assert all(found.stat().st_size <= 0.25 * 1024 * 1024 for found in tmp_path.iterdir())
+    limit, longest = 0.25 * 1024 * 1024, max(map(len, path.read_bytes().splitlines(keepends=True)))
+    assert all(found.stat().st_size <= limit for found in tmp_path.iterdir())
+    assert all((tmp_path / name).stat().st_size > limit - longest for name in names[1:]), "each is full"
     assert texts(path, "a/client/Chatty")[-1].startswith("line 99 at 10 ")
 
 

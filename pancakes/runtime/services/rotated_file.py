@@ -61,9 +61,8 @@ class _Handler(RotatingFileHandler):
         return file
 
     def _is_torn(self) -> bool:
-        with suppress(OSError):
-            found = os.stat(self.baseFilename)
-            if stat.S_ISREG(found.st_mode) and found.st_size:
+        with suppress(OSError):  # it is empty, say
+            if stat.S_ISREG(os.stat(self.baseFilename).st_mode):
                 with open(self.baseFilename, "rb") as file:
                     file.seek(-1, os.SEEK_END)
                     return file.read(1) != b"\n"
