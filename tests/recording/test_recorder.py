@@ -470,3 +470,11 @@ def test_the_table_record_starts_it_with_the_agent(fleet, tmp_path):
     waiting = fleet.start("b", '[record]\nstart = false\npath = "never.mcap"\n')
     assert waiting.ask(Describe(RECORDER)).result["state"] == "stopped"
     assert waiting.ask(Describe(RECORDER)).result["settings"]["path"] == "never.mcap"
+
+
+def test_of_a_recording_that_the_configuration_starts_nothing_is_written_down(fleet, tmp_path):
+    fleet.start("a", f"[record]\npath = '{tmp_path / 'r.mcap'}'\n")
+    fleet.run_for(1.0)
+    fleet.stop("a")
+    assert (tmp_path / "r.mcap").exists()
+    assert not [name for name in fleet.fleet.disk("a") if name.startswith("recording.")]
