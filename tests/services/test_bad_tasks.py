@@ -189,6 +189,21 @@ def test_what_can_be_written_down_again_is_written_and_the_next_fault_is_told() 
         assert again.task("Bad").state.whole == 3
 
 
+def test_a_fault_is_told_again_after_the_task_was_as_it_had_been_written() -> None:
+    class Flips(Keeps):
+        def do_wrong(self) -> None:
+            self.reschedule(0.001)  # from here on its state stays as it is
+
+    with FleetInTest(1) as fleet:
+        agent = with_a_bad_task(fleet, Flips)
+        for _ in range(2):
+            agent.task("Bad").state.whole = 2**64
+            fleet.run_for(1.5)
+            agent.task("Bad").state.whole = 0
+            fleet.run_for(1.5)
+        assert len([line for line in agent.lines("error") if "cannot be written down" in line]) == 2
+
+
 def test_a_task_that_ends_with_what_cannot_be_written_begins_again_from_what_is_on_disk() -> None:
     with FleetInTest(1) as fleet:
         agent = with_a_bad_task(fleet, KeepsALongInteger)

@@ -102,7 +102,7 @@ class Checkpointing:
         try:
             plain = plain_of(carried)
             if place.written is not None and place.written.plain == plain and not place.owes:
-                place.looked_s = self._host.kernel.host.now()
+                place.looked_s, place.unwritable = self._host.kernel.host.now(), False
                 return
             snapshot = self._host.snapshot(slot, carried)
         except PancakesError as error:
