@@ -134,7 +134,7 @@ class Rig:
 
     def config(self, name: str, rest: str = "", *, fleet: str = "test", agent: str = "", file: str = "") -> Path:
         """Writes the configuration of an agent that listens at a free port, and makes its keys, unless it has none."""
-        if INSECURE not in rest:
+        if "insecure = true" not in rest:
             self.keys.of_agent(fleet, name, "environment" if 'role = "environment"' in agent else "agent")
         text = f'schema = 1\n\n[agent]\nname = "{name}"\nfleet = "{fleet}"\nlisten = "tcp://127.0.0.1:0"\n{agent}\n{rest}\n'
         path = self.directory / (file or f"{name}.toml")
