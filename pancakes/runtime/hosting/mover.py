@@ -89,7 +89,7 @@ class Mover:
         if place.removal is not None and not describes:
             raise ControlRefused(f"{slot.address} is being removed")
         asks_state = describes and (body.state or body.began)
-        changes = asks_state or isinstance(body, Stop | Reschedule | Configure | Remove)
+        changes = asks_state or isinstance(body, Stop | Reschedule | Configure | Migrate | Remove)
         if record.phase is Phase.RELEASED and not record.removed and changes:
             raise ControlRefused(f"{slot.name} moved to {record.peer}")
 
