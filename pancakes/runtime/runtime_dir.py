@@ -25,6 +25,8 @@ from pancakes.runtime.foundation.printable import printable
 
 VARIABLE: Final = "PANCAKES_RUNTIME_DIR"
 """The environment variable that names another directory."""
+LOOK_S: Final = 5.0
+"""So often an agent looks whether what it has put there is still there, in seconds."""
 _SUFFIX: Final = ".json"
 _TEMPORARY: Final = ".tmp"
 _NAME: Final = re.compile(r".+\.\d+\.json(\.tmp)?", re.DOTALL)
@@ -62,11 +64,37 @@ _DECODE: Final = codecs.json_decoder(RunningAgent)
 
 
 class Registration:
-    """An agent's own entry; it stands until `remove`, or until the process ends."""
+    """An agent's own entry; it stands until `remove`, or until the process ends.
 
-    def __init__(self, path: Path, handle: int) -> None:
-        self._path = path
-        self._handle: int | None = handle
+    Args:
+        entry: what it says.
+        group: members of this group may read it as well; empty: its user alone.
+
+    Raises:
+        PancakesError: the directory cannot be used; the sentence says why.
+    """
+
+    def __init__(self, entry: RunningAgent, group: str = "") -> None:
+        self._entry = entry
+        self._group = group
+        self._path = runtime_dir() / f"{entry.name}.{entry.pid}{_SUFFIX}"
+        self._handle: int | None = self._write()
+
+    def renew(self) -> bool:
+        """Writes the entry again where it is gone: the directory of a person's session ends with the session.
+
+        Returns:
+            Whether it was gone, and is there again.
+        """
+        if self._handle is None or is_at(self._path, os.fstat(self._handle)):
+            return False
+        try:
+            handle = self._write()
+        except PancakesError:
+            return False  # the directory comes back with the next session
+        os.close(self._handle)
+        self._handle = handle
+        return True
 
     def remove(self) -> None:
         """Takes the entry away. A second call does nothing."""
@@ -76,6 +104,26 @@ class Registration:
             self._path.unlink(missing_ok=True)
         os.close(self._handle)  # which gives the lock back
         self._handle = None
+
+    def _write(self) -> int:
+        """Writes the entry: a reader finds all of it, or nothing. Returns the file, open and locked."""
+        directory = self._path.parent
+        try:
+            make_directory(directory, self._group)
+            temporary = self._path.with_name(self._path.name + _TEMPORARY)
+            handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if self._group:
+                    open_to(handle, self._group, 0o640)
+                os.write(handle, codecs.encode_json(self._entry))
+                os.replace(temporary, self._path)
+            except BaseException:
+                os.close(handle)
+                raise
+        except OSError as error:
+            raise _unusable(directory, error) from None
+        return handle
 
 
 def runtime_dir() -> Path:
@@ -87,36 +135,6 @@ def runtime_dir() -> Path:
     if base and os.path.isdir(base):
         return Path(base) / "pancakes"
     return Path(f"/tmp/pancakes-{os.getuid()}")
-
-
-def register(entry: RunningAgent, group: str = "") -> Registration:
-    """Writes an agent's entry: a reader finds all of it, or nothing.
-
-    Args:
-        entry: what it says.
-        group: members of this group may read it as well; empty: its user alone.
-
-    Raises:
-        PancakesError: the directory cannot be used; the sentence says why.
-    """
-    directory = runtime_dir()
-    try:
-        make_directory(directory, group)
-        path = directory / f"{entry.name}.{entry.pid}{_SUFFIX}"
-        temporary = path.with_name(path.name + _TEMPORARY)
-        handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if group:
-                open_to(handle, group, 0o640)
-            os.write(handle, codecs.encode_json(entry))
-            os.replace(temporary, path)
-        except BaseException:
-            os.close(handle)
-            raise
-    except OSError as error:
-        raise _unusable(directory, error) from None
-    return Registration(path, handle)
 
 
 class Found(msgspec.Struct, frozen=True):
@@ -194,6 +212,15 @@ def make_directory(directory: Path, group: str = "") -> None:
     usable(directory)
     if group:
         open_to(directory, group, 0o750)
+
+
+def is_at(path: Path, made: os.stat_result) -> bool:
+    """Returns whether what was made at a path is still there."""
+    try:
+        there = os.lstat(path)
+    except OSError:
+        return False
+    return (there.st_ino, there.st_dev) == (made.st_ino, made.st_dev)
 
 
 def open_to(path: int | Path, group: str, mode: int) -> None:

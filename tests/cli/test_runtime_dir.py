@@ -3,15 +3,17 @@
 import fcntl
 import json
 import os
+import shutil
 import socket
 import stat
+import time
 from pathlib import Path
 
 import pytest
-from cli.processes import Rig
+from cli.processes import PATIENCE_S, Rig
 
 from pancakes.errors import PancakesError
-from pancakes.runtime.runtime_dir import RunningAgent, entries, register, runtime_dir
+from pancakes.runtime.runtime_dir import Registration, RunningAgent, entries, is_locked, runtime_dir
 
 ENTRY = RunningAgent("a", "default", "agent", ("tcp://127.0.0.1:7401",), 42)
 
@@ -24,7 +26,7 @@ def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_an_entry_stands_until_it_is_removed(directory: Path):
-    registration = register(ENTRY)
+    registration = Registration(ENTRY)
     assert entries() == [ENTRY]
 
     registration.remove()
@@ -33,9 +35,26 @@ def test_an_entry_stands_until_it_is_removed(directory: Path):
     assert list(directory.iterdir()) == []
 
 
+def test_an_entry_is_written_again_where_the_directory_went_with_the_persons_session(directory: Path):
+    registration = Registration(ENTRY)
+    assert not registration.renew()
+    session = directory.rename(directory.with_name("ended"))
+    directory.touch()
+    assert not registration.renew(), "the directory cannot be made now"
+    directory.unlink()
+    assert registration.renew()
+    assert entries() == [ENTRY]
+    assert not registration.renew()
+
+    registration.remove()
+    assert entries() == []
+    assert not registration.renew()
+    assert not is_locked(os.open(next(session.iterdir()), os.O_RDONLY)), "nothing of the entry before is kept open"
+
+
 def test_two_agents_of_one_name_have_an_entry_each(directory: Path):
     other = RunningAgent("a", "other", "agent", (), 43)
-    registrations = [register(other), register(ENTRY)]
+    registrations = [Registration(other), Registration(ENTRY)]
 
     assert entries() == [ENTRY, other]
     for registration in registrations:
@@ -44,7 +63,7 @@ def test_two_agents_of_one_name_have_an_entry_each(directory: Path):
 
 def test_the_entry_of_a_dead_agent_is_cleared_away(directory: Path):
     # Even where its number belongs to a living process today: only the lock says who lives.
-    register(ENTRY).remove()
+    Registration(ENTRY).remove()
     (directory / f"b.{os.getpid()}.json").write_text('{"name": "b"}')
     (directory / "c.7.json.tmp").write_text("{")
 
@@ -53,7 +72,7 @@ def test_the_entry_of_a_dead_agent_is_cleared_away(directory: Path):
 
 
 def test_other_files_are_left_alone(directory: Path):
-    register(ENTRY).remove()
+    Registration(ENTRY).remove()
     (directory / "notes.txt").write_text("mine")
 
     assert entries() == []
@@ -61,18 +80,18 @@ def test_other_files_are_left_alone(directory: Path):
 
 
 def test_it_is_for_the_user_alone(directory: Path):
-    register(ENTRY).remove()
+    Registration(ENTRY).remove()
     assert directory.stat().st_mode & 0o777 == 0o700
 
     directory.chmod(0o755)
     with pytest.raises(PancakesError, match=r"is open to other users \(mode 755, not 700, or 750 for one group\)"):
-        register(ENTRY)
+        Registration(ENTRY)
     with pytest.raises(PancakesError, match="is open to other users"):
         entries()
 
 
 def test_the_directory_of_another_user_is_refused_unless_it_was_named(directory: Path, monkeypatch: pytest.MonkeyPatch):
-    register(ENTRY)
+    Registration(ENTRY)
     stranger = os.getuid() + 1
     monkeypatch.setattr(os, "getuid", lambda: stranger)
     assert entries() == [ENTRY], "the agents of a system service, for a person who was told where they are"
@@ -90,7 +109,7 @@ def test_a_link_in_its_place_is_refused(directory: Path, tmp_path: Path):
     directory.symlink_to(target)
 
     with pytest.raises(PancakesError, match="is no directory"):
-        register(ENTRY)
+        Registration(ENTRY)
 
 
 def test_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
@@ -179,7 +198,7 @@ ODD = [
 
 @pytest.mark.parametrize("make", ODD, ids=lambda make: make.__name__)
 def test_what_no_agent_has_written_is_passed_over_with_a_warning(directory: Path, make, capfd):
-    registration = register(ENTRY)
+    registration = Registration(ENTRY)
     make(directory / "x.json")
 
     assert entries() == [ENTRY]
@@ -193,7 +212,7 @@ def test_what_no_agent_has_written_is_passed_over_with_a_warning(directory: Path
 
 
 def test_an_odd_thing_that_bears_the_name_of_an_entry_is_passed_over_too(directory: Path, capfd):
-    registration = register(ENTRY)
+    registration = Registration(ENTRY)
     a_named_pipe(directory / "b.7.json")
     a_directory(directory / "b.8.json.tmp")
 
@@ -203,7 +222,7 @@ def test_an_odd_thing_that_bears_the_name_of_an_entry_is_passed_over_too(directo
 
 
 def test_a_file_of_another_user_is_passed_over(directory: Path, monkeypatch: pytest.MonkeyPatch, capfd):
-    registration = register(ENTRY)
+    registration = Registration(ENTRY)
     (directory / "b.7.json").write_text("{}")
     mine, lstat = os.getuid(), os.lstat
 
@@ -222,7 +241,7 @@ def test_a_file_of_another_user_is_passed_over(directory: Path, monkeypatch: pyt
 def test_an_entry_that_becomes_a_link_while_it_is_looked_at_is_not_followed(
     directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd
 ):
-    register(ENTRY).remove()
+    Registration(ENTRY).remove()
     entry, elsewhere, lstat = directory / "b.7.json", tmp_path / "elsewhere", os.lstat
     entry.write_text("{}")
     elsewhere.write_text("{}")
@@ -242,7 +261,7 @@ def test_an_entry_that_becomes_a_link_while_it_is_looked_at_is_not_followed(
 
 
 def test_a_name_with_control_characters_is_shown_without_them(directory: Path, capfd):
-    register(ENTRY).remove()
+    Registration(ENTRY).remove()
     (directory / "\x1b]0;owned\x07.json").mkdir()
 
     assert entries() == []
@@ -252,11 +271,11 @@ def test_a_name_with_control_characters_is_shown_without_them(directory: Path, c
 
 
 def test_an_agent_that_finds_an_odd_thing_in_its_place_says_which(directory: Path):
-    register(ENTRY).remove()
+    Registration(ENTRY).remove()
     (directory / "a.42.json").mkdir()
 
     with pytest.raises(PancakesError, match=r"cannot be used: .*a\.42\.json\S*: is a directory"):
-        register(ENTRY)
+        Registration(ENTRY)
     assert entries() == []
 
 
@@ -281,3 +300,15 @@ def test_all_commands_go_on_beside_what_no_agent_has_written(rig: Rig):
 
     ended = rig.pancakes("down", "a")
     assert ended.returncode == 0
+
+
+def test_an_agent_is_found_again_after_the_directory_of_its_session_has_gone(rig: Rig):
+    agent = rig.ready("a")
+    shutil.rmtree(rig.runtime)
+    agent.hear("`pancakes` finds a again: its entry in the runtime directory was gone")
+    until_s = time.monotonic() + PATIENCE_S
+    while not (found := list(rig.runtime.glob("local/**/a.sock"))):
+        assert time.monotonic() < until_s, "the agent listens nowhere on this machine any more"
+    done = rig.pancakes("agent", "info", "a", "--at", f"local://{found[0]}")
+    assert done.returncode == 0, done.stderr
+    assert [row["agent"] for row in rig.listed("agent", "list")] == ["a"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pancakes.errors import ConfigError, PancakesError
-from pancakes.runtime.runtime_dir import VARIABLE, Registration, RunningAgent, register
+from pancakes.runtime.runtime_dir import VARIABLE, Registration, RunningAgent
 from pancakes.tools.launch.fleet_file import fleet_schema
 from pancakes.tools.launch.fleet_plan import check_free, make_fleet
 from pancakes.tools.launch.member import Member, ProcessRestart
@@ -219,7 +219,7 @@ def test_what_the_schema_of_a_fleet_file_knows() -> None:
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registration]:
     """An agent `a` of the fleet `default` that runs on this machine."""
     monkeypatch.setenv(VARIABLE, str(tmp_path / "runtime"))
-    registration = register(RunningAgent("a", "default", "agent", ("tcp://127.0.0.1:1",), 4711))
+    registration = Registration(RunningAgent("a", "default", "agent", ("tcp://127.0.0.1:1",), 4711))
     yield registration
     registration.remove()
 

@@ -15,6 +15,7 @@ import pytest
 from net.conftest import LocalRig
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.net import stream_transport
 from pancakes.mesh.net.local import LocalTransport
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.socket_transport import SocketTransport
@@ -117,6 +118,42 @@ def test_one_that_ends_takes_no_socket_of_another_away(rig, tmp_path):
     here = rig.ear()
     rig.transport("c").dial("local://a", here)
     rig.until(lambda: here.connection and there.connection)
+
+
+def test_an_agent_is_found_again_after_the_directory_of_a_persons_session_has_gone(rig, tmp_path, monkeypatch):
+    monkeypatch.setattr(stream_transport, "LOOK_S", 0.01)
+    monkeypatch.delenv("PANCAKES_RUNTIME_DIR")
+    session = tmp_path / "session"
+    session.mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
+    before, after = rig.ear(), rig.ear()
+    ears = [before, after]
+    a, b = rig.transport("a"), rig.transport("b")
+    a.listen("local://field/a", lambda: ears.pop(0))
+    b.dial("local://field/a", first := rig.ear())
+    rig.until(lambda: before.connection and first.connection)
+
+    session.rename(tmp_path / "ended")
+    session.touch()
+    failed = rig.ear()
+    b.dial("local://field/a", failed)
+    rig.until(lambda: failed.closed_for)
+    session.unlink()
+    session.mkdir(mode=0o700)
+    dials = [failed]
+
+    def connected() -> bool:
+        if dials[-1].closed_for:
+            dials.append(rig.ear())
+            b.dial("local://field/a", dials[-1])
+        return bool(dials[-1].connection and after.connection)
+
+    rig.until(connected)
+    assert not first.closed_for, "a connection that stands goes on"
+    path = session / "pancakes" / "local" / "field" / "a.sock"
+    assert path.is_socket()
+    a.close()
+    assert not path.exists()
 
 
 def test_what_is_no_socket_is_left_alone(rig, tmp_path):

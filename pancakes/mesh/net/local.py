@@ -21,7 +21,7 @@ from pancakes.mesh.net.buffers import NOT_SENT_BYTES
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
 from pancakes.mesh.way_facts import Reach, WayFacts
-from pancakes.runtime.runtime_dir import make_directory, open_to, runtime_dir, usable
+from pancakes.runtime.runtime_dir import is_at, make_directory, open_to, runtime_dir, usable
 
 if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys
@@ -57,7 +57,8 @@ class LocalTransport(StreamTransport):
     def __init__(self, loop: Loop, settings: Settings, keys: Keys | None = None) -> None:
         super().__init__(loop, settings, keys)
         self._group = settings.group
-        self._directory = settings.directory
+        # The directory of a person's session is gone after a logout, and there again after the next login.
+        self._base = Path(settings.directory) if settings.directory else runtime_dir()
 
     @classmethod
     def facts(cls, address: str, keyed: bool) -> WayFacts:
@@ -90,13 +91,10 @@ class LocalTransport(StreamTransport):
         except BaseException:
             sock.close()
             raise
-        return Bound(sock, address, lambda: _remove(path, made))
+        return Bound(sock, address, lambda: _remove(path, made), lambda: is_at(path, made))
 
     def places(self, address: str, look_up: bool) -> list[Place]:
         return [(socket.AF_UNIX, self._path(address))]
-
-    def _base(self) -> Path:
-        return Path(self._directory) if self._directory else runtime_dir()
 
     def _path(self, address: str) -> Path:
         """Returns the socket that an address of this transport names.
@@ -110,17 +108,17 @@ class LocalTransport(StreamTransport):
         if parts.path.startswith("/"):
             return Path(parts.path)
         name = parts.path.removeprefix(f"{DEFAULT_FLEET}/")
-        return self._base() / DIRECTORY / f"{name}{_SUFFIX}"
+        return self._base / DIRECTORY / f"{name}{_SUFFIX}"
 
     def _directories(self, path: Path) -> list[Path]:
         """Returns the directories on the way to a socket that are Pancakes' own, the outermost first."""
-        found = [it for it in reversed(path.parents) if it.is_relative_to(self._base())]
+        found = [it for it in reversed(path.parents) if it.is_relative_to(self._base)]
         return found or [path.parent]
 
     def connect(self, sock: socket.socket, place: Any) -> None:
         try:
             for directory in self._directories(place):
-                usable(directory, named=not place.is_relative_to(self._base()))
+                usable(directory, named=not place.is_relative_to(self._base))
             with _short(place) as short:
                 sock.connect(short)
         except FileNotFoundError:
@@ -199,8 +197,7 @@ def _clear_away(path: Path, short: str) -> None:
 def _remove(path: Path, made: os.stat_result) -> None:
     """Takes a socket away that is closed, unless another agent has put its own there, and the fleet's directory."""
     with contextlib.suppress(OSError):
-        there = os.lstat(path)
-        if (there.st_ino, there.st_dev) == (made.st_ino, made.st_dev):
+        if is_at(path, made):
             path.unlink()
             if path.parent.parent.name == DIRECTORY:
                 path.parent.rmdir()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import socket
 import threading
@@ -16,6 +17,7 @@ from pancakes.mesh.net.kept_connection import Disposable
 from pancakes.mesh.net.loop import READ, WRITE, Loop
 from pancakes.mesh.net.stream_connection import StreamConnection, why
 from pancakes.mesh.net.transport import ConnectionHandler, SchemeTransport
+from pancakes.runtime.runtime_dir import LOOK_S
 
 if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys
@@ -35,11 +37,13 @@ class Bound(NamedTuple):
         sock: the socket.
         address: where others dial it.
         ended: called once it is closed.
+        is_there: returns whether others still find it; None: they always do.
     """
 
     sock: socket.socket
     address: str
     ended: Callable[[], None]
+    is_there: Callable[[], bool] | None = None
 
 
 class StreamTransport(SchemeTransport):
@@ -78,7 +82,7 @@ class StreamTransport(SchemeTransport):
             reason = error.strerror if isinstance(error, socket.gaierror) else why(error)
             raise PancakesError(f"cannot listen at {address}: {reason}") from None
         bound.sock.setblocking(False)
-        listener = _Listener(self, bound, accept)
+        listener = _Listener(self, address, bound, accept)
         self.loop.call_later(0.0, listener.begin)
         return bound.address
 
@@ -150,35 +154,53 @@ class StreamTransport(SchemeTransport):
 
 
 class _Listener(Disposable):
-    """Takes connections at an address."""
+    """Takes connections at an address, with another socket where others do not find the one before any more."""
 
-    def __init__(self, transport: StreamTransport, bound: Bound, accept: Callable[[], ConnectionHandler]) -> None:
+    def __init__(
+        self, transport: StreamTransport, address: str, bound: Bound, accept: Callable[[], ConnectionHandler]
+    ) -> None:
         self._transport = transport
-        self._sock = bound.sock
-        self._ended = bound.ended
+        self._address = address
+        self._bound = bound
         self._make_handler = accept
 
     def begin(self) -> None:
         self._transport.open[self] = None
         self._resume()
+        self._look()
 
     def dispose(self, reason: str) -> None:
         self._transport.open.pop(self, None)
-        self._transport.loop.forget(self._sock)
-        self._sock.close()
-        self._ended()
+        self._close()
+
+    def _close(self) -> None:
+        self._transport.loop.forget(self._bound.sock)
+        self._bound.sock.close()
+        self._bound.ended()
+
+    def _look(self) -> None:
+        if self._bound.is_there is None or self not in self._transport.open:
+            return
+        if not self._bound.is_there():
+            with contextlib.suppress(OSError, PancakesError):  # its directory may come back later
+                bound = self._transport.bind(self._address)
+                bound.sock.setblocking(False)
+                self._close()
+                self._bound = bound
+                self._resume()
+        self._transport.loop.call_later(LOOK_S, self._look)
 
     def _resume(self) -> None:
         if self in self._transport.open:
-            self._transport.loop.watch(self._sock, READ, self._ready)
+            self._transport.loop.watch(self._bound.sock, READ, self._ready)
 
     def _ready(self, _events: int) -> None:
         try:
-            sock, place = self._sock.accept()
+            sock, place = self._bound.sock.accept()
         except (BlockingIOError, ConnectionAbortedError):
             return  # it was there, and has gone again
         except OSError:  # no file descriptor is left: it would be ready again at once, for ever
-            self._transport.loop.forget(self._sock)
+            self._transport.loop.forget(self._bound.sock)
             self._transport.loop.call_later(_ACCEPT_PAUSE_S, self._resume)
             return
         _begin(self._transport, sock, "", self._transport.remote(sock, place), self._make_handler())

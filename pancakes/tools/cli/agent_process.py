@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import sys
 from collections import deque
@@ -88,10 +89,18 @@ class Orders:
         self._reasons.append(reason)
         os.write(self._wake_writer, b"\0")
 
-    def wait(self) -> str:
-        """Waits until the agent is to stop; returns why it cannot go on, empty where it was told to."""
+    def wait(self, every_s: float, meanwhile: Callable[[], None]) -> str:
+        """Waits until the agent is to stop; returns why it cannot go on, empty where it was told to.
+
+        Args:
+            every_s: how often `meanwhile` is called.
+            meanwhile: what this thread does besides.
+        """
         while not self._reasons:
-            os.read(self._wake_reader, 1)
+            if select.select([self._wake_reader], [], [], every_s)[0]:
+                os.read(self._wake_reader, 1)
+            else:
+                meanwhile()
         if not self._seen:
             signal.setitimer(signal.ITIMER_REAL, STOP_S)
         return self._reasons[0]
@@ -119,6 +128,7 @@ class Orders:
 
 def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None) -> int:
     from pancakes.runtime.agent import Agent
+    from pancakes.runtime.runtime_dir import LOOK_S
 
     manager = NotifySocket.from_environment(os.environ)
     running = Agent(config, plugins)
@@ -134,7 +144,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     if manager is not None:
         _when_ready(running, lambda: manager.say(READY=1, STATUS=f"{running.name} is ready"))
         _feed_watchdog(running, manager)
-    reason = orders.wait()
+    reason = orders.wait(LOOK_S, lambda: _renew(registration, running))
     if manager is not None:
         manager.say(STOPPING=1, STATUS=reason or f"{running.name} ends")
     # From now on no command finds the agent, which is about to end.
@@ -179,15 +189,23 @@ def _register(running: Agent) -> Registration | None:
     """Lets `pancakes` find the agent. One that cannot be found runs all the same."""
     from pancakes.errors import PancakesError
     from pancakes.mesh.net.peers import reachable
-    from pancakes.runtime.runtime_dir import RunningAgent, register
+    from pancakes.runtime.runtime_dir import Registration, RunningAgent
 
     agent = running.config.agent
     listen = tuple(reachable(address, "tcp://127.0.0.1:0") for address in running.mesh.listen)
     try:
-        return register(RunningAgent(agent.name, agent.fleet, agent.role, listen, os.getpid()), agent.local_group)
+        return Registration(RunningAgent(agent.name, agent.fleet, agent.role, listen, os.getpid()), agent.local_group)
     except PancakesError as error:
         _warn(f"warning: `pancakes` will find {agent.name} only with --at: {error}")
         return None
+
+
+def _renew(registration: Registration | None, running: Agent) -> None:
+    """Lets `pancakes` find the agent again where its entry is gone."""
+    if registration is not None and registration.renew():
+        running.kernel.log(
+            "info", f"`pancakes` finds {running.name} again: its entry in the runtime directory was gone"
+        )
 
 
 def _when_ready(running: Agent, tell: Callable[[], None]) -> None:
