@@ -164,7 +164,7 @@ def test_an_agent_whose_root_fails_ends_with_a_sentence_and_the_asker_gets_an_an
 def test_why_an_agent_cannot_run_is_said_also_where_something_keeps_it_from_ending() -> None:
     stuck = (
         "import time; from pancakes.tools.cli.agent_process import Orders; orders = Orders(); orders.begin();"
-        " orders.give_up('its port is in use'); orders.wait(); time.sleep(60)"
+        " orders.give_up('its port is in use'); orders.wait(60, print); time.sleep(60)"
     )
     ended = subprocess.run([sys.executable, "-c", stuck], capture_output=True, text=True, timeout=30, check=False)
     assert ended.returncode == 1

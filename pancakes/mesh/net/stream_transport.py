@@ -167,7 +167,8 @@ class _Listener(Disposable):
     def begin(self) -> None:
         self._transport.open[self] = None
         self._resume()
-        self._look()
+        if self._bound.is_there is not None:
+            self._transport.loop.call_later(LOOK_S, self._look)
 
     def dispose(self, reason: str) -> None:
         self._transport.open.pop(self, None)
@@ -179,9 +180,9 @@ class _Listener(Disposable):
         self._bound.ended()
 
     def _look(self) -> None:
-        if self._bound.is_there is None or self not in self._transport.open:
+        if self not in self._transport.open:
             return
-        if not self._bound.is_there():
+        if self._bound.is_there is not None and not self._bound.is_there():
             with contextlib.suppress(OSError, PancakesError):  # its directory may come back later
                 bound = self._transport.bind(self._address)
                 bound.sock.setblocking(False)
