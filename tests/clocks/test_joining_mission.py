@@ -47,6 +47,7 @@ def test_an_agent_that_joins_goes_on_at_the_fleets_time(fleet):
     assert missions(fleet) == {name: pytest.approx(missions(fleet)["a"], abs=0.001) for name in "abc"}
     joined = c.wait_for_event("mission_joined")
     assert joined["peer"] in "ab" and 0 < joined["bound_s"] < 0.002
+    assert round(joined["bound_s"], 5) != joined["bound_s"] == round(joined["bound_s"], 6), "to the microsecond"
 
 
 def test_no_task_sees_the_time_jump(fleet):

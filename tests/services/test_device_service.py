@@ -189,6 +189,24 @@ def test_a_driver_that_fails_is_opened_anew_and_goes_on(fleet):
     assert agent.kernel.registry.device_types() == ["load"]
 
 
+def test_a_driver_that_fails_again_while_it_is_closed_for_that_says_both(fleet):
+    class Broken(Thermometer):
+        def sample(self):
+            raise OSError("unplugged")
+
+        def close(self):
+            raise OSError("gone")
+
+    agent = fleet.start("a", devices={"cpu": {"type": Broken, "rate_hz": 4.0}})
+    fleet.run_for(0.3)
+    assert agent.events("task_failed")[0]["error"].startswith("OSError: unplugged at test_device_service.py:")
+    (told,) = agent.lines("error")
+    again = (
+        "on_failure of a/device/cpu failed as well: OSError: gone (from OSError: unplugged) at test_device_service.py:"
+    )
+    assert told.startswith(again)
+
+
 def test_a_driver_that_fails_in_open_is_given_up_and_the_agent_runs(fleet):
     spec = {"type": Thermometer, "settings": {"fail_at_open": True}, "restart": {"at_most": 2, "within_s": 5}}
     agent = fleet.start("a", devices={"cpu": spec}, tasks={"Meddling": Meddling})

@@ -142,6 +142,7 @@ def test_where_all_that_had_a_task_are_gone_a_person_sets_the_fence(fleet):
     (account,) = far.ask(Migrations()).result
     assert (account["outcome"], account["winner"], account["task_id"]) == ("fenced", "c", "a/Circle")
     assert account["reason"] == "the fence of far/device/wheels was at 0@a, and is at 2@b now"
+    assert account["duration_s"] == 0.0
     assert far.events("fence_set", task="wheels")[-1]["owner"] == "c"
 
 
@@ -311,3 +312,14 @@ def test_an_agent_whose_claim_was_refused_makes_another_after_a_second(fleet):
     assert far.events("command_refused") == [first], "it is not looked at"
     forge(fleet, "z", (5, "z"), task_id="a/Other", for_s=0.3)
     assert "a/Other" in far.events("command_refused")[-1]["reason"]
+
+
+def test_a_claim_takes_the_place_of_one_of_the_same_agent_that_another_is_asked_about(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    fleet.start("a")
+    fleet.start("z")
+    fleet.connect()
+    forge(fleet, "z", (5, "z"), for_s=0.0)
+    forge(fleet, "z", (0, "z"), task_id="z/Any")
+    assert ("far", 9.0) in Wheels.told and marks(far) == {"z/Any": (0, "z")}
+    assert far.events("command_refused") == []

@@ -210,6 +210,20 @@ def test_what_was_left_out_is_told_5_s_after_it_began_each_time_also_where_nothi
         assert len(told) == 2 * times and told[-1] == "9 more lines in the last 5 s were left out"
 
 
+@pytest.mark.parametrize(("size", "lines"), [(5 * 1024 - 1, 2), (5 * 1024, 1)])
+def test_a_share_of_1_kib_is_5_kib_in_5_s(size, lines, fleet, tmp_path):
+    path = tmp_path / "a.jsonl"
+    agent = fleet.start("a", services=log_of(file=str(path), share_kib_s=1))
+    fleet.run_for(1.0)
+    agent.publish("log", LogLine("info", "empty"))
+    fleet.run_for(6.0)
+    around = len(path.read_text(encoding="utf-8").splitlines()[-1]) - len("empty")
+    agent.publish("log", LogLine("info", "x" * (size - around)))
+    agent.publish("log", LogLine("info", "more"))
+    fleet.run_for(0.1)
+    assert texts(path, "a/test/Probe")[1:] == ["x" * (size - around), "more"][:lines]
+
+
 def test_a_line_that_could_not_be_written_takes_nothing_of_the_share(fleet, tmp_path):
     blocked = tmp_path / "logs"
     blocked.write_text("no directory")

@@ -58,7 +58,9 @@ def test_it_is_appended_to_and_goes_on_counting(path):
 
 def test_a_line_that_is_larger_than_a_file_is_whole(path):
     file = RotatedFile(str(path), 50, 3)
-    for number in range(4):
+    file.write(f"0 {LINE}")
+    assert kept(path) == ["a.jsonl"], "no empty file is put aside for it"
+    for number in (1, 2, 3):
         file.write(f"{number} {LINE}")
     file.close()
     assert [lines(path.parent / name) for name in kept(path)] == [[f"3 {LINE}"], [f"2 {LINE}"], [f"1 {LINE}"]]

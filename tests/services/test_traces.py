@@ -279,6 +279,14 @@ def test_what_small_packets_say_is_kept_however_many_of_their_type_have_come():
     assert told == ["x_m 1, y_m 2, theta_rad 0", "x_m 1, y_m 2, theta_rad 0", "v_mps 0.1, omega_radps 0"]
 
 
+def test_between_two_questions_the_newest_20_000_packets_are_noted():
+    traced = TracedPackets("a")
+    for seq in range(20_001):
+        heard(traced, 1, "a/device/pose", seq)
+    asked = Traces(packets=(("a/device/pose", 0), ("a/device/pose", 1)))
+    assert names(traced.answer(asked, 2 * MS)) == [("a/device/pose", 1)]
+
+
 def test_a_packet_is_known_for_8_s():
     traced = TracedPackets("a")
     heard(traced, 100, "a/client/Scan", 1, "motors", None, "ctrl", Twist(0.1, 0.0))

@@ -13,6 +13,7 @@ from pancakes.events import Event
 from pancakes.measurement import Measure
 from pancakes.packet import SYSCTRL, SYSTEM, Packet
 from pancakes.runtime.foundation import codecs
+from pancakes.runtime.services import measuring
 from pancakes.task import Task, Tick, every, on
 from pancakes.tools.forecast import MeasuredAgent
 
@@ -37,6 +38,14 @@ class Burn(Task):
     @on(SYSTEM, Event)
     def heard(self, packet: Packet) -> None:
         sum(number & 7 for number in range(100_000))
+
+
+class Idle(Task):
+    """Has no more to do than to tick once a second."""
+
+    @every(hz=1)
+    def tick(self, tick: Tick) -> None:
+        pass
 
 
 def measured(agent, for_s: float = 0.5) -> MeasuredAgent:
@@ -102,6 +111,23 @@ def test_a_task_that_begins_anew_meanwhile_is_counted_on(threaded_agent):
     assert agent.ask(Restart("Burn")).ok
     (timer,) = codecs.convert(agent.reply_to(asked, 30.0).result, MeasuredAgent).task("Burn").timers
     assert timer.ticks > 0 and timer.missed >= 0
+
+
+def test_of_a_task_at_rest_nothing_is_told_but_that_it_is_there(threaded_agent):
+    agent = threaded_agent(tasks={"Burn": {"type": Burn, "start": False}})
+    task = measured(agent, 0.1).task("Burn")
+    assert (task.state, task.turns, task.turn_s, task.timers) == ("stopped", 0, 0.0, ())
+
+
+def test_a_tick_that_is_not_missed_is_not_told_as_missed(threaded_agent):
+    agent = threaded_agent(tasks={"Idle": Idle})
+    (timer,) = measured(agent, 1.5).task("Idle").timers
+    assert timer.missed == 0
+
+
+def test_where_the_system_counts_no_processor_time_no_share_of_it_is_busy(threaded_agent, monkeypatch):
+    monkeypatch.setattr(measuring, "processor_times", lambda: (1.0, 1.0))
+    assert measured(threaded_agent(), 0.1).host.busy_share == 0.0
 
 
 @pytest.mark.parametrize("for_s", [0.0, -1.0, 601.0, float("nan"), float("inf")])

@@ -11,7 +11,8 @@ _STANDARD_ERROR: Final = 2
 
 
 @cache
-def _leads_to_journal() -> bool:
+def leads_to_journal() -> bool:
+    """Returns whether standard error leads to the journal, which says so in `JOURNAL_STREAM`."""
     try:
         status = os.fstat(_STANDARD_ERROR)
     except OSError:
@@ -21,6 +22,6 @@ def _leads_to_journal() -> bool:
 
 def for_standard_error(text: str, level: str) -> str:
     """Returns text as it is, or each of its lines behind its level as the journal reads it, such as `<4>`."""
-    if not _leads_to_journal():
+    if not leads_to_journal():
         return text
     return "\n".join(f"<{_PRIORITIES.get(level, 6)}>{line}" for line in text.split("\n"))
