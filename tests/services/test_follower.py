@@ -114,6 +114,20 @@ def test_who_follows_no_more_gets_nothing_of_what_waits(fleet):
     assert b.kernel.stream.followers("system") == []
 
 
+def test_an_agent_that_has_gone_follows_no_more_and_others_go_on(fleet):
+    a, b, c = fleet.agents["a"], fleet.agents["b"], fleet.start("c")
+    fleet.connect()
+    for agent in (a, c):
+        assert agent.ask(Follow("system"), to="b").ok
+    fleet.crash("a")
+    assert fleet.run_until(lambda: "a" not in b.agent.mesh.neighbours())
+    fleet.run_for(0.1)
+    assert b.kernel.stream.followers("system") == [c.probe.address]
+    b.publish("system", Load(0.1))
+    fleet.run_for(0.1)
+    assert loads(c) == [0.1]
+
+
 def test_of_a_fast_rate_the_first_packet_waits_no_longer_than_a_quarter_of_its_period(fleet):
     a, b = fleet.agents["a"], fleet.agents["b"]
     assert a.ask(Follow("system", most_hz=100.0), to="b").ok
