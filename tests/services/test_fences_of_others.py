@@ -323,3 +323,23 @@ def test_a_claim_takes_the_place_of_one_of_the_same_agent_that_another_is_asked_
     forge(fleet, "z", (0, "z"), task_id="z/Any")
     assert ("far", 9.0) in Wheels.told and marks(far) == {"z/Any": (0, "z")}
     assert far.events("command_refused") == []
+
+
+def test_agents_that_name_each_other_as_the_owner_are_asked_eight_times_in_all(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    for name in "abz":
+        fleet.start(name).kernel.stream.unsubscribe(f"{name}/kernel/Courier")
+    fleet.connect()
+    questions: list[Packet] = []
+    far.kernel.stream.tap_outgoing(lambda packet: questions.append(packet) if packet.type == "task.where" else None)
+    forge(fleet, "z", (5, "z"), for_s=0.05)
+    asked: list[str] = []
+    while len(asked) < min(len(questions), 20):
+        asked.append(questions[len(asked)].destination.partition("/")[0])
+        other = "b" if asked[-1] == "a" else "a"
+        fleet.agents[asked[-1]].publish("network", TaskAt("a/Circle", other, Epoch(5, "z")), to="far/device/wheels")
+        fleet.run_for(0.05)
+    assert asked == ["a", "b"] * 4
+    (refused,) = far.events("command_refused", by="z/device/wheels")
+    assert refused["reason"].startswith("b gave a/Circle to a, and not to z; ")
+    assert marks(far) == {}
