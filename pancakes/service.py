@@ -142,7 +142,7 @@ class Service(Component):
         return slot.spec.arguments
 
     def author_of(self, slot: Slot) -> type:
-        """Returns the class of which a task's author would say that it is theirs; see `Component._author_class`."""
+        """Returns the class of which a task's author would say that it is theirs; see `Component.author_class`."""
         return slot.spec.cls
 
     def settings_class(self, slot: Slot) -> type:

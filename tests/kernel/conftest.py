@@ -69,7 +69,7 @@ class Rig:
     def __init__(self):
         self.clock = HandClock()
         self.named: list[tuple[str, float]] = []
-        self.pool = HookedPool("p", self.clock, lambda address, held_s: self.named.append((address, held_s)))
+        self.pool = HookedPool("p", self.clock, lambda held, held_s: self.named.append((held.address, held_s)))
         self.pool.looks = lambda: 0
         self._actors = 0
         self._gates = []

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from pancakes.runtime.clock import Clock
+from pancakes.runtime.kernel.mailbox import Runnable
 from pancakes.runtime.kernel.pool import PoolDispatcher
 from pancakes.runtime.kernel.shift import Shift
 
@@ -48,7 +49,7 @@ class HookedPool(PoolDispatcher):
     # A lock that allows no subclass.
     _lock: Any
 
-    def __init__(self, name: str, clock: Clock, hogged: Callable[[str, float], None] = lambda address, held_s: None):
+    def __init__(self, name: str, clock: Clock, hogged: Callable[[Runnable, float], None] = lambda held, held_s: None):
         self.looks: Callable[[], int] = super().look
         self.before_retire: Callable[[], object] = _nothing
         self.around_hold: Callable[[Callable[[], None]], object] = lambda hold: hold()
@@ -95,9 +96,9 @@ class HookedPool(PoolDispatcher):
         with self._lock:
             pass
 
-    def name_held(self, address: str, held_s: float) -> None:
+    def name_held(self, component: Runnable, held_s: float) -> None:
         """Names a component that holds a thread, as the watchdog does."""
-        self._hogged(address, held_s)
+        self._hogged(component, held_s)
 
     def deafen_idle_worker(self) -> Callable[[], None]:
         """Lets the worker that is called next not hear it; returns what lets that worker hear the call."""

@@ -106,10 +106,23 @@ def test_handlers_that_wait_do_not_stop_the_rest_and_are_named(kernel):
 def test_the_root_is_not_named_for_holding_a_thread(pools, kernel):
     probe = kernel.spawn(Probe, "a/test/Probe", channels=("log",))
     assert probe.wait(probe.listening, PATIENCE_S)
-    pools[0].name_held("a/kernel", 0.1)
-    pools[0].name_held("a/client/T", 0.1)
+    pools[0].name_held(kernel.spawn(Echo, "a/kernel"), 0.1)
+    pools[0].name_held(kernel.spawn(Echo, "a/client/T"), 0.1)
     assert probe.wait(lambda: probe.packets(LogLine), PATIENCE_S)
     assert ["a/client/T has held" in packet.body.text for packet in probe.packets(LogLine)] == [True]
+
+
+def test_a_component_of_pancakes_gets_no_advice_that_its_author_alone_could_follow(pools, kernel):
+    probe = kernel.spawn(Probe, "a/test/Probe", channels=("log",))
+    assert probe.wait(probe.listening, PATIENCE_S)
+    pools[0].name_held(probe, 0.1)
+    assert probe.wait(lambda: probe.packets(LogLine), PATIENCE_S)
+    (line,) = (packet.body for packet in probe.packets(LogLine))
+    assert (line.level, line.text) == (
+        "info",
+        "a/test/Probe has held a thread of the pool for 100 ms:"
+        " a task's class, state, cost or rule takes long there, or this computer is busy",
+    )
 
 
 def wait_until_heard(echo, count):
@@ -308,6 +321,7 @@ class Runner:
 
     address = "a/client/Runner"
     blocking = True
+    author_class = object
 
     def __init__(self, mailbox: Mailbox, turn: Callable[[], object]) -> None:
         self.actor_inbox = mailbox

@@ -263,7 +263,7 @@ class Component(PykkaActor):
     # How it runs -----------------------------------------------------------------------------------------------
 
     @property
-    def _author_class(self) -> type:
+    def author_class(self) -> type:
         """The class of which its author would say that it is theirs: a failure shows a line of its package."""
         return type(self)
 
@@ -465,7 +465,7 @@ class Component(PykkaActor):
         self.end_actor(error)
 
     def __tell_failure(self, what: str, error: BaseException) -> None:
-        self.kernel.log("error", f"{what}: {describe(error, self._author_class)}", traceback_of(error))
+        self.kernel.log("error", f"{what}: {describe(error, self.author_class)}", traceback_of(error))
 
     def on_failure(
         self,

@@ -20,6 +20,7 @@ from pancakes.mesh.wire.peer_clock import PeerClock
 from pancakes.packet import LOG, Packet, agent_of, join, type_name
 from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock, SkewedClock, day_s
 from pancakes.runtime.folders import Folders
+from pancakes.runtime.foundation.frames import package_of
 from pancakes.runtime.foundation.local_time import LocalTime
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.counter import Counter
@@ -27,6 +28,7 @@ from pancakes.runtime.kernel.dead_letters import DeadLetters
 from pancakes.runtime.kernel.dispatch import Dispatcher
 from pancakes.runtime.kernel.guard_notes import GuardNotes
 from pancakes.runtime.kernel.guest import Guest
+from pancakes.runtime.kernel.mailbox import Runnable
 from pancakes.runtime.kernel.permits import PermitEnd, Permits, moment_of_host
 from pancakes.runtime.kernel.pinned import PinnedDispatcher
 from pancakes.runtime.kernel.pool import PoolDispatcher
@@ -303,11 +305,11 @@ class Kernel:
     def _release(self, component: Component, error: BaseException | None) -> None:
         self.stream.unsubscribe(component.address)
 
-    def _hogged(self, address: str, held_s: float) -> None:
-        if address == f"{self.agent}/kernel":  # the root: no user can write it otherwise
+    def _hogged(self, component: Runnable, held_s: float) -> None:
+        if component.address == f"{self.agent}/kernel":  # the root: no user can write it otherwise
             return
-        self.log(
-            "warning",
-            f"{address} has held a thread of the pool for {held_s * 1000:.0f} ms:"
-            " a task that waits or computes for long should say `blocking = True`",
-        )
+        if package_of(component.author_class.__module__) == "pancakes":
+            level, why = "info", "a task's class, state, cost or rule takes long there, or this computer is busy"
+        else:
+            level, why = "warning", "a task that waits or computes for long should say `blocking = True`"
+        self.log(level, f"{component.address} has held a thread of the pool for {held_s * 1000:.0f} ms: {why}")

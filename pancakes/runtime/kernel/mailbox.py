@@ -26,6 +26,10 @@ class Runnable(Protocol):
         """Where it is."""
 
     @property
+    def author_class(self) -> type:
+        """See `Component.author_class`."""
+
+    @property
     def blocking(self) -> bool:
         """Whether it needs a thread of its own."""
 

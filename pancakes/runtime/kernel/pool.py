@@ -18,7 +18,7 @@ from typing import Final
 
 from pancakes.runtime.clock import Clock
 from pancakes.runtime.kernel.dispatch import Dispatcher
-from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.mailbox import Mailbox, Runnable
 from pancakes.runtime.kernel.shift import Shift
 
 SLICE_S: Final = 0.002
@@ -68,14 +68,14 @@ class PoolDispatcher(Dispatcher):
     Args:
         name: for the names of the threads.
         clock: the host's clock.
-        hogged: called by the watchdog, in its thread, with the address of a component that has held a
-            worker for `HOGGED_S`, and for how long at least, in seconds.
+        hogged: called by the watchdog, in its thread, with a component that has held a worker for `HOGGED_S`, and for
+            how long at least, in seconds.
 
     Attributes:
         work: the mailboxes whose components are to get a turn.
     """
 
-    def __init__(self, name: str, clock: Clock, hogged: Callable[[str, float], None] = lambda address, held_s: None):
+    def __init__(self, name: str, clock: Clock, hogged: Callable[[Runnable, float], None] = lambda held, held_s: None):
         self.name = name
         self.clock = clock
         self.work: deque[Mailbox] = deque()
@@ -258,7 +258,7 @@ class PoolDispatcher(Dispatcher):
             component = mailbox.component if mailbox is not None else None
             if seen_s >= HOGGED_S and not shift.named and component is not None:
                 shift.named = True
-                self._hogged(component.address, seen_s)
+                self._hogged(component, seen_s)
         while self._reliefs:
             self._reliefs[0]()  # where no thread can be started it fails, and is tried again at the next look
             del self._reliefs[0]

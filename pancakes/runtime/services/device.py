@@ -167,7 +167,7 @@ class DeviceTask(Task):
         self._refused: dict[str, str] = {}
 
     @property
-    def _author_class(self) -> type:
+    def author_class(self) -> type:
         return self.device.cls
 
     def on_start(self) -> None:
