@@ -35,6 +35,7 @@ def flown(seeds: str, folder: Path, wishes: MissionWishes, jobs: int, prepare=no
     return {it.seed: it for it in fly_many(seeds_of(seeds), folder, wishes, jobs, lambda: False, prepare)}
 
 
+@pytest.mark.timeout(400)
 @pytest.mark.parametrize(
     ("name", "seconds", "folders"),
     [("encirclement", 40.0, ("",)), ("rescue", 180.0, ("",)), ("energy", 20.0, ("plain", "thresholds", "feedback"))],

@@ -13,6 +13,7 @@ from pancakes.bodies.devices.types import Pose
 from pancakes.errors import LocalProtocolError, PeerLost
 from pancakes.mesh.net.memory import Quality
 from pancakes.mesh.net.send_buffer import PeerBusy
+from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import MAX_PAYLOAD_BYTES, frame
 from pancakes.mesh.wire.link import LinkTimes
@@ -128,6 +129,30 @@ def test_a_broken_link_is_seen_and_comes_back(memory_rig):
     memory_rig.until(lambda: a.knows("b") and b.knows("a"))
     a.say("b", "again")
     memory_rig.until(lambda: b.packets)
+
+
+def test_a_peer_that_another_thread_finds_connected_can_be_sent_to(memory_rig, monkeypatch):
+    """Looks where the ways of packets change: another thread may look right before that, or right after."""
+    change = Sending.change
+    ways: dict[Sending, set[str]] = {}
+    found: list[tuple[bool, bool]] = []
+
+    def look_and_change(sending, links, neighbours):
+        before, after = ways.get(sending, set()), set(links)
+        for peer in before | after:
+            mesh = (a if peer == "b" else b).mesh
+            is_told = peer in mesh.connected() or peer in mesh.neighbours()
+            found.append((is_told, peer in before and peer in after))
+        change(sending, links, neighbours)
+        ways[sending] = after
+
+    monkeypatch.setattr(Sending, "change", look_and_change)
+    a, b = memory_rig.agent("a"), memory_rig.agent("b")
+    b.mesh.learn((a.address,))
+    memory_rig.until(lambda: a.knows("b") and b.knows("a"))
+    memory_rig.network.break_links("a", "b")
+    memory_rig.until(lambda: a.downs and b.downs)
+    assert found == [(False, False)] * 4
 
 
 def test_a_partition_is_seen_by_its_silence_after_two_seconds_and_heals(memory_rig):

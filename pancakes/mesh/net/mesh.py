@@ -123,7 +123,8 @@ class Mesh:
         self._own = identity.hello()
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
-        self._links = Links()
+        self._sending = Sending(self._lost, defer, self.seek)
+        self._links = Links(self._sending.change)
         self._log = LinkLog(on_log, peers)
         self._state = "new"
         self._asleep_until_s = 0.0
@@ -134,7 +135,6 @@ class Mesh:
         self._receiving = Receiving(self._trust, self._log, now, self._log.attempt, on_packets, on_unfit)
         self._resting = Resting(transport, self._receiving)
         self.clocks = Timekeeping(timebase, now, self._links, self._tell)
-        self._sending = Sending(self._lost, defer, self.seek)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._upkeep = Upkeep(self._sessions, transport, self._now, self._times, self._log, self._act, self._over)
 
@@ -429,7 +429,6 @@ class Mesh:
             return
         hello = next(peer for peer in self._peers.connected() if peer.name == session.link.peer.name)
         self._links.add(session, hello)
-        self._sending.change(self._links.by_name(), self._links.neighbours())
         self.clocks.stood_up(session)
         self._upkeep.watch(session)
         self._log.stood_up(session, hello)
@@ -447,7 +446,6 @@ class Mesh:
         decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken, refusal)
         if session.is_up:
             self._links.remove(session)
-            self._sending.change(self._links.by_name(), self._links.neighbours())
             asleep_s = None
             if over.goodbye is not None and over.goodbye.why == "sleep":
                 asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
