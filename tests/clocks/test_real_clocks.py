@@ -136,6 +136,7 @@ def test_an_agent_with_another_monotonic_clock_goes_on_at_the_fleets_time(clocks
     first = clocks.agent("first", "told")
     clocks.agent("second", "heard", monotonic_ahead(AHEAD_S), peers=[first])
     bound_s = float(clocks.last.hear("mission_joined peer=first").rpartition("bound_s=")[2])
+    assert bound_s == round(bound_s, 6)
     clocks.last.hear("heard enough")
     described = [
         json.loads(clocks.rig.pancakes("agent", "info", name, "--format", "json").stdout)[0]

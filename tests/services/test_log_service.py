@@ -163,6 +163,26 @@ def test_a_recording_is_as_the_configuration_says_and_not_as_it_was_started_last
         assert agent.ask(Describe("log/Recorder")).result["settings"]["channels"] == ()
 
 
+def test_what_waits_for_the_disk_before_a_recording_begins_is_told_so(tmp_path):
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a")
+        fleet.faults.slow_disk("a", 6.0)
+        begun_s = fleet.now()
+        told = agent.ask(Start("log/Recorder", {"path": str(tmp_path / "1.mcap")}), at_most_s=10.0)
+        assert told.reason == (
+            "a/log/Recorder waits for the disk; what was asked for is done as soon as that can write"
+        )
+        assert fleet.now() - begun_s == pytest.approx(2.5, abs=0.1)
+        agent.wait_until(lambda: agent.ask(Describe("log/Recorder")).result["state"] == "running")
+
+
+def test_what_waits_for_a_disk_or_a_terminal_has_a_thread_of_its_own():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", services={"log": {"settings": {"console": True}}})
+        console = agent.component("log/Console")
+        assert console is not None and console.blocking
+
+
 def test_the_console_goes_on_as_it_was_set():
     with FleetInTest(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": True}}})

@@ -413,16 +413,36 @@ def test_a_held_mission_begins_by_a_packet(fleet):
     assert agent.task("Count").state.n == 10
 
 
+def test_a_task_is_named_with_its_agent_and_its_service_or_without(fleet):
+    agent = fleet.start("robot", tasks={"Count": Count})
+    for name in ("Count", "client/Count", "robot/Count", "robot/client/Count"):
+        assert agent.ask(Describe(name)).result["task"] == "Count", name
+
+
+def test_the_network_of_an_agent_is_stopped_from_elsewhere_for_a_time_alone(fleet):
+    a = fleet.start("a", services={"".join(("net", "work")): {}})
+    b = fleet.start("b")
+    fleet.connect()
+    reason = b.ask(Stop("network"), to="a").reason
+    assert reason.startswith(
+        "a/network can be stopped from elsewhere only for a time (for_s): no packet from elsewhere"
+    )
+    assert states(a)["network"] == "running"
+
+
 def test_who_starts_a_service_of_which_a_task_is_stuck_hears_that_and_it_starts_once_that_has_ended(fleet):
     agent = with_mapper(fleet)
     assert agent.ask(Stop("mapper")).ok
-    old = agent.kernel.spawn(Probe, "a/mapper/Old")
+    old, older = (agent.kernel.spawn(Probe, f"a/mapper/{name}") for name in ("Old", "Older"))
     asked_s = fleet.now()
     reply = agent.ask(Start("mapper"))
     assert reply.reason == "a/mapper waits for the end of a/mapper/Old, which is stuck"
     assert 2.0 < fleet.now() - asked_s < 2.1
     assert states(agent)["mapper"] == "starting"
     old.stop()
+    fleet.run_for(1.0)
+    assert states(agent)["mapper"] == "starting"
+    older.stop()
     agent.wait_until(lambda: states(agent)["mapper"] == "running")
 
 

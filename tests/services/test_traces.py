@@ -12,7 +12,6 @@ from pancakes.runtime.services.traces import (
     LARGE_BYTES,
     LEASE_S,
     MOST_QUESTIONS,
-    MOST_ROWS,
     ROWS_STEP,
     STEP,
     TracedPackets,
@@ -82,7 +81,7 @@ def test_of_too_many_commands_some_are_told_the_newest_always_and_the_rest_count
     assert answer["left_out"] == 990
     all_of_them = traced.answer(Traces(most=1000), 5000 * MS)
     told = [row[4] for row in all_of_them["rows"] if row[1] == "ctrl"]
-    assert len(all_of_them["rows"]) <= MOST_ROWS + 3
+    assert len(all_of_them["rows"]) == 600
     assert all_of_them["left_out"] == 1000 - len(told) > 0
 
 
@@ -277,6 +276,14 @@ def test_what_small_packets_say_is_kept_however_many_of_their_type_have_come():
     reaction(traced, 300, 2)
     told = [row[8] for row in traced.answer(Traces(200 * MS), 400 * MS)["rows"]]
     assert told == ["x_m 1, y_m 2, theta_rad 0", "x_m 1, y_m 2, theta_rad 0", "v_mps 0.1, omega_radps 0"]
+
+
+def test_a_command_that_is_forgotten_is_not_counted_as_left_out():
+    traced = TracedPackets("a")
+    reaction(traced, 100, 1)
+    reaction(traced, 9_000, 2)
+    answer = traced.answer(Traces(most=1), 9_100 * MS)
+    assert names(answer)[-1] == ("a/client/Scan", 2) and answer["left_out"] == 0
 
 
 def test_between_two_questions_the_newest_20_000_packets_are_noted():
