@@ -103,7 +103,7 @@ def test_an_agent_that_offers_a_task_is_not_thereby_known_to_have_it(phase):
     assert judged("me", claim("c"), marks(None), record(phase, "c"), ["b", "c"]) == AskAgent("b")
 
 
-@pytest.mark.parametrize("mark", [None, Mark(7, "x", "c")])
+@pytest.mark.parametrize("mark", [None, Mark(135, "x", "c")])
 def test_no_step_is_further_than_tasks_come(mark):
     n = MOST_STEP + (mark.n if mark else 0)
     known = record(Phase.RELEASED, "c", n=0)
