@@ -96,6 +96,17 @@ def test_no_command_of_a_new_epoch_is_obeyed_before_the_mark_is_on_disk(fleet):
     assert any("fence" in name for name in fleet.fleet.disk("a"))
 
 
+def test_a_later_epoch_that_comes_while_an_earlier_one_is_written_is_on_disk_before_its_command_is_obeyed(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
+    fleet.faults.slow_disk("a", 0.1)
+    give(fleet, a, command((2, "b"), v_mps=0.1), command((3, "b"), v_mps=0.2), for_s=0.6)
+    assert Wheels.told == [("a", 0.2)] and a.events("task_failed") == []
+    fleet.crash("a")
+    a = fleet.restart("a")
+    give(fleet, a, command((2, "b"), v_mps=ZOMBIE_MPS), for_s=0.6)
+    assert Wheels.told == [("a", 0.2)]
+
+
 def test_each_epoch_is_written_once(fleet):
     a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
     fleet.run_for(1.0)

@@ -210,6 +210,15 @@ def test_what_was_left_out_is_told_5_s_after_it_began_each_time_also_where_nothi
         assert len(told) == 2 * times and told[-1] == "9 more lines in the last 5 s were left out"
 
 
+def test_4096_lines_wait_for_a_slow_disk_and_the_oldest_of_more_are_lost(fleet, tmp_path):
+    path = tmp_path / "a.jsonl"
+    agent = fleet.start("a", services=log_of(file=str(path), share_kib_s=0))
+    for number in range(4097):
+        agent.publish("log", LogLine("info", f"line {number}"))
+    fleet.run_for(1.0)
+    assert texts(path, "a/test/Probe") == [f"line {number}" for number in range(1, 4097)]
+
+
 @pytest.mark.parametrize(("size", "lines"), [(5 * 1024 - 1, 2), (5 * 1024, 1)])
 def test_a_share_of_1_kib_is_5_kib_in_5_s(size, lines, fleet, tmp_path):
     path = tmp_path / "a.jsonl"
