@@ -115,14 +115,12 @@ def test_the_root_is_not_named_for_holding_a_thread(pools, kernel):
 def test_a_component_of_pancakes_gets_no_advice_that_its_author_alone_could_follow(pools, kernel):
     probe = kernel.spawn(Probe, "a/test/Probe", channels=("log",))
     assert probe.wait(probe.listening, PATIENCE_S)
-    pools[0].name_held(probe, 0.1)
-    assert probe.wait(lambda: probe.packets(LogLine), PATIENCE_S)
-    (line,) = (packet.body for packet in probe.packets(LogLine))
-    assert (line.level, line.text) == (
-        "info",
-        "a/test/Probe has held a thread of the pool for 100 ms:"
-        " a task's class, state, cost or rule takes long there, or this computer is busy",
+    pools[0].name_held(probe, 0.123)
+    said = (
+        "a/test/Probe has held a thread of the pool for 123 ms:"
+        " a task's class, state, cost or rule takes long there, or this computer is busy"
     )
+    assert_published(probe, LogLine, lambda line: (line.level, line.text) == ("info", said))
 
 
 def wait_until_heard(echo, count):
