@@ -49,7 +49,8 @@ def test_an_entry_is_written_again_where_the_directory_went_with_the_persons_ses
     registration.remove()
     assert entries() == []
     assert not registration.renew()
-    assert not is_locked(os.open(next(session.iterdir()), os.O_RDONLY)), "nothing of the entry before is kept open"
+    with open(next(session.iterdir()), "rb") as before:
+        assert not is_locked(before), "nothing of the entry before is kept open"
 
 
 def test_two_agents_of_one_name_have_an_entry_each(directory: Path):
