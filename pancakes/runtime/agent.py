@@ -40,6 +40,7 @@ from pancakes.runtime.hosting.courier import Courier
 from pancakes.runtime.hosting.courier_messages import COURIER
 from pancakes.runtime.hosting.guardian import Guardian
 from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.importer import IMPORTER, Importer
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.load import describe_process
 from pancakes.runtime.hosting.records import KIND as RECORD
@@ -199,8 +200,8 @@ class Agent:
         self._registers = Registers(disk)
         self._boots = BootMemory(disk)
         self.ledgers = Ledgers(disk, self.kernel.log)
-        installed = Installed(self._plugins)
-        self.host_state = HostState(self.kernel, config.agent.role, installed.version_of, installed.costs, self.records)
+        self._installed = installed = Installed(self._plugins)
+        self.host_state = HostState(self.kernel, config.agent.role, installed, self.records)
         addresses, fault = (config.agent.addresses, "") if virtual is not None else addresses_of(config.agent, network)
         if fault:
             self.skipped.append(f"{self.name} cannot be reached at {config.agent.addresses[0]}: {fault}")
@@ -268,6 +269,7 @@ class Agent:
         knows = {"records": self.records, "registers": self._registers, "state": self.host_state, "mesh": self.mesh}
         self._tend(Census, CENSUS, **knows, boots=self._boots)
         self._tend(Guardian, GUARDIAN, **knows)
+        self._tend(Importer, IMPORTER, installed=self._installed)
         try:
             self.mesh.start()  # after the actors that peers ask at once
         except PancakesError:

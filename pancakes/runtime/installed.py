@@ -29,6 +29,10 @@ class Installed:
         cls = self._plugins.get("pancakes.tasks", type_name)
         return cls, self._plugins.version("pancakes.tasks", type_name).version
 
+    def at_hand(self, type_name: str) -> bool:
+        """Returns whether a question about a task type is answered without an import."""
+        return self._plugins.at_hand("pancakes.tasks", type_name)
+
     def version_of(self, type_name: str) -> str | None:
         """Returns the version in which a task type is installed and can be imported; None where it is not."""
         try:

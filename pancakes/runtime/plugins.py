@@ -122,6 +122,11 @@ class Plugins:
                 raise
         return self._loaded[key]
 
+    def at_hand(self, group: str, name: str) -> bool:
+        """Returns whether `get` answers without an import: it was asked before, or there is nothing to import."""
+        key = (group, name)
+        return key in self._loaded or key in self._broken or key in self._extra or name not in self._offers(group)
+
     def offered(self, group: str) -> list[Offered]:
         """Returns all entry points of a group, by name; also those that are offered twice. Imports nothing."""
         return [

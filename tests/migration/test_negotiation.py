@@ -15,7 +15,9 @@ REQUEST = Solicit(TaskId("agent1", "ScanTarget"), 1, "encirclement.ScanTarget", 
 
 
 def negotiation(*neighbours: str, to: str = "", dry_run: bool = False) -> Negotiation:
-    return Negotiation(REQUEST, "agent1", "rule", neighbours, 100.0, to, dry_run, window_s=0.5, cause="")
+    return Negotiation(
+        REQUEST, "agent1", "rule", neighbours, 100.0, to, dry_run, window_s=0.5, patience_s=8.0, cause=""
+    )
 
 
 def message_of(outcome: object) -> str:
@@ -60,13 +62,41 @@ def test_the_cheapest_wins_and_ties_go_by_name() -> None:
     ]
 
 
-def test_nobody_waits_for_a_silent_neighbour() -> None:
+def test_where_a_neighbour_has_bid_no_other_is_waited_for_long() -> None:
     bidding = negotiation("a", "b")
     bidding.bid("b", 3.0, {}, 100.1)
-    assert bidding.deadline_s == 100.5
     assert bidding.tick(100.4) is None
     assert bidding.tick(100.5) == Awarded("b")
     assert bidding.ledger(101.0).lines[0] == Line("a", "silent", "silent", reason="did not answer within 0.5 s")
+
+
+def test_where_none_has_bid_a_silent_neighbour_is_waited_for() -> None:
+    bidding = negotiation("a", "b", "c")
+    bidding.refuse("b", "lacks the device type motors", 100.1)
+    assert bidding.tick(100.5) is None
+    assert bidding.bid("a", 3.0, {}, 104.0) == Awarded("a"), "it is late for others to bid as well"
+    assert bidding.ledger(105.0).lines == (
+        Line("a", "bid", "won", 3.0, {}),
+        Line("b", "refused", "refused", reason="lacks the device type motors"),
+        Line("c", "silent", "silent", reason="did not answer within 0.5 s"),
+    )
+
+
+def test_a_bid_within_the_window_is_compared_with_those_that_come_within_it() -> None:
+    bidding = negotiation("a", "b", "c")
+    assert bidding.bid("a", 3.0, {}, 100.2) is None
+    assert bidding.bid("b", 1.0, {}, 100.49) is None
+    assert bidding.tick(100.5) == Awarded("b")
+
+
+def test_no_neighbour_is_waited_for_without_end() -> None:
+    bidding = negotiation("a", "b")
+    bidding.refuse("b", "knows no such type", 103.0)
+    assert bidding.tick(107.9) is None
+    text = message_of(bidding.tick(108.0))
+    assert text == "no neighbour can take ScanTarget: a: did not answer within 8 s; b: knows no such type"
+    assert bidding.bid("a", 1.0, {}, 108.1) is None
+    assert bidding.ledger(109.0).lines[0] == Line("a", "refused", "refused", 1.0, {}, "answered later than 8 s")
 
 
 @pytest.mark.parametrize(

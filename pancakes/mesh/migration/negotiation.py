@@ -1,8 +1,8 @@
 """The bidding for one task: asks the neighbours, compares what they say, and keeps the account. Pure.
 
-No agent waits for a silent neighbour: the window closes after half a second, or as soon as all have
-answered. The cheapest is chosen, ties by name; where its hand-off comes to nothing, the next one is. The
-task runs on all through this.
+Where one neighbour has bid, no other is waited for longer than half a second; where none has, a silent one is
+waited for longer, because it may import the task's class first. The cheapest is chosen, ties by name; where its
+hand-off comes to nothing, the next one is. The task runs on all through this.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class Negotiation:
         now_s: host time.
         to: the only neighbour to ask; empty: all.
         dry_run: compare, and move nothing.
-        window_s: how long to wait for answers, in host time.
+        window_s: how long to wait for other answers where a bid has come, in host time.
+        patience_s: how long to wait where none has.
         cause: as in `Ledger`.
     """
 
@@ -65,17 +66,18 @@ class Negotiation:
         to: str,
         dry_run: bool,
         window_s: float,
+        patience_s: float,
         cause: str,
     ) -> None:
         known = sorted(dict.fromkeys(neighbours))
         self.request = request
         self.asked: tuple[str, ...] = tuple(peer for peer in known if not to or peer == to)
-        self.deadline_s = now_s + window_s
         self._source = source
         self._asked_by = asked_by
         self._to = to
         self.dry_run = dry_run
         self._window_s = window_s
+        self._patience_s = patience_s
         self._cause = cause
         self._began_s = now_s
         self._ended_s: float | None = None
@@ -109,8 +111,8 @@ class Negotiation:
         return self._answer(Line(peer, "refused", "refused", reason=reason), now_s)
 
     def tick(self, now_s: float) -> Outcome | None:
-        """Closes the window once `deadline_s` has come."""
-        return self._close(now_s) if self._open and now_s >= self.deadline_s else None
+        """Closes the window once it is time. To be called after `window_s`, and after `patience_s`."""
+        return self._close(now_s) if self._open and self._late(now_s) else None
 
     def failed(self, peer: str, reason: str, now_s: float) -> Outcome | None:
         """Takes the news that the hand-off to the chosen neighbour came to nothing; the next one's turn."""
@@ -149,21 +151,30 @@ class Negotiation:
     def _answer(self, line: Line, now_s: float) -> Outcome | None:
         if line.peer not in self.asked:
             return None
-        if not self._open or now_s >= self.deadline_s:
+        if not self._open or self._late(now_s):
             outcome = self._close(now_s) if self._open else None
             known = self._lines[line.peer]
             if known.answer == "silent":
-                late = f"answered later than {self._window_s:g} s"
+                late = f"answered later than {self._waited_s:g} s"
                 self._lines[line.peer] = Line(line.peer, "refused", "refused", line.cost, line.terms, late)
             return outcome
         # The first answer counts: one that comes again may be an old one.
         self._lines.setdefault(line.peer, line)
-        return self._close(now_s) if len(self._lines) == len(self.asked) else None
+        return self._close(now_s) if len(self._lines) == len(self.asked) or self._late(now_s) else None
+
+    @property
+    def _waited_s(self) -> float:
+        """How long a silent neighbour is waited for, as things stand."""
+        has_bid = any(line.answer == "bid" for line in self._lines.values())
+        return self._window_s if has_bid else self._patience_s
+
+    def _late(self, now_s: float) -> bool:
+        return now_s >= self._began_s + self._waited_s
 
     def _close(self, now_s: float) -> Outcome:
         self._open = False
         for peer in self.asked:
-            silence = f"did not answer within {self._window_s:g} s"
+            silence = f"did not answer within {self._waited_s:g} s"
             self._lines.setdefault(peer, Line(peer, "silent", "silent", reason=silence))
         return self._choose(now_s)
 

@@ -11,7 +11,8 @@ class Times(msgspec.Struct, frozen=True):
     No safety hangs on any of them: a timer may fire at any time, early, late or never.
 
     Attributes:
-        bid_window_s: how long a source waits for answers to its SOLICIT.
+        bid_window_s: how long a source waits for other answers to its SOLICIT where a neighbour has bid.
+        patience_s: how long it waits where none has: a neighbour may import the task's class first.
         reserve_s: how long it waits for RESERVED before it asks the next bidder.
         slot_s: how long a destination keeps the slot of a reservation.
         prepare_s: how long a source waits, frozen, for PREPARED; the transfer's own time is added.
@@ -24,6 +25,7 @@ class Times(msgspec.Struct, frozen=True):
     """
 
     bid_window_s: float = 0.5
+    patience_s: float = 8.0
     reserve_s: float = 1.0
     slot_s: float = 5.0
     prepare_s: float = 2.0

@@ -12,7 +12,7 @@ from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 
-APPRAISER: Final = "appraiser"
+APPRAISER: Final = "kernel/Appraiser"
 
 
 class Appraise(msgspec.Struct, frozen=True):

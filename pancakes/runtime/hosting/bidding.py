@@ -39,6 +39,7 @@ from pancakes.runtime.hosting.bidding_messages import (
     ServiceBegan,
 )
 from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.importer import IMPORTER, Import, Imported
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.load import IDLE, LoadMeter
 from pancakes.runtime.hosting.peer_talk import PeerTalk
@@ -123,6 +124,8 @@ class TaskMigrator(Task):
                 self._service_began(message.service)
             case Appraised():
                 self._appraised(message)
+            case Imported():
+                self.on_solicit(message.packet)
             case _:
                 return super().on_receive(message)
         return None
@@ -143,6 +146,7 @@ class TaskMigrator(Task):
             asked.to,
             asked.dry_run,
             self._times.bid_window_s,
+            self._times.patience_s,
             asked.cause,
         )
         self._negotiations[request.task_id] = (negotiation, asked.service)
@@ -151,7 +155,8 @@ class TaskMigrator(Task):
         for peer in negotiation.asked:
             self._talk.say(peer, MIGRATOR, request)
         if outcome is None:
-            self.after_host(self._times.bid_window_s, lambda: self._window_closes(negotiation))
+            for wait_s in (self._times.bid_window_s, self._times.patience_s):
+                self.after_host(wait_s, partial(self._window_closes, negotiation, now_s + wait_s))
         self._conclude(request.task_id, outcome)
 
     def _note(self) -> None:
@@ -206,12 +211,12 @@ class TaskMigrator(Task):
 
     # Negotiating -----------------------------------------------------------------------------------------------
 
-    def _window_closes(self, negotiation: Negotiation) -> None:
+    def _window_closes(self, negotiation: Negotiation, due_s: float) -> None:
         task_id = negotiation.request.task_id
         found = self._negotiations.get(task_id)
         if found is not None and found[0] is negotiation:
             # A timer may fire a hair early; the window is closed all the same.
-            self._conclude(task_id, negotiation.tick(max(self.kernel.host.now(), negotiation.deadline_s)))
+            self._conclude(task_id, negotiation.tick(max(self.kernel.host.now(), due_s)))
 
     def _conclude(self, task_id: TaskId, outcome: Outcome | None) -> None:
         found = self._negotiations.get(task_id)
@@ -273,6 +278,9 @@ class TaskMigrator(Task):
             return
         request: Solicit = packet.body
         peer = agent_of(packet.source)
+        if self._state.must_import(peer, request.type):
+            self.kernel.tell(IMPORTER, Import(self, request.type, packet))
+            return
         refusal = self._state.refusal_of(peer, request)
         if not refusal:
             self._appraise(peer, request)

@@ -62,6 +62,7 @@ from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.service_messages import PeerDown
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried, HasNoPermit, LetterGiven, Looked, Stood
+from pancakes.runtime.supervision.task_news import tell_of_task
 from pancakes.service import Service
 from pancakes.task import TaskSpec
 
@@ -366,7 +367,7 @@ class ClientService(Service):
 
     def tell_news(self, slot: Slot, effect: Tell) -> None:
         if effect.news is not News.REFUSED or self.places.at[slot.name].unsure is SURE:
-            super().tell_news(slot, effect)  # what is unsure of many tasks is told once
+            tell_of_task(self, slot, effect)  # what is unsure of many tasks is told once
 
     def answer(self, slot: Slot, effect: Answer) -> None:
         answer, place = super().answer, self.places.at[slot.name]
@@ -495,6 +496,5 @@ class ClientService(Service):
     @classmethod
     def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any], for_s: float | None) -> str:
         state: HostState = arguments["state"]
-        for task_id in state.under_way(name):
-            return f"{join(kernel.agent, name)} must not stop while {task_id} is being handed over"
-        return ""
+        moving = state.under_way(name)
+        return f"{join(kernel.agent, name)} must not stop while {moving[0]} is being handed over" if moving else ""

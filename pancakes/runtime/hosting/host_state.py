@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import msgspec
 
 from pancakes.mesh.guarding.guardian_core import GuardRegister
-from pancakes.mesh.migration.capability import Capability
-from pancakes.mesh.migration.cost import Cost, HostLoad
+from pancakes.mesh.migration.capability import HOST_ROLE, Capability
+from pancakes.mesh.migration.cost import HostLoad
 from pancakes.mesh.migration.messages import Reserve, Solicit
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.reservations import Reservation, Reservations
@@ -19,6 +18,7 @@ from pancakes.mesh.migration.times import Times
 from pancakes.packet import join
 from pancakes.runtime.hosting.load import MeasuredLoad
 from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.installed import Installed
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.reference import Reference
 
@@ -35,11 +35,11 @@ class HostState:
     Args:
         kernel: the kernel, whose registry has the devices and all components.
         role: the agent's role.
-        version: returns the version in which a task type is installed and can be imported; None where it is not.
-        costs: returns the cost functions, by name.
+        installed: the task types and cost functions that are installed.
         records: says which service has the record of a task.
 
     Attributes:
+        costs: returns the cost functions that are installed, by name.
         battery_level: what is left of this agent's battery, from 0 to 1, as it last said; None before that.
         measured: how busy the agent was lately; None before the first look.
         negotiated: the tasks for which the Task Migrator compares bids.
@@ -51,14 +51,13 @@ class HostState:
         self,
         kernel: Kernel,
         role: str,
-        version: Callable[[str], str | None],
-        costs: Callable[[], Mapping[str, Cost]],
+        installed: Installed,
         records: Records,
     ) -> None:
         self._kernel = kernel
         self._role = role
-        self._version = version
-        self.costs = costs
+        self._installed = installed
+        self.costs = installed.costs
         self._records = records
         self._lock = threading.Lock()
         self._hosting: dict[str, None] = {}  # the services that host tasks, also where they are stopped now
@@ -124,13 +123,21 @@ class HostState:
         with self._lock:
             return self._reservations.kept(self._kernel.host.now())
 
+    def must_import(self, peer: str, type: str) -> bool:
+        """Returns whether a task type is to be imported before this agent can say what it could be to a peer's task.
+
+        An import may take seconds, so it is the importer's. In virtual time it takes no time.
+        """
+        at_hand = self._kernel.virtual is not None or self._installed.at_hand(type)
+        return not at_hand and not self._kernel.access.fault(peer, "host", type)
+
     def refusal_of(self, peer: str, request: Solicit) -> str:
         """Returns why this agent cannot take a task of a peer now, as a phrase; empty where it can."""
         if fault := self._kernel.access.fault(peer, "host", request.type):
             return fault
         registry = self._kernel.registry
         holder = self._holder_of(request.task_id.name)
-        version = self._version(request.type)
+        version = self._installed.version_of(request.type)
         recorded = self._records.service_of(request.task_id)
         capability = Capability(
             role=self._role,
@@ -150,9 +157,13 @@ class HostState:
             return self._records.here(name) or TaskId(self._kernel.agent, name)
         return next((task_id for task_id in self._kept() if task_id.name == name), None)
 
+    def hosts(self) -> bool:
+        """Returns whether this agent runs tasks."""
+        return self._role == HOST_ROLE and bool(self._running())
+
     def runs(self, type: str) -> bool:
         """Returns whether this agent runs tasks, and has this type of them."""
-        return self._role == "agent" and bool(self._running()) and self._version(type) is not None
+        return self.hosts() and self._installed.version_of(type) is not None
 
     def _taken(self, request: Solicit) -> str:
         registry = self._kernel.registry

@@ -1,0 +1,104 @@
+"""A plug-in whose import takes long: its task moves all the same, and no other part of the agent waits for it."""
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from services.counting import Count
+
+from pancakes.control import Migrate
+from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
+from pancakes.mesh.migration.record import TaskId
+from pancakes.packet import NETWORK
+from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.testing import threaded_agent
+from pancakes.testing.agent_in_test import AgentInTest
+
+INSECURE = "[service.network]\nsettings = { insecure = true }\n"
+SLOW = "slow_in_test.Slow"
+IMPORTING, GO_ON = threading.Event(), threading.Event()
+THREADS: list[str] = []
+SOURCE = f"""
+import sys, threading
+from pancakes.task import Task
+sys.modules[{__name__!r}].THREADS.append(threading.current_thread().name)
+sys.modules[{__name__!r}].IMPORTING.set()
+assert sys.modules[{__name__!r}].GO_ON.wait(20.0)
+class Slow(Task):
+    pass
+"""
+
+
+class Pair(NamedTuple):
+    """Two linked agents; the second has not imported the class of a task of the first."""
+
+    a: AgentInTest
+    b: AgentInTest
+
+
+@pytest.fixture
+def slow_plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    information = tmp_path / "slow_in_test-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: slow-in-test\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(f"[pancakes.tasks]\n{SLOW} = slow_in_test:Slow\n")
+    (tmp_path / "slow_in_test.py").write_text(SOURCE)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@contextmanager
+def pair() -> Iterator[Pair]:
+    classes = {"test.Count": Count}
+    tasks = {"Slow": {"type": SLOW}, "Count": {"type": "test.Count"}}
+    GO_ON.set()
+    with threaded_agent("b", INSECURE, classes=classes, listen="tcp://127.0.0.1:0") as b:
+        with threaded_agent("a", INSECURE, classes=classes, tasks=tasks, peers=tuple(b.agent.mesh.listen)) as a:
+            a.wait_until(lambda: a.agent.mesh.neighbours() == ["b"] and sorted(a.running()) == ["Count", "Slow"])
+            GO_ON.clear()
+            IMPORTING.clear()
+            del sys.modules["slow_in_test"]
+            try:
+                yield Pair(a, b)
+            finally:
+                GO_ON.set()
+
+
+@pytest.mark.usefixtures("slow_plugin")
+def test_a_task_moves_to_an_agent_that_imports_its_class_first() -> None:
+    with pair() as (a, b):
+        moved = a.publish("sysctrl", Migrate("Slow"))
+        assert IMPORTING.wait(20.0)
+        assert THREADS[-1] == "b-Importer", "no thread of the pool is held"
+        other = a.ask(Migrate("Count", dry_run=True))
+        assert other.result["winner"] == "b", "other tasks are bid for meanwhile"
+        assert not b.events("migration_bid", task="Slow")
+        GO_ON.set()
+        reply = a.reply_to(moved)
+        assert reply.ok and reply.result["winner"] == "b"
+        b.wait_until(lambda: b.running() == ["Slow"])
+
+
+@pytest.mark.usefixtures("slow_plugin")
+def test_an_agent_answers_whether_it_would_guard_a_task_once_it_knows_its_class() -> None:
+    with pair() as (a, b):
+        journal = b.agent.mesh.identity.journal
+        a.publish(NETWORK, MayGuard(TaskId("a", "Slow"), SLOW, journal), f"b/{GUARDIAN}")
+        assert IMPORTING.wait(20.0)
+        a.publish(NETWORK, MayGuard(TaskId("a", "Count"), "test.Count", journal), f"b/{GUARDIAN}")
+        a.wait_for(CanGuard, lambda told: told.task_id == TaskId("a", "Count") and told.runs_type)
+        assert not [it for it in a.probe.packets(CanGuard) if it.body.task_id == TaskId("a", "Slow")]
+        GO_ON.set()
+        a.wait_for(CanGuard, lambda told: told.task_id == TaskId("a", "Slow") and told.runs_type)
+
+
+@pytest.mark.usefixtures("slow_plugin")
+def test_an_agent_that_is_stopped_meanwhile_does_not_wait_for_the_import() -> None:
+    with pair() as (a, b):
+        a.publish("sysctrl", Migrate("Slow"))
+        assert IMPORTING.wait(20.0)
+        b.stop()
+        assert not GO_ON.is_set()
