@@ -436,12 +436,13 @@ class Service(Component):
             slot.commands = (*slot.commands, command)
             self.command_waits(slot, request)
             return
-        self._begin_command(command, request)
+        self.begin_command(command, request)
 
     def _is_busy(self, slot: Slot) -> bool:
         return slot.life.asker is not None or self._startup.is_to_start(slot)
 
-    def _begin_command(self, command: Command, request: Request) -> None:
+    def begin_command(self, command: Command, request: Request) -> None:
+        """Carries out one command whose turn has come, and answers it where that fails."""
         try:
             slot = self._slot(command.task) if command.task else None
             self.carry_out_command(command.body, slot, request)
@@ -450,9 +451,8 @@ class Service(Component):
 
     def _next_command(self, slot: Slot) -> None:
         while slot.commands and not self._is_busy(slot):
-            command, *later = slot.commands
-            slot.commands = tuple(later)
-            self._begin_command(command, request_of(command))
+            command, slot.commands = slot.commands[0], slot.commands[1:]
+            self.begin_command(command, request_of(command))
 
     def _slot(self, name: str) -> Slot:
         slot = self.slots.get(name)

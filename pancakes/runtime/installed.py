@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 from pancakes.errors import PluginError
 from pancakes.mesh.migration.cost import Cost
-from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.plugins import Plugins, UnknownPlugin
 from pancakes.task import Task
 
 
@@ -19,6 +20,7 @@ class Installed:
 
     def __init__(self, plugins: Plugins) -> None:
         self._plugins = plugins
+        self._costs: dict[str, Cost] | None = None
 
     def find(self, type_name: str) -> tuple[type[Task], str]:
         """Returns a task's class, and the version of its distribution.
@@ -40,12 +42,22 @@ class Installed:
         except PluginError:
             return None
 
+    def fault_of(self, type_name: str) -> str:
+        """Returns why a task type cannot be had that is installed; empty where it can, or none is installed."""
+        try:
+            self.find(type_name)
+        except UnknownPlugin:
+            return ""
+        except PluginError as error:
+            return str(error)
+        return ""
+
     def costs(self) -> Mapping[str, Cost]:
-        """Returns the cost functions by name, without those that cannot be made."""
-        costs: dict[str, Cost] = {}
-        for name in self._plugins.names("pancakes.costs"):
-            try:
-                costs[name] = self._plugins.get("pancakes.costs", name)()
-            except (Exception, SystemExit):  # the constructor of a plug-in may raise anything
-                continue
-        return costs
+        """Returns the cost functions by name, without those that cannot be made; each is made once."""
+        if self._costs is None:
+            costs: dict[str, Cost] = {}
+            for name in self._plugins.names("pancakes.costs"):
+                with suppress(Exception, SystemExit):  # the constructor of a plug-in may raise anything
+                    costs[name] = self._plugins.get("pancakes.costs", name)()
+            self._costs = costs
+        return self._costs

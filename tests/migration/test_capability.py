@@ -31,6 +31,7 @@ def test_a_robot_with_all_that_is_asked_for_refuses_nothing() -> None:
         ({"devices": ("motion", "pose")}, "lacks the device type motors"),
         ({"devices": ()}, "lacks the device types pose, motors"),
         ({"types": {}}, "knows no task type 'encirclement.ScanTarget'"),
+        ({"types": {}, "faults": {"encirclement.ScanTarget": "it cannot be loaded: no camera"}}, "loaded: no camera"),
         ({"types": {"encirclement.ScanTarget": "0.2.0"}}, "has encirclement.ScanTarget in version 0.2.0, not 0.1.2"),
         ({"names": {"ScanTarget": TaskId("agent2", "ScanTarget")}}, "has a task named ScanTarget already"),
         ({"battery_level": 0.74}, "has 74% of its battery"),

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from pancakes.errors import PluginError
+from pancakes.runtime.installed import Installed
 from pancakes.runtime.plugins import Plugins, UnknownPlugin
 
 Install = Callable[..., None]
@@ -37,6 +38,17 @@ def test_a_plugin_is_found_by_its_name(install: Install):
     assert plugins.get(TASKS, "walk.Walk").__name__ == "Walk"
     assert plugins.get(TASKS, "walk.Walk") is plugins.get(TASKS, "walk.Walk")
     assert plugins.problems() == []
+
+
+def test_a_cost_function_is_made_once_and_one_that_cannot_be_made_harms_no_other():
+    class Bad:
+        def __init__(self) -> None:
+            raise SystemExit
+
+    installed = Installed(Plugins({("pancakes.costs", "bad"): Bad, ("pancakes.costs", "far"): list}))
+    costs = installed.costs()
+    assert costs["far"] == [] and "bad" not in costs
+    assert installed.costs()["far"] is costs["far"]
 
 
 def test_its_version_is_known_without_importing_it(install: Install):

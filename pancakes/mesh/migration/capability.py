@@ -26,6 +26,7 @@ class Capability(msgspec.Struct, frozen=True):
         role: its role on the mesh.
         devices: the types of its devices.
         types: the task types that it knows, with the version of the distribution they come from.
+        faults: for each task type that is installed and cannot be loaded, why.
         services: the services that run here and take tasks in.
         records: for each task of which there is a record here, the service that has it.
         names: which task each name here belongs to: those that run, are stopped, or are about to arrive.
@@ -36,6 +37,7 @@ class Capability(msgspec.Struct, frozen=True):
     role: str = HOST_ROLE
     devices: tuple[str, ...] = ()
     types: Mapping[str, str] = msgspec.field(default_factory=dict)
+    faults: Mapping[str, str] = msgspec.field(default_factory=dict)
     services: tuple[str, ...] = ("client",)
     records: Mapping[TaskId, str] = msgspec.field(default_factory=dict)
     names: Mapping[str, TaskId] = msgspec.field(default_factory=dict)
@@ -77,7 +79,7 @@ class Capability(msgspec.Struct, frozen=True):
     def _type(self, request: Solicit) -> str:
         here = self.types.get(request.type)
         if here is None:
-            return f"knows no task type {request.type!r}"
+            return self.faults.get(request.type, f"knows no task type {request.type!r}")
         if not compatible(request.version, here):
             return f"has {request.type} in version {here}, not {request.version}"
         return ""

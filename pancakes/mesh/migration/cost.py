@@ -80,7 +80,7 @@ class CostFacts(msgspec.Struct, frozen=True):
 
 
 class Cost(ABC):
-    """A cost function. The entry point names the class, which is called without arguments.
+    """A cost function. The entry point names the class, which is called without arguments, once in each agent.
 
     Attributes:
         name: its name in `migrate = { cost = "NAME" }`.

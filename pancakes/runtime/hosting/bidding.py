@@ -39,7 +39,7 @@ from pancakes.runtime.hosting.bidding_messages import (
     ServiceBegan,
 )
 from pancakes.runtime.hosting.host_state import HostState
-from pancakes.runtime.hosting.importer import IMPORTER, Import, Imported
+from pancakes.runtime.hosting.importer import Imported
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.load import IDLE, LoadMeter
 from pancakes.runtime.hosting.peer_talk import PeerTalk
@@ -125,7 +125,7 @@ class TaskMigrator(Task):
             case Appraised():
                 self._appraised(message)
             case Imported():
-                self.on_solicit(message.packet)
+                self.on_solicit(message.waiting)
             case _:
                 return super().on_receive(message)
         return None
@@ -278,8 +278,7 @@ class TaskMigrator(Task):
             return
         request: Solicit = packet.body
         peer = agent_of(packet.source)
-        if self._state.must_import(peer, request.type):
-            self.kernel.tell(IMPORTER, Import(self, request.type, packet))
+        if self._state.imports_first(self, peer, request.type, packet):
             return
         refusal = self._state.refusal_of(peer, request)
         if not refusal:

@@ -39,6 +39,7 @@ from pancakes.runtime.hosting.departures import Departures
 from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.guarded_tasks import GuardedTasks
 from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.importer import Imported
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.machine import AnyEvent, handle
 from pancakes.runtime.hosting.mover import Mover
@@ -58,7 +59,7 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.life.life import RESTS
 from pancakes.runtime.life.life_effect import Answer, News, Tell
-from pancakes.runtime.life.request import Request
+from pancakes.runtime.life.request import Request, request_of
 from pancakes.runtime.supervision.service_messages import PeerDown
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried, HasNoPermit, LetterGiven, Looked, Stood
@@ -128,6 +129,7 @@ class ClientService(Service):
         self.outbox = outbox
         self.state = state
         self._talk = PeerTalk(self, mesh)
+        self.connected = self._talk.connected
         self.places = Places(self.agent, self.slots)
         self.residents: frozenset[str] = frozenset()
         self._events: deque[tuple[Place, AnyEvent]] = deque()
@@ -149,8 +151,7 @@ class ClientService(Service):
     # Its own life ----------------------------------------------------------------------------------------------
 
     def on_start(self) -> None:
-        # A subclass may have settings of its own.
-        if isinstance(self.settings, ClientService.Settings):
+        if isinstance(self.settings, ClientService.Settings):  # a subclass may have settings of its own
             for channel in self.settings.channels:
                 self.open_channel(channel)
 
@@ -420,6 +421,8 @@ class ClientService(Service):
                 self._deliveries.heard(message)
             case ClaimsCame() | NeighbourCame() | FactsCame() | CopyNoticed():
                 self._disputes.heard(message)
+            case Imported():
+                self.begin_command(message.waiting, request_of(message.waiting))
             case PeerDown():
                 self._arrivals.drop_pieces(message.peer)
             case BidAwarded():
@@ -465,9 +468,6 @@ class ClientService(Service):
     def on_guardian(self, packet: Packet) -> None:
         """A guardian of a task says something."""
         self._guarded.heard(packet)
-
-    def connected(self, peer: str) -> bool:
-        return self._talk.connected(peer)
 
     # What is asked of it ---------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 
 from msgspec.structs import replace
 
+from pancakes.control import Command
 from pancakes.creation import Create, Remove
 from pancakes.errors import ControlRefused
 from pancakes.mesh.migration.epoch import MORE_THAN_MOVES
@@ -79,7 +80,10 @@ class Creations:
         Raises:
             ControlRefused: it is here, or may be elsewhere, or cannot run here.
         """
-        task_id = TaskId(self._host.agent, body.target)
+        host, task_id = self._host, TaskId(self._host.agent, body.target)
+        command = Command(request.number, request.cause, "", body)
+        if host.state.imports_first(host, agent_of(request.by), body.type, command):
+            return
         self._refuse_known(task_id)
         spec = self._spec(body)
         asked = Creation(request, spec, self._first_snapshot(spec, task_id), body.dry_run)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from pancakes.control import Adopt, Forget, Revive
+from pancakes.control import Adopt, Command, Forget, Revive
 from pancakes.errors import ControlRefused
 from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import AdoptionAsked, ForgettingAsked, GuardsChosen
 from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, agent_of, join
 from pancakes.runtime.hosting import adoption
 from pancakes.runtime.hosting.arrivals import Arrivals
@@ -143,7 +144,11 @@ class Decisions:
         Raises:
             ControlRefused: it is here, or may be elsewhere, it cannot run here, or the request does not say `force`.
         """
-        host, task_id = self._host, TaskId.parse(body.task_id)
+        host, task_id, held = self._host, TaskId.parse(body.task_id), body.checkpoint
+        type_name = Snapshot.decode(held.snapshot).type if held is not None else body.type
+        command = Command(request.number, request.cause, "", body)
+        if host.state.imports_first(host, agent_of(request.by), type_name, command):
+            return
         place = host.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
         record, lost = place.standing.record, self._records.lost(task_id)
         stands_still = record.guarded and not host.kernel.permits.may_act(Fence(str(task_id), record.epoch))
@@ -157,7 +162,6 @@ class Decisions:
             raise ControlRefused(
                 f"{task_id} is not revived: {other.peer} is connected, and owns it (epoch {other.epoch})"
             )
-        held = body.checkpoint
         snapshot = held.snapshot if held is not None else self._arrivals.as_configured(body)
         refusal = self._arrivals.cannot_build(agent_of(request.by), place, snapshot)
         if refusal or body.dry_run or not body.force:

@@ -47,7 +47,7 @@ from pancakes.runtime.hosting import held
 from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MoveOver
 from pancakes.runtime.hosting.deadlines import Deadline, Deadlines
 from pancakes.runtime.hosting.host_state import HostState
-from pancakes.runtime.hosting.importer import IMPORTER, Import, Imported
+from pancakes.runtime.hosting.importer import Imported
 from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.registers import Registers, RegisterWritten
@@ -149,7 +149,7 @@ class Guardian(Component):
             case RegisterWritten():
                 self._written(message)
             case Imported():
-                self.on_may_guard(message.packet)
+                self.on_may_guard(message.waiting)
             case BidAwarded():
                 self._takeovers.awarded(message)
             case MoveOver():
@@ -309,8 +309,7 @@ class Guardian(Component):
         asked, peer = packet.body, agent_of(packet.source)
         if not is_for(asked, self._talk.me.journal):
             return
-        if self._state.hosts() and self._state.must_import(peer, asked.type):
-            self.kernel.tell(IMPORTER, Import(self, asked.type, packet))
+        if self._state.hosts() and self._state.imports_first(self, peer, asked.type, packet):
             return
         access = self.kernel.access
         refusal = access.fault(peer, "guard", asked.type) or access.fault(peer, "host", asked.type)

@@ -16,6 +16,7 @@ from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.reservations import Reservation, Reservations
 from pancakes.mesh.migration.times import Times
 from pancakes.packet import join
+from pancakes.runtime.hosting.importer import IMPORTER, Import
 from pancakes.runtime.hosting.load import MeasuredLoad
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.installed import Installed
@@ -123,13 +124,25 @@ class HostState:
         with self._lock:
             return self._reservations.kept(self._kernel.host.now())
 
-    def must_import(self, peer: str, type: str) -> bool:
-        """Returns whether a task type is to be imported before this agent can say what it could be to a peer's task.
+    def imports_first(self, asker: Reference, peer: str, type: str, waiting: object) -> bool:
+        """Has the importer import a task type, unless it is at hand or the peer may have this agent host no such task.
 
-        An import may take seconds, so it is the importer's. In virtual time it takes no time.
+        In virtual time an import takes no time, so there it is not needed.
+
+        Args:
+            asker: the actor that gets `Imported` then.
+            peer: the agent that asks for such a task.
+            type: the task type.
+            waiting: what it then goes on with; data.
+
+        Returns:
+            Whether it does.
         """
-        at_hand = self._kernel.virtual is not None or self._installed.at_hand(type)
-        return not at_hand and not self._kernel.access.fault(peer, "host", type)
+        if self._kernel.virtual is not None or self._installed.at_hand(type):
+            return False
+        if self._kernel.access.fault(peer, "host", type):
+            return False
+        return self._kernel.tell(IMPORTER, Import(asker, type, waiting))
 
     def refusal_of(self, peer: str, request: Solicit) -> str:
         """Returns why this agent cannot take a task of a peer now, as a phrase; empty where it can."""
@@ -137,12 +150,13 @@ class HostState:
             return fault
         registry = self._kernel.registry
         holder = self._holder_of(request.task_id.name)
-        version = self._installed.version_of(request.type)
+        version, fault = self._installed.version_of(request.type), self._installed.fault_of(request.type)
         recorded = self._records.service_of(request.task_id)
         capability = Capability(
             role=self._role,
             devices=tuple(registry.device_types()),
             types={request.type: version} if version is not None else {},
+            faults={request.type: fault} if fault else {},
             services=tuple(self._running()),
             records={request.task_id: recorded} if recorded else {},
             names={holder.name: holder} if holder is not None else {},

@@ -56,7 +56,7 @@ class HostingService(Reference, Protocol):
     def first_guardian(self, place: Place, snapshot: bytes = b"") -> GuardianId | None:
         """Returns the first guardian of a task that begins here: this agent; None: the task is not guarded."""
 
-    def connected(self, peer: str) -> bool:
+    def connected(self, agent: str) -> bool:
         """Returns whether there is a link to an agent now."""
 
     def open_slot(self, spec: TaskSpec) -> Slot: ...

@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.packet import Packet
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.reference import Reference
@@ -21,26 +20,26 @@ class Import(msgspec.Struct, frozen=True):
     Attributes:
         asker: the actor that gets the answer, `Imported`.
         type: the task type.
-        packet: the packet that waits for it.
+        waiting: what waits for it; data.
     """
 
     asker: Reference
     type: str
-    packet: Packet
+    waiting: object
 
 
 class Imported(msgspec.Struct, frozen=True):
     """A task type is imported, or cannot be: what is asked about it is answered at once from now on.
 
     Attributes:
-        packet: the packet that has waited for it.
+        waiting: what has waited for it.
     """
 
-    packet: Packet
+    waiting: Any
 
 
 class Importer(Component):
-    """Imports task types in a thread of its own: the actors that answer other agents wait for no import.
+    """Imports task types in a thread of its own: the actors that answer other agents, and keep leases, wait for none.
 
     It belongs to no service.
 
@@ -58,5 +57,5 @@ class Importer(Component):
         if not isinstance(message, Import):
             return super().on_receive(message)
         self._installed.version_of(message.type)
-        tell(message.asker, Imported(message.packet))
+        tell(message.asker, Imported(message.waiting))
         return None

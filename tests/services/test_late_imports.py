@@ -1,4 +1,4 @@
-"""A plug-in whose import takes long: its task moves all the same, and no other part of the agent waits for it."""
+"""A plug-in whose import takes long, or fails: no other part of the agent waits, and neighbours get the reason."""
 
 import sys
 import threading
@@ -10,7 +10,8 @@ from typing import NamedTuple
 import pytest
 from services.counting import Count
 
-from pancakes.control import Migrate
+from pancakes.control import Describe, Migrate, Revive
+from pancakes.creation import Create
 from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import NETWORK
@@ -19,8 +20,8 @@ from pancakes.testing import threaded_agent
 from pancakes.testing.agent_in_test import AgentInTest
 
 INSECURE = "[service.network]\nsettings = { insecure = true }\n"
-SLOW = "slow_in_test.Slow"
-IMPORTING, GO_ON = threading.Event(), threading.Event()
+LATE = "late_in_test.Slow"
+IMPORTING, GO_ON, FAILS = threading.Event(), threading.Event(), threading.Event()
 THREADS: list[str] = []
 SOURCE = f"""
 import sys, threading
@@ -28,6 +29,7 @@ from pancakes.task import Task
 sys.modules[{__name__!r}].THREADS.append(threading.current_thread().name)
 sys.modules[{__name__!r}].IMPORTING.set()
 assert sys.modules[{__name__!r}].GO_ON.wait(20.0)
+assert not sys.modules[{__name__!r}].FAILS.is_set(), "no camera"
 class Slow(Task):
     pass
 """
@@ -41,33 +43,34 @@ class Pair(NamedTuple):
 
 
 @pytest.fixture
-def slow_plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    information = tmp_path / "slow_in_test-1.0.dist-info"
+def late_plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    information = tmp_path / "late_in_test-1.0.dist-info"
     information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: slow-in-test\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text(f"[pancakes.tasks]\n{SLOW} = slow_in_test:Slow\n")
-    (tmp_path / "slow_in_test.py").write_text(SOURCE)
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: late-in-test\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(f"[pancakes.tasks]\n{LATE} = late_in_test:Slow\n")
+    (tmp_path / "late_in_test.py").write_text(SOURCE)
     monkeypatch.syspath_prepend(tmp_path)
 
 
 @contextmanager
 def pair() -> Iterator[Pair]:
     classes = {"test.Count": Count}
-    tasks = {"Slow": {"type": SLOW}, "Count": {"type": "test.Count"}}
+    tasks = {"Slow": {"type": LATE}, "Count": {"type": "test.Count"}}
+    FAILS.clear()
     GO_ON.set()
     with threaded_agent("b", INSECURE, classes=classes, listen="tcp://127.0.0.1:0") as b:
         with threaded_agent("a", INSECURE, classes=classes, tasks=tasks, peers=tuple(b.agent.mesh.listen)) as a:
             a.wait_until(lambda: a.agent.mesh.neighbours() == ["b"] and sorted(a.running()) == ["Count", "Slow"])
             GO_ON.clear()
             IMPORTING.clear()
-            del sys.modules["slow_in_test"]
+            del sys.modules["late_in_test"]
             try:
                 yield Pair(a, b)
             finally:
                 GO_ON.set()
 
 
-@pytest.mark.usefixtures("slow_plugin")
+@pytest.mark.usefixtures("late_plugin")
 def test_a_task_moves_to_an_agent_that_imports_its_class_first() -> None:
     with pair() as (a, b):
         moved = a.publish("sysctrl", Migrate("Slow"))
@@ -82,11 +85,11 @@ def test_a_task_moves_to_an_agent_that_imports_its_class_first() -> None:
         b.wait_until(lambda: b.running() == ["Slow"])
 
 
-@pytest.mark.usefixtures("slow_plugin")
+@pytest.mark.usefixtures("late_plugin")
 def test_an_agent_answers_whether_it_would_guard_a_task_once_it_knows_its_class() -> None:
     with pair() as (a, b):
         journal = b.agent.mesh.identity.journal
-        a.publish(NETWORK, MayGuard(TaskId("a", "Slow"), SLOW, journal), f"b/{GUARDIAN}")
+        a.publish(NETWORK, MayGuard(TaskId("a", "Slow"), LATE, journal), f"b/{GUARDIAN}")
         assert IMPORTING.wait(20.0)
         a.publish(NETWORK, MayGuard(TaskId("a", "Count"), "test.Count", journal), f"b/{GUARDIAN}")
         a.wait_for(CanGuard, lambda told: told.task_id == TaskId("a", "Count") and told.runs_type)
@@ -95,10 +98,36 @@ def test_an_agent_answers_whether_it_would_guard_a_task_once_it_knows_its_class(
         a.wait_for(CanGuard, lambda told: told.task_id == TaskId("a", "Slow") and told.runs_type)
 
 
-@pytest.mark.usefixtures("slow_plugin")
+@pytest.mark.parametrize(
+    "body", [Create("New", LATE), Revive("z/New", LATE, force=True)], ids=lambda it: type(it).__name__
+)
+@pytest.mark.usefixtures("late_plugin")
+def test_a_service_that_is_to_begin_a_task_answers_others_while_its_class_is_imported(body: Create | Revive) -> None:
+    with pair() as (_, b):
+        asked = b.publish("sysctrl", body)
+        assert IMPORTING.wait(20.0)
+        assert b.ask(Describe("client")).ok and not b.running()
+        GO_ON.set()
+        assert b.reply_to(asked).ok
+        b.wait_until(lambda: b.running() == ["New"])
+
+
+@pytest.mark.usefixtures("late_plugin")
 def test_an_agent_that_is_stopped_meanwhile_does_not_wait_for_the_import() -> None:
     with pair() as (a, b):
         a.publish("sysctrl", Migrate("Slow"))
         assert IMPORTING.wait(20.0)
         b.stop()
         assert not GO_ON.is_set()
+
+
+@pytest.mark.usefixtures("late_plugin")
+def test_an_agent_that_cannot_import_a_class_says_why() -> None:
+    with pair() as (a, _):
+        FAILS.set()
+        GO_ON.set()
+        reason = a.ask(Migrate("Slow")).reason
+        assert reason.startswith(
+            "no neighbour can take Slow: b: the task type 'late_in_test.Slow' of late-in-test 1.0 (late_in_test:Slow)"
+            " cannot be loaded: AssertionError: no camera"
+        )
