@@ -55,6 +55,20 @@ def test_control_that_comes_in_the_middle_of_data_goes_next(virtual):
     assert busy.diary == ["start", 0, 1, "call", 2, 3]
 
 
+def test_a_turn_handles_what_waits_from_all_channels(virtual):
+    class Reading(Diary):
+        @on("network", Word)
+        def word(self, packet):
+            self.diary.append(packet.body.text)
+
+    reading = virtual.spawn(Reading, "a/client/Reading")
+    reading.after_turn = lambda: reading.diary.append("turn")
+    virtual.send(Number(1))
+    virtual.send(Word("one"), channel="network")
+    virtual.settle()
+    assert reading.diary == ["start", 1, "one", "turn"]
+
+
 def test_a_stop_leaves_what_waits(virtual):
     diary = virtual.spawn(Diary, "a/client/Diary")
     virtual.send(*map(Number, range(5)))
@@ -249,3 +263,8 @@ def test_a_component_that_logs_does_not_fail_where_a_reader_of_log_has_no_room(v
         speaker.event("one_more_event")
     assert len(reader.actor_inbox.queues["log"]) == 1
     assert virtual.kernel.stream.undelivered == 8
+
+
+def test_a_kernel_without_a_mesh_and_a_disk_has_used_neither(virtual):
+    assert virtual.kernel.mission_packets_sent() == 0
+    assert virtual.kernel.disk_use() == (0, 0)

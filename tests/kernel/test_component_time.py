@@ -74,6 +74,7 @@ def test_ticks_do_not_pile_up_before_an_actor_that_is_late(virtual):
     """It gets one tick, for the newest deadline, that says how many it missed."""
     metronome = virtual.spawn(Metronome, "a/client/M")
     timer = metronome.timers["tick"]
+    assert timer.describe()["lateness_max_s"] == 0.0, "it has not ticked yet"
     assert metronome.actor_inbox.token.acquire(blocking=False)  # its dispatcher is busy elsewhere
     virtual.run_until(0.55)
     put_back(metronome.actor_inbox)

@@ -54,7 +54,7 @@ def test_a_method_takes_a_rate_or_a_period():
     with pytest.raises(TypeError, match="either period_s or hz"):
         every(1.0, hz=2)
     for bad_s in (0.0, -1.0, 1e-9, float("nan")):
-        with pytest.raises(ValueError, match="a period must be at least"):
+        with pytest.raises(ValueError, match="a period must be at least 0.0001 s, not"):
             every(period_s=bad_s)
     with pytest.raises(ValueError, match="a rate must lie between 0 and 10,000"):
         every(hz=-1)

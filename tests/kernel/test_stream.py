@@ -160,6 +160,7 @@ def test_what_comes_from_elsewhere_is_published_on_its_own_channel():
     stream.inject(packet(to="a", seq=2, source="b/client/S"))
     stream.inject(packet(to="a/client/T", seq=3, source="b/client/S"))
     stream.inject(packet(to="a/client/U", seq=4, source="b/client/S"))
+    stream.inject(packet(to="!", seq=5, source="b/client/S"))
     assert reader.got() == [1, 2, 3]
 
 

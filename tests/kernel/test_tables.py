@@ -74,6 +74,12 @@ def test_a_service_enters_its_tasks_and_strikes_them_out_when_it_ends(fleet):
     tasks.strike_out("cellar", "Wine")
 
 
+def test_a_task_is_of_the_type_that_its_configuration_names_or_else_of_its_class(fleet):
+    agent = fleet.start("a", tasks={"Blink": {"type": Blink}})
+    assert agent.kernel.tasks.get("client", "Blink").type == agent.slot("Blink").spec.type != ""
+    assert agent.kernel.tasks.get("network", "Discovery").type == "Discovery"
+
+
 def test_the_settings_of_a_task_are_known_while_it_runs(fleet):
     agent = fleet.start("a", tasks={"Blink": Blink})
     tasks = agent.kernel.tasks

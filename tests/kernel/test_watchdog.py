@@ -166,6 +166,25 @@ def test_a_watchdog_that_sees_visits_only_sees_that_something_is_done(rig):
     assert rig.look() == rig.look()
 
 
+def test_a_watchdog_rests_once_it_has_looked_and_seen_that_nothing_was_done(rig):
+    looks, looked, rests = [], [], threading.Event()
+
+    def look():
+        looks.append("something was done before the first one")
+        return -2
+
+    def seen(dozes):
+        looked.append(len(looks))
+        rests.set()
+
+    rig.at_rest()
+    rig.until(lambda: rig.pool.dozing, "the watchdog never rests")
+    rig.pool.looks, rig.pool.seen_dozing = look, seen
+    rig.pool.wake_watchdog()
+    assert rests.wait(PATIENCE_S), "the watchdog never rests again"
+    assert looked[0] == 2
+
+
 def test_a_watchdog_does_not_rest_while_a_thread_is_here(rig):
     rig.at_rest()
     rig.until(lambda: rig.pool.dozing, "the watchdog never rests")

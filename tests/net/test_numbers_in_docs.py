@@ -17,9 +17,12 @@ TIMES = LinkTimes()
     [
         (r"each agent: (\d+) agents, (\d+) of each peer", (MAX_AGENTS, MOST_OF_PEER)),
         (r"(\d+) dials at a time, (\d+) clients", (MOST_DIALS, MAX_CLIENTS)),
-        (r"Heartbeats every ([\d.]+) s; four missed", (TIMES.heartbeat_s,)),
         (
-            r"Reconnection after ([\d.]+) s, doubling to (\d+) s",
+            r"Heartbeats every ([\d.]+) s; four missed, or (\d+) s in which it takes no byte",
+            (TIMES.heartbeat_s, TIMES.stuck_s),
+        ),
+        (
+            r"dialled again after ([\d.]+) s, doubling to (\d+) s",
             (TIMES.retry_first_s, TIMES.retry_longest_s),
         ),
     ],

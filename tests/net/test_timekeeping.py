@@ -39,9 +39,23 @@ def test_nothing_is_said_of_a_stranger_nor_by_an_end_without_a_mission(memory_ri
 
 def test_only_agents_that_may_say_so_are_believed_their_mission(memory_rig):
     a = memory_rig.agent("a", timebase=lambda: Timebase(1.0))
-    memory_rig.agent("b", [a.address], timebase=lambda: Timebase(2.0, 0.0, 1.0))
     memory_rig.agent("liar", [a.address], timebase=lambda: Timebase(3.0, 0.0, 1.0))
     memory_rig.agent("t", [a.address], role="client", timebase=lambda: Timebase(3.0, 0.0, 1.0))
-    memory_rig.timeline.run_until(5.0)
+    memory_rig.timeline.run_until(4.0)
+    memory_rig.agent("z", [a.address], timebase=lambda: Timebase(2.0, 0.0, 1.0))
+    memory_rig.timeline.run_until(9.0)
     missions, unknown = a.mesh.clocks.missions(lambda peer: peer != "liar")
-    assert ([it.peer for it in missions], unknown) == (["b"], False)
+    assert ([it.peer for it in missions], unknown) == (["z"], False)
+
+
+def test_a_peers_clock_is_known_after_its_link_has_ended_but_not_that_of_a_terminal(memory_rig):
+    a = memory_rig.agent("a", timebase=lambda: Timebase(1.0))
+    b = memory_rig.agent("b", [a.address], timebase=lambda: Timebase(2.0))
+    terminal = memory_rig.agent("t", [a.address], role="client", timebase=lambda: Timebase(3.0))
+    memory_rig.timeline.run_until(5.0)
+    assert a.mesh.clocks.clock_of("b") is not None and a.mesh.clocks.clock_of("t") is not None
+    b.mesh.stop()
+    terminal.mesh.stop()
+    memory_rig.timeline.run_until(10.0)
+    assert not a.knows("b") and a.mesh.clocks.clock_of("b") is not None
+    assert a.mesh.clocks.clock_of("t") is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
+from net.conftest import LocalRig, TcpRig
 
 from pancakes.errors import PancakesError
 
@@ -111,8 +112,9 @@ def test_nothing_is_sent_after_closing(rig, ear):
     here, there = joined(rig, ear)
     here.connection.close()
     here.connection.send(b"too late")
-    rig.until(lambda: there.closed_for)
+    rig.until(lambda: here.closed_for and there.closed_for)
     assert there.data == b""
+    assert here.connection.unsent() == here.connection.send(b"too late") == 0
 
 
 def test_closing_a_transport_closes_all_that_is_open(rig, ear):
@@ -158,6 +160,26 @@ def test_callbacks_never_run_inside_of_a_call(rig, ear):
     there.connection.send(b"close it from the transport's own thread")
     rig.until(lambda: "closed" in order)
     assert order == ["call returned", "closed"]
+
+
+@pytest.mark.parametrize("kind", [TcpRig, LocalRig])
+def test_small_sends_to_a_reader_that_begins_late_arrive_whole(kind):
+    """A socket that has no room for a send refuses it; the connection stands all the same."""
+    rig = kind()
+    here, there = rig.ear(), rig.ear()
+    gate = threading.Event()
+    swallow = there.received
+    there.received = lambda data: (gate.wait(10), swallow(data))
+    a, b = rig.transport("a"), rig.transport("b")
+    a.dial(b.listen(rig.listen_at, lambda: there), here)
+    rig.until(lambda: here.connection and there.connection)
+    sends = 1
+    while here.connection.send(bytes(1000)) == 0 and not here.closed_for:
+        sends += 1
+    gate.set()
+    rig.until(lambda: len(there.data) == 1000 * sends or here.closed_for)
+    assert not here.closed_for and here.connection.unsent() == 0
+    rig.close()
 
 
 def test_a_connection_says_when_it_has_room_again(tcp_rig):

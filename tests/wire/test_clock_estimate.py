@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from pancakes.mesh.wire.clock_estimate import MOST_KEPT, ClockEstimate, ClockOffset
+from pancakes.mesh.wire.clock_estimate import MOST_KEPT, WANDER, ClockEstimate, ClockOffset
 
 
 class Pair:
@@ -107,6 +107,22 @@ def test_a_clock_that_is_disciplined_by_500_ppm_is_believed_anew():
     seen = list(pair.run(240.0))
     assert not all(pair.fits)
     assert all(error_s < shortest_s / 2 + 0.0002 for error_s, _, shortest_s in seen[-600:])
+
+
+def test_a_clock_whose_rate_changes_is_believed_wrongly_for_half_a_minute_at_most():
+    """What was heard before contradicts what is heard now, so it is given up, the oldest first."""
+    pair = Pair(1, lambda now_s: 1.0003 if now_s > 1030.0 else 1.0, way_s=(0.001, 0.0))
+    for error_s, bound_s, _ in pair.run(240.0):
+        assert error_s <= bound_s or 1030.0 < pair.now_s < 1060.0
+
+
+def test_a_drift_that_may_just_be_none_is_believed_to_be_next_to_none():
+    estimate, way_s = ClockEstimate(), 2.0**-10
+    estimate.take(-1.0 - way_s, -1.0, -1.0 + way_s)
+    estimate.take(-way_s, 2 * way_s + WANDER, way_s)
+    assert estimate.found is not None
+    assert estimate.found.drift - estimate.found.drift_bound <= 0.0, "it may be none"
+    assert estimate.found.drift < 0.5 * (2 * way_s + WANDER)
 
 
 def test_a_clock_that_was_set_is_believed_at_once():

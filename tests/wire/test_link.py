@@ -472,6 +472,13 @@ def test_an_answer_with_a_time_that_is_none_breaks_the_protocol_on_that_link_alo
     assert [type(action) for action in actions] == [Over] and actions[0].broken
 
 
+@pytest.mark.parametrize("at_s", [-1e12, 1e12])
+def test_an_answer_may_have_any_time_that_a_clock_shows(at_s):
+    link = up()
+    link.tick(0.1)
+    assert not any(isinstance(action, Over) for action in link.receive(frame([msgpack.packb([5, 1, at_s])]), 0.2))
+
+
 @pytest.mark.parametrize(
     "row",
     [
