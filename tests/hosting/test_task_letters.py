@@ -19,6 +19,12 @@ def test_four_mebibytes_of_letters_wait_for_the_disk_at_most() -> None:
     assert [letters.keep(letter(seq, MIB), None) for seq in (5, 6, 7)] == [True, True, False]
 
 
+def test_a_thousand_letters_wait_for_the_disk_at_most() -> None:
+    letters = TaskLetters()
+    assert all(letters.keep(letter(seq), None) for seq in range(1, 1025))
+    assert not letters.keep(letter(1025), None)
+
+
 def test_only_what_is_on_disk_is_consumed() -> None:
     letters = TaskLetters()
     letters.took(letter(1))

@@ -1,5 +1,6 @@
 """What the hand-off's core decides for a guarded task: its guardians decide who may run it."""
 
+import msgspec
 import pytest
 from msgspec.structs import replace
 
@@ -26,7 +27,7 @@ from pancakes.mesh.migration.event import (
     RunAsked,
     Seized,
 )
-from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards
+from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, GuardianSet, Guards
 from pancakes.mesh.migration.messages import Activated, Commit
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.volatile import Volatile
@@ -213,3 +214,10 @@ def test_an_adoption_is_above_every_epoch_under_which_others_may_have_taken_the_
     (adopted,) = persisted(handle("a", COMMITTED, IDLE, AdoptionAsked(guardian=A)))
     taken_over = Epoch(E2.n + 1, "b")  # what a destination mints, of which its giver hears nothing
     assert adopted.epoch == adopted.seen and adopted.epoch.n > taken_over.n + 1_000
+
+
+def test_a_set_has_five_guardians_at_most() -> None:
+    named = [[name, "journal"] for name in "abcdef"]
+    assert len(msgspec.convert(named[:5], GuardianSet)) == 5
+    with pytest.raises(msgspec.ValidationError):
+        msgspec.convert(named, GuardianSet)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Configure, Describe, Migrate, Restart, Start, Stop
-from pancakes.errors import ConfigError
+from pancakes.errors import ClassError, ConfigError
 from pancakes.runtime.config import parse
 from pancakes.runtime.config.effective import effective
 from pancakes.runtime.foundation.arrays import is_array, is_array_type, is_number, is_number_type
@@ -220,3 +220,12 @@ def test_while_numpy_is_imported_for_the_first_time_no_value_is_an_array(monkeyp
     """Another thread imports it; its module is there, and empty."""
     monkeypatch.setitem(sys.modules, "numpy", types.ModuleType("numpy"))
     assert not is_array(1.0) and not is_number(1.0) and not is_number_type(float) and not is_array_type(float)
+
+
+def test_a_structure_must_not_share_an_array_among_all_tasks():
+    with pytest.raises(ClassError, match="State.grid has an array as its default, which all tasks would share"):
+
+        class Shared(Task):
+            class State(msgspec.Struct):
+                cells: int = 3
+                grid: np.ndarray = np.zeros(3)

@@ -109,3 +109,15 @@ def test_a_remote_claim_does_not_take_them(fleet):
     b = fleet.agents["b"]
     assert b.kernel.registry.holder("wheels") == ""
     assert b.events("command_refused", by="c/device/wheels")[0]["reason"] == "it is held by b/client/Circle"
+
+
+class Look(Task):
+    """Needs no actuator."""
+
+
+def test_a_task_that_needs_no_actuator_may_start_whatever_others_hold():
+    with FleetInTest(7) as fleet:
+        a = fleet.start("a", devices=WHEELS, tasks={"Circle": Circle, "Look": {"type": Look, "start": False}})
+        fleet.run_for(0.5)
+        assert a.kernel.registry.holder("wheels") == "a/client/Circle"
+        assert a.ask(Start("Look", dry_run=True)).ok and a.ask(Start("Look")).ok

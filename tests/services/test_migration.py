@@ -221,7 +221,11 @@ def test_a_name_that_is_taken_is_taken(fleet):
 def test_alone_there_is_nobody_to_ask():
     with FleetInTest(2) as fleet:
         a = fleet.start("a", tasks={"Home": Task})
-        assert a.ask(Migrate("Home")).reason == "no neighbour can take Home: there is no neighbour that hosts tasks"
+        alone = "no neighbour can take Home: there is no neighbour that hosts tasks"
+        assert a.ask(Migrate("Home", dry_run=True)).reason == alone and a.lines("warning") == []
+        assert a.ask(Migrate("Home")).reason == alone
+        fleet.run_for(0.1)
+        assert a.lines("warning") == [f"a/Home stays on a: {alone}"]
 
 
 def test_a_dry_run_moves_nothing_and_tells_the_bids(fleet):
@@ -237,7 +241,7 @@ def test_only_the_one_that_is_named_is_asked():
         assert "nobody is no neighbour that hosts tasks" in a.ask(Migrate("Circle", to="nobody")).reason
         ledger = a.ask(Migrate("Circle", to="c")).result
         fleet.run_for(0.1)
-        assert hosts(fleet) == ["c"]
+        assert hosts(fleet) == ["c"] and len(a.lines("warning")) == 1, "only the first move came to nothing"
         assert ledger["to"] == "c" and [line["peer"] for line in ledger["lines"]] == ["c"]
         assert [event["to"] for event in a.events("migration_asked")] == ["nobody", "c"]
         assert [event["to"] for event in a.events("migration")] == ["nobody", "c"]

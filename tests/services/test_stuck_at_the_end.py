@@ -3,6 +3,7 @@
 import threading
 
 from pancakes.bodies.devices.driver import Actuator
+from pancakes.control import Describe, Migrate, Start
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.task import Task, every
 from pancakes.testing import threaded_agent
@@ -38,8 +39,37 @@ class Wheels(Actuator):
         CLOSED.set()
 
 
+class Lingers(Task):
+    """Takes long to end where it was."""
+
+    blocking = True
+
+    def on_stop(self):
+        if self.agent == "a":
+            assert RELEASED.wait(10.0)
+
+
+def test_of_a_task_that_was_handed_over_and_has_not_ended_nothing_can_be_asked_but_how_it_stands():
+    RELEASED.clear()
+    insecure = "[service.network]\nsettings = { insecure = true }\n"
+    classes = {"test.Lingers": Lingers}
+    tasks = {"Lingers": {"type": "test.Lingers"}}
+    with threaded_agent("b", insecure, classes=classes, listen="tcp://127.0.0.1:0") as b:
+        with threaded_agent("a", insecure, classes=classes, tasks=tasks, peers=tuple(b.agent.mesh.listen)) as a:
+            a.wait_until(lambda: a.agent.mesh.neighbours() == ["b"] and a.running() == ["Lingers"])
+            moved = a.publish("sysctrl", Migrate("Lingers"))
+            a.wait_for_event("migration_asked", task="Lingers")
+            a.wait_until(lambda: a.slot("Lingers").life.word == "stopping")
+            assert a.ask(Describe("Lingers")).ok
+            a.wait_until(lambda: "has not ended yet" in a.ask(Start("Lingers")).reason)
+            RELEASED.set()
+            assert a.reply_to(moved).ok
+            b.wait_until(lambda: b.running() == ["Lingers"])
+
+
 def test_wheels_are_stopped_in_order_although_a_task_is_stuck():
     clock = MonotonicClock()
+    RELEASED.clear()
     try:
         with threaded_agent(tasks={"Waits": Waits}, devices={"motors": Wheels}) as agent:
             assert ENTERED.wait(5.0)
