@@ -269,7 +269,8 @@ class Agent:
         knows = {"records": self.records, "registers": self._registers, "state": self.host_state, "mesh": self.mesh}
         self._tend(Census, CENSUS, **knows, boots=self._boots)
         self._tend(Guardian, GUARDIAN, **knows)
-        self._tend(Importer, IMPORTER, installed=self._installed)
+        if self.kernel.virtual is None:
+            self._tend(Importer, IMPORTER, installed=self._installed)
         try:
             self.mesh.start()  # after the actors that peers ask at once
         except PancakesError:

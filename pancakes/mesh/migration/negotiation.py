@@ -54,6 +54,10 @@ class Negotiation:
         window_s: how long to wait for other answers where a bid has come, in host time.
         patience_s: how long to wait where none has.
         cause: as in `Ledger`.
+
+    Attributes:
+        asked: the neighbours that are asked.
+        latest_s: when the window closes at the latest, in host time.
     """
 
     def __init__(
@@ -78,6 +82,7 @@ class Negotiation:
         self.dry_run = dry_run
         self._window_s = window_s
         self._patience_s = patience_s
+        self.latest_s = now_s + patience_s
         self._cause = cause
         self._began_s = now_s
         self._ended_s: float | None = None

@@ -155,8 +155,8 @@ class TaskMigrator(Task):
         for peer in negotiation.asked:
             self._talk.say(peer, MIGRATOR, request)
         if outcome is None:
-            for wait_s in (self._times.bid_window_s, self._times.patience_s):
-                self.after_host(wait_s, partial(self._window_closes, negotiation, now_s + wait_s))
+            window_s = self._times.bid_window_s
+            self.after_host(window_s, partial(self._window_closes, negotiation, now_s + window_s))
         self._conclude(request.task_id, outcome)
 
     def _note(self) -> None:
@@ -217,6 +217,9 @@ class TaskMigrator(Task):
         if found is not None and found[0] is negotiation:
             # A timer may fire a hair early; the window is closed all the same.
             self._conclude(task_id, negotiation.tick(max(self.kernel.host.now(), due_s)))
+            if negotiation.open:
+                latest_s = negotiation.latest_s
+                self.after_host(latest_s - due_s, partial(self._window_closes, negotiation, latest_s))
 
     def _conclude(self, task_id: TaskId, outcome: Outcome | None) -> None:
         found = self._negotiations.get(task_id)

@@ -41,7 +41,7 @@ class Imported(msgspec.Struct, frozen=True):
 class Importer(Component):
     """Imports task types in a thread of its own: the actors that answer other agents, and keep leases, wait for none.
 
-    It belongs to no service.
+    It belongs to no service. In virtual time there is none.
 
     Args:
         installed: what is installed.
