@@ -19,6 +19,14 @@ def joined(rig, ear):
     return here, there
 
 
+def with_late_reader(rig):
+    """Two transports with a connection between them, whose accepting ear hears once a gate is open."""
+    (here, there), gate = joined(rig, rig.ear), threading.Event()
+    swallow = there.received
+    there.received = lambda data: (gate.wait(10), swallow(data))
+    return here, there, gate
+
+
 def test_bytes_arrive_both_ways_in_order(rig, ear):
     here, there = joined(rig, ear)
     for number in range(200):
@@ -166,13 +174,7 @@ def test_callbacks_never_run_inside_of_a_call(rig, ear):
 def test_small_sends_to_a_reader_that_begins_late_arrive_whole(kind):
     """A socket that has no room for a send refuses it; the connection stands all the same."""
     rig = kind()
-    here, there = rig.ear(), rig.ear()
-    gate = threading.Event()
-    swallow = there.received
-    there.received = lambda data: (gate.wait(10), swallow(data))
-    a, b = rig.transport("a"), rig.transport("b")
-    a.dial(b.listen(rig.listen_at, lambda: there), here)
-    rig.until(lambda: here.connection and there.connection)
+    here, there, gate = with_late_reader(rig)
     sends = 1
     while here.connection.send(bytes(1000)) == 0 and not here.closed_for:
         sends += 1
@@ -184,13 +186,7 @@ def test_small_sends_to_a_reader_that_begins_late_arrive_whole(kind):
 
 def test_a_connection_says_when_it_has_room_again(tcp_rig):
     """Over TCP: more than the kernel's buffers hold, and a reader that begins late."""
-    here, there = tcp_rig.ear(), tcp_rig.ear()
-    gate = threading.Event()
-    swallow = there.received
-    there.received = lambda data: (gate.wait(10), swallow(data))
-    a, b = tcp_rig.transport("a"), tcp_rig.transport("b")
-    a.dial(b.listen(tcp_rig.listen_at, lambda: there), here)
-    tcp_rig.until(lambda: here.connection and there.connection)
+    here, _, gate = with_late_reader(tcp_rig)
     while here.connection.send(bytes(1_000_000)) == 0:
         assert here.connection.unsent() == 0
     assert here.drains == 0
