@@ -46,7 +46,7 @@ class Lingers(Task):
 
     def on_stop(self):
         if self.agent == "a":
-            assert RELEASED.wait(10.0)
+            assert RELEASED.wait(30.0)
 
 
 def test_of_a_task_that_was_handed_over_and_has_not_ended_nothing_can_be_asked_but_how_it_stands():
