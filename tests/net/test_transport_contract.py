@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 
 import pytest
@@ -173,15 +174,15 @@ def test_callbacks_never_run_inside_of_a_call(rig, ear):
 @pytest.mark.parametrize("kind", [TcpRig, LocalRig])
 def test_small_sends_to_a_reader_that_begins_late_arrive_whole(kind):
     """A socket that has no room for a send refuses it; the connection stands all the same."""
-    rig = kind()
-    here, there, gate = with_late_reader(rig)
-    sends = 1
-    while here.connection.send(bytes(1000)) == 0 and not here.closed_for:
-        sends += 1
-    gate.set()
-    rig.until(lambda: len(there.data) == 1000 * sends or here.closed_for)
-    assert not here.closed_for and here.connection.unsent() == 0
-    rig.close()
+    with contextlib.closing(kind()) as rig:
+        here, there, gate = with_late_reader(rig)
+        sends = 1
+        while here.connection.send(bytes(1000)) == 0 and not here.closed_for:
+            sends += 1
+        gate.set()
+        rig.until(lambda: len(there.data) == 1000 * sends or here.closed_for)
+        assert not here.closed_for
+        rig.until(lambda: here.connection.unsent() == 0)
 
 
 def test_a_connection_says_when_it_has_room_again(tcp_rig):
