@@ -274,6 +274,13 @@ def test_a_silent_neighbour_is_not_waited_for():
         assert reply.result["duration_s"] < 1.0
 
 
+def test_where_the_only_neighbour_is_silent_the_task_stays_after_eight_seconds(fleet):
+    fleet.network.partition(["b"])
+    reply = fleet.agents["a"].ask(Migrate("Circle"), at_most_s=20.0)
+    assert reply.reason == "no neighbour can take Circle: b: did not answer within 8 s"
+    assert reply.result["duration_s"] == pytest.approx(8.0, abs=0.1) and hosts(fleet) == ["a"]
+
+
 def test_a_task_that_stands_still_or_moves_already_is_not_moved(fleet):
     a = fleet.agents["a"]
     assert a.ask(Migrate("Home")).reason == "a/client/Home is stopped, so it cannot move"
