@@ -29,6 +29,22 @@ def test_the_other_way_is_taken_off_again() -> None:
     assert laps.revolutions == pytest.approx(0.5)
 
 
+def test_a_robot_that_stands_at_the_end_of_a_revolution_completes_it_once() -> None:
+    laps = Laps()
+    go_round(laps, 1.99)
+    laps.recentred()
+    assert [go_round(laps, part, 4) for part in (0.02, -0.02, 0.02, -0.02)] == [1, 0, 0, 0]
+    assert laps.revolutions == 2.0, "a robot that takes the task over begins with what was told"
+    go_round(laps, 0.5)
+    assert laps.revolutions == pytest.approx(2.49), "and the noise adds nothing"
+
+
+def test_a_first_step_the_other_way_completes_nothing() -> None:
+    laps = Laps()
+    assert [go_round(laps, part, 4) for part in (-0.01, 0.02)] == [0, 0]
+    assert laps.revolutions == pytest.approx(0.02)
+
+
 def test_the_count_goes_on_from_what_another_robot_has_counted() -> None:
     laps = Laps(3.9)
     assert go_round(laps, 0.2) == 1

@@ -20,13 +20,22 @@ def on_circle(position_m: Point, centre_m: Point, radius_m: float) -> bool:
 class Laps:
     """Sums the angle that a robot sweeps round a centre, clockwise, in revolutions.
 
+    The way back is taken off again, but never from a revolution that is complete: poses have noise, and a robot that
+    stands still at the end of a revolution completes it once.
+
     Args:
         revolutions: what was counted before, on this robot or on another.
     """
 
     def __init__(self, revolutions: float = 0.0) -> None:
-        self.revolutions = revolutions
+        self._swept = revolutions
+        self._complete = math.floor(revolutions)
         self._bearing_rad: float | None = None
+
+    @property
+    def revolutions(self) -> float:
+        """What was swept, and at least the revolutions that are complete."""
+        return max(self._swept, float(self._complete))
 
     def recentred(self) -> None:
         """The centre has moved: the next position begins a new arc, and adds nothing by itself."""
@@ -36,11 +45,13 @@ class Laps:
         """Takes a position.
 
         Returns:
-            Whether it completes a revolution.
+            Whether it completes a revolution, for the first time.
         """
         bearing = math.atan2(position_m[1] - centre_m[1], position_m[0] - centre_m[0])
-        before = math.floor(self.revolutions)
         if self._bearing_rad is not None:
-            self.revolutions -= wrap(bearing - self._bearing_rad) / (2.0 * math.pi)
+            self._swept -= wrap(bearing - self._bearing_rad) / (2.0 * math.pi)
         self._bearing_rad = bearing
-        return math.floor(self.revolutions) > before
+        if math.floor(self._swept) <= self._complete:
+            return False
+        self._complete = math.floor(self._swept)
+        return True
