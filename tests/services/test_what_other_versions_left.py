@@ -1,5 +1,6 @@
 """What other versions have left on disk: a task that cannot go on from it rests, and all else runs."""
 
+from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,10 +9,11 @@ import pytest
 from msgspec.structs import replace
 from services.counting import Count
 
-from pancakes.control import Describe, Guarding, Restart, Start, Stop
+from pancakes.control import Describe, Guarding, Migrate, Restart, Start, Stop
 from pancakes.creation import Create
-from pancakes.mesh.migration.record import Record, TaskId
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.packet import SYSCTRL
 from pancakes.runtime.journal.seal import JournalEntry, seal, unseal
 from pancakes.task import Task
 from pancakes.testing import AgentInTest, FleetInTest
@@ -20,17 +22,30 @@ WHY = "what is on disk of it cannot be read: these 1 bytes are no snapshot of a 
 HOW = "`pancakes task restart --drop-state a/Count` begins it as its configuration says"
 
 
+def change_record(
+    disk: MutableMapping[str, bytes], journal: str, name: str, change: Callable[[Record], Record]
+) -> None:
+    """Has the record of a task of a say something else."""
+    file = f"record.a%2F{name}.rec"
+    entry = unseal(journal, disk[file])
+    data = change(Record.decode(entry.data)).encode()
+    disk[file] = seal(journal, JournalEntry(entry.kind, entry.key, data))
+
+
 def rewritten(fleet: FleetInTest, name: str, snapshot: bytes | None = None, **changes: Any) -> AgentInTest:
     """Ends a, has the record of a task say something else, and starts a again."""
     journal = fleet.agents["a"].agent.mesh.identity.journal
     fleet.run_for(2.0)
     fleet.crash("a")
-    disk, file = fleet.fleet.disk("a"), f"record.a%2F{name}.rec"
-    entry = unseal(journal, disk[file])
-    record = Record.decode(entry.data)
-    if snapshot is None:
-        snapshot = replace(Snapshot.decode(record.snapshot), **changes).encode()
-    disk[file] = seal(journal, JournalEntry(entry.kind, entry.key, replace(record, snapshot=snapshot).encode()))
+    disk = fleet.fleet.disk("a")
+
+    def change(record: Record) -> Record:
+        nonlocal snapshot
+        if snapshot is None:
+            snapshot = replace(Snapshot.decode(record.snapshot), **changes).encode()
+        return replace(record, snapshot=snapshot)
+
+    change_record(disk, journal, name, change)
     register = f"guard.a%2F{name}.rec"
     if register in disk:
         entry = unseal(journal, disk[register])
@@ -97,6 +112,30 @@ def test_a_task_that_no_file_names_harms_no_other(snapshot: bytes | None, change
         again = rewritten(fleet, "Count", snapshot, **changes)
         assert again.running() == ["Other"]
         assert any(line.startswith("a/Count rests in the journal") for line in again.lines("error"))
+
+
+def test_what_was_to_follow_a_hand_over_and_cannot_be_read_is_said_once() -> None:
+    with FleetInTest(2, classes={"test.Count": Count}) as fleet:
+        a = fleet.start("a", tasks={"Home": {"type": Count, "start": False}, "Count": Count})
+        fleet.start("b")
+        fleet.connect()
+        journal = a.agent.mesh.identity.journal
+        a.publish(SYSCTRL, Migrate("Count", then="Home"))
+        client: Any = a.component("client")
+        place = client.places[TaskId("a", "Count")]
+        while place.standing.record.phase is not Phase.COMMITTED:
+            assert fleet.fleet.dispatcher.step()
+        fleet.crash("a")
+        change_record(fleet.fleet.disk("a"), journal, "Count", lambda record: replace(record, sequel=b"\xc1"))
+        again = fleet.restart("a")
+        fleet.run_for(20.0)
+        assert again.running() == [] and fleet.agents["b"].running() == ["Count"]
+        (told,) = again.lines("error")
+        assert told.startswith("what was to follow the hand-over of a/Count is not done: ")
+        fleet.crash("a")
+        again = fleet.restart("a")
+        fleet.run_for(20.0)
+        assert again.lines("error") == []
 
 
 class Earlier(Task):

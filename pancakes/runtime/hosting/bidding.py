@@ -28,7 +28,6 @@ from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
 from pancakes.runtime.hosting.appraiser import APPRAISER, Appraise, Appraised, Appraiser
 from pancakes.runtime.hosting.bidding_messages import (
     MIGRATOR,
-    Accounted,
     AttemptOver,
     BidAwarded,
     BrokenOff,
@@ -182,7 +181,8 @@ class TaskMigrator(Task):
             self._finish(moved.task_id, "", moved.epoch)
         elif moved.ledger is not None:
             self._account(moved.service, moved.task_id, moved.ledger.moved(moved.epoch), moved.note, "")
-        tell(moved.service, Accounted(moved.task_id))
+        else:
+            tell(moved.service, MoveOver(moved.task_id, "", None))
 
     def _account(self, service: Reference, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
         """Keeps the account of a move that is over, publishes it, and tells the service.

@@ -58,7 +58,7 @@ class AttemptOver(msgspec.Struct, frozen=True):
 
 
 class HasMoved(msgspec.Struct, frozen=True):
-    """The task has a new owner; to be answered by `Accounted`.
+    """The task has a new owner; to be answered by `MoveOver`.
 
     Attributes:
         service: the service that owned the task.
@@ -126,23 +126,13 @@ class BidAwarded(msgspec.Struct, frozen=True):
     ledger: Ledger
 
 
-class Accounted(msgspec.Struct, frozen=True):
-    """The account of a move that has succeeded is kept.
-
-    Attributes:
-        task_id: the task.
-    """
-
-    task_id: TaskId
-
-
 class MoveOver(msgspec.Struct, frozen=True):
-    """A move is over, one way or the other.
+    """A move is over, one way or the other, and its account is kept.
 
     Attributes:
         task_id: the task.
         reason: why it came to nothing; empty: it has moved.
-        result: the account, as plain values.
+        result: the account, as plain values; None: it is lost.
     """
 
     task_id: TaskId

@@ -27,7 +27,7 @@ from pancakes.packet import NETWORK, Packet, join
 from pancakes.runtime.foundation.names import fault_of_name
 from pancakes.runtime.hosting import hosting_effect, hosting_event
 from pancakes.runtime.hosting.arrivals import Arrivals
-from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
+from pancakes.runtime.hosting.bidding_messages import BidAwarded, MigratorBegan, MoveOver
 from pancakes.runtime.hosting.births import BirthRule
 from pancakes.runtime.hosting.census_messages import ClaimsCame, CopyNoticed, FactsCame, NeighbourCame
 from pancakes.runtime.hosting.checkpointing import Checkpointing
@@ -238,6 +238,9 @@ class ClientService(Service):
         record, asks = place.standing.record, slot is not None and slot.spec.guard is not None
         if record is not before.record and (asks or record.guarded or place.tenancy is not None):
             self._guarded.look(place)
+        if (record.phase, record.offer) != (before.record.phase, before.record.offer):
+            while place.reminders:  # its hand-off is a step further
+                place.reminders.popitem()[1].cancel()
         for effect in effects:
             if isinstance(effect, hosting_effect.HostingEffect):
                 self._carry_out(place, effect, slot)
@@ -275,7 +278,8 @@ class ClientService(Service):
             case handoff_effect.LookForOwner():
                 self._disputes.look_for_owner(place)
             case handoff_effect.After():
-                self.after_host(effect.drawn_s(self.random), partial(self.feed_place, place, effect.event))
+                due = partial(self.feed_place, place, effect.event)
+                place.reminders[type(effect.event)] = self.after_host(effect.drawn_s(self.random), due)
             case handoff_effect.Warn():
                 self.log("warning", effect.text)
             case handoff_effect.Ack():
@@ -425,14 +429,9 @@ class ClientService(Service):
                 self.begin_command(message.waiting, request_of(message.waiting))
             case PeerDown():
                 self._arrivals.drop_pieces(message.peer)
-            case BidAwarded():
+            case BidAwarded() | MoveOver():
                 place = self.places[message.task_id]
-                self.feed_place(place, self._mover.awarded(place, message))
-            case Accounted():
-                place = self.places[message.task_id]
-                self.feed_place(place, self._mover.accounted(place))
-            case MoveOver():
-                self._mover.over(message)
+                self.feed_place(place, self._mover.heard(place, message))
             case MigratorBegan():
                 self._mover.migrator_began()
             case _:

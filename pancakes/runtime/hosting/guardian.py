@@ -44,7 +44,7 @@ from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.runtime.hosting import held
-from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MoveOver
+from pancakes.runtime.hosting.bidding_messages import BidAwarded, MoveOver
 from pancakes.runtime.hosting.deadlines import Deadline, Deadlines
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.importer import Imported
@@ -154,8 +154,6 @@ class Guardian(Component):
                 self._takeovers.awarded(message)
             case MoveOver():
                 self._takeovers.over(message)
-            case Accounted():
-                pass
             case AskedOfGuardian():
                 self._asked(message)
             case _:

@@ -59,8 +59,7 @@ class Mover:
 
     def found(self, record: Record) -> None:
         """Learns of a record that was on disk."""
-        ledger = self.sequel_of(record).ledger
-        if record.phase is Phase.FROZEN and ledger is not None:
+        if record.phase is Phase.FROZEN and (ledger := self.sequel_of(record).ledger) is not None:
             self._broken_off.append((record, ledger))
 
     def sequel_of(self, record: Record) -> Sequel:
@@ -184,23 +183,25 @@ class Mover:
 
     # What the Task Migrator tells ------------------------------------------------------------------------------
 
-    def awarded(self, place: Place, awarded: BidAwarded) -> Award:
-        """The bids are compared: hands the task to the cheapest bidder; returns what follows."""
+    def heard(self, place: Place, message: BidAwarded | MoveOver) -> Award | PartConcluded | None:
+        """The bids are compared, or a move is over; returns what follows."""
+        if isinstance(message, MoveOver):
+            return self._over(place, message)
         if place.move is not None:
-            place.move.ledger = awarded.ledger
-        return Award(awarded.peer, awarded.request)
+            place.move.ledger = message.ledger
+        return Award(message.peer, message.request)
 
-    def over(self, over: MoveOver) -> None:
-        """The move is over, one way or the other."""
-        place = self._host.places[over.task_id]
+    def _over(self, place: Place, over: MoveOver) -> PartConcluded | None:
         move, place.move = place.move, None
-        if move is None:
-            return
-        if move.answer is not None:
+        if move is not None and move.answer is not None:
             self._host.reply(move.answer, over.reason, over.result)
-        if over.reason and not move.dry_run:
+        if move is not None and over.reason and not move.dry_run:
             place.ask_again_s = self._host.kernel.host.now() + ASK_AGAIN_S
             self._host.log("warning", f"{over.task_id} stays on {self._host.agent}: {over.reason}")
+        if place.account is None or over.reason:
+            return None
+        place.account = None
+        return PartConcluded()
 
     def migrator_began(self) -> None:
         """The migrator has started anew and knows of no negotiation: the requests that wait are answered.
@@ -211,7 +212,7 @@ class Mover:
             if place.account is not None:
                 self._host.kernel.tell(MIGRATOR, place.account)
             elif place.move is not None and place.move.ledger is None:
-                self.over(MoveOver(place.task_id, "the Task Migrator was started anew", None))
+                self._over(place, MoveOver(place.task_id, "the Task Migrator was started anew", None))
 
     # What hand-offs ask for ------------------------------------------------------------------------------------
 
@@ -238,13 +239,6 @@ class Mover:
         place.account = HasMoved(host, task_id, peer, str(effect.epoch), sequel.ledger, note)
         host.kernel.tell(MIGRATOR, place.account)
         self._follow(sequel.then, place)
-
-    def accounted(self, place: Place) -> PartConcluded | None:
-        """The account of a move is kept; returns what follows."""
-        if place.account is None:
-            return None
-        place.account = None
-        return PartConcluded()
 
     def _follow(self, name: str, gone: Place) -> None:
         """Starts a task because another one has gone; once its record says that it is wanted, that is concluded."""

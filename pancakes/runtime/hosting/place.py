@@ -18,6 +18,7 @@ from pancakes.runtime.hosting.checkpoints import LastCheckpoint
 from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.hosting.task_letters import TaskLetters
 from pancakes.runtime.hosting.tenancy import Taking, Tenancy
+from pancakes.runtime.kernel.timer import OneShot
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.task import TaskSpec
@@ -163,6 +164,7 @@ class Place(msgspec.Struct):
         other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
         unsure: why it does not run, where this agent does not know what it must know.
         unwritable: whether what it carries could not be written down when it was last looked at.
+        reminders: the timers that its hand-off waits for, by the event that each feeds.
     """
 
     task_id: TaskId
@@ -188,6 +190,7 @@ class Place(msgspec.Struct):
     other: OtherOwner | None = None
     unsure: Unsure = SURE
     unwritable: bool = False
+    reminders: dict[type, OneShot] = msgspec.field(default_factory=dict)
 
     @property
     def owes(self) -> bool:
