@@ -92,6 +92,15 @@ class RosPeer:
 
         return next(filter(is_it, self.told.all), None) or self.told.wait(is_it)
 
+    def sees(self, node: str) -> None:
+        """Waits until it sees a node: discovery takes a while, and may come after the first answer of a service."""
+        deadline_s = time.monotonic() + AT_MOST_S
+        nodes: list[str] = []
+        while node not in nodes:
+            assert time.monotonic() < deadline_s, f"no node {node} among {nodes}"
+            self.order("graph")
+            nodes = self.told.wait(lambda line: "nodes" in line)["nodes"]
+
     def heard_at_last(
         self, publish: Callable[[], Any], topic: str, fits: Callable[[Any], Any] = lambda message: True
     ) -> Any:

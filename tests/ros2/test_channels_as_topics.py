@@ -123,8 +123,7 @@ def test_a_task_has_parameters_and_a_life_cycle(start_agent, peer):
         return peer.answer(task)
 
     assert asked("get_state", "GetState")["current_state"]["label"] == "active"
-    peer.order("graph")
-    assert task in peer.told.wait(lambda line: "nodes" in line)["nodes"]
+    peer.sees(task)
     assert parameters()["result"]["names"] == ["below", "slow.client/PoseSharing"]
     changed = parameters(set={"below": 0.5, "slow.client/PoseSharing": 2.0})["results"]
     assert [(it["successful"], it["reason"]) for it in changed] == [(True, ""), (True, "")]
