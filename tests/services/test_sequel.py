@@ -1,13 +1,16 @@
 """What follows a hand-over: `then`, and the account. Neither is forgotten where an agent is started anew in between."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
 from pancakes.control import Migrate, Migrations, Stop
+from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
+from pancakes.runtime.hosting.bidding_messages import MIGRATOR, HasMoved, MoveOver, Negotiate
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.service import Service
 from pancakes.task import Task, every
@@ -26,6 +29,19 @@ class Circle(Task):
 
 class Home(Circle):
     pass
+
+
+class Listens(Task):
+    """Keeps what it is told."""
+
+    def on_start(self):
+        self.heard = []
+
+    def on_receive(self, message):
+        if isinstance(message, MoveOver):
+            self.heard.append(message)
+            return None
+        return super().on_receive(message)
 
 
 class Surveys(ClientService):
@@ -230,3 +246,20 @@ def test_where_the_service_alone_is_started_anew_it_is_as_where_the_agent_is(wan
             assert a.running() == ["Home"] and account["outcome"] == "moved"
             assert fleet.agents["b"].running() == ["Circle"]
         assert "a/client was started anew" in account["reason"]
+
+
+@pytest.mark.parametrize("negotiates", ["Owner", "Guardian"])
+def test_a_service_whose_task_has_moved_hears_once_that_it_is_accounted_for(negotiates):
+    with FleetInTest(3) as fleet:
+        a = fleet.start("a", tasks={"Owner": Listens, "Guardian": Listens})
+        fleet.start("b")
+        fleet.connect()
+        migrator: Any = a.component(MIGRATOR)
+        owner: Any = a.component("client/Owner")
+        asker: Any = a.component(f"client/{negotiates}")
+        request = Solicit(TaskId("a", "Circle"), 1, "test.Circle", "", "client", (), 0, "tasks", None, b"")
+        migrator.on_receive(Negotiate(asker, request, "rule", "", False))
+        migrator.on_receive(HasMoved(owner, request.task_id, "b", "1 a", None, ""))
+        fleet.run_for(0.1)
+        (over,) = owner.heard
+        assert (over.task_id, over.reason) == (request.task_id, "")

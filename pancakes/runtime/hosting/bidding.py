@@ -181,7 +181,8 @@ class TaskMigrator(Task):
             self._finish(moved.task_id, "", moved.epoch)
         elif moved.ledger is not None:
             self._account(moved.service, moved.task_id, moved.ledger.moved(moved.epoch), moved.note, "")
-        else:
+        told = found[1] is moved.service if found is not None else moved.ledger is not None
+        if not told:
             tell(moved.service, MoveOver(moved.task_id, "", None))
 
     def _account(self, service: Reference, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
