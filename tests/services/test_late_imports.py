@@ -16,7 +16,7 @@ from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import NETWORK
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN
-from pancakes.testing import threaded_agent
+from pancakes.testing import FleetInTest, threaded_agent
 from pancakes.testing.agent_in_test import AgentInTest
 
 INSECURE = "[service.network]\nsettings = { insecure = true }\n"
@@ -131,3 +131,22 @@ def test_an_agent_that_cannot_import_a_class_says_why() -> None:
             "no neighbour can take Slow: b: the task type 'late_in_test.Slow' of late-in-test 1.0 (late_in_test:Slow)"
             " cannot be loaded: AssertionError: no camera"
         )
+
+
+@pytest.mark.usefixtures("late_plugin")
+def test_no_class_is_imported_for_a_peer_that_may_not_bring_such_tasks() -> None:
+    sys.modules.pop("late_in_test", None)
+    IMPORTING.clear()
+    GO_ON.set()
+    with FleetInTest() as fleet:
+        fleet.start("a", '[[access.allow]]\nwho = ["b"]\nmay = ["look", "change", "adopt", "guard"]\n')
+        b = fleet.start("b")
+        fleet.connect()
+        for body in (Create("New", LATE), Revive("z/New", LATE, force=True)):
+            assert f"New cannot run on a: a does not let b (agent) do this: it lacks the right 'host' on '{LATE}'" in (
+                b.ask(body, to="a").reason
+            )
+        journal = fleet.agents["a"].agent.mesh.identity.journal
+        b.publish(NETWORK, MayGuard(TaskId("b", "Slow"), LATE, journal), f"a/{GUARDIAN}")
+        b.wait_for(CanGuard, lambda told: "it lacks the right 'host'" in told.refusal and not told.runs_type)
+    assert not IMPORTING.is_set()

@@ -82,6 +82,8 @@ class Creations:
         """
         host, task_id = self._host, TaskId(self._host.agent, body.target)
         command = Command(request.number, request.cause, "", body)
+        if fault := host.kernel.access.fault(agent_of(request.by), "host", body.type):
+            raise ControlRefused(f"{task_id.name} cannot run on {host.agent}: {fault}")
         if host.state.imports_first(host, agent_of(request.by), body.type, command):
             return
         self._refuse_known(task_id)

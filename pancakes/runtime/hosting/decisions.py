@@ -147,6 +147,8 @@ class Decisions:
         host, task_id, held = self._host, TaskId.parse(body.task_id), body.checkpoint
         type_name = Snapshot.decode(held.snapshot).type if held is not None else body.type
         command = Command(request.number, request.cause, "", body)
+        if fault := host.kernel.access.fault(agent_of(request.by), "host", type_name):
+            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {fault}")
         if host.state.imports_first(host, agent_of(request.by), type_name, command):
             return
         place = host.places.get(task_id) or Place(task_id, Standing(Record(task_id)))

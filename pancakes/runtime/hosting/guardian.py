@@ -317,7 +317,7 @@ class Guardian(Component):
             asked.task_id,
             self._talk.me,
             refusal,
-            self._state.runs(asked.type),
+            not refusal and self._state.runs(asked.type),
             "battery" in self.kernel.registry.device_types(),
             self.kernel.host.now() - self._began_s,
         )
