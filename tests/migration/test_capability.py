@@ -11,6 +11,7 @@ from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.reservations import Reservation, Reservations
+from pancakes.mesh.migration.snapshot import LIMIT_BYTES
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", "client", ("pose", "motors"), moves_on_below=0.65)
@@ -45,6 +46,13 @@ def test_a_robot_with_all_that_is_asked_for_refuses_nothing() -> None:
 )
 def test_what_is_lacking_is_said(changes: dict[str, object], reason: str) -> None:
     assert reason in replace(ROBOT, **changes).refusal_of(REQUEST)
+
+
+def test_a_task_may_be_as_large_as_a_snapshot_that_travels() -> None:
+    assert ROBOT.refusal_of(replace(REQUEST, size_bytes=LIMIT_BYTES)) == ""
+    assert ROBOT.refusal_of(replace(REQUEST, size_bytes=LIMIT_BYTES + 1)) == (
+        "takes no snapshot of 16777217 bytes, 16777216 may travel"
+    )
 
 
 def test_all_reasons_are_given_at_once() -> None:

@@ -9,7 +9,7 @@ import pytest
 from services.created import COUNT, Count, Drive, count_of
 from services.numbered import Sink
 
-from pancakes.control import Configure, Describe, Migrate, Migrations, Start, Stop
+from pancakes.control import Configure, Describe, Migrate, Migrations, Revive, Start, Stop
 from pancakes.creation import Create, Remove
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.net.memory import Quality
@@ -380,6 +380,25 @@ def test_a_removal_that_cannot_be_written_down_is_refused_and_the_task_is_there(
     assert a.ask(Remove("Count")).reason == f"a/Count is not removed: {DISK_FULL}"
     end()
     assert a.ask(Start("Count")).ok and a.running() == ["Count"]
+
+
+def test_what_is_asked_of_a_task_that_is_being_removed_is_refused(fleet: FleetInTest) -> None:
+    a = fleet.start("a")
+    assert a.ask(COUNT).ok
+    removal, start = a.publish("sysctrl", Remove("Count")), a.publish("sysctrl", Start("Count"))
+    assert a.reply_to(start).reason == "a/Count is being removed"
+    assert a.reply_to(removal).ok and a.running() == []
+
+
+def test_of_a_task_whose_whereabouts_are_not_known_it_is_said(fleet: FleetInTest) -> None:
+    a, b = fleet.start("a"), fleet.start("b")
+    fleet.connect()
+    assert b.ask(Revive("a/Other", "test.Count", force=True)).ok
+    assert "a/Other is on b (epoch" in a.ask(Create("Other", "test.Count")).reason
+    fleet.crash("b")
+    fleet.run_for(3.0)
+    refused = a.ask(Create("Other", "test.Count")).reason
+    assert "a/Other is on b (epoch 1000000@b), as far as is known, and b is not connected" in refused
 
 
 def test_after_a_removal_too_a_full_disk_puts_it_off(fleet: FleetInTest) -> None:

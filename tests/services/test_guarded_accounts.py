@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from services.counting import Count
 
-from pancakes.control import Guarding, Migrations, Take
+from pancakes.control import Guarding, Migrations, Stop, Take
 from pancakes.creation import Create
 from pancakes.packet import NETWORK, Packet
 from pancakes.runtime.hosting.takeover import CALLED_S
@@ -72,6 +72,65 @@ def test_a_dry_run_names_the_taker_and_what_is_lost(fleet: FleetInTest):
     assert would["age_s"] <= 0.7 and 9.0 < would["silent_s"] < 12.0
     took = fleet.agents["b"].ask(Take("Count")).result
     assert took["winner"] in "bc" and took["checkpoint"] == would["checkpoint"] and took["age_s"] == would["age_s"]
+
+
+@pytest.mark.parametrize("fleet", ["ask"], indirect=True)
+def test_a_take_over_that_is_asked_for_twice_is_done_once(fleet: FleetInTest):
+    fleet.crash("a")
+    fleet.run_for(10.0)
+    b = fleet.agents["b"]
+    first, second = b.publish("sysctrl", Take("Count")), b.publish("sysctrl", Take("Count"))
+    assert b.reply_to(second).reason == "a/Count is being taken over already"
+    assert b.reply_to(first).ok
+    fleet.run_for(2.0)
+    assert len(accounts(fleet)) == 1
+
+
+@pytest.mark.parametrize("fleet", ["ask"], indirect=True)
+def test_where_too_few_guardians_say_that_its_owner_is_silent_it_is_not_taken_over(fleet: FleetInTest):
+    fleet.crash("a")
+    fleet.run_for(10.0)
+    fleet.crash("c")
+    refused = fleet.agents["b"].ask(Take("Count"))
+    assert refused.reason == (
+        "a/Count is not taken over: 1 of its 3 guardians say that its owner is silent, and not a, c"
+    )
+    fleet.restart("c")
+    fleet.connect()
+    fleet.run_for(3.0)
+    assert fleet.agents["b"].ask(Take("Count")).ok
+
+
+@pytest.mark.parametrize("fleet", ["auto"], indirect=True)
+def test_a_task_that_a_person_has_stopped_is_taken_over_by_none(fleet: FleetInTest):
+    assert fleet.agents["a"].ask(Stop("Count")).ok
+    fleet.run_for(3.0)
+    fleet.crash("a")
+    fleet.run_for(10.0)
+    assert accounts(fleet) == []
+    assert fleet.agents["b"].ask(Take("Count")).reason == (
+        "a/Count is not to run, as its checkpoint says: there is nothing to take over"
+    )
+
+
+def test_of_two_tasks_of_one_name_the_birthplace_says_which_is_taken_over():
+    rule = {**GUARDED, "takeover": "ask", "guardians": ["c", "d"]}
+    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+        for name in "ab":
+            fleet.start(name, tasks={"Count": rule})
+        for name in "cd":
+            fleet.start(name)
+        fleet.connect()
+        c = fleet.agents["c"]
+        assert fleet.run_until(lambda: len(c.ask(Guarding()).result) == 2, 20)
+        fleet.run_for(3.0)
+        fleet.crash("a")
+        fleet.crash("b")
+        fleet.run_for(10.0)
+        told = c.ask(Take("Count")).reason
+        assert re.fullmatch(r"c guards (a/Count and b/Count|b/Count and a/Count): say which birthplace is meant", told)
+        taken = c.ask(Take("Count", "b")).result
+        assert taken["task_id"] == "b/Count"
 
 
 @pytest.mark.parametrize("fleet", ["ask"], indirect=True)

@@ -15,7 +15,7 @@ from pancakes.mesh.guarding.guard_messages import (
 )
 from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen, TakeTask
 from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.guards import GuardianId, Guards
+from pancakes.mesh.migration.guards import GuardianId, Guards, forgotten_guards
 from pancakes.mesh.migration.messages import addressed
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
@@ -110,6 +110,13 @@ def test_what_another_says_of_a_guardian_has_no_task_taken_over(fleet):
         fleet.run_for(0.1)
     assert not b.events("task_called") and not fleet.agents["d"].events("task_called")
     assert fleet.agents["a"].running() == ["Count"]
+
+
+def test_a_task_is_forgotten_by_the_word_of_its_guardians_alone(fleet):
+    say(fleet, "d", LeaseSeen(COUNT, guardian(fleet, "d"), False, HIGH, forgotten_guards(HIGH)), f"b/{GUARDIAN}")
+    say(fleet, "c", LeaseSeen(TaskId("a", "Nothing"), guardian(fleet, "c"), False, HIGH, Guards()), f"b/{GUARDIAN}")
+    assert goes_on(fleet)
+    assert [row["task_id"] for row in fleet.agents["b"].ask(Guarding()).result] == ["a/Count"]
 
 
 def test_a_stranger_is_not_told_of_leases(fleet):

@@ -9,6 +9,7 @@ from pancakes.mesh.guarding.guard_messages import KeepLease, SeizeTask
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import addressed
 from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.mesh.net.memory import Quality
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.task import every
 from pancakes.testing import FleetInTest
@@ -100,6 +101,27 @@ def test_a_state_that_did_not_change_is_not_sent_again():
         fleet.agents["d"].publish("system", Numbered(1), to=SINK)
         fleet.run_for(5.0)
         assert sum(keep.body is not None for keep in keeps) == 1
+
+
+def test_a_state_that_is_on_its_way_to_a_guardian_is_not_sent_again():
+    with guarded("Sink", Sink) as fleet:
+        keeps = []
+        fleet.agents["b"].kernel.stream.tap("network", lambda packet: keeps.append(packet.body), ("guard.keep",))
+        fleet.network.set_quality("a", "b", Quality(latency_s=0.35))  # there and back: longer than from lease to lease
+        fleet.agents["d"].publish("system", Numbered(1), to=SINK)
+        fleet.run_for(5.0)
+        assert sum(keep.body is not None for keep in keeps) == 1
+
+
+def test_its_guardians_are_chosen_as_soon_as_its_neighbours_have_had_time_to_answer():
+    with FleetInTest(seed=5) as fleet:
+        for other in "bcd":
+            fleet.start(other)
+        fleet.start("a", tasks={"Count": {"type": Count, **GUARD}})
+        fleet.connect()
+        begin_s = fleet.now()
+        assert fleet.run_until(lambda: len(record(fleet, "Count").guards.members()) == 3, 10)
+        assert fleet.now() - begin_s < 1.5
 
 
 def test_a_stop_is_answered_once_a_quorum_keeps_to_it():

@@ -312,10 +312,19 @@ def test_what_guardians_know_can_be_asked(guarded):
     assert 1.0 < owner["permit_s"] <= 3.6 and owner["lease"]
     (row,) = guarded.agents["b"].ask(Guarding()).result
     assert row["checkpoint"] > 1 and row["age_s"] < 1.0 and row["silent_s"] < 1.0
+    assert "guardians" not in row
     guarded.crash("a")
     guarded.run_for(1.0)
     refused = guarded.agents["b"].ask(Take("Count")).reason
     assert "a has a lease on it" in refused
+
+
+def test_the_guardian_of_its_owner_alone_tells_what_the_owner_knows(guarded):
+    assert guarded.agents["a"].ask(Migrate("Count", to="c")).ok
+    guarded.run_for(3.0)
+    rows = {name: guard_row(agent) for name, agent in guarded.agents.items()}
+    assert {row["owner"] for row in rows.values()} == {"c"}
+    assert [name for name, row in rows.items() if "guardians" in row] == ["c"]
 
 
 def test_calls_to_take_made_up_tasks_leave_nothing(guarded):

@@ -197,10 +197,12 @@ def test_an_agent_guards_a_bounded_number_of_tasks_of_a_peer(fleet, monkeypatch)
 
 
 def test_an_agent_keeps_a_bounded_number_of_bytes_for_a_peer(fleet, monkeypatch):
-    monkeypatch.setattr(guardian, "MOST_BYTES", 100)
-    assert isinstance(answered(fleet, "a", keep(fleet, body=b"x" * 90)), LeaseKept)
-    denied = answered(fleet, "a", keep(fleet, body=b"x" * 20, task_id=TaskId("a", "Other")))
-    assert isinstance(denied, DenyLease) and "would take more than" in denied.reason
+    monkeypatch.setattr(guardian, "MOST_BYTES", 2**20)
+    for name in ("One", "Two", "Three", "Four"):
+        assert isinstance(answered(fleet, "a", keep(fleet, body=b"x" * (2**18 - 1024), task_id=TaskId("a", name))), LeaseKept)
+    denied = answered(fleet, "a", keep(fleet, body=b"x" * 5000, task_id=TaskId("a", "Five")))
+    assert isinstance(denied, DenyLease)
+    assert denied.reason == "the checkpoints of a would take more than 1 MiB on b"
 
 
 @pytest.mark.parametrize("right", ["guard", "host"])
