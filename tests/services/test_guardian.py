@@ -199,7 +199,8 @@ def test_an_agent_guards_a_bounded_number_of_tasks_of_a_peer(fleet, monkeypatch)
 def test_an_agent_keeps_a_bounded_number_of_bytes_for_a_peer(fleet, monkeypatch):
     monkeypatch.setattr(guardian, "MOST_BYTES", 2**20)
     for name in ("One", "Two", "Three", "Four"):
-        assert isinstance(answered(fleet, "a", keep(fleet, body=b"x" * (2**18 - 1024), task_id=TaskId("a", name))), LeaseKept)
+        kept = answered(fleet, "a", keep(fleet, body=b"x" * (2**18 - 1024), task_id=TaskId("a", name)))
+        assert isinstance(kept, LeaseKept)
     denied = answered(fleet, "a", keep(fleet, body=b"x" * 5000, task_id=TaskId("a", "Five")))
     assert isinstance(denied, DenyLease)
     assert denied.reason == "the checkpoints of a would take more than 1 MiB on b"

@@ -129,6 +129,7 @@ def test_it_goes_on_from_the_snapshot_of_a_hand_off_that_is_in_doubt(fleet):
     fleet.crash("a")
     fleet.run_for(3.0)
     (row,) = fleet.agents["b"].ask(Checkpoints("Sink", body=True)).result
+    assert fleet.agents["b"].ask(Checkpoints("Other")).result == []
     assert (row["held"], row["epoch"], row["no"]) == ("in doubt", [1, "a"], 0)
     assert (row["age_s"], row["type"]) == (None, "test.Sink")
     held = HeldCheckpoint(row["snapshot"], (1, "a"), 0, "the snapshot that b holds")
