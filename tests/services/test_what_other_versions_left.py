@@ -177,3 +177,18 @@ def test_a_later_version_of_a_class_reads_what_an_earlier_one_saved() -> None:
         assert any("bad settings for Later.State: gone: unknown key" in line for line in later.lines("error"))
         assert later.ask(Restart("Task", keep_state=False)).ok
         assert later.task("Task").state == Later.State()
+
+
+def test_a_guarded_task_whose_class_is_gone_on_its_agent_is_taken_over() -> None:
+    with FleetInTest(2, classes={"test.Count": Count}) as fleet:
+        a = fleet.start("a")
+        for name in "bc":
+            fleet.start(name)
+        fleet.connect()
+        assert a.ask(Create("Count", "test.Count", keys={"guard": 3, "lease_s": 2.0})).ok
+        fleet.run_for(8.0)
+        again = rewritten(fleet, "Count", type="test.Gone")
+        fleet.connect()
+        fleet.run_for(20.0)
+        assert again.running() == [] and any("unknown task type 'test.Gone'" in line for line in again.lines("error"))
+        assert [name for name in "bc" if fleet.agents[name].running()] == ["b"], "its guardians know the class that it had"
