@@ -1,6 +1,6 @@
 """Stories of tasks, message by message: where a rule changes, what changes between agents can be read here.
 
-The story of a guarded task is in `story_of_a_guarded_task.txt`, that of one that moves in `story_of_a_moving_task.txt`.
+Each is in a file beside this one, `story_of_a_guarded_task.txt`, say.
 """
 
 from __future__ import annotations
@@ -136,6 +136,36 @@ def a_guarded_task(fleet: FleetInTest, told: Story) -> None:
     fleet.run_for(3.0)
 
 
+def two_guarded_tasks(fleet: FleetInTest, told: Story) -> None:
+    """They lack guardians, get them, and get others for one that is silent, or that cannot."""
+    agents, rule = fleet.agents, {"guard": 3, "lease_s": 60.0, "checkpoint_s": 30.0}
+    told.tell("a creates Plain, which is not guarded, and One and Two, for which there are too few agents")
+    for name, keys in (("Plain", {}), ("One", rule), ("Two", {**rule, "guardians": ["b", "d"]})):
+        assert agents["a"].ask(Create(name, "test.Slow", keys=keys)).ok
+    fleet.run_for(5.0)
+    told.tell("c and d come")
+    for name in "cd":
+        fleet.start(name)
+        told.hear(name)
+    fleet.connect()
+    fleet.run_for(20.0)
+    told.tell("b dies")
+    fleet.crash("b")
+    fleet.run_for(80.0)
+    told.tell("a dies too")
+    fleet.crash("a")
+    fleet.run_for(80.0)
+    told.tell("a is back, with an empty disk")
+    fleet.fleet.disk("a").clear()
+    fleet.restart("a")
+    told.hear("a")
+    fleet.connect()
+    fleet.run_for(5.0)
+    told.tell("One is stopped on c")
+    assert agents["c"].ask(Stop("One")).ok
+    fleet.run_for(70.0)
+
+
 def a_moving_task(fleet: FleetInTest, told: Story) -> None:
     """It moves while it is written to, stays where it cannot move, is in doubt, owned twice, and given up."""
     agents, sink = fleet.agents, TaskId("a", "Sink")
@@ -187,7 +217,9 @@ def a_moving_task(fleet: FleetInTest, told: Story) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "story"), [("abcd", a_guarded_task), ("abc", a_moving_task)], ids=["guarded", "moving"]
+    ("names", "story"),
+    [("abcd", a_guarded_task), ("ab", two_guarded_tasks), ("abc", a_moving_task)],
+    ids=["guarded", "two", "moving"],
 )
 def test_agents_say_the_same_as_before(names: str, story: Callable[..., None], tmp_path: Path) -> None:
     known = Path(__file__).with_name(f"story_of_{story.__name__}.txt")
