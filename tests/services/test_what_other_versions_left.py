@@ -191,4 +191,4 @@ def test_a_guarded_task_whose_class_is_gone_on_its_agent_is_taken_over() -> None
         fleet.connect()
         fleet.run_for(20.0)
         assert again.running() == [] and any("unknown task type 'test.Gone'" in line for line in again.lines("error"))
-        assert [name for name in "bc" if fleet.agents[name].running()] == ["b"], "its guardians know the class that it had"
+        assert [name for name in "bc" if fleet.agents[name].running()] == ["b"], "its guardians know its class"
