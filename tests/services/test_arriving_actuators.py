@@ -1,9 +1,12 @@
 """While a task rests on an agent, dormant and in doubt, nobody takes the actuators that it will need."""
 
+from typing import ClassVar
+
 import pytest
 
+from pancakes.bodies.devices.driver import Actuator
 from pancakes.bodies.devices.types import Twist
-from pancakes.control import Migrate, Start
+from pancakes.control import Migrate, Start, Stop
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
@@ -121,3 +124,36 @@ def test_a_task_that_needs_no_actuator_may_start_whatever_others_hold():
         fleet.run_for(0.5)
         assert a.kernel.registry.holder("wheels") == "a/client/Circle"
         assert a.ask(Start("Look", dry_run=True)).ok and a.ask(Start("Look")).ok
+
+
+class Wheels(Actuator):
+    """Wheels that remember how fast they were told to go."""
+
+    type = "motors"
+    told: ClassVar[list[float]] = []
+
+    def apply(self, command, valid_s, source):
+        Wheels.told.append(command.v_mps)
+
+    def hold(self):
+        pass
+
+
+class LastWord(Circle):
+    """Commands once more as it ends."""
+
+    def on_stop(self):
+        self.publish("ctrl", Twist(0.9, 0.0))
+
+
+@pytest.mark.parametrize(("moves", "told"), [(True, False), (False, True)])
+def test_what_a_task_commands_as_it_ends_reaches_no_wheel_where_it_was_handed_over(moves, told):
+    Wheels.told.clear()
+    with FleetInTest(7, classes={"test.LastWord": LastWord}) as fleet:
+        a = fleet.start("a", devices={"wheels": Wheels}, tasks={"LastWord": LastWord})
+        fleet.start("b", devices=WHEELS)
+        fleet.connect()
+        fleet.run_for(1.0)
+        assert a.ask(Migrate("LastWord") if moves else Stop("LastWord")).ok
+        fleet.run_for(1.0)
+        assert 0.1 in Wheels.told and (0.9 in Wheels.told) is told
