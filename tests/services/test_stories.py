@@ -5,15 +5,29 @@ Each is in a file beside this one, `story_of_a_guarded_task.txt`, say.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from pprint import pformat
 from typing import Any
 
 import pytest
 from services.numbered import SINK, Numbered, Sink
 
-from pancakes.control import Forget, Migrate, Revive, Start, Stop
+from pancakes.control import (
+    Adopt,
+    Configure,
+    Describe,
+    Forget,
+    Migrate,
+    Migrations,
+    Reschedule,
+    Restart,
+    Revive,
+    Start,
+    Stop,
+)
 from pancakes.creation import Create, Remove
 from pancakes.events import Event, LogLine
 from pancakes.mesh.guarding.guard_messages import CheckpointId
@@ -30,6 +44,10 @@ class Slow(Task):
     """Changes its state as often as it is written down."""
 
     @dataclass
+    class Settings:
+        step: int = 1
+
+    @dataclass
     class State:
         n: int = 0
 
@@ -37,7 +55,15 @@ class Slow(Task):
 
     @every(hz=0.5)
     def tick(self, tick: Tick) -> None:
-        self.state.n += 1
+        self.state.n += self.settings.step
+
+
+class Frail(Slow):
+    """Fails as soon as it has something to do."""
+
+    @every(hz=2.0)
+    def tick(self, tick: Tick) -> None:
+        raise ValueError("too much")
 
 
 def told_in(body: Any) -> str:
@@ -55,6 +81,17 @@ def told_in(body: Any) -> str:
 
 def value(it: Any) -> str:
     return f"{it.epoch}/{it.no}" if isinstance(it, CheckpointId) else str(it)
+
+
+def shown(it: Any) -> Any:
+    """Returns plain values as a story tells them: rounded, and without the lines of files."""
+    if isinstance(it, Mapping):
+        return {key: shown(one) for key, one in it.items() if key != "traceback"}
+    if isinstance(it, (list, tuple)):
+        return [shown(one) for one in it]
+    if isinstance(it, str):
+        return re.sub(r" at test_stories.py:\d+", "", it)
+    return round(it, 3) if isinstance(it, float) else it
 
 
 class Story:
@@ -78,6 +115,14 @@ class Story:
         """Writes down what a person does."""
         self.lines.append(f"-- {what}")
 
+    def ask(self, name: str, body: Any, **others: Any) -> None:
+        """Writes down what a person asks of an agent, and what that answers."""
+        reply = self._fleet.agents[name].ask(body, **others)
+        self.lines.append(f"-- {name} is asked for {body}".replace("=False", "=no"))
+        self.lines.append(f"   {reply.reason or 'done'}")
+        if reply.result is not None:
+            self.lines += [f"   {line}" for line in pformat(shown(reply.result), width=110).splitlines()]
+
     def _heard(self, name: str, packet: Packet) -> None:
         here = f"{name}/"
         if (packet.destination or "").startswith(here) and not packet.source.startswith(here):
@@ -88,12 +133,12 @@ class Story:
             self._note(f"{packet.source}:", packet.body)
 
     def _note(self, what: str, body: Any) -> None:
-        self.lines.append(f"{self._fleet.now():6.2f} {what} {told_in(body)}".rstrip())
+        self.lines.append(f"{self._fleet.now():6.2f} {what} {shown(told_in(body))}".rstrip())
 
 
 def fleet_of(names: str, story: Callable[[FleetInTest, Story], None]) -> list[str]:
     """Has a story happen among some agents; returns what they said."""
-    with FleetInTest(seed=5, classes={"test.Slow": Slow, "test.Sink": Sink}) as fleet:
+    with FleetInTest(seed=5, classes={"test.Slow": Slow, "test.Sink": Sink, "test.Frail": Frail}) as fleet:
         told = Story(fleet)
         for name in names:
             fleet.start(name)
@@ -166,6 +211,49 @@ def two_guarded_tasks(fleet: FleetInTest, told: Story) -> None:
     fleet.run_for(70.0)
 
 
+def tasks_of_one_agent(fleet: FleetInTest, told: Story) -> None:
+    """They are asked for all that tasks can be asked for, and fail."""
+    told.ask("a", Create("Slow", "test.Slow", keys={"restart": {"policy": "transient", "pause_s": 0.5}}, dry_run=True))
+    told.ask("a", Create("Slow", "test.Slow", keys={"restart": {"policy": "transient", "pause_s": 0.5}}))
+    told.ask("a", Create("Frail", "test.Frail"))
+    fleet.run_for(5.0)
+    for body in (
+        Describe("Slow", state=True, began=True),
+        Reschedule("Slow", 2.0),
+        Reschedule("Slow", 2.0, "nothing"),
+        Reschedule("Slow", -1.0),
+        Configure("Slow", {"step": 3}),
+        Configure("Slow", {"stepp": 3}),
+        Start("Slow"),
+        Stop("Slow", dry_run=True),
+        Stop("Slow"),
+        Stop("Slow"),
+        Reschedule("Slow", 1.0),
+        Configure("Slow", {"step": 4}),
+        Migrate("Slow"),
+        Restart("Slow", keep_state=False),
+        Migrate("Slow"),
+        Migrate("Slow", cost="nothing"),
+        Start("Nothing"),
+        Describe("Nothing"),
+        Describe("client"),
+        Migrations(),
+        Adopt("Slow"),
+        Forget("Slow"),
+        Revive("a/Slow", "test.Slow", force=True),
+        Stop("client", for_s=1.0),
+    ):
+        told.ask("a", body)
+    fleet.run_for(3.0)
+    told.tell("a crashes, and is back")
+    fleet.crash("a")
+    fleet.restart("a")
+    told.hear("a")
+    fleet.run_for(3.0)
+    told.ask("a", Describe("Slow", state=True))
+    told.ask("a", Describe("Frail"))
+
+
 def a_moving_task(fleet: FleetInTest, told: Story) -> None:
     """It moves while it is written to, stays where it cannot move, is in doubt, owned twice, and given up."""
     agents, sink = fleet.agents, TaskId("a", "Sink")
@@ -218,8 +306,8 @@ def a_moving_task(fleet: FleetInTest, told: Story) -> None:
 
 @pytest.mark.parametrize(
     ("names", "story"),
-    [("abcd", a_guarded_task), ("ab", two_guarded_tasks), ("abc", a_moving_task)],
-    ids=["guarded", "two", "moving"],
+    [("abcd", a_guarded_task), ("ab", two_guarded_tasks), ("abc", a_moving_task), ("a", tasks_of_one_agent)],
+    ids=["guarded", "two", "moving", "one"],
 )
 def test_agents_say_the_same_as_before(names: str, story: Callable[..., None], tmp_path: Path) -> None:
     known = Path(__file__).with_name(f"story_of_{story.__name__}.txt")
