@@ -17,16 +17,23 @@ from services.numbered import SINK, Numbered, Sink
 
 from pancakes.control import (
     Adopt,
+    Begin,
+    Checkpoints,
     Configure,
     Describe,
+    Follow,
     Forget,
+    Guarding,
     Migrate,
     Migrations,
+    ReloadKeys,
     Reschedule,
     Restart,
     Revive,
+    Shutdown,
     Start,
     Stop,
+    Unfollow,
 )
 from pancakes.creation import Create, Remove
 from pancakes.events import Event, LogLine
@@ -37,6 +44,7 @@ from pancakes.task import Task, Tick, every
 from pancakes.testing import FleetInTest
 
 SHOWN = ("offer", "epoch", "promised", "beat", "checkpoint", "no", "runs", "refusal", "reason", "by", "to", "told")
+LEFT_OUT = ("traceback", "bytes_in", "bytes_out", "life")
 GUARDED = {"guard": 3, "lease_s": 4.0, "checkpoint_s": 2.0}
 
 
@@ -86,7 +94,7 @@ def value(it: Any) -> str:
 def shown(it: Any) -> Any:
     """Returns plain values as a story tells them: rounded, and without the lines of files."""
     if isinstance(it, Mapping):
-        return {key: shown(one) for key, one in it.items() if key != "traceback"}
+        return {key: shown(one) for key, one in it.items() if key not in LEFT_OUT}
     if isinstance(it, (list, tuple)):
         return [shown(one) for one in it]
     if isinstance(it, str):
@@ -254,6 +262,51 @@ def tasks_of_one_agent(fleet: FleetInTest, told: Story) -> None:
     told.ask("a", Describe("Frail"))
 
 
+def services_of_one_agent(fleet: FleetInTest, told: Story) -> None:
+    """They are asked for all that services and devices can be asked for."""
+    devices = {"pose": {"driver": "null.pose", "rate_hz": 1.0}, "wheels": "null.motors"}
+    fleet.start("a", devices=devices, tasks={"Slow": "test.Slow"})
+    told.hear("a")
+    fleet.connect()
+    fleet.run_for(3.0)
+    for body in (
+        Describe(),
+        Describe("wheels"),
+        Describe("network"),
+        Describe("log"),
+        Guarding(),
+        Checkpoints("Slow"),
+        Follow("nothing"),
+        Follow("system"),
+        Unfollow("system"),
+        Reschedule("pose", 2.0),
+        Reschedule("wheels", 2.0),
+        Configure("pose", {"x_m": 1.0}),
+        Stop("wheels"),
+        Start("wheels"),
+        Restart("wheels"),
+        Stop("device", for_s=-1.0),
+        Stop("device", for_s=1.0),
+        Describe("device"),
+        Start("wheels"),
+        Start("device"),
+        Start("device"),
+        Restart("client"),
+        Stop("nothing"),
+        Stop("log"),
+        Start("log"),
+        Begin(),
+        ReloadKeys(),
+        Shutdown(),
+        Stop("network"),
+        Migrate("Slow"),
+        Stop("kernel"),
+    ):
+        told.ask("a", body)
+    fleet.run_for(3.0)
+    told.ask("a", Describe("device"))
+
+
 def a_moving_task(fleet: FleetInTest, told: Story) -> None:
     """It moves while it is written to, stays where it cannot move, is in doubt, owned twice, and given up."""
     agents, sink = fleet.agents, TaskId("a", "Sink")
@@ -304,13 +357,19 @@ def a_moving_task(fleet: FleetInTest, told: Story) -> None:
     fleet.run_for(3.0)
 
 
-@pytest.mark.parametrize(
-    ("names", "story"),
-    [("abcd", a_guarded_task), ("ab", two_guarded_tasks), ("abc", a_moving_task), ("a", tasks_of_one_agent)],
-    ids=["guarded", "two", "moving", "one"],
-)
-def test_agents_say_the_same_as_before(names: str, story: Callable[..., None], tmp_path: Path) -> None:
+STORIES: dict[Callable[[FleetInTest, Story], None], str] = {
+    a_moving_task: "abc",
+    a_guarded_task: "abcd",
+    two_guarded_tasks: "ab",
+    tasks_of_one_agent: "a",
+    services_of_one_agent: "b",
+}
+"""The agents that there are at the beginning of each."""
+
+
+@pytest.mark.parametrize("story", STORIES, ids=lambda story: story.__name__)
+def test_agents_say_the_same_as_before(story: Callable[[FleetInTest, Story], None], tmp_path: Path) -> None:
     known = Path(__file__).with_name(f"story_of_{story.__name__}.txt")
-    lines, now = fleet_of(names, story), tmp_path / known.name
+    lines, now = fleet_of(STORIES[story], story), tmp_path / known.name
     now.write_text("\n".join(lines) + "\n")
     assert lines == known.read_text().splitlines(), f"where the change is meant, copy {now} to {known}"
