@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 
 from pancakes.bodies.devices.types import Load, Pose
-from pancakes.control import Migrate, Start, Stop
+from pancakes.control import Migrate, Restart, Start, Stop
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.kernel.handlers import on
@@ -117,6 +117,25 @@ def test_a_service_that_stops_after_its_agent_has_bid_is_a_refusal_and_the_task_
         assert reply.reason == "no neighbour can take Guide: b: did not answer the reservation in time"
         assert a.events("task_frozen") == []
         assert a.running("guides") == ["Guide"]
+
+
+@pytest.mark.parametrize(
+    ("restarted", "reason"), [("client", ""), ("maps", ""), ("guides", "a/guides was stopped before")]
+)
+def test_a_start_of_its_own_service_alone_ends_the_bidding_for_a_task(restarted, reason):
+    with FleetInTest(1, classes={"test.Guide": Guide}) as fleet:
+        services = {"guides": Guides, "maps": Guides}
+        tasks = {"Guide": {"type": Guide, "service": "guides"}}
+        a = fleet.start("a", services=services, devices=WHEELS, tasks=tasks)
+        b = fleet.start("b", services=services, devices=WHEELS)
+        fleet.connect()
+        fleet.faults.delay("a", "b", 0.1)
+        asked = a.publish("sysctrl", Migrate("Guide"))
+        assert a.ask(Restart(restarted)).ok
+        assert not b.events("migration_bid")
+        assert a.reply_to(asked).reason.startswith(reason)
+        fleet.run_for(2.0)
+        assert (b if not reason else a).running("guides") == ["Guide"]
 
 
 def test_a_tasks_own_service_has_the_say_where_it_fails_between_the_two_halves_of_a_move():
