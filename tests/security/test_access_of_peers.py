@@ -153,7 +153,7 @@ def test_an_agent_claims_for_itself_alone(fleet):
 
 def test_to_revive_a_task_needs_the_right_on_the_place_that_it_gets(fleet):
     _, b = two(fleet, allowed('["adopt"]', '["a/client/Sink"]'))
-    allowed_here = b.ask(Revive("c/Sink", "test.Sink", force=True), to="a")
-    assert "the right" not in allowed_here.reason
+    may_adopt = b.ask(Revive("c/Sink", "test.Sink", force=True), to="a")
+    assert "it lacks the right 'host' on 'test.Sink'" in may_adopt.reason
     refused = b.ask(Revive("c/Other", "test.Sink", force=True), to="a")
-    assert not refused.ok and "on 'a/client/Other'" in refused.reason
+    assert "it lacks the right 'adopt' on 'a/client/Other'" in refused.reason
