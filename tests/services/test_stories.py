@@ -126,7 +126,7 @@ class Story:
     def ask(self, name: str, body: Any, **others: Any) -> None:
         """Writes down what a person asks of an agent, and what that answers."""
         reply = self._fleet.agents[name].ask(body, **others)
-        self.lines.append(f"-- {name} is asked for {body}".replace("=False", "=no"))
+        self.lines.append(f"-- {name} is asked for {body}")
         self.lines.append(f"   {reply.reason or 'done'}")
         if reply.result is not None:
             self.lines += [f"   {line}" for line in pformat(shown(reply.result), width=110).splitlines()]
