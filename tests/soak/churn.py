@@ -31,8 +31,8 @@ LOOKS: Final = 6
 PAUSE_S: Final = 0.25
 """Between two things that are asked for, on the average."""
 PASSING: Final = ("PassingA", "PassingB")
-OTHER_RECORDS: Final = 5
-"""Files in a state directory besides: the sweeper's, its lock, its identity, fences, a recording that is wanted."""
+OTHER_RECORDS: Final = 7
+"""Files in a state directory besides: the sweeper's, the journal, its lock, mark and identity, fences, recordings."""
 
 
 @dataclass
@@ -129,7 +129,8 @@ class Churn:
             self.outcome.faults += [it for it in (fault, lost) if it]
         for name in self.names:
             first, last = self.outcome.calm[name]
-            records = len(self.born) + len(PASSING) + OTHER_RECORDS
+            boots = len(self.names) - 1  # a file for each other agent
+            records = len(self.born) + len(PASSING) + boots + OTHER_RECORDS
             self.outcome.faults += leaks(name, first, last, records)
         self.outcome.faults += [
             line for path in sorted(self.work.glob("*.doubled")) for line in path.read_text().splitlines()
