@@ -20,7 +20,7 @@ RUN = """
 import sys
 from pathlib import Path
 from pancakes.tools.there.own_supervisor import Supervisor
-Supervisor(Path(sys.argv[1]), watchdog_s=0.3, pause_s=0.05).run()
+Supervisor(Path(sys.argv[1]), watchdog_s=float(sys.argv[2]), pause_s=0.05).run()
 """
 SAY = """
 import os, socket, sys, time
@@ -39,9 +39,13 @@ class Supervised:
         self.folder = folder
         self.process: subprocess.Popen[bytes] | None = None
 
-    def start(self, program: str) -> None:
-        (self.folder / "command.json").write_text(json.dumps([sys.executable, "-c", program]))
-        self.process = subprocess.Popen([sys.executable, "-c", RUN, str(self.folder)], stdin=subprocess.DEVNULL)
+    def start(self, program: str, watchdog_s: float = PATIENCE_S) -> None:
+        self.start_command([sys.executable, "-c", program], watchdog_s)
+
+    def start_command(self, command: list[str], watchdog_s: float = PATIENCE_S) -> None:
+        (self.folder / "command.json").write_text(json.dumps(command))
+        supervisor = [sys.executable, "-c", RUN, str(self.folder), str(watchdog_s)]
+        self.process = subprocess.Popen(supervisor, stdin=subprocess.DEVNULL)
 
     def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         until_s = time.monotonic() + PATIENCE_S
@@ -57,7 +61,10 @@ class Supervised:
             time.sleep(0.02)
 
     def log(self) -> str:
-        return (self.folder / "agent.log").read_text()
+        try:
+            return (self.folder / "agent.log").read_text()
+        except FileNotFoundError:
+            return ""
 
 
 @pytest.fixture
@@ -70,7 +77,7 @@ def supervised(tmp_path: Path) -> Iterator[Supervised]:
 
 
 def test_one_that_hangs_is_ended_and_started_again(supervised: Supervised):
-    supervised.start(SAY + "time.sleep(600)")
+    supervised.start(SAY + "time.sleep(600)", watchdog_s=0.3)
     first = supervised.wait(lambda it: it["state"] == "active")["pid"]
     assert supervised.wait(lambda it: it["restarts"] >= 1 and it["pid"] not in (0, first))["restarts"] == 1
     assert "it does not say that it lives" in supervised.log()
@@ -103,9 +110,9 @@ def test_it_ends_its_agent_with_what_that_says_last(supervised: Supervised):
 
 
 def test_a_program_that_is_not_there_is_tried_again(supervised: Supervised):
-    (supervised.folder / "command.json").write_text(json.dumps(["/no/such/program"]))
-    supervised.process = subprocess.Popen([sys.executable, "-c", RUN, str(supervised.folder)])
+    supervised.start_command(["/no/such/program"])
     supervised.wait(lambda it: it["restarts"] >= 2)
+    assert supervised.process is not None
     assert "the agent cannot be started: " in supervised.log()
     os.kill(supervised.process.pid, signal.SIGTERM)
     assert supervised.process.wait(PATIENCE_S) == 0
