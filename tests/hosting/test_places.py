@@ -1,0 +1,76 @@
+"""The places of a service's tasks: which are known, and to which of them a slot belongs."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.places import Places
+from pancakes.runtime.hosting.standing import Standing
+from pancakes.runtime.life.life import Life
+from pancakes.runtime.life.restart import Restarts, RestartSpec
+from pancakes.runtime.supervision.slot import Slot
+from pancakes.task import Task, TaskSpec
+
+MINE, OTHERS = TaskId("a", "Scan"), TaskId("z", "Scan")
+
+
+def slot() -> Slot:
+    return Slot("Scan", TaskSpec("Scan", Task), "a/client/Scan", Life("a/client/Scan", Restarts(RestartSpec())))
+
+
+def owned(task_id: TaskId) -> Record:
+    return Record(task_id, Phase.OWNER)
+
+
+def test_a_place_that_is_dropped_is_forgotten_by_its_name_too() -> None:
+    places = Places("a", {})
+    place = Place(OTHERS, Standing(Record(OTHERS)))
+    places.drop(place)  # it was never kept
+    places.keep(place)
+    places.keep(place)
+    assert places.named("Scan") == [place]
+
+    places.drop(place)
+
+    assert (places.get(OTHERS), places.named("Scan")) == (None, [])
+    places.drop(place)
+    assert [places[OTHERS]] == places.named("Scan")
+
+
+def test_a_slot_belongs_to_the_task_that_is_here_and_else_to_the_one_that_was_born_here() -> None:
+    slots = {"Scan": slot()}
+    places = Places("a", slots)
+    other = places.open(owned(OTHERS))
+
+    places.bind("Scan")
+    assert (places.at["Scan"], other.slot) == (other, slots["Scan"])
+
+    other.standing = Standing(replace(other.standing.record, phase=Phase.RELEASED))
+    places.bind("Scan")
+    assert (places.at["Scan"].task_id, places[MINE].slot, other.slot) == (MINE, slots["Scan"], None)
+
+
+def test_a_slot_belongs_to_a_task_that_leaves_until_its_actor_has_ended() -> None:
+    places = Places("a", {"Scan": slot()})
+    mine, other = places.open(owned(MINE)), places.open(Record(OTHERS))
+    mine.standing = Standing(Record(MINE, Phase.RELEASED), leaving=True)
+
+    places.bind("Scan")
+
+    assert (places.at["Scan"], other.slot) == (mine, None)
+
+
+def test_a_name_without_a_slot_belongs_to_no_task() -> None:
+    slots = {"Scan": slot()}
+    places = Places("a", slots)
+    place = places.open(owned(MINE))
+    places.bind("Scan")
+
+    slots.clear()
+    places.bind("Scan")
+
+    assert (place.slot, places.at) == (None, {})
+    places.bind("Scan")
+    assert places.named("None") == []
