@@ -30,3 +30,16 @@ def test_only_what_is_on_disk_is_consumed() -> None:
     letters.took(letter(1))
     assert letters.consumed({}) == letters.consumed({"a.1": 0}) == letters.consumed({"other": 1}) == ()
     assert letters.consumed({"a.1": 1}) == (PacketId("a.1", 1),)
+    # The task has handled more meanwhile than its service knows.
+    assert letters.consumed({"a.1": 2}) == (PacketId("a.1", 1),)
+
+
+def test_the_sender_hears_of_the_newest_letter_once_that_is_on_disk() -> None:
+    letters = TaskLetters()
+    letters.took(letter(2))
+    letters.took(letter(1))  # it came again
+    assert letters.on_disk(PacketId("a.1", 1)) == "a"
+    assert letters.consumed({"a.1": 2}) == (PacketId("a.1", 2),), "the second is still to come"
+    assert letters.on_disk(PacketId("other", 2)) == ""
+    assert letters.on_disk(PacketId("a.1", 2)) == "a"
+    assert (letters.owed, letters.on_disk(PacketId("a.1", 2))) == ({}, "")
