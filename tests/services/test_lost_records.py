@@ -114,7 +114,7 @@ def test_adopted_after_the_identity_was_damaged_it_goes_on_where_it_was(fleet):
     a = fleet.restart("a")
     assert copies(fleet) == []
 
-    assert "the task was owner here. Adopted by force" in a.ask(Adopt("Count")).reason
+    assert "the task was here. Adopted by force" in a.ask(Adopt("Count")).reason
     assert a.ask(Adopt("Count", force=True)).ok
 
     assert copies(fleet) == ["a"] and a.task("Count").state.n >= 20

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import msgspec
 
 from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, NO_EPOCH, Epoch
 from pancakes.mesh.migration.record import Phase, Record, TaskId
+
+WAS: Final = {
+    Phase.ABSENT: "was not here",
+    Phase.OWNER: "was here",
+    Phase.FROZEN: "was here, and about to be handed over to {peer}",
+    Phase.COMMITTED: "was given to {peer}",
+    Phase.PREPARED: "was on its way here from {peer}",
+    Phase.RELEASED: "was handed over to {peer}",
+}
+"""What the phase of a record says of the past, for people."""
 
 
 class Lost(msgspec.Struct, frozen=True):
@@ -42,12 +54,10 @@ class Lost(msgspec.Struct, frozen=True):
 
     def story(self) -> str:
         """Returns what has happened, as a clause."""
-        read = self.read
-        told = ""
-        if read is not None:
-            with_whom = f" {read.peer}" if read.peer and read.phase is not Phase.OWNER else ""
-            told = f"; as far as it can be read, the task was {read.phase.value}{with_whom} here"
-        return self.why + told
+        if self.read is None:
+            return self.why
+        was = "was removed" if self.read.removed else WAS[self.read.phase].format(peer=self.read.peer)
+        return f"{self.why}; as far as it can be read, the task {was}"
 
     def undecided(self, me: str) -> str:
         """Returns why the task is not started, and what a person can do who wants it to run on `me`."""
