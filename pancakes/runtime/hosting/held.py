@@ -47,7 +47,7 @@ def of_records(records: Iterable[Record], asked: Checkpoints) -> Iterator[dict[s
     Nothing of such a task is newer than its snapshot, but what it has done on the other agent since.
     """
     for record in records:
-        if record.phase not in _KEPT or not record.snapshot or not is_meant(asked, record.task_id):
+        if record.phase not in _KEPT or not is_meant(asked, record.task_id):
             continue
         known = {"held": IN_DOUBT, "wanted": record.wanted.value, "age_s": None, "at_least": True}
         row = _row(record.task_id, record.snapshot, record.offer, 0, asked)
