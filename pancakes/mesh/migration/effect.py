@@ -159,11 +159,9 @@ class Decline(msgspec.Struct, frozen=True):
 
     Attributes:
         reason: a sentence for the asker.
-        moved_to: where the task is, as far as known here; empty where it did not move.
     """
 
     reason: str
-    moved_to: str = ""
 
 
 class AttemptFailed(msgspec.Struct, frozen=True):

@@ -214,14 +214,14 @@ def _decline(record: Record) -> Decline:
         case Phase.FROZEN:
             return Decline(f"{task_id} is being handed over to {peer}")
         case Phase.COMMITTED:
-            return Decline(f"{task_id} was given to {peer}, which has not yet said that it has it", peer)
+            return Decline(f"{task_id} was given to {peer}, which has not yet said that it has it")
         case Phase.PREPARED:
             return Decline(f"{task_id} is on its way here from {peer}, which has not yet given it away")
         case Phase.RELEASED if record.removed:
             return Decline(f"{task_id} was removed")
         case Phase.RELEASED:
-            return Decline(f"{task_id} moved to {peer}", peer)
+            return Decline(f"{task_id} moved to {peer}")
         case _:
             if peer:
-                return Decline(f"{task_id} is not here, {peer} had it last", peer)
+                return Decline(f"{task_id} is not here, {peer} had it last")
             return Decline(f"{task_id} is not here: it was forgotten; `pancakes task adopt` runs it here all the same")

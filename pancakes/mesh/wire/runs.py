@@ -28,8 +28,6 @@ from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
 from pancakes.runtime.weight import is_small
 
-MAX_ROWS: Final = 65_535
-"""Most packets in a run."""
 LONGEST_REASON: Final = 1000
 """Of what is wrong with a body no more characters are told: the sentence may quote what a peer made up."""
 _ROOM: Final = MAX_MESSAGE_BYTES - 3  # for a head and its rows, behind the longest header of the array of rows
@@ -154,7 +152,7 @@ class RowEncoder:
 
 
 def run_of(head: bytes, rows: Sequence[bytes]) -> bytes:
-    """Returns a run as one message of a frame; not more than `MAX_ROWS` rows."""
+    """Returns a run of up to 65,535 rows as one message of a frame."""
     return b"".join((head, array_head(len(rows)), *rows))
 
 

@@ -58,7 +58,6 @@ class TracedPackets:
         self._waiting: deque[tuple[int, Packet]] = deque(maxlen=WAITING)
         self._known: OrderedDict[Cause, tuple[int, Packet]] = OrderedDict()
         self._commands: deque[tuple[int, Cause]] = deque(maxlen=MOST_KEPT)
-        self._sizes: dict[str, int] = {}
         self._large: frozenset[str] = frozenset()
 
     def hear(self, time_ns: int, packet: Packet) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
 
 from pancakes.client import Client, Where
 from pancakes.errors import PancakesError, Unreachable
@@ -18,8 +17,6 @@ from pancakes.tools.launch.host_link import HostError
 from pancakes.tools.launch.hosts import Host, open_hosts
 from pancakes.tools.launch.member import Member
 from pancakes.tools.launch.tunnels import tunnels
-
-_WORLD: Final = "environment"
 
 
 def end_fleet(ending: Ending, file: Path, names: Sequence[str]) -> None:
