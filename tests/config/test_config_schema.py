@@ -13,7 +13,7 @@ from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.rule import MigrationRule
-from pancakes.mesh.migration.snapshot import Snapshot, TimerPhase
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.runtime.config import AgentConfig, DeviceConfig, TaskConfig, load, parse, read_task
 from pancakes.runtime.config.config_schema import config_schema
 from pancakes.runtime.config.created_tables import created_tables, table_of
@@ -134,7 +134,7 @@ def test_rules_recordings_and_created_tasks_are_shown_as_a_configuration_too() -
         "1",
         "client",
         settings={"speed_mps": 0.25, "name": "other"},
-        timers=(TimerPhase("walk", 0.2, 0.1),),
+        periods_s={"walk": 0.2},
         restart={"policy": "temporary"},
         migrate={**rule, "then": "Walk"},
         guard={"guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b"], "takeover": "ask"},
@@ -160,7 +160,7 @@ def test_rules_recordings_and_created_tasks_are_shown_as_a_configuration_too() -
 
 
 def test_a_paused_task_is_shown_with_the_rate_that_it_was_created_with() -> None:
-    paused = Snapshot(TaskId("a", "Other"), "test.Walk", "1", "client", timers=(TimerPhase("walk", inf, inf),))
+    paused = Snapshot(TaskId("a", "Other"), "test.Walk", "1", "client", periods_s={"walk": inf})
     assert table_of(paused, start=True)["rate_hz"] is None
     assert table_of(replace(paused, rate_hz=2.0), start=True)["rate_hz"] == 2.0
 

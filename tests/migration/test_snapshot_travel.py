@@ -15,7 +15,7 @@ from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import Abort, Piece, Reserve, Solicit, Transfer, addressed, is_for
 from pancakes.mesh.migration.pieces import MOST_BYTES, MOST_HALF, PIECE_BYTES, Assembly, cut
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.mesh.migration.snapshot import LIMIT_BYTES, Heard, Posted, PostedTo, Snapshot, TimerPhase, begins_alike
+from pancakes.mesh.migration.snapshot import LIMIT_BYTES, Posted, PostedTo, Snapshot
 from pancakes.packet import body_from_plain, known_types, type_name
 
 SCAN = TaskId("agent1", "ScanTarget")
@@ -28,9 +28,9 @@ SNAPSHOT = Snapshot(
     requires=("pose", "motors"),
     settings={"radius_m": 0.55},
     state={"centre_m": [0.0, 0.1], "revolutions": 1.5},
-    timers=(TimerPhase("report", 0.5, 0.2),),
+    periods_s={"report": 0.5},
     posted=Posted("agent1/uuid.1/3", (PostedTo("agent3/Scout", "agent3", 2, 9, (b"packet",), 2),)),
-    heard={"agent3/client/Scout": Heard(6, (8,))},
+    heard={"agent3/client/Scout": 6},
     sent={"ctrl": 41},
     restart={"policy": "permanent"},
     migrate={"when": "battery", "below": 0.65},
@@ -63,16 +63,6 @@ def test_a_snapshot_that_is_too_large_or_not_plain_is_refused() -> None:
         MigrationError, match=r"agent1/ScanTarget cannot be written as a snapshot: state.odd\[1\].x: it"
     ):
         msgspec.structs.replace(SNAPSHOT, state={"odd": [1, {"x": object()}]}).encode()
-
-
-def test_two_snapshots_begin_alike_where_all_but_the_phases_is_the_same() -> None:
-    later = msgspec.structs.replace(SNAPSHOT, timers=(TimerPhase("report", 0.5, 0.1),))
-    moved = msgspec.structs.replace(SNAPSHOT, sent={"ctrl": 42})
-    assert begins_alike(SNAPSHOT.encode(), later.encode())
-    assert not begins_alike(SNAPSHOT.encode(), moved.encode())
-    for none in (b"", b"\x80"):
-        assert not begins_alike(SNAPSHOT.encode(), none)
-        assert not begins_alike(none, none)
 
 
 @pytest.mark.parametrize("text", ["ScanTarget", "agent1/", "/ScanTarget", "agent1/client/ScanTarget", ""])

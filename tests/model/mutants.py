@@ -156,7 +156,7 @@ MUTANTS = (
     Mutant(
         "duplicate filter not moved",
         "what the task has heard is left out of the snapshot",
-        ((snapshot, "    heard: dict[str, Heard] = {}", "    unheard: dict[str, Heard] = {}\n    heard = {}"),),
+        ((snapshot, "    heard: dict[str, int] = {}", "    unheard: dict[str, int] = {}\n    heard = {}"),),
     ),
     Mutant(
         "acknowledged before checkpointed",

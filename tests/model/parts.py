@@ -12,7 +12,7 @@ from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.event import Event
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import Record, TaskId
-from pancakes.mesh.migration.snapshot import Heard, Snapshot
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.migration.volatile import Volatile
 
 TASK: Final = TaskId("A", "ScanTarget")
@@ -177,4 +177,4 @@ _WORDS: Final = {
 
 def heard_of(snapshot: Snapshot) -> int:
     """Returns up to which packet the task has heard its sender."""
-    return snapshot.heard.get(STREAM, Heard()).upto
+    return snapshot.heard.get(STREAM, 0)

@@ -44,7 +44,7 @@ from pancakes.mesh.migration.event import (
 )
 from pancakes.mesh.migration.messages import Reserve, Reserved, Transfer
 from pancakes.mesh.migration.record import Phase, Wanted
-from pancakes.mesh.migration.snapshot import Heard, Snapshot
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.migration.volatile import Volatile
 
 CRASH = "crash"
@@ -97,7 +97,7 @@ class Steps:
         """Returns the task's snapshot, the product's own, with its duplicate filter."""
         data = self._written.get(app)
         if data is None:
-            heard = {STREAM: Heard(app.upto)}
+            heard = {STREAM: app.upto}
             whole = Snapshot(TASK, REQUEST.type, "1.0", "client", state={"effects": app.effects}, heard=heard)
             data = self._written[app] = whole.encode()
         return data

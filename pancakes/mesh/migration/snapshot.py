@@ -27,20 +27,6 @@ OFFER_BYTES: Final = 4096
 """So much of its settings and its state a task may tell bidders: each of them gets it."""
 
 
-class TimerPhase(msgspec.Struct, frozen=True):
-    """How one periodic handler of a task stood.
-
-    Attributes:
-        name: the handler's name.
-        period_s: its period, as last rescheduled; infinity where it was paused.
-        due_in_s: mission time from the snapshot to its next tick.
-    """
-
-    name: str
-    period_s: float
-    due_in_s: float
-
-
 class PostedTo(msgspec.Struct, frozen=True):
     """What the task has sent to another task.
 
@@ -73,18 +59,6 @@ class Posted(msgspec.Struct, frozen=True):
     to: tuple[PostedTo, ...]
 
 
-class Heard(msgspec.Struct, frozen=True):
-    """The duplicate filter for one stream.
-
-    Attributes:
-        upto: every packet up to this number had its effect.
-        beyond: numbers after it that had theirs, ascending.
-    """
-
-    upto: int = 0
-    beyond: tuple[int, ...] = ()
-
-
 class Snapshot(msgspec.Struct, frozen=True):
     """One task at one moment.
 
@@ -99,9 +73,9 @@ class Snapshot(msgspec.Struct, frozen=True):
         settings: its settings.
         configured: the settings that its configuration gave it; what differs from these was changed while it ran.
         state: its state.
-        timers: the phases of its periodic handlers.
+        periods_s: the period of each of its periodic handlers, as last rescheduled; infinity where it was paused.
         posted: the packets that it has sent to other tasks; None in a checkpoint, and where there are none.
-        heard: the duplicate filter, by stream.
+        heard: the duplicate filter: up to which number every packet had its effect, by stream.
         sent: number of the last packet it sent, by stream.
         restart: its restart policy, as in `[task.NAME] restart`.
         durability: `lazy` or `each`.
@@ -120,9 +94,9 @@ class Snapshot(msgspec.Struct, frozen=True):
     settings: dict[str, Any] = {}
     configured: dict[str, Any] = {}
     state: dict[str, Any] = {}
-    timers: tuple[TimerPhase, ...] = ()
+    periods_s: dict[str, float] = {}
     posted: Posted | None = None
-    heard: dict[str, Heard] = {}
+    heard: dict[str, int] = {}
     sent: dict[str, int] = {}
     restart: dict[str, Any] = {}
     durability: str = "lazy"
@@ -205,21 +179,6 @@ def offer_of(data: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
         return _DECODE_OFFER(data) if data else ({}, {})
     except (*MALFORMED, RemoteProtocolError) as error:
         raise MigrationError(f"what is told of the task cannot be read: {why_malformed(error)}") from None
-
-
-def begins_alike(one: bytes, other: bytes) -> bool:
-    """Returns whether a task that begins from either of two snapshots is the same; one that cannot be read is none."""
-    try:
-        return bool(one and other) and _without_phases(one) == _without_phases(other)
-    except MigrationError:
-        return False
-
-
-def _without_phases(encoded: bytes) -> bytes:
-    # At which moment of a period it was taken is for a task that moves. As bytes: to Python 1, 1.0 and True are equal,
-    # and no NaN is equal to itself.
-    snapshot = Snapshot.decode(encoded)
-    return replace(snapshot, timers=tuple(replace(timer, due_in_s=0.0) for timer in snapshot.timers)).encode()
 
 
 def digest(data: bytes) -> bytes:

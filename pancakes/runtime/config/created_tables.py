@@ -54,7 +54,7 @@ def table_of(snapshot: Snapshot, start: bool) -> dict[str, Any]:
 
 def _rate_hz(snapshot: Snapshot) -> float | None:
     """Returns the rate of its first timer; None: as its class says."""
-    period_s = next((timer.period_s for timer in snapshot.timers), None)
+    period_s = next(iter(snapshot.periods_s.values()), None)
     if period_s is None or not isfinite(period_s) or period_s <= 0.0:
         return snapshot.rate_hz
     return round(1.0 / period_s, 9)

@@ -350,7 +350,7 @@ class ClientService(Service):
     def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
         sent, task_id = self.kernel.seq_of(slot.address).value - 1, self.places.at[slot.name].task_id
         of_slot = {slot.address: sent}
-        return snapshot_of(slot.spec, task_id, self.name, carried, self.now(), of_slot, posted).encode()
+        return snapshot_of(slot.spec, task_id, self.name, carried, of_slot, posted).encode()
 
     def snapshot_at_rest(self, slot: Slot) -> bytes:
         if slot.carried is None:

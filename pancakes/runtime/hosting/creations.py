@@ -107,7 +107,7 @@ class Creations:
         host = self._host
         address = join(host.address, spec.name)
         sent = {address: host.kernel.seq_of(address).value - 1}
-        return snapshot_of(spec, task_id, host.name, None, host.kernel.mission.now(), sent).encode()
+        return snapshot_of(spec, task_id, host.name, None, sent).encode()
 
     def _refuse_known(self, task_id: TaskId) -> None:
         """Raises `ControlRefused` where there is such a task here, or is about to be."""

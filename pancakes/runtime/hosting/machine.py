@@ -18,7 +18,6 @@ from pancakes.mesh.migration import effect as handoff_effect
 from pancakes.mesh.migration import event as handoff_event
 from pancakes.mesh.migration.owner import dispute_of
 from pancakes.mesh.migration.record import Phase, Wanted
-from pancakes.mesh.migration.snapshot import begins_alike
 from pancakes.runtime.hosting import hosting_effect, hosting_event
 from pancakes.runtime.hosting.leave import Leave
 from pancakes.runtime.hosting.now import Now
@@ -350,7 +349,7 @@ def _came_to_rest(step: HostingStep, event: hosting_event.CameToRest) -> None:
     standing, life = step.standing, step.life
     assert life is not None
     record, wanted = standing.record, _wanted_at_rest(life)
-    alike = not event.snapshot or begins_alike(event.snapshot, record.snapshot)
+    alike = event.snapshot in (b"", record.snapshot)
     if step.at.closing and idle(standing) and wanted is record.wanted and alike:
         # Each record costs a wait for the disk, and of a thousand tasks whose service ends most have nothing new.
         step.live(life_event.Written())

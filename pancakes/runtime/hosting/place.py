@@ -114,7 +114,7 @@ class BeganFrom(msgspec.Struct, frozen=True):
 
 def began_from(epoch: Epoch, snapshot: Snapshot) -> BeganFrom:
     """Returns what a task begins from that is owned under an epoch."""
-    return BeganFrom(epoch.n, {stream: it.upto for stream, it in snapshot.heard.items()})
+    return BeganFrom(epoch.n, snapshot.heard)
 
 
 class Unsure(msgspec.Struct, frozen=True):

@@ -12,7 +12,7 @@ from pancakes.errors import MigrationError
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.rule import MigrationRule
-from pancakes.mesh.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
+from pancakes.mesh.migration.snapshot import Posted, Snapshot
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import alike
 from pancakes.runtime.installed import Installed
@@ -26,7 +26,6 @@ def snapshot_of(
     task_id: TaskId,
     service: str,
     carried: Carried | None,
-    now_s: float,
     sent: Mapping[str, int],
     posted: Posted | None = None,
 ) -> Snapshot:
@@ -37,7 +36,6 @@ def snapshot_of(
         task_id: its identity for life.
         service: the service that looks after it.
         carried: what it carries; None: it has not begun yet.
-        now_s: mission time.
         sent: the number of the last packet that it has published, by its address.
         posted: what it has sent to other tasks and is not acknowledged; only of one that moves.
     """
@@ -51,11 +49,9 @@ def snapshot_of(
         settings=dict(carried.settings),
         configured=dict(spec.settings),
         state=dict(carried.state),
-        timers=tuple(
-            TimerPhase(name, period_s, period_s - now_s % period_s) for name, period_s in carried.periods_s.items()
-        ),
+        periods_s=dict(carried.periods_s),
         posted=posted,
-        heard={stream: Heard(upto) for stream, upto in carried.heard.items()},
+        heard=dict(carried.heard),
         sent=dict(sent),
         restart=asdict(spec.restart),
         durability=spec.durability,
@@ -124,12 +120,7 @@ def rules_of(encoded: bytes, task_id: TaskId) -> tuple[Snapshot, Rules]:
 
 def carried_of(snapshot: Snapshot) -> Carried:
     """Returns what a task that begins from a snapshot carries."""
-    return Carried(
-        snapshot.settings,
-        snapshot.state,
-        {timer.name: timer.period_s for timer in snapshot.timers},
-        {stream: heard.upto for stream, heard in snapshot.heard.items()},
-    )
+    return Carried(snapshot.settings, snapshot.state, snapshot.periods_s, snapshot.heard)
 
 
 def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
