@@ -11,7 +11,6 @@ from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.reservations import Reservation, Reservations
-from pancakes.mesh.migration.snapshot import LIMIT_BYTES
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", "client", ("pose", "motors"), moves_on_below=0.65)
@@ -48,13 +47,6 @@ def test_what_is_lacking_is_said(changes: dict[str, object], reason: str) -> Non
     assert reason in replace(ROBOT, **changes).refusal_of(REQUEST)
 
 
-def test_a_task_may_be_as_large_as_a_snapshot_that_travels() -> None:
-    assert ROBOT.refusal_of(replace(REQUEST, size_bytes=LIMIT_BYTES)) == ""
-    assert ROBOT.refusal_of(replace(REQUEST, size_bytes=LIMIT_BYTES + 1)) == (
-        "takes no snapshot of 16777217 bytes, 16777216 may travel"
-    )
-
-
 def test_all_reasons_are_given_at_once() -> None:
     assert Capability().refusal_of(REQUEST) == (
         "lacks the device types pose, motors; knows no task type 'encirclement.ScanTarget'"
@@ -69,10 +61,6 @@ def test_a_task_without_a_battery_rule_may_go_anywhere() -> None:
     assert replace(ROBOT, battery_level=0.01).refusal_of(replace(REQUEST, moves_on_below=None)) == ""
     assert replace(ROBOT, battery_level=None).refusal_of(REQUEST) == ""
     assert replace(ROBOT, battery_level=0.75).refusal_of(REQUEST) == ""
-
-
-def test_a_snapshot_that_is_too_large_is_refused() -> None:
-    assert "17000000 bytes" in ROBOT.refusal_of(replace(REQUEST, size_bytes=17_000_000))
 
 
 @pytest.mark.parametrize(

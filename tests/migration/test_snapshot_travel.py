@@ -78,7 +78,7 @@ def test_epochs_are_ordered_by_number_and_then_by_minter() -> None:
 
 
 def test_every_message_travels_as_a_packet() -> None:
-    request = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", "client", ("pose",), 900, "tasks", 0.65)
+    request = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", "client", ("pose",), "tasks", 0.65)
     samples = [
         request,
         messages.Bid(SCAN, 1, 2.0, {"active tasks": 2.0}),

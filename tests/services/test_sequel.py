@@ -257,7 +257,7 @@ def test_a_service_whose_task_has_moved_hears_once_that_it_is_accounted_for(nego
         migrator: Any = a.component(MIGRATOR)
         owner: Any = a.component("client/Owner")
         asker: Any = a.component(f"client/{negotiates}")
-        request = Solicit(TaskId("a", "Circle"), 1, "test.Circle", "", "client", (), 0, "tasks", None, b"")
+        request = Solicit(TaskId("a", "Circle"), 1, "test.Circle", "", "client", (), "tasks", None, b"")
         migrator.on_receive(Negotiate(asker, request, "rule", "", False))
         migrator.on_receive(HasMoved(owner, request.task_id, "b", "1 a", None, ""))
         fleet.run_for(0.1)

@@ -10,7 +10,6 @@ import msgspec
 from pancakes.mesh.migration.cost import fault_of_choice, names_of
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.migration.snapshot import LIMIT_BYTES
 
 HOST_ROLE: Final = "agent"
 """The one role whose agents are asked to take a task: no simulated world, no terminal."""
@@ -57,7 +56,6 @@ class Capability(msgspec.Struct, frozen=True):
             self._name(request),
             self._cost(request),
             self._battery(request),
-            self._size(request),
         )
 
     def _service(self, request: Solicit) -> str:
@@ -102,11 +100,6 @@ class Capability(msgspec.Struct, frozen=True):
         if level is None or below is None or level >= below + BATTERY_MARGIN:
             return ""
         return f"has {level:.0%} of its battery, too near to the {below:.0%} at which the task would move on"
-
-    def _size(self, request: Solicit) -> str:
-        if request.size_bytes <= LIMIT_BYTES:
-            return ""
-        return f"takes no snapshot of {request.size_bytes} bytes, {LIMIT_BYTES} may travel"
 
 
 def compatible(offered: str, here: str) -> bool:

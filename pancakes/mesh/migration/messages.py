@@ -34,7 +34,6 @@ class Solicit(msgspec.Struct, frozen=True):
         version: version of the distribution that it comes from.
         service: name of the service that looks after it, here and there.
         requires: the device types that it depends on.
-        size_bytes: size of its snapshot, about.
         cost: name of the cost function to use, or the weight of each of several.
         moves_on_below: battery level below which the task would have to move on at once; None where it has
             no such rule.
@@ -48,7 +47,6 @@ class Solicit(msgspec.Struct, frozen=True):
     version: str
     service: str
     requires: tuple[str, ...] = ()
-    size_bytes: int = 0
     cost: CostChoice = "tasks"
     moves_on_below: float | None = None
     offer: bytes = b""

@@ -242,14 +242,14 @@ class TaskMigrator(Task):
         else:
             self._account(service, task_id, ledger, reason, reason)
 
-    @on(NETWORK, Bid, keep=KEEP)
+    @on(NETWORK, Bid, keep=KEEP, addressed=True)
     def on_bid(self, packet: Packet) -> None:
         """A neighbour would take the task."""
         self._answered(
             packet, lambda negotiation, bid, now_s: negotiation.bid(agent_of(packet.source), bid.cost, bid.terms, now_s)
         )
 
-    @on(NETWORK, Refuse, keep=KEEP)
+    @on(NETWORK, Refuse, keep=KEEP, addressed=True)
     def on_refuse(self, packet: Packet) -> None:
         """A neighbour cannot take the task."""
         self._answered(
@@ -275,7 +275,7 @@ class TaskMigrator(Task):
         if agent_of(packet.source) == self.agent:
             self._readings[packet.type] = packet.body
 
-    @on(NETWORK, Solicit, keep=KEEP)
+    @on(NETWORK, Solicit, keep=KEEP, addressed=True)
     def on_solicit(self, packet: Packet) -> None:
         """Answers whether this agent would take a task, and at what cost."""
         if not is_for(packet.body, self._talk.me.journal):

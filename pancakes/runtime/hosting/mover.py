@@ -131,7 +131,6 @@ class Mover:
             slot.spec.version,
             host.name,
             slot.spec.cls.requires,
-            len(place.standing.record.snapshot),
             body.cost,
             rule.below if rule is not None and rule.when == "battery" else None,
             offer,

@@ -236,7 +236,6 @@ class Takeovers:
             snapshot.version,
             snapshot.service,
             snapshot.requires,
-            len(orphan.register.body.snapshot) if orphan.register.body is not None else 0,
             cost,
             rule.below if rule is not None and rule.when == "battery" else None,
             self._offer(snapshot, cost),
