@@ -1,13 +1,17 @@
-"""What is kept of letters whose sender has gone: no more than so many."""
+"""What is known of the letters for a task: no more than so many, and nothing once it has gone."""
 
 from dataclasses import dataclass
 
+import pytest
+
 from pancakes.mesh.migration.post import Letter
+from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import packet_type
 from pancakes.runtime.hosting import task_letters
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.hosting.deliveries import CameFor
 from pancakes.runtime.kernel.tell import tell
+from pancakes.runtime.supervision.task_messages import Give, LetterGiven, LetterOutcome
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
 
@@ -48,3 +52,18 @@ def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_
         for number in range(16):
             arrive(number)
         assert agent.agent.kernel.dead_letters.count == buried + 16, "that it was told of is forgotten"
+
+
+@pytest.mark.parametrize("task_id", ["a/Sink", "z/Unknown"])
+@pytest.mark.parametrize("outcome", LetterOutcome)
+def test_what_a_task_says_of_a_letter_that_is_not_known_any_more_means_nothing(task_id: str, outcome: LetterOutcome):
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        sink, client = agent.component("client/Sink"), agent.component("client")
+        assert isinstance(client, ClientService)
+        letter = Letter(task_id, "stream", 1, 1, b"", "b")
+        tell(client, LetterGiven(sink, Give(letter, None), outcome))
+        fleet.run_for(0.1)
+        assert agent.running() == ["Sink"] and agent.agent.kernel.dead_letters.count == 0
+        place = client.places.get(TaskId.parse(task_id))
+        assert place is None or place.letters is None
