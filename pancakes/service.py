@@ -346,7 +346,7 @@ class Service(Component):
     def show(self, slot: Slot) -> None:
         self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
 
-    def ask_leave(self, slot: Slot, again: bool) -> None:
+    def ask_leave(self, slot: Slot) -> None:
         """Sees whether a task may start, and feeds `Admitted` or `LeaveRefused`."""
         if slot.fresh:
             slot.fresh = False
@@ -394,8 +394,8 @@ class Service(Component):
         for device in self.kernel.registry.held_by(slot.address):
             self.publish(CTRL, Hold(reason), to=self.kernel.registry.address_of(device))
 
-    def settle(self, slot: Slot, reason: str = "") -> None:
-        """The start of a task is decided: it runs, or `reason` says why not."""
+    def settle(self, slot: Slot) -> None:
+        """The start of a task is decided: it runs, or does not."""
         self._startup.settled(slot)
         if slot.life.state is State.RUNNING:
             self.task_running(slot)

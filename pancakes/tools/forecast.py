@@ -221,7 +221,7 @@ def forecast_move(fleet: Sequence[MeasuredAgent], source: str, task: str, to: st
         raise NotKnown(f"{source}/{task} is on {to} already")
     changes: dict[str, _Change] = {}
     notes: list[str] = []
-    _move(fleet, changes, _of(fleet, source), moved, _of(fleet, to), notes)
+    _move(changes, _of(fleet, source), moved, _of(fleet, to), notes)
     return _forecast(fleet, changes, notes)
 
 
@@ -285,7 +285,7 @@ def forecast_without(fleet: Sequence[MeasuredAgent], agent: str, places: Mapping
     for task in figures.tasks:
         to = places.get(f"{task.service}/{task.task}")
         if to is not None:
-            _move(fleet, changes, figures, task, _of(fleet, to), notes)
+            _move(changes, figures, task, _of(fleet, to), notes)
         elif task.state == "running" and task.service not in ("device", "network", "log"):
             ending.append(task.task)
     if ending:
@@ -301,7 +301,6 @@ def forecast_without(fleet: Sequence[MeasuredAgent], agent: str, places: Mapping
 
 
 def _move(
-    fleet: Sequence[MeasuredAgent],
     changes: dict[str, _Change],
     source: MeasuredAgent,
     moved: MeasuredTask,

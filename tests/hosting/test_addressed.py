@@ -11,7 +11,7 @@ from pancakes.packet import NETWORK
 from pancakes.runtime.kernel.component import Component
 
 
-def components(of: type = Component) -> Iterator[type]:
+def components(of: type[Component] = Component) -> Iterator[type[Component]]:
     for cls in of.__subclasses__():
         if cls.__module__.startswith("pancakes.runtime."):
             yield cls

@@ -60,7 +60,7 @@ def test_what_a_task_says_of_a_letter_that_is_not_known_any_more_means_nothing(t
     with FleetInTest() as fleet:
         agent = fleet.start("a", tasks={"Sink": Sink})
         sink, client = agent.component("client/Sink"), agent.component("client")
-        assert isinstance(client, ClientService)
+        assert isinstance(client, ClientService) and sink is not None
         letter = Letter(task_id, "stream", 1, 1, b"", "b")
         tell(client, LetterGiven(sink, Give(letter, None), outcome))
         fleet.run_for(0.1)

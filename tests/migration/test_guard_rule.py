@@ -11,7 +11,9 @@ from pancakes.mesh.migration.guard_rule import GuardRule
 
 
 @pytest.mark.parametrize("guard", [3, 5])
-@pytest.mark.parametrize("times", [{"lease_s": 2.0}, {"lease_s": 600.0}, {"checkpoint_s": 0.05}, {"checkpoint_s": 3600}])
+@pytest.mark.parametrize(
+    "times", [{"lease_s": 2.0}, {"lease_s": 600.0}, {"checkpoint_s": 0.05}, {"checkpoint_s": 3600}]
+)
 def test_it_is_guarded_by_three_or_five_with_leases_of_two_seconds_to_ten_minutes(guard: int, times: Any) -> None:
     assert msgspec.convert({"guard": guard, **times}, GuardRule).guard == guard
 

@@ -127,7 +127,7 @@ def test_a_second_connection_waits_until_the_first_shows_life():
     first = connect(it, "z")
     second = it.new_link()
     assert it.met(second, hello("z"), "", 1.0) == []
-    (turned,) = it.heard(first, 1.1)
+    (turned,) = it.heard(first)
     assert (turned.link, turned.code) == (second, "duplicate")
 
 

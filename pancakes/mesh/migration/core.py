@@ -90,7 +90,7 @@ def _decide(me: str, record: Record, volatile: Volatile, event: Event, times: Ti
         case Checkpoint():
             return owner.checkpoint(record, volatile, event)
         case Arrived():
-            return owner.arrived(record, volatile, event)
+            return owner.arrived(record, volatile)
         case Award():
             return source.awarded(me, record, volatile, event, times)
         case ReservationExpired():

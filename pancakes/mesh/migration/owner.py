@@ -20,7 +20,6 @@ from pancakes.mesh.migration.effect import (
 from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, Epoch
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
-    Arrived,
     Born,
     Checkpoint,
     ClaimHeard,
@@ -121,7 +120,7 @@ def checkpoint(record: Record, volatile: Volatile, event: Checkpoint) -> list[Ef
     return [Persist(replace(record, snapshot=event.snapshot)), *(Ack(packet) for packet in event.consumed)]
 
 
-def arrived(record: Record, volatile: Volatile, event: Arrived) -> list[Effect]:
+def arrived(record: Record, volatile: Volatile) -> list[Effect]:
     """Says what becomes of a packet for the task: here, on to its new host, or kept by its sender."""
     if record.phase is Phase.OWNER and volatile.running and not volatile.freezing:
         return [Deliver()]

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import msgspec
-from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, RemoteProtocolError
 from pancakes.mesh.migration.record import TaskId

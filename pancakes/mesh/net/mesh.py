@@ -364,7 +364,7 @@ class Mesh:
         actions = session.link.receive(data, now_s)
         # Where all sessions are up, as most of the time, there is none that this link could make needless.
         if was_up and self._peers is not None and len(self._sessions) > len(self._links):
-            rivals = self._peers.heard(session.number, now_s)
+            rivals = self._peers.heard(session.number)
             if rivals:
                 self._carry_out(rivals)
         self._act(session, actions)

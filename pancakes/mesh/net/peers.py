@@ -183,7 +183,7 @@ class Peers:
         for candidate in list(self._candidates.values()):
             if candidate.up_s is None and now_s >= candidate.until_s:
                 candidate.until_s = math.inf
-                decisions.extend(self._admit_if_free(candidate, now_s))
+                decisions.extend(self._admit_if_free(candidate))
         return decisions
 
     def _dial(self, now_s: float) -> list[Decision]:
@@ -243,11 +243,11 @@ class Peers:
                 if not address and self._dialling(hello.listen):
                     candidate.until_s = now_s + self._times.hold_s
                 else:
-                    decisions.extend(self._admit_if_free(candidate, now_s))
+                    decisions.extend(self._admit_if_free(candidate))
         self._freed(address, now_s)
         return decisions
 
-    def heard(self, link: int, now_s: float) -> list[Decision]:
+    def heard(self, link: int) -> list[Decision]:
         """Bytes came in on a link that is up, so newer connections to the same peer are not needed."""
         mine = self._candidates.get(link)
         if mine is None or mine.up_s is None or len(self._candidates) == len(self._up):
@@ -277,7 +277,7 @@ class Peers:
         if known is not None:
             decisions.append(TurnDown(known.link, "duplicate", f"{name} chose another link"))
         if self._own.name < name:  # it is alive now, so what waited beside it is not needed
-            decisions.extend(self.heard(link, now_s))
+            decisions.extend(self.heard(link))
         return decisions
 
     def over(
@@ -344,7 +344,7 @@ class Peers:
             return []
         heirs = [other for other in self._candidates.values() if other.hello.name == name and other.up_s is None]
         if heirs and self._own.name < name:
-            return self._admit_if_free(heirs[-1], now_s)
+            return self._admit_if_free(heirs[-1])
         return []
 
     def heard_of(self, agents: Sequence[AgentSeen], now_s: float, peer: str, remote: str) -> list[Decision]:
@@ -456,7 +456,7 @@ class Peers:
         reason = f"{self._own.name} is full: it has {len(places)} clients, and this one gave its place to another"
         return [TurnDown(link, "full", reason)]
 
-    def _admit_if_free(self, candidate: _Candidate, now_s: float) -> list[Decision]:
+    def _admit_if_free(self, candidate: _Candidate) -> list[Decision]:
         """Admits a connection, unless its peer has one; then it waits until that has died or shown life."""
         known = self._up.get(candidate.hello.name)
         if known is None or known.hello.boot < candidate.hello.boot:

@@ -106,7 +106,7 @@ class CopiedTasks:
             f" {place.task_id} may be elsewhere by now: it stands still until {', '.join(copied.missing)} told what"
             f" they know of it. `pancakes task adopt {name} --force` has it go on here"
         )
-        self._ask_again(place)
+        self._ask_again()
         return Unsure(OLD_COPY, why)
 
     def undecided(self, name: str) -> list[Place]:
@@ -162,7 +162,7 @@ class CopiedTasks:
             task_ids = tuple(place.task_id for place in places)
             self._host.kernel.tell(CENSUS, AskAbout(tuple(sorted(self._sayers)), task_ids))
 
-    def _ask_again(self, place: Place) -> None:
+    def _ask_again(self) -> None:
         """A question or an answer may be lost. What waits looks again each second."""
         if self._host.kernel.host.now() >= self._asked_s + ASK_AGAIN_S:
             waiting = [it for it in self._host.places.values() if self._verdict(it).verdict is CopyVerdict.WAITS]

@@ -176,7 +176,7 @@ class ServiceKeeper:
     def show(self, place: ServicePlace) -> None:
         """The root alone reads how far a service is."""
 
-    def ask_leave(self, place: ServicePlace, again: bool) -> None:
+    def ask_leave(self, place: ServicePlace) -> None:
         """Lets a service start once the last of its old tasks has ended: no task may run twice."""
         if place.alarm is not None:
             place.alarm.cancel()
@@ -233,7 +233,7 @@ class ServiceKeeper:
     def let_go(self, place: ServicePlace) -> None:
         """The kernel ends the subscriptions of a service with its actor."""
 
-    def settle(self, place: ServicePlace, reason: str) -> None:
+    def settle(self, place: ServicePlace) -> None:
         if place is self._starts:
             self.start_next()
 

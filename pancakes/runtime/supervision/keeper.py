@@ -48,7 +48,7 @@ class LifeRim(Protocol[P_contra]):
 
     def show(self, place: P_contra) -> None: ...
 
-    def ask_leave(self, place: P_contra, again: bool) -> None: ...
+    def ask_leave(self, place: P_contra) -> None: ...
 
     def spawn(self, place: P_contra) -> None: ...
 
@@ -58,7 +58,7 @@ class LifeRim(Protocol[P_contra]):
 
     def let_go(self, place: P_contra) -> None: ...
 
-    def settle(self, place: P_contra, reason: str) -> None: ...
+    def settle(self, place: P_contra) -> None: ...
 
     def write_rest(self, place: P_contra) -> None: ...
 
@@ -108,7 +108,7 @@ class Keeper(Generic[P]):
         rim = self._rim
         match effect:
             case AskLeave():
-                rim.ask_leave(place, effect.again)
+                rim.ask_leave(place)
             case Spawn():
                 rim.spawn(place)
             case TellToEnd():
@@ -122,7 +122,7 @@ class Keeper(Generic[P]):
             case LookAgain():
                 self._later(LOOK_S, place, Retry())
             case Settle():
-                rim.settle(place, effect.reason)
+                rim.settle(place)
             case WriteRest():
                 rim.write_rest(place)
             case Answer():
