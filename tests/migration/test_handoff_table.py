@@ -147,6 +147,10 @@ class TestSource:
             Remember(RUNNING),
             AttemptFailed("agent2", "the task could not be stopped for it: stuck"),
         ]
+        # One of an earlier attempt, or that comes too late, changes nothing.
+        assert at_source(OWNER, FREEZING, FreezeFailed(BIRTH, "stuck")) == []
+        assert at_source(OWNER, ASKED, FreezeFailed(OFFER, "stuck")) == []
+        assert at_source(FROZEN, FREEZING, FreezeFailed(OFFER, "stuck")) == []
 
     def test_frozen_prepared_is_the_point_of_no_return(self) -> None:
         assert at_source(FROZEN, REST, from_agent2(Prepared(SCAN, OFFER))) == [

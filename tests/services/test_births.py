@@ -102,6 +102,21 @@ def test_where_an_agent_is_missing_it_says_so_and_the_task_begins_later_with_a_w
     assert unasked == [("Other", "tcp://c:7400"), ("Sink", "tcp://c:7400")]
 
 
+class Drive(Sink):
+    requires = ("motors",)
+
+
+def test_a_task_that_lacks_a_device_when_the_wait_is_over_begins_once_that_is_there(fleet: FleetInTest):
+    a = start(fleet, "a", "b", tasks={"Drive": Drive}, devices={"wheels": "null.motors"}, classes={"Drive": Drive})
+    assert a.ask(Stop("device/wheels")).ok
+    fleet.run_for(15.0)
+    assert state(a, "Drive")[0] == "stopped"
+    assert a.ask(Start("device/wheels")).ok
+    assert fleet.run_until(lambda: a.running("client") == ["Drive"], 3.0)
+    (unasked,) = a.events("born_unasked")
+    assert (unasked["task"], unasked["missing"]) == ("Drive", "tcp://b:7400")
+
+
 def test_an_agent_that_comes_late_is_asked_then(fleet: FleetInTest):
     a = start(fleet, "a", "b", tasks=SINK)
     fleet.run_for(3.0)

@@ -142,8 +142,10 @@ def test_a_stop_that_no_guardian_hears_of_is_said_to_hold_here_alone():
     with guarded("Count", Count) as fleet:
         a = fleet.agents["a"]
         fleet.faults.cut("a")
+        asked_s = fleet.now()
         stopped = a.ask(Stop("Count"))
         assert not stopped.ok and a.running() == []
+        assert 4.0 <= fleet.now() - asked_s < 4.5
         assert "a/Count is stopped on a, but too few of its guardians (b, c) have confirmed that" in stopped.reason
 
 
