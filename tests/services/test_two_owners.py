@@ -119,6 +119,17 @@ def test_what_is_given_up_is_gone_and_what_lives_goes_on(fleet):
     assert not a.ask(Forget("Sink", owner="b")).ok, "it owns it alone"
 
 
+def test_what_rests_without_its_class_is_given_up_too(fleet):
+    restored(fleet)
+    fleet.crash("a")
+    a = fleet.start("a")  # neither its file nor what is installed has the task
+    fleet.connect()
+    fleet.run_for(1.0)
+    dry = a.ask(Forget("Sink", owner="b", dry_run=True))
+    assert dry.ok and dry.result == {"task_id": "a/Sink", "epoch": "0@a", "runs": False}
+    assert a.ask(Forget("Sink", owner="b")).ok
+
+
 def test_a_birthplace_with_an_empty_disk_gives_way(fleet):
     moved(fleet)
     fleet.crash("a")

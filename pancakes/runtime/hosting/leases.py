@@ -169,16 +169,9 @@ class Leases:
 
     def _dismiss(self, place: Place, tenancy: Tenancy) -> None:
         """Tells all guardians that a task was removed, also those that another set has replaced."""
-        epoch, tenure = place.standing.record.epoch, tenancy.tenure
-        keep = KeepLease(
-            place.task_id,
-            tenancy.type,
-            epoch,
-            tenure.beat + 1,
-            tenancy.lease_s,
-            NO_CHECKPOINT,
-            forgotten_guards(epoch),
-        )
+        epoch, beat = place.standing.record.epoch, tenancy.tenure.beat
+        forgotten = forgotten_guards(epoch)
+        keep = KeepLease(place.task_id, tenancy.type, epoch, beat, tenancy.lease_s, NO_CHECKPOINT, forgotten)
         for guardian in tenancy.heard_s:
             self._talk.to_guardian(guardian, keep)
 
