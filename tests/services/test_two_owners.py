@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 from services.numbered import Sink
+from services.test_what_other_versions_left import change_record
 
 from pancakes.control import Adopt, Describe, Forget, Migrate, Restart, Start, Stop
 from pancakes.mesh.migration.claim import Owned, OwnerClaim
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import NETWORK
 from pancakes.runtime.hosting.census import Census
 from pancakes.runtime.hosting.census_messages import CENSUS, NeighbourUp
@@ -120,14 +123,21 @@ def test_what_is_given_up_is_gone_and_what_lives_goes_on(fleet):
 
 
 def test_what_rests_without_its_class_is_given_up_too(fleet):
-    restored(fleet)
+    a, _ = restored(fleet)
+    journal = a.agent.mesh.identity.journal
     fleet.crash("a")
-    a = fleet.start("a")  # neither its file nor what is installed has the task
+
+    def gone(record):
+        return replace(record, snapshot=replace(Snapshot.decode(record.snapshot), type="test.Gone").encode())
+
+    change_record(fleet.fleet.disk("a"), journal, "Sink", gone)
+    a = fleet.start("a")
     fleet.connect()
     fleet.run_for(1.0)
-    dry = a.ask(Forget("Sink", owner="b", dry_run=True))
+    assert any("unknown task type 'test.Gone'" in line for line in a.lines("error"))
+    dry = a.ask(Forget("client/Sink", owner="b", dry_run=True))
     assert dry.ok and dry.result == {"task_id": "a/Sink", "epoch": "0@a", "runs": False}
-    assert a.ask(Forget("Sink", owner="b")).ok
+    assert a.ask(Forget("client/Sink", owner="b")).ok
 
 
 def test_a_birthplace_with_an_empty_disk_gives_way(fleet):
