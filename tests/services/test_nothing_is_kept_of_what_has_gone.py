@@ -99,7 +99,7 @@ def test_half_a_snapshot_of_an_agent_that_has_gone_is_not_kept(fleet):
     client = "client"
     before = kept_by(fleet, b, client)
     while kept_by(fleet, b, client) <= before + STATE_BYTES // 3:  # each look walks through all that there is
-        fleet.run_for(0.1)
+        fleet.run_for(0.5)
     fleet.crash("a")
     b.wait_for_event("peer_down", at_most_s=30.0, peer="a")
     fleet.run_for(1.0)
