@@ -1,4 +1,4 @@
-"""What the records know of a disk that is a copy: under which epochs its original owned tasks."""
+"""What the records know of what is on disk, also where that is a copy: under which epochs its original owned tasks."""
 
 from __future__ import annotations
 
@@ -52,3 +52,13 @@ def test_an_epoch_of_the_original_stays_one_whatever_is_written_until_another_be
     assert records.original_epoch(TASK) == NO_EPOCH
     records, _ = opened(disk, "copy, once more")
     assert records.original_epoch(TASK) == NO_EPOCH
+
+
+def test_the_task_of_a_name_that_is_here_is_known_after_a_restart_too() -> None:
+    disk: dict[str, bytes] = {}
+    records, write = opened(disk, "first")
+    write(Record(TaskId("b", "Count"), Phase.RELEASED, NO_EPOCH, OLD, peer="b"))
+    write(Record(TASK, Phase.OWNER, OLD, OLD))
+    assert (records.here("Count"), records.here("Other")) == (TASK, None)
+    records, _ = opened(disk, "second")
+    assert (records.here("Count"), records.here("Other")) == (TASK, None)

@@ -80,6 +80,13 @@ class TestWhatIsLost:
         out.acknowledged(began(9, 1, 1, upto), "b", 0.0)
         assert out.take_lost() == []
 
+    def test_nothing_where_it_was_not_known_from_what_state_it_began_before(self):
+        out = Outgoing(STREAM, "me")
+        post(out, 10)
+        out.acknowledged(receipt(8), "a", 0.0)
+        out.acknowledged(began(9, 1, 1, 5), "b", 0.0)
+        assert out.take_lost() == []
+
     def test_an_answer_says_so_without_an_acknowledgement(self, out):
         assert out.is_unsure_of("a/Scan", 1) and not out.is_unsure_of("a/Scan", 0) and not out.is_unsure_of("b/X", 1)
         out.began(StreamsBegan("a/Scan", 1, {"another": 0}), "b")

@@ -80,3 +80,24 @@ def test_more_than_there_is_room_for_is_refused_and_not_forgotten():
         assert all("has no room for" in it or "asks for more than 1000 things in a second" in it for it in refused)
         assert any(reply.ok for reply in replies)
         assert agent.ask(Describe("Count")).ok
+
+
+def test_what_became_of_a_command_that_was_put_off_is_told_and_a_failure_is_a_warning():
+    with FleetInTest() as fleet:
+        tasks = {name: {"type": Count, "service": "fragile", "start": False} for name in ("One", "Two")}
+        agent = fleet.start("a", services={"fragile": Fragile}, tasks=tasks)
+        agent.may_fail.add("fragile")
+
+        end = fleet.faults.fill_disk("a")
+        assert "what was asked for waits: " in agent.ask(Start("One")).reason
+        end()
+        fleet.run_for(5.0)
+        assert "what a/test/Probe asked for (#1) is done" in agent.lines("info")
+
+        fleet.faults.fill_disk("a")
+        assert "what was asked for waits: " in agent.ask(Start("Two")).reason
+        agent.publish("system", Pose(0.0, 0.0, 0.0))
+        fleet.run_for(0.1)
+        why = "a/fragile failed before it had done that: RuntimeError: no map"
+        lines = agent.lines("warning")
+        assert any(it.startswith(f"what a/test/Probe asked for (#2) was not done: {why}") for it in lines)

@@ -4,7 +4,7 @@ from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 
 from pancakes.bodies.devices.driver import Actuator
-from pancakes.control import Describe, Reply, Stop, Take
+from pancakes.control import Describe, Guarding, Reply, Stop, Take
 from pancakes.mesh.guarding.guard_messages import KeepLease, SeizeTask
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import addressed
@@ -211,3 +211,13 @@ def test_a_permit_that_is_over_by_the_clock_lets_nothing_out_although_no_timer_h
         assert a.task("Count").state.n == before
         fleet.faults.calm()
         assert fleet.run_until(lambda: running(fleet, "Count"), 20)
+
+
+def test_a_task_that_its_file_guards_no_more_is_guarded_by_its_owner_alone():
+    with guarded("Count", Count) as fleet:
+        fleet.crash("a")
+        a = fleet.start("a", tasks={"Count": Count})
+        fleet.connect()
+        fleet.run_for(5.0)
+        (row,) = a.ask(Guarding()).result
+        assert (row["guard"], row["guardians"], a.running()) == (1, ["a"], ["Count"])
