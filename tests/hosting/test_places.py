@@ -73,4 +73,4 @@ def test_a_name_without_a_slot_belongs_to_no_task() -> None:
 
     assert (place.slot, places.at) == (None, {})
     places.bind("Scan")
-    assert places.named("None") == []
+    assert places.named("Other") == []

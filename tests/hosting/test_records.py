@@ -1,4 +1,4 @@
-"""What the records know of what is on disk, also where that is a copy: under which epochs its original owned tasks."""
+"""What the records know of a disk, also of one that is a copy: under which epochs its original owned tasks."""
 
 from __future__ import annotations
 
