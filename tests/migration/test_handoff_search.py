@@ -10,12 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from benchmarks.agent_process import PYTHON_PATH
 from model.bounds import DEEP, SUITE
 from model.mutants import MUTANTS, Mutant
 from model.parts import Bounds
 from model.search import Search
-
-TESTS = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize("bounds", SUITE, ids=str)
@@ -69,7 +68,7 @@ def check_migration(tmp_path: Path) -> Iterator[object]:
         figures = tmp_path / "figures.json"
         done = subprocess.run(
             [sys.executable, "-m", "model", "--jobs", "1", "--json", str(figures), *arguments],
-            env={**os.environ, "PYTHONPATH": f"{TESTS}{os.pathsep}{TESTS.parent}"},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(PYTHON_PATH)},
             capture_output=True,
             text=True,
         )

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from benchmarks.agent_process import PYTHON_PATH
 from click.testing import CliRunner
 from torture import __main__ as command
 from torture import gate_command, live_commands, standstill_command
@@ -28,7 +29,7 @@ def test_missions_that_pass_give_exit_code_0() -> None:
     """Run as the script does it: its workers must find what they are to do."""
     ended = subprocess.run(
         [sys.executable, "-m", "torture", "missions", "--demo", "intruder", "--seeds", "2", "--jobs", "2"],
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(PYTHON_PATH)},
         capture_output=True,
         text=True,
         timeout=100,

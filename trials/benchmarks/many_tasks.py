@@ -27,6 +27,7 @@ import psutil
 import pykka
 from benchmarks.agent_process import (
     INSECURE,
+    PYTHON_PATH,
     agent_process,
     offer_tasks,
     process,
@@ -167,7 +168,7 @@ def bare_actors(tasks: int) -> list[float]:
     """One run of the baseline. Returns ms until all actors run, and their memory in MiB."""
     reader, writer = os.pipe()
     command = [sys.executable, "-m", "benchmarks.many_tasks", str(tasks), str(writer)]
-    environment = {**usual_environment(), "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
+    environment = {**usual_environment(), "PYTHONPATH": os.pathsep.join(PYTHON_PATH)}
     with process(command, environment, pass_fds=(writer,)):
         return _report(reader, writer)
 

@@ -9,11 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from benchmarks.agent_process import PYTHON_PATH
 from soak import steady, virtual
 from soak.agents import Fleet, NotInTime, names_of
 from soak.vitals import vitals_of
-
-TESTS = Path(__file__).resolve().parents[1]
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="reads what Linux says")
 
@@ -71,7 +70,7 @@ def test_a_short_soak_finds_what_leaks_and_nothing_else_and_writes_what_it_saw(t
     command = [sys.executable, "-m", "soak", "--minutes", "0.4", "--agents", "3", "--leak", "2000000"]
     found = subprocess.run(
         [*command, "--json", str(figures)],
-        env={**os.environ, "PYTHONPATH": str(TESTS)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(PYTHON_PATH)},
         capture_output=True,
         text=True,
         timeout=300,

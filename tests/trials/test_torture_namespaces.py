@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from benchmarks.agent_process import PYTHON_PATH
 from click.testing import CliRunner
 from torture import __main__ as command
 from torture.namespaces import NAMED, PREFIX, Namespaces, NoNamespaces, check, remove_leftovers
@@ -47,7 +48,7 @@ def begin() -> tuple[subprocess.Popen[str], str, int]:
     """Starts a run that has made namespaces; returns it, the name of one, and a handle of a process in it."""
     run = subprocess.Popen(
         [sys.executable, "-c", RUN],
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(PYTHON_PATH)},
         stdout=subprocess.PIPE,
         text=True,
         # Under `nohup` it would be ignored, and a run leaves that as it is.

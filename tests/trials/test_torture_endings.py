@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmarks.agent_process import PYTHON_PATH
 from cli.processes import Rig, Running
 from click.testing import CliRunner
 from torture import __main__ as command
@@ -64,7 +65,7 @@ def test_agents_of_a_fleet_that_does_not_come_together_are_ended(
 def test_agents_are_not_interrupted_with_their_run_but_end_with_it(tmp_path: Path, fleet: str) -> None:
     run = subprocess.Popen(
         [sys.executable, "-c", RUN.format(fleet=fleet), str(tmp_path)],
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(PYTHON_PATH)},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

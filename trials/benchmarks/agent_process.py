@@ -18,6 +18,9 @@ from typing import Any
 
 from keys_in_test import KeysInTest
 
+_ROOT = Path(__file__).resolve().parents[2]
+PYTHON_PATH = (str(_ROOT / "trials"), str(_ROOT / "tests"), str(_ROOT))
+"""Where started processes import from. The root is for a clone that borrows the environment of another."""
 TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.mesh_tasks:Far",
          "bench.Started": "benchmarks.idle_tasks:Started", "bench.Idle": "benchmarks.idle_tasks:Idle",
          "bench.Steady": "benchmarks.steady:Steady", "bench.Busy": "benchmarks.lateness:Busy",
@@ -51,11 +54,13 @@ def offer_tasks(
     lines += ["[pancakes.services]", "bench.Crowd = benchmarks.many_tasks:Crowd"]
     lines += ["[pancakes.packets]", *(f"{name} = {value}" for name, value in packets.items())]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
-    # The last for a clone that borrows another's environment: its agents are to run its own code as well.
-    path = [str(directory), *(str(Path(__file__).resolve().parents[up]) for up in (1, 2))]
     runtime = directory / "run"
     runtime.mkdir(mode=0o700)
-    return {**usual_environment(), "PYTHONPATH": os.pathsep.join(path), "PANCAKES_RUNTIME_DIR": str(runtime)}
+    return {
+        **usual_environment(),
+        "PYTHONPATH": os.pathsep.join((str(directory), *PYTHON_PATH)),
+        "PANCAKES_RUNTIME_DIR": str(runtime),
+    }
 
 
 def keys_of(directory: Path, *names: str) -> Mapping[str, str]:

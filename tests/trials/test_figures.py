@@ -6,10 +6,10 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from benchmarks import fan_out
+from benchmarks.agent_process import PYTHON_PATH
 from benchmarks.figure import Figure, Plan, in_turns
 from benchmarks.observers import Compared, Round, Span, quiet
 from benchmarks.steady import Steady
@@ -17,8 +17,6 @@ from benchmarks.steady import Steady
 from pancakes.control import Configure, Describe
 from pancakes.task import Tick
 from pancakes.testing import FleetInTest
-
-TESTS = Path(__file__).resolve().parents[1]
 
 
 def test_a_figure_is_the_median_of_ours_beside_the_median_of_the_bare_one():
@@ -101,7 +99,7 @@ def test_the_range_of_a_ratio_is_wide_where_the_rounds_differ():
 def test_a_short_run_writes_its_figures_as_json(tmp_path):
     path = tmp_path / "figures.json"
     command = [sys.executable, "-m", "benchmarks", "--quick", "--only", "two_processes", "--json", str(path)]
-    paths = os.pathsep.join((str(TESTS), str(TESTS.parent)))
+    paths = os.pathsep.join(PYTHON_PATH)
     ended = subprocess.run(
         command, env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True, check=False
     )
