@@ -6,13 +6,13 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from cli.processes import PATIENCE_S, Rig
+from harness.programs import Program, pancakes
 
 
 class LiveOutput:
@@ -24,12 +24,11 @@ class LiveOutput:
     """
 
     def __init__(self, rig: Rig, *arguments: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "pancakes.tools.cli.main", *arguments],
+        self.process = Program(
+            pancakes(*arguments),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            text=True,
             env=rig.environment,
             cwd=rig.directory,
         )
@@ -116,8 +115,8 @@ def on_a_terminal(rig: Rig, height: int, width: int, *arguments: str, until: byt
 
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", height, width, 0, 0))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pancakes.tools.cli.main", *arguments],
+    process = Program(
+        pancakes(*arguments),
         stdin=theirs,
         stdout=theirs,
         stderr=theirs,

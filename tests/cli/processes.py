@@ -16,6 +16,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from harness.programs import AGENT, PANCAKES, Program, pancakes, run
 from keys_in_test import KeysInTest
 
 PATIENCE_S = 20.0
@@ -23,20 +24,26 @@ READY = "/kernel: ready"
 
 
 class Running:
-    """A process, and the lines that it has said on standard error; on standard output too where it is to be `whole`.
+    """A process, and the lines that it has said on standard error; on standard output too if it is `whole`.
 
     An agent may be `ours`: it ends with this thread, and an interrupt at the terminal reaches the test, which ends it.
     """
 
     def __init__(
-        self, command: list[str], environment: dict[str, str], directory: Path, whole: bool = False, ours: bool = False
+        self,
+        command: list[str],
+        environment: dict[str, str],
+        directory: Path,
+        whole: bool = False,
+        ours: bool = False,
+        true_start: bool = False,
     ) -> None:
-        self.process = subprocess.Popen(
+        self.process = Program(
             [*command, f"--die-with-parent={os.getpid()}"] if ours else command,
+            true_start=true_start,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE if whole else subprocess.DEVNULL,
             stderr=subprocess.STDOUT if whole else subprocess.PIPE,
-            text=True,
             env=environment,
             cwd=directory,
             process_group=0 if ours else None,
@@ -149,15 +156,15 @@ class Rig:
         (information / "entry_points.txt").write_text(entry_points)
         (self.plugins / f"plugin_{name}.py").write_text(source)
 
-    def run(self, *command: str, whole: bool = False, ours: bool = False) -> Running:
-        """Starts a Python process; see `Running` for `whole` and `ours`."""
-        running = Running([sys.executable, *command], self.environment, self.directory, whole, ours)
+    def run(self, *command: str, whole: bool = False, ours: bool = False, true_start: bool = False) -> Running:
+        """Starts a Python process; see `Running` for `whole` and `ours`, `Program` for `true_start`."""
+        running = Running([sys.executable, *command], self.environment, self.directory, whole, ours, true_start)
         self._running.append(running)
         return running
 
-    def agent(self, config: Path | str, *options: str, ours: bool = False) -> Running:
-        """Starts `pancakes-agent`; see `Running` for `ours`."""
-        return self.run("-m", "pancakes.tools.cli.agent_command", "--config", str(config), *options, ours=ours)
+    def agent(self, config: Path | str, *options: str, ours: bool = False, true_start: bool = False) -> Running:
+        """Starts `pancakes-agent`; see `run`."""
+        return self.run("-m", AGENT, "--config", str(config), *options, ours=ours, true_start=true_start)
 
     def ready(self, name: str, rest: str = "", *options: str, fleet: str = "test", agent: str = "") -> Running:
         """Starts an agent and waits until it is ready."""
@@ -168,7 +175,7 @@ class Rig:
 
     def launch(self, *arguments: str | Path) -> Running:
         """Starts `pancakes launch`."""
-        return self.run("-m", "pancakes.tools.cli.main", "launch", *map(str, arguments), whole=True)
+        return self.run("-m", PANCAKES, "launch", *map(str, arguments), whole=True)
 
     def entry(self, pid: int) -> dict[str, Any]:
         """Waits for a process's entry in the runtime directory, and returns it."""
@@ -198,14 +205,23 @@ class Rig:
         """Returns the port at which an agent listens."""
         return int(self.address(running).rpartition(":")[2])
 
-    def pancakes(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        """Runs a command to its end."""
-        return subprocess.run(
-            [sys.executable, "-m", "pancakes.tools.cli.main", *arguments],
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-            env=self.environment,
+    def pancakes(
+        self, *arguments: str, true_start: bool = False, given: str = "", **changed: str
+    ) -> subprocess.CompletedProcess[str]:
+        """Runs a command to its end.
+
+        Args:
+            arguments: its command line.
+            true_start: whether a new Python starts, because the test is about that.
+            given: what it reads on its standard input.
+            changed: variables of its environment that are not as those of the others.
+        """
+        return run(
+            pancakes(*arguments),
+            timeout_s=PATIENCE_S,
+            true_start=true_start,
+            given=given,
+            env=self.environment | changed,
             cwd=self.directory,
         )
 

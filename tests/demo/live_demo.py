@@ -6,13 +6,13 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 from types import TracebackType
 
 import psutil
+from harness.programs import Program, pancakes
 
 PATIENCE_S = 60.0
 AGENTS = ("world", "agent1", "agent2", "sensor")
@@ -35,13 +35,11 @@ class LiveDemo:
     def __init__(self, out: Path, *arguments: str) -> None:
         self.out = out
         self.lines: list[str] = []
-        command = [sys.executable, "-m", "pancakes.tools.cli.main", "demo", self.name, "--headless", "--out", str(out)]
-        self.process = subprocess.Popen(
-            [*command, *arguments],
+        self.process = Program(
+            pancakes("demo", self.name, "--headless", "--out", str(out), *arguments),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            text=True,
             start_new_session=True,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )

@@ -8,13 +8,12 @@ import pty
 import select
 import signal
 import struct
-import subprocess
-import sys
 import termios
 import time
 from types import TracebackType
 
 import pyte
+from harness.programs import Program, pancakes
 
 PATIENCE_S = 90.0
 
@@ -32,8 +31,8 @@ class Terminal:
         self._ours, theirs = pty.openpty()
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
         environment = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES", "NO_COLOR")}
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "pancakes.tools.cli.main", *arguments],
+        self.process = Program(
+            pancakes(*arguments),
             stdin=theirs,
             stdout=theirs,
             stderr=theirs,

@@ -110,10 +110,9 @@ def test_agents_outlive_their_fork_server_and_the_next_one_is_forked_by_another(
     assert second.process.poll() is None
 
 
-def test_what_cannot_be_forked_is_an_error_of_the_system(server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pancakes.tools.launch.fork_server.PROGRAM", "no.such.program")
+def test_fork_server_that_ends_at_once_raises_oserror() -> None:
     with pytest.raises(OSError, match="fork server"):
-        server.fork([], 1, None)
+        ForkServer(program="no.such.program").fork([], 1, None)
 
 
 def test_a_fork_server_that_stands_still_is_given_up(server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:

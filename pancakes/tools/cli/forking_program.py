@@ -25,53 +25,70 @@ from pancakes.tools.cli.parent import die_with_parent
 LOADED: Final = ("pancakes.runtime", "pancakes.mesh.net")
 """Agents run what is in these packages. Plug-ins are loaded by each agent: a thread that one begins would be lost."""
 LONGEST: Final = 1 << 20
-"""So many bytes the arguments of an agent have at most."""
+"""At most so many bytes has the message for one child."""
+MOST_FILES: Final = 16
 STANDARD_STREAMS: Final = (1, 2)
 
 
 def main() -> None:
     """Loads what agents need, forks them as it is asked to, and is each of them."""
+    channel = connected()
+    load(LOADED)
+    child = serve(channel)
+    if child is not None:
+        message, files = child
+        sys.argv[1:] = _take_place(msgpack.unpackb(message), files)
+        setproctitle(" ".join((sys.executable, "-m", agent_command.__name__, *sys.argv[1:])))
+        agent_command.agent(prog_name="pancakes-agent")
+
+
+def connected() -> socket.socket:
+    """Returns the socket that the program's arguments name. From here on the program ends with its launcher."""
     channel, launcher_pid = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])
     die_with_parent(launcher_pid)
+    return channel
+
+
+def load(packages: Sequence[str]) -> None:
+    """Imports all modules of some packages, into memory that what is forked shares."""
     gc.disable()
-    for name in LOADED:
+    for name in packages:
         package = importlib.import_module(name)
         for module in pkgutil.walk_packages(package.__path__, f"{name}."):
             importlib.import_module(module.name)
     Plugins().unreadable()  # reading the entry points loads parts of Python, too
     gc.collect()
     gc.freeze()  # no collection writes to what all of them share
-    arguments = _serve(channel)
-    if arguments is not None:
-        gc.enable()
-        sys.argv[1:] = arguments
-        setproctitle(" ".join((sys.executable, "-m", agent_command.__name__, *arguments)))
-        agent_command.agent(prog_name="pancakes-agent")
 
 
-def _serve(channel: socket.socket) -> list[str] | None:
-    """Forks agents until the launcher ends; returns None then, and in each agent its arguments."""
+def serve(channel: socket.socket) -> tuple[bytes, list[int]] | None:
+    """Forks a child for each message, until the launcher ends.
+
+    Returns:
+        None at that end; in each child its message, and the file descriptors that came with it.
+    """
     while True:
-        data, files, _, _ = socket.recv_fds(channel, LONGEST, len(STANDARD_STREAMS))
+        data, files, _, _ = socket.recv_fds(channel, LONGEST, MOST_FILES)
         if not data:
             return None
         try:
-            is_agent = _fork(channel)
+            is_child = _fork(channel)
         except OSError as error:
             channel.send(msgpack.packb([0, error.errno]))
         else:
-            if is_agent:
+            if is_child:
                 channel.close()
-                return _take_place(msgpack.unpackb(data), files)
+                gc.enable()
+                return data, files
         for file in files:
             os.close(file)
 
 
 def _fork(channel: socket.socket) -> bool:
-    """Forks an agent, and tells the launcher its process; returns whether this is the agent.
+    """Forks a child, and tells the launcher its process; returns whether this is the child.
 
-    A process between the two ends at once: the system gives its child to the launcher, which asks for that. The agent
-    waits until then, because it asks the system to end it with its parent.
+    A process between the two ends at once: the system gives its child to the launcher, which asks for that. The child
+    waits until then, because it may ask the system to end it with its parent.
     """
     said, say = os.pipe()
     held, release = os.pipe()

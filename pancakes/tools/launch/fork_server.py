@@ -33,10 +33,16 @@ class ForkServer:
 
     Args:
         environment: the environment of the agents; None: that of this process, as it is when the first one starts.
+        program: the module that forks; one that uses `pancakes.tools.cli.forking_program` may fork other programs.
+        own_session: whether the fork server, and with it what it forks, has a session of its own.
     """
 
-    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, environment: Mapping[str, str] | None = None, program: str = PROGRAM, own_session: bool = True
+    ) -> None:
         self._environment = environment
+        self._program = program
+        self._own_session = own_session
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: socket.socket | None = None
 
@@ -51,8 +57,19 @@ class ForkServer:
         Raises:
             OSError: no process can be made.
         """
-        message = msgpack.packb(list(arguments))
         files = (output,) if ready_fd is None else (output, ready_fd)
+        return ForkedProcess(self.fork_for(msgpack.packb(list(arguments)), files))
+
+    def fork_for(self, message: bytes, files: Sequence[int]) -> int:
+        """Forks a child for a message to the program; returns its process number.
+
+        Args:
+            message: what the child is to do.
+            files: the file descriptors that it gets.
+
+        Raises:
+            OSError: no process can be made.
+        """
         for _ in range(2):
             try:
                 pid, error = msgpack.unpackb(self._ask(message, files))
@@ -64,8 +81,8 @@ class ForkServer:
             else:
                 if error:
                     raise OSError(error, os.strerror(error))
-                return ForkedProcess(pid)
-        raise OSError(errno.ECHILD, f"the fork server, {PROGRAM}, ends as it begins")
+                return int(pid)
+        raise OSError(errno.ECHILD, f"the fork server, {self._program}, ends as it begins")
 
     def close(self) -> None:
         """Ends the fork server. Its agents go on."""
@@ -94,11 +111,11 @@ class ForkServer:
         channel.settimeout(ANSWER_S)
         with there:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", PROGRAM, str(there.fileno()), str(os.getpid())],
+                [sys.executable, "-m", self._program, str(there.fileno()), str(os.getpid())],
                 env=self._environment,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                start_new_session=True,
+                start_new_session=self._own_session,
                 pass_fds=(there.fileno(),),
             )
         self._channel = channel
