@@ -1,0 +1,66 @@
+"""Keys, certificates and rosters of earlier versions: their agents are still let in, and those revoked are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cryptography import x509
+from kept.conftest import Kept
+from kept.make import FLEET, LONG_AGO_NS
+
+from pancakes.control import Describe
+from pancakes.mesh.security.fleet_office import FleetOffice
+from pancakes.mesh.security.key_files import FLEET as AUTHORITY_FILE
+from pancakes.mesh.security.key_files import KEY, ROSTER
+from pancakes.mesh.security.keys import Keys
+from pancakes.testing import AgentInTest, threaded_agent
+
+
+@pytest.fixture
+def keys(kept: Kept) -> Path:
+    return kept.folder / "keys"
+
+
+def agent(name: str, keys: Path, **more: Any) -> Any:
+    network = {"network": {"settings": {"keys": str(keys / name)}}}
+    return threaded_agent(name, services=network, fleet=FLEET, listen="tcp://127.0.0.1:0", **more)
+
+
+def address(agent: AgentInTest) -> str:
+    (found,) = [it for it in agent.ask(Describe()).result["listen"] if it.startswith("tcp://")]
+    return found
+
+
+def test_kept_keys_let_an_agent_join(keys: Path):
+    with agent("a", keys) as a, agent("b", keys, peers=(address(a),)) as b:
+        b.wait_until(lambda: b.agent.mesh.connected() and a.agent.mesh.connected())
+        assert not a.lines("warning") and not b.lines("warning")
+
+
+def test_kept_certificates_of_agents_never_end(keys: Path):
+    for file in (keys / "a" / KEY, keys / "b" / KEY, keys / "a" / AUTHORITY_FILE):
+        assert x509.load_pem_x509_certificate(file.read_bytes()).not_valid_after_utc.year == 9999
+
+
+def test_kept_certificate_of_a_person_has_ended(keys: Path, monkeypatch: pytest.MonkeyPatch):
+    a, alice = Keys(keys / "a"), Keys(keys / "alice")
+    assert "its certificate ended" in a.fault_of(alice.own)
+    monkeypatch.setattr("time.time_ns", lambda: LONG_AGO_NS)
+    assert a.fault_of(alice.own) == ""
+
+
+def test_kept_roster_revokes_an_agent(keys: Path):
+    a = Keys(keys / "a")
+    assert a.fault_of(Keys(keys / "b").own) == ""
+    assert "was revoked" in a.fault_of(Keys(keys / "lost").own)
+    assert a.roster is not None and [rule.who for rule in a.roster.allow][-1] == ("alice",)
+
+
+def test_kept_authority_enrols_and_signs(keys: Path, monkeypatch: pytest.MonkeyPatch):
+    office = FleetOffice.opened(keys / "authority")
+    assert [it.name for it in office.entries] == ["a", "b", "lost", "alice"]
+    office.enrol_with_key("agent", "c").write(keys / "c")
+    a, new = Keys(keys / "a"), office.sign(force=True)
+    assert a.learn(new, (keys / "authority" / ROSTER).read_bytes()) and a.fault_of(Keys(keys / "c").own) == ""

@@ -1,0 +1,141 @@
+"""State directories that earlier versions have left: agents of this version go on from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from kept.conftest import Kept
+from kept.make import CLASSES, FILES, plain, started
+
+from pancakes.bodies.devices.types import Twist
+from pancakes.control import Describe, Guarding, Migrations
+from pancakes.creation import Create
+from pancakes.mesh.migration.record import Phase, Record
+from pancakes.packet import Fence, Packet
+from pancakes.runtime.config import parse
+from pancakes.runtime.config.plugin_check import check_plugins
+from pancakes.runtime.journal import Disk, FileJournal, MemoryJournal, VirtualStore
+from pancakes.runtime.journal.seal import unseal
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.services.wanted_recordings import wanted_recordings
+from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
+
+KINDS = {"boot", "fence", "guard", "identity", "ledger", "record", "recording"}
+"""The kinds of entries that a journal has. A new one belongs into what is kept."""
+PHASES = {Phase.OWNER, Phase.PREPARED, Phase.COMMITTED, Phase.RELEASED}
+
+
+@pytest.fixture
+def fleet(kept: Kept) -> Iterator[FleetInTest]:
+    """The agents a, b and c, five seconds after their power was back."""
+    with started(kept.folder / "fleet") as fleet:
+        fleet.run_for(5.0)
+        yield fleet
+
+
+def began(agent: AgentInTest, name: str) -> dict[str, Any]:
+    """Returns what a task began with, as JSON can say it."""
+    told = agent.ask(Describe(name, state=True, began=True)).result["began"]
+    return {key: plain(told[key]) for key in ("settings", "periods_s", "state")}
+
+
+def owner(fleet: FleetInTest, name: str) -> str:
+    (found,) = [agent.name for agent in fleet.agents.values() if name in agent.running()]
+    return found
+
+
+def test_kept_disks_have_entries_of_every_kind(kept: Kept):
+    """Not a test of the product: it tells that a kind of entry was forgotten when the data were made."""
+    files = [*(kept.folder / "fleet").glob("?/*.rec")]
+    assert {file.name.partition(".")[0] for file in files} == KINDS
+    records = [Record.decode(unseal("", it.read_bytes()).data) for it in files if it.name.startswith("record.")]
+    assert {record.phase for record in records} >= PHASES
+    assert any(record.removed for record in records) and any(record.guarded for record in records)
+    assert (kept.folder / "agent" / "state" / "journal.wal").stat().st_size > 1000
+
+
+def test_kept_disks_are_read_without_complaint(fleet: FleetInTest):
+    said = [line for agent in fleet.agents.values() for level in ("warning", "error") for line in agent.lines(level)]
+    assert [line for line in said if not line.startswith(("a/client/Stopped", "a/client/Moved"))] == []
+    for name in fleet.agents:
+        assert not [file for file in fleet.fleet.disk(name) if file.endswith(".bad")]
+
+
+@pytest.mark.parametrize("name", ["Count", "Created", "Drive", "Guarded", "Moved", "Receiver"])
+def test_kept_tasks_go_on_from_their_state(kept: Kept, fleet: FleetInTest, name: str):
+    """With the settings and rates that were changed while they ran, and where they were moved to."""
+    expected = kept.expected["fleet"][name]
+    assert owner(fleet, name) == expected.pop("agent")
+    assert began(fleet.agents[owner(fleet, name)], name) == expected
+
+
+def test_kept_tasks_that_were_stopped_or_removed_do_not_run(fleet: FleetInTest):
+    a = fleet.agents["a"]
+    assert a.ask(Describe("Stopped")).result["state"] == "stopped"
+    assert not a.ask(Describe("Removed")).ok
+    assert a.ask(Create("Removed", "kept.Count")).ok and a.task("Removed").state.n < 5
+
+
+def test_kept_guarded_task_has_its_guardians_and_is_taken_over(kept: Kept, fleet: FleetInTest):
+    n = kept.expected["fleet"]["Guarded"]["state"]["n"]
+    (row,) = fleet.agents["a"].ask(Guarding()).result
+    assert (row["owner"], row["epoch"], row["guardians"]) == ("a", "0@a", ["a", "b", "c"])
+    fleet.crash("a")
+    fleet.run_for(10.0)
+    assert fleet.agents[owner(fleet, "Guarded")].task("Guarded").state.n > n
+
+
+def test_kept_letters_of_a_task_under_way_arrive(kept: Kept, fleet: FleetInTest):
+    """Sender was handed over from b to c, with letters that no agent had got, when the power failed."""
+    before = kept.expected["fleet"]["Receiver"]["state"]["numbers"]
+    sent = kept.expected["fleet"]["Sender"]["state"]["n"]
+    assert len(before) < sent
+    assert owner(fleet, "Sender") == "c"
+    assert fleet.agents["a"].task("Receiver").state.numbers == list(range(1, sent + 1))
+
+
+def test_kept_fence_refuses_an_earlier_epoch(fleet: FleetInTest):
+    a = fleet.agents["a"]
+    earlier = Fence("a/Drive", (-1, "a"))
+    a.kernel.stream.publish(Packet("ctrl", "motors", "a/client/Drive", "", 0.0, 1, Twist(0.1, 0.0), None, earlier))
+    fleet.run_for(0.5)
+    (refused,) = a.events("command_refused")
+    assert "epoch -1 of a/Drive has passed" in refused["reason"]
+
+
+def test_kept_wish_for_a_recording_is_read(kept: Kept):
+    disk = {it.name: it.read_bytes() for it in (kept.folder / "fleet" / "c").iterdir()}
+    journal = MemoryJournal(disk, "new", "c")
+    unread: list[str] = []
+    store = VirtualStore(journal, lambda delay_s, function: function())
+    wanted = wanted_recordings(Disk(journal, store, unread)).newest["log/Recorder"]
+    assert Path(wanted.first).name == "c.mcap" and wanted.settings["path"] == wanted.first and unread == []
+
+
+def test_kept_accounts_of_moves_are_listed(fleet: FleetInTest):
+    accounts = {agent.name: agent.ask(Migrations()).result for agent in fleet.agents.values()}
+    moves = {(it["task_id"], it["boot"]) for rows in accounts.values() for it in rows}
+    assert ("a/Moved", 1) in moves
+
+
+def test_kept_state_directory_of_a_killed_agent_is_taken_up(kept: Kept):
+    """A journal on a true disk, with a write-ahead file. It was copied, which the agent knows and says."""
+    state = kept.folder / "agent" / "state"
+    expected = kept.expected["agent"]["Count"]
+    text = (kept.folder / "agent" / "alone.toml").read_text()
+    with threaded_agent("alone", text, classes=CLASSES, state_dir=state) as agent:
+        assert expected.pop("agent") == "alone" and began(agent, "Count") == expected
+        assert agent.ask(Describe("Stopped")).result["state"] == "stopped"
+        assert agent.lines("error") == []
+    journal = FileJournal(state)
+    assert journal.boot == 3 and journal.set_aside == () and journal.missing == ()
+    journal.close()
+
+
+@pytest.mark.parametrize("file", ["agent/alone.toml", *(f"fleet/{name}.toml" for name in FILES), "recording/a.toml"])
+def test_kept_configurations_are_sound(kept: Kept, file: str):
+    config = parse((kept.folder / file).read_text(), file)
+    assert check_plugins(config, Plugins(), must_load=True) == []
