@@ -10,12 +10,13 @@ import json
 import math
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from pancakes.runtime.plugins import Plugins
+from pancakes.tools.demo import Loss
 from pancakes.tools.demo.conductor import Mission
 from pancakes.tools.demo.demo_plan import find_configs, make_plan
 from pancakes.tools.demo.launcher import NetworkFaults, fresh, judge, run_of, run_virtual
@@ -131,12 +132,33 @@ def _moments(path: Path) -> Iterator[Moment]:
             yield moment
 
 
-def fly(demo_name: str, seed: int, out: Path, faults: bool, sets: Sequence[str] = ()) -> Flight:
-    """Runs a mission in virtual time, has it judged, and reads it back."""
+def fly(
+    demo_name: str,
+    seed: int,
+    out: Path,
+    faults: bool,
+    sets: Sequence[str] = (),
+    duration_s: float | None = None,
+    loss: Loss | None = None,
+) -> Flight:
+    """Runs a mission in virtual time, judges it, and reads it back.
+
+    Args:
+        demo_name: the demo.
+        seed: the seed of the run.
+        out: the folder for its results.
+        faults: whether the network has latency, jitter and links that break.
+        sets: changes of the configurations, as `--set` takes them.
+        duration_s: how long it lasts; None: as long as the demo says.
+        loss: replaces the loss that the demo has.
+    """
     demo = Plugins().get("pancakes.demos", demo_name)
-    plan = make_plan(demo, find_configs(demo), out, seed, 1.0, demo.duration_s, tuple(sets), live=False)
+    if loss is not None:
+        demo = replace(demo, loss=loss)
+    length_s = demo.duration_s if duration_s is None else duration_s
+    plan = make_plan(demo, find_configs(demo), out, seed, 1.0, length_s, tuple(sets), live=False)
     fresh(out)
-    mission = Mission(demo.agents, demo.duration_s)
+    mission = Mission(demo.agents, length_s)
     timing = run_virtual(plan, mission, threading.Event(), NetworkFaults(seed) if faults else None)
     judge(plan, run_of(plan, mission), timing)
     return read_flight(out)

@@ -1,4 +1,4 @@
-"""The experiment on real processes over real sockets. What happens is looked at, not how fast this machine is."""
+"""The experiment on real processes over TCP. What happens is checked, and not how fast this machine is."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from demo.flights import SCAN, read_flight
 from demo.live_demo import AGENTS, LiveDemo
 
 WEAK_BATTERY = "world:task.World.settings.robots.agent1.battery.capacity_j=130"
-"""Agent 1's battery falls below 65 % after some 25 s, so that the hand-over is soon."""
+"""Agent 1's battery falls below 65 % after some 25 s, so that the task migrates soon."""
 
 
-@pytest.mark.parametrize("network", [(), ("--local",)], ids=["tcp", "local"])
-def test_a_live_mission_hands_the_task_over_and_leaves_no_process(network: tuple[str, ...], tmp_path: Path) -> None:
+def test_live_mission_migrates_the_task_and_leaves_no_process(tmp_path: Path) -> None:
     out = tmp_path / "out"
     stale = out / "state" / "agent1"
     stale.mkdir(parents=True)
     (stale / "stale").touch()
     (out / "summary.json").write_text("{}", encoding="utf-8")
-    with LiveDemo(out, "--speed", "5", "--duration", "60", "--seed", "3", "--set", WEAK_BATTERY, *network) as demo:
+    with LiveDemo(out, "--speed", "5", "--duration", "60", "--seed", "3", "--set", WEAK_BATTERY) as demo:
         demo.wait_for("new centre")
         code = demo.ends()
         assert demo.left_after(0.0) == []
@@ -55,34 +54,3 @@ def test_a_live_mission_hands_the_task_over_and_leaves_no_process(network: tuple
         assert all(json.loads(line) for line in log) and log
         assert (out / "logs" / f"{agent}.txt").read_text(encoding="utf-8") == "", "an agent wrote to its terminal"
     assert (out / "paths.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_verdict_says_in_its_own_line_where_the_machine_fell_behind(tmp_path: Path) -> None:
-    with LiveDemo(tmp_path / "out", "--duration", "30") as demo:
-        demo.wait_for("new centre")
-        demo.agents["world"].suspend()
-        demo.wait_for("pose: no reading has come for 2")
-        demo.agents["world"].resume()
-        demo.ends()
-        (verdict,) = [line for line in demo.lines if line.startswith("verdict: ")]
-    assert "this machine was too slow: the world fell behind the clock by up to" in verdict
-    assert "world/client/World" in verdict and "ticks" in verdict
-    timing = read_flight(tmp_path / "out").timing
-    assert timing["behind_max_s"] > 0.25
-    assert "world/client/World" in [it["task"] for it in timing["late_tasks"]]
-
-
-def test_two_demos_run_side_by_side(tmp_path: Path) -> None:
-    """The ports of the files are one demo's; the other takes free ones, also where both are started at once."""
-    with LiveDemo(tmp_path / "one", "--duration", "10") as one, LiveDemo(tmp_path / "two", "--duration", "10") as two:
-        for demo in (one, two):
-            assert demo.ends() == 1, demo.said
-            assert "verdict: FAIL" in demo.said and "broke off" not in demo.said
-    ports = []
-    for out in (tmp_path / "one", tmp_path / "two"):
-        flight = read_flight(out)
-        assert {event["agent"] for event in flight.told("roster")} == set(AGENTS)
-        assert flight.paths["agent1"][-1].t_s > 8.0
-        log = (out / "logs" / "world.jsonl").read_text(encoding="utf-8")
-        ports.append(next(line for line in log.splitlines() if "hardware bus listens" in line).rpartition(":")[2])
-    assert ports[0] != ports[1]

@@ -48,7 +48,7 @@ def under_way(tmp_path: Path) -> Iterator[LiveField]:
         yield demo
 
 
-def test_a_live_mission_hears_its_tiny_nodes_raises_the_alarm_and_moves_it(tmp_path: Path) -> None:
+def test_live_field_hears_tiny_nodes_and_moves_the_alarm(tmp_path: Path) -> None:
     out = tmp_path / "out"
     sets = [word for change in EARLY for word in ("--set", change)]
     with LiveField(out, "--duration", "60", *sets) as demo:
@@ -69,19 +69,18 @@ def test_a_live_mission_hears_its_tiny_nodes_raises_the_alarm_and_moves_it(tmp_p
         assert (out / "logs" / f"{agent}.txt").read_text(encoding="utf-8") == "", "an agent wrote to its terminal"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
-def test_a_signal_ends_the_tiny_nodes_too(number: signal.Signals, under_way: LiveField) -> None:
-    under_way.process.send_signal(number)
+def test_live_field_ends_tiny_nodes_at_sigterm(under_way: LiveField) -> None:
+    under_way.process.send_signal(signal.SIGTERM)
     assert under_way.ends() == 130
     assert under_way.left_after(0.0) == []
 
 
-def test_a_launcher_that_is_killed_leaves_neither_agents_nor_tiny_nodes(under_way: LiveField) -> None:
+def test_live_field_leaves_no_process_if_the_launcher_dies(under_way: LiveField) -> None:
     under_way.process.kill()
     assert under_way.left_after(LIMIT_S) == []
 
 
-def test_a_field_that_is_killed_takes_its_tiny_nodes_along(under_way: LiveField) -> None:
+def test_live_field_dies_with_its_tiny_nodes(under_way: LiveField) -> None:
     under_way.agents["field"].kill()
     _, left = psutil.wait_procs(under_way.tiny, LIMIT_S)
     assert not left

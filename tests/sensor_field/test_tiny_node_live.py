@@ -66,7 +66,7 @@ def over_udp(receiver: socket.socket) -> Iterator[TinyNode]:
     node.close()
 
 
-def test_it_speaks_and_listens_over_udp(over_udp: TinyNode, receiver: socket.socket) -> None:
+def test_tiny_node_speaks_and_listens_over_udp(over_udp: TinyNode, receiver: socket.socket) -> None:
     over_udp.feels(FEELS)
     assert over_udp.hear(receiver.fileno(), 1) == SAYS[:1]
     data, sender = receiver.recvfrom(64)
@@ -76,14 +76,14 @@ def test_it_speaks_and_listens_over_udp(over_udp: TinyNode, receiver: socket.soc
     assert [(frame.kind, frame.value) for frame in heard] == [(PERIOD, 1), (TEMPERATURE, 2150), (MOTION, 1)]
 
 
-def test_it_ends_with_its_standard_input(over_udp: TinyNode, receiver: socket.socket) -> None:
+def test_tiny_node_ends_with_its_standard_input(over_udp: TinyNode, receiver: socket.socket) -> None:
     over_udp.hear(receiver.fileno(), 1)
     assert over_udp.process.stdin is not None
     over_udp.process.stdin.close()
     assert over_udp.process.wait(PATIENCE_S) == 0
 
 
-def test_it_speaks_on_a_pseudo_terminal_and_removes_its_link(tmp_path: Path) -> None:
+def test_tiny_node_speaks_on_a_pseudo_terminal(tmp_path: Path) -> None:
     link = tmp_path / "shed"
     node = TinyNode(f"--pty={link}")
     try:
@@ -104,7 +104,7 @@ def test_it_speaks_on_a_pseudo_terminal_and_removes_its_link(tmp_path: Path) -> 
         node.close()
 
 
-def test_its_siren_falls_silent_by_itself(over_udp: TinyNode, receiver: socket.socket) -> None:
+def test_tiny_node_siren_falls_silent(over_udp: TinyNode, receiver: socket.socket) -> None:
     data, sender = receiver.recvfrom(64)
     assert data == encode(SAYS[0])
     receiver.sendto(encode(Frame(7, SIREN, 0, 3)), sender)
@@ -114,14 +114,14 @@ def test_its_siren_falls_silent_by_itself(over_udp: TinyNode, receiver: socket.s
     assert [over_udp.process.stdout.readline() for _ in range(2)] == [b"the siren sounds\n", b"the siren is silent\n"]
 
 
-def test_it_is_told_what_is_missing() -> None:
+def test_tiny_node_names_a_missing_option() -> None:
     ended = subprocess.run(
         [sys.executable, "-m", "pancakes_sensor_field.tiny_node", "--node=7"], capture_output=True, text=True
     )
     assert ended.returncode == 2 and "--pty" in ended.stderr
 
 
-def test_neither_it_nor_the_wire_format_needs_pancakes() -> None:
+def test_tiny_node_does_not_need_pancakes() -> None:
     code = (
         "import sys, pancakes_sensor_field.tiny_node;"
         "sys.exit(any(name.split('.')[0] in ('pancakes', 'msgspec', 'serial') for name in sys.modules))"

@@ -12,7 +12,7 @@ LENGTH = ("--duration", "10", "--speed", "5")
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(24, 80), (50, 120)])
-def test_the_address_of_the_page_stays_in_sight_and_is_shown_again_at_the_end(tmp_path: Path, rows: int, columns: int):
+def test_terminal_view_keeps_the_page_address_in_sight(tmp_path: Path, rows: int, columns: int):
     arguments = ("demo", "encirclement", "--view", "--control", "--out", str(tmp_path / "out"), *LENGTH)
     with Terminal(rows, columns, *arguments) as terminal:
         screens = terminal.screens_until("until Ctrl-C")
@@ -23,15 +23,18 @@ def test_the_address_of_the_page_stays_in_sight_and_is_shown_again_at_the_end(tm
     (address,) = set(re.findall(r"http://127\.0\.0\.1:\d+/#token=\S+", everything))
     assert running and all(f"the page is at {address}" in screen for screen in running)
     assert f"the page stays at {address} until Ctrl-C" in everything.replace("\nuntil", " until")
+    check_boxes(everything)
 
 
-@pytest.mark.parametrize("view", [(), ("--view",)])
-def test_no_part_of_a_box_stays_behind(tmp_path: Path, view: tuple[str, ...]):
-    arguments = ("demo", "encirclement", "--out", str(tmp_path / "out"), *LENGTH, *view)
-    with Terminal(24, 80, *arguments) as terminal:
+def test_terminal_view_leaves_no_part_of_a_box(tmp_path: Path):
+    with Terminal(24, 80, "demo", "encirclement", "--out", str(tmp_path / "out"), *LENGTH) as terminal:
         terminal.screens_until("are in ")
         terminal.interrupt()
-        everything = terminal.everything()
+        check_boxes(terminal.everything())
+
+
+def check_boxes(everything: str) -> None:
+    """Checks that the last two boxes are whole, and that nothing is left of those before them."""
     assert "waiting for the agents" not in everything
     assert (everything.count("╭"), everything.count("╰")) == (2, 2), everything
     assert "10.0 of 10 s" in everything and "events ─" in everything
