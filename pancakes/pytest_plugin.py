@@ -29,7 +29,7 @@ _MARKER_HELP = (
 )
 _QUALITY = ("latency_s", "jitter_s", "bytes_per_s")
 _LEAKS: pytest.StashKey[Leaks] = pytest.StashKey()
-_FAILED: pytest.StashKey[bool] = pytest.StashKey()
+_BROKE_OFF: pytest.StashKey[bool] = pytest.StashKey()
 _LOG_LINES = 30
 
 
@@ -69,9 +69,11 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
     """Shows the end of every agent's log with a test that has failed."""
     outcome: Any = yield
     report = outcome.get_result()
-    if not report.failed or call.when == "teardown":
+    if report.passed or call.when == "teardown":
         return
-    item.stash[_FAILED] = True
+    item.stash[_BROKE_OFF] = True
+    if not report.failed:
+        return
     leaks = item.stash.get(_LEAKS, None)
     for agent in leaks.agents() if leaks is not None else ():
         text = agent.log_tail(_LOG_LINES)
@@ -111,7 +113,7 @@ def no_leaks(request: pytest.FixtureRequest) -> Iterator[Leaks]:
     request.node.stash[_LEAKS] = leaks
     yield leaks
     del request.node.stash[_LEAKS]
-    if wanted and not request.node.stash.get(_FAILED, False):  # a test that broke off in the middle has an excuse
+    if wanted and not request.node.stash.get(_BROKE_OFF, False):  # a test that broke off in the middle has an excuse
         left = leaks.left()
         if left:
             pytest.fail(f"when the test was over, {left}", pytrace=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -40,6 +41,15 @@ class AgentInTest(AgentHandle):
     def __init__(self, agent: Agent, probe: Probe) -> None:
         super().__init__(agent, probe)
         self.may_fail: set[str] = set()
+        self._outcomes: list[BaseException] = []
+        agent.kernel.unraised = self._outcomes.append
+
+    def raise_outcome(self) -> None:
+        """Ends the test as a task on a thread has asked for, by `pytest.fail` or `pytest.skip`."""
+        outcomes = sys.modules.get("_pytest.outcomes")  # the tests may be run by something else
+        for error in self._outcomes:
+            if outcomes is not None and isinstance(error, outcomes.OutcomeException):
+                raise error
 
     def failures(self) -> list[str]:
         """Returns how Pancakes' own actors on this agent have failed that may not. Tasks and a user's services may."""
@@ -117,8 +127,12 @@ def threaded_agent(
         try:
             assert found.agent.ready.wait(PATIENCE_S), f"{name} was not ready within {PATIENCE_S:g} s"
             yield found
+        except AssertionError:  # often because the test waited for a task that has ended it
+            found.raise_outcome()
+            raise
         finally:
             found.stop()
+        found.raise_outcome()
         assert_none_failed([found])
 
 

@@ -22,7 +22,7 @@ def ends_of(virtual, cls, *bodies, address="a/client/T", mailbox=None):
     return component, (ends[0] if ends else "it lives")
 
 
-@pytest.mark.parametrize("error", [ValueError("bad"), SystemExit(1), KeyboardInterrupt()])
+@pytest.mark.parametrize("error", [ValueError("bad"), SystemExit(1), GeneratorExit()])
 def test_any_error_ends_the_actor_and_no_other(virtual, error):
     class Failing(Diary):
         def on_failure(self, exception_type, exception_value, traceback):
@@ -40,6 +40,53 @@ def test_any_error_ends_the_actor_and_no_other(virtual, error):
     assert virtual.kernel.dead_letters.count == 1
     (letter,) = [line for line in virtual.lines() if "dead letter" in line]
     assert "a/client/T failed 1 time on 'virtual_rig.number' #1 from a/client/Source" in letter
+
+
+@pytest.mark.parametrize("where", ["on_start", "number", "on_stop", "on_failure"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), type("Outcome", (BaseException,), {})()], ids=["^C", "other"])
+def test_interrupt_in_virtual_time_reaches_the_program(virtual, error, where):
+    """It counts as no failure of the actor, which gets no other turn; what its turn put off is done all the same."""
+    put_off = []
+
+    class Broken(Diary):
+        def on_start(self):
+            self.step("on_start")
+
+        @on("system", Number)
+        def number(self, packet):
+            super().number(packet)
+            self.step("number")
+            if where == "on_failure":
+                raise ValueError
+
+        def on_stop(self):
+            self.step("on_stop")
+
+        def on_failure(self, *failure):
+            self.step("on_failure")
+
+        def step(self, name):
+            if name == where:
+                defer(lambda: put_off.append(name))
+                raise error
+
+    ends = []
+    other = virtual.spawn(Diary, "a/client/Other")
+    broken = virtual.kernel.spawn(Broken, "a/client/T", exited=lambda component, error: ends.append(error))
+    with pytest.raises(type(error)) as raised:
+        virtual.settle()
+        virtual.send(Number(1))
+        virtual.settle()
+        broken.stop()
+        virtual.settle()
+    assert raised.value is error
+    assert put_off == [where]
+    done = list(broken.diary)
+    virtual.send(Number(2))
+    broken.stop()
+    virtual.settle()
+    assert (broken.diary, ends) == (done, [])
+    assert other.diary[-1] == 2
 
 
 def test_an_error_at_the_start_ends_it_before_it_handles_anything(virtual):

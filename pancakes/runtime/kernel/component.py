@@ -18,7 +18,7 @@ from pancakes.runtime.foundation.local_time import READER, LocalTime
 from pancakes.runtime.foundation.signatures import check_called, check_overrides
 from pancakes.runtime.kernel.call import Call
 from pancakes.runtime.kernel.channel_queue import ChannelQueue
-from pancakes.runtime.kernel.dispatch import TURN
+from pancakes.runtime.kernel.dispatch import TURN, is_for_program
 from pancakes.runtime.kernel.flag import Flag
 from pancakes.runtime.kernel.handlers import Subscription, period_of
 from pancakes.runtime.kernel.keep import Keep
@@ -299,21 +299,23 @@ class Component(PykkaActor):
         meter = self.kernel.meter
         begun_s = thread_time() if meter is not None else 0.0
         try:
-            if not self.__started:
-                self.__begin()
-            if mailbox.control:
-                self.__handle_control()
-            # A component that has ended has no mailbox any more.
-            if mailbox.waiting and not mailbox.paused and mailbox.component is self and self.acts():
-                self.__handle_data(math.inf if slice_s is None else self.kernel.host.now() + slice_s)
-        except BaseException as error:  # SystemExit in one actor must not end the others.
-            self.__finish(partial(self.__fail, error))
-        if self.after_turn is not None:
-            self.__finish(self.after_turn)
-        for function in deferred:  # which may put off more
-            self.__do_deferred(function)
-        TURN.deferred = None
-        READER.set(None)
+            try:
+                if not self.__started:
+                    self.__begin()
+                if mailbox.control:
+                    self.__handle_control()
+                # A component that has ended has no mailbox any more.
+                if mailbox.waiting and not mailbox.paused and mailbox.component is self and self.acts():
+                    self.__handle_data(math.inf if slice_s is None else self.kernel.host.now() + slice_s)
+            except BaseException as error:  # SystemExit in one actor must not end the others.
+                self.__raise_to_program(error)
+                if is_for_program(error):
+                    self.kernel.unraised(error)
+                self.__finish(partial(self.__fail, error))
+            if self.after_turn is not None:
+                self.__finish(self.after_turn)
+        finally:
+            self.__do_all_deferred(deferred)
         if meter is not None:
             meter.turn(self.address, thread_time() - begun_s)
         # A component that has ended keeps the token, so that what is put from now on waits for the successor.
@@ -325,7 +327,25 @@ class Component(PykkaActor):
         try:
             function()
         except BaseException as error:
+            self.__raise_to_program(error)
             self.__tell_failure(f"the end of {self.address}'s turn failed", error)
+
+    def __raise_to_program(self, error: BaseException) -> None:
+        """Raises an exception again that is for the program, if this turn runs on the program's own thread.
+
+        Its handlers may have been broken off anywhere, so this actor gets no other turn: it keeps the token, as one
+        does whose turn never ends.
+        """
+        if is_for_program(error) and self.kernel.virtual is not None:
+            raise error
+
+    def __do_all_deferred(self, deferred: list[Callable[[], None]]) -> None:
+        try:
+            for function in deferred:  # which may put off more
+                self.__do_deferred(function)
+        finally:
+            TURN.deferred = None
+            READER.set(None)
 
     def __do_deferred(self, function: Callable[[], None]) -> None:
         try:
@@ -447,6 +467,7 @@ class Component(PykkaActor):
         try:
             self.on_stop()
         except BaseException as failure:  # SystemExit, too, ends no more than this actor
+            self.__raise_to_program(failure)
             error = failure
         self.end_actor(error)
 
@@ -461,6 +482,7 @@ class Component(PykkaActor):
         try:
             self.on_failure(type(error), error, error.__traceback__)
         except BaseException as second:
+            self.__raise_to_program(second)
             self.__tell_failure(f"on_failure of {self.address} failed as well", second)
         self.end_actor(error)
 

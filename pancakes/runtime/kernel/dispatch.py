@@ -34,6 +34,16 @@ def defer(function: Callable[[], None]) -> None:
         TURN.deferred.append(function)
 
 
+def is_for_program(error: BaseException) -> bool:
+    """Tell whether an exception is for the program that runs an actor, and no failure of that actor.
+
+    A signal's handler raises such exceptions in the midst of whatever the main thread does: KeyboardInterrupt, the
+    time-out of a test. So do test frameworks to end a test: what `pytest.fail` and `pytest.skip` raise. Python's rule
+    is that no ordinary error derives from BaseException directly.
+    """
+    return not isinstance(error, (Exception, SystemExit, GeneratorExit))
+
+
 class Dispatcher(ABC):
     """Gives turns to components whose mailboxes have something in them."""
 

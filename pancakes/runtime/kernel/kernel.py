@@ -81,6 +81,8 @@ class Kernel:
         mission_changed: called once the mission has begun, or is known to begin; the agent sets it.
         meter: times all turns; None: nothing measures, and none is timed.
         lateness_heard: told of each tick of a task how late it was, in the task's turn; see `hear_lateness`.
+        unraised: called with an exception that is for the program (`dispatch.is_for_program`), but was raised on a
+            thread of the kernel's own, where it counts as the failure of an actor. In that thread; tests set it.
     """
 
     def __init__(
@@ -118,6 +120,7 @@ class Kernel:
         self.mission_changed: Callable[[], None] = lambda: None
         self.meter: TurnMeter | None = None
         self.lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...] = ()
+        self.unraised: Callable[[BaseException], None] = lambda error: None
         self._seqs: dict[str, Counter] = {}
         self._lock = threading.Lock()
         self.timer: Timer
