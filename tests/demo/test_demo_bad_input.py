@@ -57,6 +57,12 @@ def test_demo_refuses_faults_without_virtual_time(out: Path) -> None:
     assert result.exit_code == USAGE and "--virtual" in result.output
 
 
+def test_demo_refuses_control_without_a_live_page(out: Path) -> None:
+    for words, said in ((("--control",), "--view"), (("--view", "--control", "--virtual"), "--virtual")):
+        result = demo("encirclement", *words, "--out", out)
+        assert result.exit_code == USAGE and said in result.output and not out.exists()
+
+
 def test_demo_with_leases_refuses_a_higher_speed(out: Path) -> None:
     result = demo("rescue", "--live", "--headless", "--speed", "12.5", "--out", out)
     assert result.exit_code == USAGE and not out.exists()

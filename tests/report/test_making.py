@@ -76,13 +76,20 @@ def written(path, entries, clock="time of day"):
     return path
 
 
-@pytest.fixture
-def recording(tmp_path):
-    folder = tmp_path / "run"
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A recording of two robots; tests only read it."""
+    folder = tmp_path_factory.mktemp("made") / "run"
     folder.mkdir()
     for agent in ("a", "b"):
         written(folder / f"{agent}.mcap", mission(agent))
     return folder
+
+
+@pytest.fixture(scope="module")
+def made(recording, tmp_path_factory):
+    """The report on that recording; tests only read it."""
+    return make_report(recording, tmp_path_factory.mktemp("report") / "out")
 
 
 class Page(HTMLParser):
@@ -117,22 +124,22 @@ class Page(HTMLParser):
         self.text += data
 
 
-def test_a_report_has_a_page_figures_and_each_picture_as_png_and_svg(recording, tmp_path):
-    made = make_report(recording, tmp_path / "out")
+def test_report_has_a_page_figures_and_pictures(made):
     names = {file.name for file, _ in made.files}
     assert names == {"report.html", "report.json"} | {f"{it}{end}" for it in PICTURES for end in (".png", ".svg")}
+    out = made.page.parent
     for name in PICTURES:
-        assert (tmp_path / "out" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-        root = ElementTree.parse(tmp_path / "out" / f"{name}.svg").getroot()
+        assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        root = ElementTree.parse(out / f"{name}.svg").getroot()
         assert float(root.attrib["width"].removesuffix("pt")) <= 72 * 7.2
     assert made.notes == ()
-    figures = json.loads((tmp_path / "out" / "report.json").read_text())
+    figures = json.loads((out / "report.json").read_text())
     assert figures["moves"][0]["answers"][1]["reason"] == "<lacks> motors"
     assert figures["reactions"][0]["count"] == 30
 
 
-def test_the_page_needs_nothing_but_itself_and_says_what_was_found(recording, tmp_path):
-    page = Page(make_report(recording, tmp_path / "out").page.read_text())
+def test_report_page_needs_nothing_but_itself(made):
+    page = Page(made.page.read_text())
     assert page.open == []
     assert all(link.startswith("#") for link in page.links)
     assert {link[1:] for link in page.links} <= set(page.ids)
@@ -142,31 +149,36 @@ def test_the_page_needs_nothing_but_itself_and_says_what_was_found(recording, tm
     assert "a & b < c" in page.text
     assert "60 commands to actuators; each of them answers a packet that was recorded." in page.text
     assert "30 times: p50 3 ms, p90 3 ms, p99 3 ms" in page.text
-    html = (tmp_path / "out" / "report.html").read_text()
+    html = made.page.read_text()
     assert "http://" not in re.sub(r'xmlns(:xlink)?="[^"]+"', "", html)
     assert "prefers-color-scheme: dark" in html
     assert "@media print" in html
     assert "currentColor" in html
 
 
-def test_the_same_recording_gives_the_same_bytes(recording, tmp_path):
-    for out in ("one", "two"):
-        make_report(recording, tmp_path / out)
-    for file in (tmp_path / "one").iterdir():
-        assert file.read_bytes() == (tmp_path / "two" / file.name).read_bytes(), file.name
+def test_report_verb_writes_the_same_bytes_beside_the_recording(recording, made):
+    result = CliRunner().invoke(pancakes, ["report", str(recording), "--format", "json"])
+    assert result.exit_code == 0, result.output
+    beside = recording.parent / "run-report"
+    assert json.loads(result.stdout)[0] == {"file": str(beside / "report.html"), "shows": "the report"}
+    for file, _ in made.files:
+        assert file.read_bytes() == (beside / file.name).read_bytes(), file.name
+    assert CliRunner().invoke(pancakes, ["report", str(recording / "nothing.mcap")]).exit_code == 1
 
 
-def test_a_recording_that_was_cut_off_is_reported_as_far_as_it_goes(recording, tmp_path):
-    cut = recording / "a.mcap"
-    cut.write_bytes(cut.read_bytes()[: int(cut.stat().st_size * 0.6)])
-    made = make_report(cut, tmp_path / "out")
-    (note,) = made.notes
-    assert "a.mcap is cut off" in note
-    assert "is not in this report" in note
-    assert "a.mcap is cut off" in Page(made.page.read_text()).text
+def test_report_of_a_cut_recording_goes_as_far_as_it_can(recording, tmp_path):
+    """It is made by the verb of one file, and of one task."""
+    cut = tmp_path / "a.mcap"
+    whole = (recording / "a.mcap").read_bytes()
+    cut.write_bytes(whole[: int(len(whole) * 0.6)])
+    result = CliRunner().invoke(pancakes, ["report", str(cut), "--task", "a/Scan"])
+    assert result.exit_code == 0, result.output
+    assert "a.mcap is cut off" in result.output and "is not in this report" in result.output
+    text = Page((tmp_path / "a-report" / "report.html").read_text()).text
+    assert "a.mcap is cut off" in text and "a/Scan" in text
 
 
-def test_a_fleet_without_a_world_or_anything_that_moves_has_a_report_too(tmp_path):
+def test_report_of_a_fleet_in_which_nothing_moves(tmp_path):
     say = [
         RecordedPacket(n * S, "solo", Packet("log", "line", "solo/x", "", n, n, LogLine("info", "hm")))
         for n in range(3)
@@ -179,7 +191,7 @@ def test_a_fleet_without_a_world_or_anything_that_moves_has_a_report_too(tmp_pat
     assert "No actuator was commanded." in text
 
 
-def test_a_world_gives_the_true_paths(tmp_path):
+def test_report_draws_the_true_paths_of_a_world(tmp_path):
     robot, node = BodyState("a", "robot", 0.0, 0.0, 0.0, 0.1, 0.0), BodyState("n", "sensor", 1.0, 1.0, 0.0, 0.0, 0.0)
     states = []
     for n in range(3):
@@ -190,35 +202,21 @@ def test_a_world_gives_the_true_paths(tmp_path):
     assert "in virtual time" in Page(made.page.read_text()).text
 
 
-def test_a_report_on_a_task_that_is_not_there_is_refused(recording, tmp_path):
+def test_report_refuses_a_task_that_is_not_recorded(recording, tmp_path):
     with pytest.raises(PancakesError, match="no task 'a/Nobody' is in"):
         make_report(recording, tmp_path / "out", "a/Nobody")
     assert not (tmp_path / "out").exists()
-    made = make_report(recording, tmp_path / "out", "a/Scan")
-    assert "a/Scan" in Page(made.page.read_text()).text
 
 
-def test_without_matplotlib_it_says_what_to_install(recording, tmp_path, monkeypatch):
+def test_report_names_the_extra_if_matplotlib_is_missing(recording, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(PancakesError, match=r"drawn without matplotlib: pip install 'pancakes-agents\[demo\]'"):
         make_report(recording, tmp_path / "out")
 
 
-def test_a_place_that_cannot_be_written_and_an_empty_recording_are_sentences(recording, tmp_path):
+def test_report_refuses_a_bad_place_and_an_empty_recording(recording, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(PancakesError, match="the report cannot be written to .*: Not a directory"):
         make_report(recording, tmp_path / "file" / "out")
     with pytest.raises(PancakesError, match="has no packets"):
         make_report(written(tmp_path / "empty.mcap", []), tmp_path / "out")
-
-
-def test_the_verb_lists_the_files_and_puts_them_beside_the_recording(recording):
-    result = CliRunner().invoke(pancakes, ["report", str(recording), "--format", "json"])
-    assert result.exit_code == 0, result.output
-    rows = json.loads(result.stdout)
-    assert rows[0] == {"file": str(recording.parent / "run-report" / "report.html"), "shows": "the report"}
-    result = CliRunner().invoke(pancakes, ["report", str(recording / "a.mcap")])
-    assert (recording / "a-report" / "report.html").exists()
-    result = CliRunner().invoke(pancakes, ["report", str(recording / "nothing.mcap")])
-    assert result.exit_code == 1
-    assert "there is no recording" in result.output

@@ -26,25 +26,25 @@ def test_few_commands_are_all_kept(picked):
     assert [it.steps[-1].packet.seq for it in actuator.commands()] == list(range(1, 101))
 
 
-def test_of_many_evenly_spread_ones_and_the_slowest_are_kept(picked):
-    for number in range(100_000):
-        picked.add(command(number, latency_ms=50.0 if number in (12_345, 77_777) else 2.0))
+def test_picked_commands_are_spread_evenly_and_the_slowest(picked):
+    for number in range(20_000):
+        picked.add(command(number, latency_ms=50.0 if number in (2_345, 17_777) else 2.0))
     (actuator,) = picked.actuators()
     kept = actuator.commands()
-    assert actuator.count == 100_000
+    assert actuator.count == 20_000
     assert MOST_EVEN_EACH / 2 <= len(kept) <= MOST_EVEN_EACH + MOST_SLOW
-    assert [it.steps[-1].packet.seq for it in actuator.slowest()[:2]] == [12_346, 77_778]
+    assert [it.steps[-1].packet.seq for it in actuator.slowest()[:2]] == [2_346, 17_778]
     seqs = [it.steps[-1].packet.seq for it in kept]
-    assert seqs == sorted(seqs) and {12_346, 77_778} <= set(seqs)
-    assert all((number * actuator.stride) + 1 in seqs for number in range(100_000 // actuator.stride))
+    assert seqs == sorted(seqs) and {2_346, 17_778} <= set(seqs)
+    assert all((number * actuator.stride) + 1 in seqs for number in range(20_000 // actuator.stride))
 
 
-def test_many_actuators_share_what_there_is_room_for(picked):
-    for number in range(2000):
+def test_picked_actuators_share_what_there_is_room_for(picked):
+    for number in range(500):
         for robot in range(MOST_ACTUATORS + 1):
             picked.add(command(number, agent=f"r{robot:03}"))
     assert len(picked.actuators()) == MOST_ACTUATORS
-    assert picked.left_out == 2000
+    assert picked.left_out == 500
     assert sum(len(it.commands()) for it in picked.actuators()) <= 24_000 + MOST_ACTUATORS * MOST_SLOW
     assert len(json.dumps(picked.plain())) < 3_000_000
 

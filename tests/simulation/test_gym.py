@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import warnings
 
 import gymnasium
@@ -36,24 +34,6 @@ def test_the_checker_of_gymnasium_passes_it():
         warnings.simplefilter("error")
         made = gymnasium.make(ID, render_mode="rgb_array")
         check_env(made.unwrapped)
-
-
-def test_it_is_made_by_its_name_alone_in_a_program_that_imports_nothing_else():
-    program = f"import gymnasium; print(gymnasium.make('pancakes.gym:{ID}').spec.max_episode_steps)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["600"]
-
-
-def test_without_gymnasium_it_says_which_extra_brings_it():
-    program = (
-        "import sys; sys.modules['gymnasium'] = None\n"
-        "from pancakes.errors import PancakesError\n"
-        "try:\n    import pancakes.gym\nexcept PancakesError as error:\n    print(error)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout == (
-        "no learning environment can be made without gymnasium: pip install 'pancakes-agents[gym]'\n"
-    )
 
 
 def test_a_robot_that_is_steered_to_its_goal_gets_there_and_is_paid_for_the_way(environment):

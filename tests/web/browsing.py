@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import urllib.request
 from typing import Any
 
 from cli.processes import Rig
@@ -49,6 +50,12 @@ def view(rig: Rig, *options: str) -> str:
     )
 
 
+def fetched(address: str) -> str:
+    """Returns the page at an address, without what only a browser would load."""
+    with urllib.request.urlopen(address.partition("#")[0], timeout=20.0) as response:
+        return str(response.read().decode())
+
+
 def drag(page: Any, source: Any, target: Any) -> None:
     """Drags as a hand does."""
     start, end = place(source), place(target)
@@ -59,7 +66,7 @@ def drag(page: Any, source: Any, target: Any) -> None:
 
 
 def place(target: Any) -> Any:
-    """Returns where something is on the page, once it is there: a card that is drawn anew may hide it for a moment."""
+    """Returns where something is on the page, once it is there: a card that is drawn again may hide it for a moment."""
     while (box := target.bounding_box()) is None:
         target.wait_for()  # to be seen; it has a limit of its own
     return box

@@ -30,12 +30,12 @@ def cell(*texts: str) -> nbformat.NotebookNode:
     return nbformat.v4.new_code_cell("print()", outputs=outputs)
 
 
-def test_it_prints_what_is_kept_of_it():
+def test_notebook_prints_what_is_kept_of_it():
     done = subprocess.run([sys.executable, str(SCRIPT), "--check"], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_cell_that_prints_something_else_is_named(notebook):
+def test_notebook_names_a_cell_that_prints_something_else(notebook):
     kept = nbformat.v4.new_notebook(cells=[cell("one\n"), cell("two\n", "three\n")])
     same = nbformat.v4.new_notebook(cells=[cell("one\n"), cell("two\nthree\n")])
     other = nbformat.v4.new_notebook(cells=[cell("one\n"), cell("two\n")])
@@ -45,7 +45,7 @@ def test_a_cell_that_prints_something_else_is_named(notebook):
     assert len(notebook.joined(kept.cells[1].outputs)) == 1
 
 
-def test_a_cell_that_fails_ends_the_run(notebook):
+def test_notebook_run_ends_at_a_cell_that_fails(notebook):
     broken = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("1 / 0")])
     with pytest.raises(notebook.CellExecutionError, match="ZeroDivisionError"):
         notebook.run(broken)
