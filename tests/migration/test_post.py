@@ -1,9 +1,10 @@
 """Packets to a task: the books of the sender and of the receiver, event by event."""
 
-import random
 from itertools import pairwise
 
 import pytest
+from migration.bad_networks import SCAN, STREAM, post_over_a_bad_network
+from seeded import for_each
 
 from pancakes.errors import MailboxFull
 from pancakes.mesh.migration.outbox import Outbox
@@ -27,9 +28,6 @@ from pancakes.mesh.migration.post import (
 )
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import Packet
-
-SCAN = TaskId("a", "Scan")
-STREAM = "me/1"
 
 
 @pytest.fixture
@@ -217,50 +215,12 @@ class TestTheReceiver:
         assert filter_.is_old("s0", 2) and not filter_.is_old("s1", 1)
 
 
-@pytest.mark.parametrize("seed", range(50))
-def test_over_a_network_that_loses_doubles_and_reorders_everything_has_its_effect_once_and_in_order(seed):
-    """The receiver moves, with its filter; and at times it goes back to a checkpoint of all that it acknowledged."""
-    source = random.Random(seed)
-    out, filter_ = Outgoing(STREAM, "me"), Incoming()
-    effects: list[int] = []
-    checkpoint: tuple[list[int], dict[str, int]] = ([], {})
-    host, epoch_n, posted, now_s = "a", 0, 0, 0.0
-    wire = []
-
-    def lose_and_double(dispatches):
-        for dispatch in dispatches:
-            wire.extend([dispatch] * source.choice([0, 1, 1, 2]))
-
-    while posted < 300 or out.waiting():
-        now_s += 0.02
-        assert now_s < 2000.0
-        if posted < 300 and source.random() < 0.5:
-            posted += 1
-            lose_and_double(out.post(SCAN, str(posted).encode(), "a", now_s))
-        lose_and_double(out.due(now_s))
-        if source.random() < 0.03:
-            host, epoch_n = source.choice("abc"), epoch_n + 1
-        if source.random() < 0.02:
-            effects, filter_ = list(checkpoint[0]), Incoming(checkpoint[1])
-        for _ in range(min(len(wire), source.randrange(6))):
-            dispatch = wire.pop(source.randrange(len(wire)) if source.random() < 0.3 else 0)
-            letter, peer = dispatch.letter, dispatch.peer or host
-            if peer != host:
-                lose_and_double(out.forwarded(ForwardTo("a/Scan", host, epoch_n), peer, now_s))
-                continue
-            if filter_.is_next(letter.stream, letter.seq, letter.first):
-                effects.append(int(letter.packet))
-                filter_.took(letter.stream, letter.seq)
-            elif not filter_.is_old(letter.stream, letter.seq):
-                continue
-            if source.random() < 0.5:  # the acknowledgement follows the checkpoint, and may be lost
-                checkpoint = list(effects), filter_.heard()
-                if source.random() < 0.8:
-                    lose_and_double(out.acknowledged(receipt(len(effects), epoch_n), host, now_s))
-    assert effects == list(range(1, 301))
+def test_post_over_a_bad_network_arrives_once_and_in_order():
+    """More seeds: `test_post_full.py`."""
+    for_each(range(3), post_over_a_bad_network)
 
 
-def test_what_waits_is_bounded_in_bytes_too_but_one_may_always_wait():
+def test_post_is_bounded_in_bytes_except_the_first():
     outgoing = Outgoing("s", "a")
     outgoing.post(SCAN, bytes(WINDOW_BYTES + 1), "b", 0.0)
     with pytest.raises(MailboxFull, match=r"1 packets for the task a/Scan \(\d+ bytes\) wait"):
@@ -284,18 +244,18 @@ def test_what_waits_is_bounded_in_bytes_too_but_one_may_always_wait():
         ("b", "bb/client/T", "bb/client/T"),
     ],
 )
-def test_a_letter_bears_the_names_of_the_agent_alone_that_brings_it(sender, source, other):
+def test_letter_has_the_name_of_its_bringer(sender, source, other):
     packet = Packet("chat", "words", source, "task:a/Scan", 0.0, 1, None) if source else None
     assert false_name(Letter("a/Scan", STREAM, 1, 1, b"", sender), packet, "b") == other
 
 
 @pytest.mark.parametrize("count", [0, 1, ASKED])
-def test_so_few_neighbours_are_all_asked_each_time(count):
+def test_asked_neighbours_are_all_if_they_are_few(count):
     names = [f"n{number:02d}" for number in range(count)]
     assert asked_now(names, 0.0) == asked_now(names, 10 * LONGEST_S) == names
 
 
-def test_of_more_neighbours_each_is_asked_in_its_turn():
+def test_asked_neighbours_take_turns_if_they_are_many():
     names = [f"n{number:02d}" for number in range(5 * ASKED)]
     asked = [asked_now(names, (turn + 0.5) * LONGEST_S) for turn in range(5)]
     assert sorted(name for some in asked for name in some) == names

@@ -1,4 +1,7 @@
-"""Guarded tasks in drawn storms, and with bad clocks: whatever happens, never do two act; at the end one does."""
+"""Guarded tasks in drawn storms, and with bad clocks: never do two act, and at the end one does.
+
+A few storms; `test_guarded_storms_full.py` has many more.
+"""
 
 import pytest
 from torture.storms import DONE, Act, run_storms
@@ -7,25 +10,26 @@ from pancakes.mesh.migration.record import TaskId
 from pancakes.testing import FleetInTest
 
 ACT = TaskId("a", "Act")
-SEEDS = 200
+SEEDS = (1, 14, 18)
+"""Quick ones in which other agents take over and the task moves."""
 CAUGHT = 33
-"""A seed in which two agents act where their clocks differ by more than leases allow for."""
+"""A seed in which two agents act if their clocks differ by more than leases allow for."""
 
 
-@pytest.mark.parametrize("first", range(0, SEEDS, 20))
-def test_never_do_two_act_and_at_the_end_one_does_with_clocks_that_are_wrong_by_one_percent(first):
-    ends = list(run_storms(range(first, first + 20), 0.01))
+def test_guarded_storms_have_one_owner_with_clocks_one_percent_apart():
+    ends = list(run_storms(SEEDS, 0.01))
     assert {end.seed: end.violation for end in ends if end.violation} == {}
-    assert sum(end.counts["taken"] for end in ends) > 5
+    assert sum(end.counts["taken"] for end in ends) >= 5
 
 
-def test_two_act_in_a_storm_where_clocks_are_wrong_by_ten_percent():
+def test_guarded_storms_catch_clocks_ten_percent_apart():
     (end,) = run_storms([CAUGHT], 0.1)
     assert end.two, end.violation
 
 
 @pytest.mark.parametrize(("apart", "holds"), [(0.01, True), (0.05, True), (0.1, False)])
-def test_clocks_may_differ_by_five_percent_and_by_no_more_than_a_lease_is_longer_than_a_permit(apart, holds):
+def test_guarded_task_needs_clocks_five_percent_apart_at_most(apart, holds):
+    """A lease is longer than a permit by just that."""
     DONE.clear()
     with FleetInTest(seed=7, classes={"test.Act": Act}) as fleet:
         task = {"type": Act, "guard": 3, "lease_s": 10.0}

@@ -1,11 +1,12 @@
 """What follows a hand-over: `then`, and the account. Neither is forgotten where an agent is started anew in between."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from seeded import for_each
+from services.sequels import Circle, Home, follows_after_a_death, moving, two
 
-from pancakes.control import Migrate, Migrations, Stop
+from pancakes.control import Migrate, Migrations
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.net.memory import Quality
@@ -13,22 +14,8 @@ from pancakes.packet import SYSCTRL
 from pancakes.runtime.hosting.bidding_messages import MIGRATOR, HasMoved, MoveOver, Negotiate
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.service import Service
-from pancakes.task import Task, every
+from pancakes.task import Task
 from pancakes.testing import FleetInTest
-
-
-class Circle(Task):
-    @dataclass
-    class State:
-        n: int = 0
-
-    @every(hz=10)
-    def tick(self, tick):
-        self.state.n += 1
-
-
-class Home(Circle):
-    pass
 
 
 class Listens(Task):
@@ -48,58 +35,12 @@ class Surveys(ClientService):
     """A service of a user's own."""
 
 
-def two(seed=3):
-    fleet = FleetInTest(seed, classes={"test.Circle": Circle, "test.Home": Home})
-    fleet.start("a", tasks={"Circle": Circle, "Home": {"type": Home, "start": False}})
-    fleet.start("b")
-    fleet.connect()
-    fleet.network.set_quality("a", "b", Quality(latency_s=0.01))
-    return fleet
+def test_sequel_follows_once_wherever_the_source_dies():
+    """It dies some steps after the point of no return; `test_sequel_full.py` tries each step."""
+    for_each(range(0, 60, 7), follows_after_a_death)
 
 
-def phase(fleet, agent, name="Circle"):
-    place = fleet.agents[agent].component("client").places.get(TaskId("a", name))
-    return place.standing.record.phase if place is not None else Phase.ABSENT
-
-
-def until(fleet, condition):
-    begin_s = fleet.now()
-    while not condition():
-        assert fleet.fleet.dispatcher.step() and fleet.now() < begin_s + 20.0
-
-
-def moving(fleet, wanted, **others):
-    """a moves Circle, and is stopped at the moment when its record is so."""
-    fleet.run_for(1.0)
-    asked = fleet.agents["a"].publish(SYSCTRL, Migrate("Circle", **others))
-    until(fleet, lambda: phase(fleet, "a") is wanted)
-    return asked
-
-
-@pytest.mark.parametrize("first", range(0, 60, 6))
-def test_wherever_the_source_dies_after_the_point_of_no_return_the_other_task_follows_once(first):
-    for steps in range(first, first + 6):
-        with two() as fleet:
-            moving(fleet, Phase.COMMITTED, then="Home")
-            for _ in range(steps):
-                fleet.fleet.dispatcher.step()
-            fleet.crash("a")
-            fleet.run_for(1.0)
-            a = fleet.restart("a")
-            fleet.run_for(20.0)
-            assert fleet.agents["b"].running() == ["Circle"]
-            assert a.running() == ["Home"], f"a died {steps} steps after COMMITTED"
-            (account,) = a.ask(Migrations()).result
-            assert (account["outcome"], account["winner"]) == ("moved", "b")
-            # It has followed: who stops it has the last word.
-            assert a.ask(Stop("Home")).ok
-            fleet.crash("a")
-            a = fleet.restart("a")
-            fleet.run_for(1.0)
-            assert a.running() == []
-
-
-def test_a_task_that_is_to_follow_and_is_configured_no_more_is_named():
+def test_sequel_that_is_configured_no_more_is_named():
     with two() as fleet:
         moving(fleet, Phase.COMMITTED, then="Home")
         fleet.crash("a")
@@ -114,7 +55,7 @@ def test_a_task_that_is_to_follow_and_is_configured_no_more_is_named():
 
 
 @pytest.mark.parametrize("wanted", [Phase.FROZEN, Phase.COMMITTED])
-def test_the_account_says_that_the_source_was_started_anew(wanted):
+def test_account_after_a_restart_of_the_source(wanted):
     with two() as fleet:
         moving(fleet, wanted, then="Home")
         fleet.crash("a")
@@ -135,7 +76,7 @@ def test_the_account_says_that_the_source_was_started_anew(wanted):
         assert len(a.events("migration")) == 1
 
 
-def test_what_a_rule_lets_follow_is_not_what_a_command_lets_follow():
+def test_sequel_of_a_rule_is_not_that_of_a_command():
     """A move that was asked for without `then` lets nothing follow, also where the task has a rule."""
     with FleetInTest(3, classes={"test.Circle": Circle, "test.Home": Home}) as fleet:
         rule = {"when": "battery", "below": 0.1, "then": "Home"}
@@ -162,7 +103,7 @@ def restart_migrator(agent):
 
 
 @pytest.mark.parametrize("wanted", [Phase.FROZEN, Phase.COMMITTED])
-def test_a_migrator_that_is_started_anew_ends_no_hand_over(wanted):
+def test_hand_over_outlives_a_restart_of_the_migrator(wanted):
     """Whoever asked hears how it really ended."""
     with two() as fleet:
         asked = moving(fleet, wanted, then="Home")
@@ -177,7 +118,7 @@ def test_a_migrator_that_is_started_anew_ends_no_hand_over(wanted):
         assert account["reason"].startswith("the Task Migrator of a was started anew")
 
 
-def test_a_migrator_that_is_started_anew_tells_who_waits_for_bids_that_they_are_lost():
+def test_bids_are_lost_if_the_migrator_restarts():
     with two() as fleet:
         fleet.run_for(1.0)
         a = fleet.agents["a"]
@@ -189,7 +130,7 @@ def test_a_migrator_that_is_started_anew_tells_who_waits_for_bids_that_they_are_
         assert a.ask(Migrate("Circle")).ok
 
 
-def test_after_the_migrator_was_started_anew_a_hand_over_that_fails_ends_the_move():
+def test_failed_hand_over_after_a_restart_of_the_migrator():
     with two() as fleet:
         asked = moving(fleet, Phase.FROZEN)
         a = fleet.agents["a"]
@@ -204,7 +145,7 @@ def test_after_the_migrator_was_started_anew_a_hand_over_that_fails_ends_the_mov
 
 
 @pytest.mark.parametrize("service", [Surveys, None])
-def test_a_tombstone_belongs_to_the_service_that_wrote_it(service):
+def test_tombstone_belongs_to_the_service_that_wrote_it(service):
     """After a reboot too: it answers and forwards for a task that no configuration here names."""
     assert service is None or issubclass(service, Service)
     services = {"surveys": Surveys}
@@ -232,7 +173,7 @@ def test_a_tombstone_belongs_to_the_service_that_wrote_it(service):
 
 
 @pytest.mark.parametrize("wanted", [Phase.FROZEN, Phase.COMMITTED])
-def test_where_the_service_alone_is_started_anew_it_is_as_where_the_agent_is(wanted):
+def test_sequel_after_a_restart_of_the_service_only(wanted):
     with two() as fleet:
         moving(fleet, wanted, then="Home")
         a = fleet.agents["a"]
@@ -249,7 +190,7 @@ def test_where_the_service_alone_is_started_anew_it_is_as_where_the_agent_is(wan
 
 
 @pytest.mark.parametrize("negotiates", ["Owner", "Guardian"])
-def test_a_service_whose_task_has_moved_hears_once_that_it_is_accounted_for(negotiates):
+def test_service_hears_once_that_its_move_is_accounted(negotiates):
     with FleetInTest(3) as fleet:
         a = fleet.start("a", tasks={"Owner": Listens, "Guardian": Listens})
         fleet.start("b")
