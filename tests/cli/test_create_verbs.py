@@ -1,8 +1,6 @@
 """`pancakes task create|remove` and `config show AGENT`, on agents that run."""
 
-import json
 import signal
-from typing import Any
 
 from cli.processes import Rig
 
@@ -27,33 +25,22 @@ class Count(Task):
 ENTRY_POINTS = "[pancakes.tasks]\ncount.Count = plugin_count:Count\n"
 
 
-def rows(rig: Rig, *arguments: str) -> list[dict[str, Any]]:
-    """Runs a command that does what it is asked, and returns what it printed as JSON."""
-    result = rig.pancakes(*arguments, "--format", "json")
-    assert result.returncode == 0, result.stderr
-    found: list[dict[str, Any]] = json.loads(result.stdout)
-    return found
-
-
-def test_a_task_is_created_outlives_its_agent_is_kept_in_a_file_and_removed(rig: Rig):
+def test_task_create_outlives_its_agent_and_fits_a_file(rig: Rig):
     rig.install("count", ENTRY_POINTS, SOURCE)
     first = rig.ready("a")
     options = ("--type", "count.Count", "--set", "step=100", "--rate", "40", "--key", "restart.policy=temporary")
-    (row,) = rows(rig, "task", "create", "a/Count", *options)
+    (row,) = rig.listed("task", "create", "a/Count", *options)
     assert (row["task_id"], row["epoch"], row["done"]) == ("a/Count", 1, "created")
     first.hear("counted n=200")
     again = rig.pancakes("task", "create", "a/Count", *options)
-    assert (again.returncode, again.stderr) == (
-        1,
-        "a/client/Count is there already, and running: choose another name\n",
-    )
+    assert again.returncode == 1 and "choose another name" in again.stderr
     wrong = rig.pancakes("task", "create", "a/Other", "--type", "count.Count", "--set", "stepp=1", "--dry-run")
-    assert (wrong.returncode, wrong.stderr) == (1, "[task.Other] settings.stepp: unknown key, did you mean 'step'?\n")
+    assert wrong.returncode == 1 and "[task.Other] settings.stepp" in wrong.stderr
 
     first.signalled(signal.SIGKILL)
     second = rig.ready("a")
     second.hear("counted n=")
-    (info,) = rows(rig, "task", "info", "a/Count")
+    (info,) = rig.listed("task", "info", "a/Count")
     assert (info["settings"], info["rate_hz"], info["restart"]["policy"]) == ({"step": 100}, 40.0, "temporary")
     told = " ".join(rig.pancakes("task", "info", "a/Count").stdout.split())
     assert info["created"] and " in a file no: it was created " in told
@@ -72,17 +59,19 @@ def test_a_task_is_created_outlives_its_agent_is_kept_in_a_file_and_removed(rig:
     third.signalled(signal.SIGTERM)
 
     rig.ready("a")
-    (row,) = rows(rig, "task", "remove", "a/Count")
+    (row,) = rig.listed("task", "remove", "a/Count")
     assert (row["task"], row["done"]) == ("Count", "removed")
-    assert [row["task"] for row in rows(rig, "task", "list") if row["type"] == "count.Count"] == []
+    assert [row["task"] for row in rig.listed("task", "list") if row["type"] == "count.Count"] == []
     assert "task.Count" not in rig.pancakes("config", "show", "a").stdout
 
 
-def test_a_created_task_that_has_moved_is_removed_where_it_is(rig: Rig):
+def test_task_remove_is_asked_where_the_task_is(rig: Rig):
     rig.install("count", ENTRY_POINTS, SOURCE)
     first = rig.ready("a")
     rig.ready("b", agent=f'peers = ["{rig.address(first)}"]')
     first.hear("peer_up peer=b")
+    made = rig.pancakes("task", "create", "a/Alone", "--type", "count.Count", "--guard", "3")
+    assert made.returncode == 0 and "see pancakes task guards" in made.stderr
     assert rig.pancakes("task", "create", "a/Count", "--type", "count.Count").returncode == 0
     assert rig.pancakes("task", "migrate", "a/Count").returncode == 0
     refused = rig.pancakes("task", "remove", "a/Count")
@@ -90,31 +79,16 @@ def test_a_created_task_that_has_moved_is_removed_where_it_is(rig: Rig):
     assert rig.pancakes("task", "remove", "b/Count").returncode == 0
 
 
-def test_what_is_neither_a_file_nor_an_agent_is_said(rig: Rig):
+def test_config_show_takes_a_file_or_an_agent(rig: Rig):
     rig.ready("a")
-    refused = rig.pancakes("config", "show", "b")
-    assert refused.returncode == 3 and "there is no file 'b'" in refused.stderr
-    assert "--set is for what a file says" in rig.pancakes("config", "show", "a", "--set", "clock.speed=2").stderr
-
-
-def test_a_folder_may_bear_the_name_of_an_agent(rig: Rig):
-    rig.ready("a")
-    for name in ("a", "b"):
-        (rig.directory / name).mkdir(exist_ok=True)
+    for name in ("a", "c"):
+        (rig.directory / name).mkdir()
     shown = rig.pancakes("config", "show", "a")
-    assert shown.returncode == 0 and 'name = "a"' in shown.stdout, shown.stderr
-    refused = rig.pancakes("config", "show", "b")
-    assert (refused.returncode, refused.stderr) == (3, "no agent 'b' answers, and that is a folder\n")
-
-
-def test_a_key_that_has_an_option_is_said_once(rig: Rig):
-    refused = rig.pancakes("task", "create", "a/Count", "--type", "count.Count", "--guard", "5", "--key", "guard=3")
-    assert refused.returncode == 2 and "--guard and --key guard say the same: give one of them" in refused.stderr
-
-
-def test_a_guarded_task_is_said_to_be_guarded_by_its_agent_alone_at_first(rig: Rig):
-    rig.install("count", ENTRY_POINTS, SOURCE)
-    rig.ready("a")
-    made = rig.pancakes("task", "create", "a/Alone", "--type", "count.Count", "--guard", "3")
-    assert made.returncode == 0, made.stderr
-    assert "a alone guards it until other agents have agreed to: see pancakes task guards" in made.stderr
+    assert shown.returncode == 0 and 'name = "a"' in shown.stdout, "a folder may bear the name of an agent"
+    for words, code, said in (
+        (("b",), 3, "there is no file 'b'"),
+        (("c",), 3, "no agent 'c' answers, and that is a folder"),
+        (("a", "--set", "clock.speed=2"), 2, "--set is for what a file says"),
+    ):
+        refused = rig.pancakes("config", "show", *words)
+        assert refused.returncode == code and said in refused.stderr

@@ -70,11 +70,6 @@ def read(reader: Path, *arguments: str) -> dict[str, dict[str, Any]]:
     return {row["topic"]: row for row in map(json.loads, done.stdout.splitlines())}
 
 
-def agent_with_a_ring(rig: Rig) -> None:
-    rig.install("ring", "[pancakes.tasks]\nring.Ring = plugin_ring:Ring\n", SOURCE)
-    rig.ready("a", DEVICES)
-
-
 def check(found: dict[str, dict[str, Any]]) -> None:
     for topic, schema in VIEWED.items():
         assert found[topic]["schemaName"] == schema and found[topic]["faults"] == [], found[topic]
@@ -84,8 +79,9 @@ def check(found: dict[str, dict[str, Any]]) -> None:
     assert found["/a/system/ir"]["last"]["body"]["ranges_m"] == [0.2, 0.1, 0.3]
 
 
-def test_foxglove_reads_a_recording(rig: Rig, reader: Path):
-    agent_with_a_ring(rig)
+def test_foxglove_reads_a_recording_and_a_fleet_that_runs(rig: Rig, reader: Path):
+    rig.install("ring", "[pancakes.tasks]\nring.Ring = plugin_ring:Ring\n", SOURCE)
+    rig.ready("a", DEVICES)
     began = rig.pancakes("record", "start")
     assert began.returncode == 0, began.stderr
     assert rig.pancakes("channel", "echo", "a/system", "--type", "ir", "--count", "20").returncode == 0
@@ -93,9 +89,6 @@ def test_foxglove_reads_a_recording(rig: Rig, reader: Path):
     (path,) = rig.directory.rglob("*.mcap")
     check(read(reader, "file", str(path)))
 
-
-def test_foxglove_sees_a_fleet_while_it_runs(rig: Rig, reader: Path):
-    agent_with_a_ring(rig)
     view = rig.run("-u", "-m", "pancakes.tools.cli.main", "view", "--foxglove", whole=True)
     address = view.hear("Foxglove opens the fleet ").rpartition(" ")[2]
     began_ns = time.time_ns()
@@ -106,25 +99,18 @@ def test_foxglove_sees_a_fleet_while_it_runs(rig: Rig, reader: Path):
     assert code == 0
 
 
-def test_what_foxglove_cannot_do_and_a_port_that_is_taken_are_said(rig: Rig):
-    refused = rig.pancakes("view", "--foxglove", "--control")
-    assert refused.returncode == 2 and "--foxglove only shows" in refused.stderr
+def test_foxglove_is_refused_a_port_that_is_taken(rig: Rig):
+    """And if its library is missing, nothing is served."""
     rig.ready("a")
     first = rig.run("-u", "-m", "pancakes.tools.cli.main", "view", "--foxglove", "--format", "json", whole=True)
     first.hear("]")
     (told,) = json.loads("\n".join(first.said))
     port = told["address"].rpartition(":")[2]
     taken = rig.pancakes("view", "--foxglove", "--port", port)
-    assert (taken.returncode, taken.stderr) == (
-        1,
-        f"Foxglove cannot be served at port {port}: name another with --port\n",
-    )
+    sentence = f"Foxglove cannot be served at port {port}: name another with --port\n"
+    assert (taken.returncode, taken.stderr) == (1, sentence)
 
-
-def test_where_the_library_is_missing_foxglove_is_not_served(rig: Rig):
-    rig.ready("a")
     (rig.plugins / "foxglove").mkdir(parents=True)
     (rig.plugins / "foxglove" / "__init__.py").write_text("raise ModuleNotFoundError(name='foxglove')")
     ended = rig.pancakes("view", "--foxglove")
-    assert ended.returncode == 1
-    assert "nothing can be served to Foxglove without foxglove: pip install 'pancakes-agents[foxglove]'" in ended.stderr
+    assert ended.returncode == 1 and "pip install 'pancakes-agents[foxglove]'" in ended.stderr

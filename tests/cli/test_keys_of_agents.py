@@ -4,39 +4,45 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 
-import pytest
 from cli.processes import READY, Rig
 
 
-def another_user(key: Path) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("a file can be given to another user by root alone")
-    os.chown(key, 65534, -1)
-
-
-@pytest.mark.parametrize(
-    ("harm", "why"),
-    [
-        (lambda key: key.chmod(0o644), "can be read by others (mode 644): chmod 600 it"),
-        (another_user, "belongs to another user (uid 65534)"),
-        (lambda key: key.write_text("no key"), "cannot be used: "),
-        (lambda key: key.parent.chmod(0o777), "others can put other files into the folder with keys"),
-    ],
-    ids=["mode 644", "another user", "no key", "an open folder"],
-)
-def test_keys_that_are_of_no_use_are_a_fault_of_the_configuration(rig: Rig, harm: Callable[[Path], None], why: str):
+def test_keys_of_no_use_are_a_fault_of_the_configuration(rig: Rig):
     config = rig.config("a")
-    harm(rig.keys.of_agent("test", "a") / "key.pem")
+    keys = rig.keys.of_agent("test", "a")
+    key, sound = keys / "key.pem", (keys / "key.pem").read_bytes()
+    harms = {
+        "can be read by others (mode 644): chmod 600 it": lambda: key.chmod(0o644),
+        "cannot be used: ": lambda: key.write_text("no key"),
+        "others can put other files into the folder with keys": lambda: keys.chmod(0o777),
+    }
+    if os.geteuid() == 0:  # only root can give a file to another user
+        harms["belongs to another user (uid 65534)"] = lambda: os.chown(key, 65534, -1)
+    for why, harm in harms.items():
+        harm()
+        agent = rig.agent(config)
+        assert agent.ended() == 4, why
+        said = agent.everything()
+        assert f"{config}:4: [agent] name: " in said and why in said and "Traceback" not in said
+        os.chown(key, os.geteuid(), -1)
+        key.write_bytes(sound)
+        key.chmod(0o600)
+        keys.chmod(0o700)
+    key.chmod(0o644)
+    result = rig.pancakes("launch", str(config))
+    assert result.returncode == 1, "a launcher does not start it again"
+    said = result.stdout + result.stderr
+    assert said.count("can be read by others (mode 644): chmod 600 it") == 1 and "given up" in said
+
+
+def test_keys_of_another_agent_or_none_are_not_taken(rig: Rig):
+    other = rig.keys.of_agent("test", "b")
+    config = rig.config("a", f'[service.network]\nsettings = {{ keys = "{other}" }}\n')
     agent = rig.agent(config)
     assert agent.ended() == 4
-    said = agent.everything()
-    assert f"{config}:4: [agent] name: " in said and why in said and "Traceback" not in said
+    assert f"[service.network] settings.keys: the keys in {other} are not those of this agent" in agent.everything()
 
-
-def test_an_agent_without_keys_says_which_it_needs(rig: Rig):
     config = rig.config("a")
     shutil.rmtree(rig.keys.of_agent("test", "a"))
     agent = rig.agent(config)
@@ -50,15 +56,7 @@ def test_an_agent_without_keys_says_which_it_needs(rig: Rig):
     assert "warning: on this machine it does not start: " in checked.everything()
 
 
-def test_the_keys_of_another_agent_are_not_taken(rig: Rig):
-    other = rig.keys.of_agent("test", "b")
-    config = rig.config("a", f'[service.network]\nsettings = {{ keys = "{other}" }}\n')
-    agent = rig.agent(config)
-    assert agent.ended() == 4
-    assert f"[service.network] settings.keys: the keys in {other} are not those of this agent" in agent.everything()
-
-
-def test_an_agent_whose_certificate_was_revoked_runs_and_says_so(rig: Rig):
+def test_keys_that_were_revoked_let_an_agent_run_and_warn(rig: Rig):
     config = rig.config("a")
     office = rig.keys.office("test")
     office.revoke("a", "lost")
@@ -68,12 +66,3 @@ def test_an_agent_whose_certificate_was_revoked_runs_and_says_so(rig: Rig):
     agent = rig.agent(config)
     agent.hear(READY)
     agent.hear("no agent of test believes this one any more: its certificate was revoked")
-
-
-def test_a_launcher_starts_no_agent_again_whose_key_is_of_no_use(rig: Rig):
-    config = rig.config("a")
-    (rig.keys.of_agent("test", "a") / "key.pem").chmod(0o644)
-    result = rig.pancakes("launch", str(config))
-    assert result.returncode == 1
-    said = result.stdout + result.stderr
-    assert said.count("can be read by others (mode 644): chmod 600 it") == 1 and "given up" in said

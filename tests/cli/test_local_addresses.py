@@ -16,7 +16,7 @@ def group() -> str:
     return grp.getgrgid(os.getgid()).gr_name
 
 
-def test_a_group_finds_the_agent_and_its_socket(rig: Rig, group: str):
+def test_local_address_is_open_to_a_group(rig: Rig, group: str):
     agent = rig.ready("a", agent=f'local_group = "{group}"')
 
     modes = {
@@ -35,7 +35,7 @@ def test_a_group_finds_the_agent_and_its_socket(rig: Rig, group: str):
     assert [row["agent"] for row in rig.listed("agent", "list", "--at", "local://a", "--fleet", "test")] == ["a"]
 
 
-def test_an_agent_whose_place_another_has_taken_runs_without_it_and_says_so(rig: Rig):
+def test_local_address_in_an_open_directory_is_not_taken(rig: Rig):
     rig.runtime.mkdir(mode=0o777)
     rig.runtime.chmod(0o777)
     agent = rig.agent(rig.config("a"))
@@ -43,7 +43,7 @@ def test_an_agent_whose_place_another_has_taken_runs_without_it_and_says_so(rig:
     agent.hear("a cannot be reached at local://test/a: the runtime directory")
 
 
-def test_a_group_that_is_not_there_ends_the_agent_with_a_sentence(rig: Rig):
+def test_local_address_for_an_unknown_group_ends_the_agent(rig: Rig):
     agent = rig.agent(rig.config("a", agent='local_group = "pancakers"'))
     agent.hear(
         "cannot listen at local://test/a: there is no group 'pancakers' on this machine,"

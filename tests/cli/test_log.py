@@ -1,7 +1,7 @@
 """`pancakes log`: what agents have said and done, and what they say while it is looked."""
 
-import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from typing import Any
 
 import pytest
@@ -31,120 +31,100 @@ class Chatter(Task):
         for n in range(1800):
             self.log("info", f"{n} " + "x" * 150)
 """
+ENTRY_POINTS = "[pancakes.tasks]\ntalk.Talk = plugin_talk:Talk\ntalk.Chatter = plugin_talk:Chatter\n"
 TALK = '[task.Talk]\ntype = "talk.Talk"\n'
 QUIET = '[task.Talk]\ntype = "talk.Talk"\nrate_hz = 0.2\n'
 
 Start = Callable[..., LiveOutput]
 
 
-@pytest.fixture
-def talk(rig: Rig) -> None:
-    rig.install("talk", "[pancakes.tasks]\ntalk.Talk = plugin_talk:Talk\ntalk.Chatter = plugin_talk:Chatter\n", SOURCE)
-
-
-@pytest.fixture
-def agent(rig: Rig, talk: None) -> Running:
-    agent = rig.ready("a", TALK)
-    agent.hear("word 3")
-    return agent
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Running]]:
+    """An agent that speaks ever on, then a quiet one whose mission began later; no test changes them."""
+    with closing(Rig(tmp_path_factory.mktemp("shared"))) as rig:
+        rig.install("talk", ENTRY_POINTS, SOURCE)
+        agent = rig.ready("a", TALK)
+        agent.hear("word 3")
+        rig.ready("b", QUIET).hear("a warning")
+        yield rig, agent
 
 
 def records(rig: Rig, *arguments: str) -> list[dict[str, Any]]:
-    """Runs `pancakes log` to its end."""
-    result = rig.pancakes("log", *arguments, "--format", "json")
-    assert result.returncode == 0, result.stderr
-    found: list[dict[str, Any]] = json.loads(result.stdout)
-    return found
+    return rig.listed("log", *arguments)
 
 
-def test_what_was_said_is_still_known(rig: Rig, agent: Running):
-    found = records(rig, "--level", "debug")
-
+def test_log_tells_what_was_said_before(shared: tuple[Rig, Running]):
+    rig, _ = shared
+    found = records(rig, "a", "--level", "debug")
     spoke = next(record for record in found if record["kind"] == "spoke")
-    assert {key: spoke[key] for key in ("agent", "source", "word")} == {
-        "agent": "a",
-        "source": "a/client/Talk",
-        "word": "hello",
-    }
+    assert (spoke["agent"], spoke["source"], spoke["word"]) == ("a", "a/client/Talk", "hello")
+    assert "entry" not in spoke
     lines = [record["text"] for record in found if record["source"] == "a/client/Talk" and record["kind"] == "line"]
     assert lines[:6] == ["whisper 1", "word 1", "a warning", "an error", "whisper 2", "word 2"]
     assert any(record["kind"] == "ready" for record in found)
-    assert "entry" not in spoke
+    assert {record["agent"] for record in records(rig, "b")} == {"b"}
 
 
-def test_only_what_was_asked_for_is_shown(rig: Rig, agent: Running):
+def test_log_shows_only_what_was_asked_for(shared: tuple[Rig, Running]):
+    rig, agent = shared
     talk = ("--from", "a/client")  # the kernel warns where a busy machine holds its threads
-    assert [record["text"] for record in records(rig, "--level", "warning", *talk)] == ["a warning", "an error"]
     assert [record["text"] for record in records(rig, "--level", "error", *talk)] == ["an error"]
-    assert {record["source"] for record in records(rig, "--from", "a/kernel")} == {"a/kernel"}
-    assert [record["kind"] for record in records(rig, "--grep", "spoke word=h.llo")] == ["spoke"]
+    assert [record["kind"] for record in records(rig, "a", "--grep", "spoke word=h.llo")] == ["spoke"]
     assert records(rig, "--from", "a/client/Tal") == []
-
-
-def test_since_counts_back_from_now(rig: Rig, agent: Running):
-    agent.hear("word 40")
-    found = records(rig, "--since", "500ms", "--from", "a/client")
-    assert 5 <= len(found) <= 15
-    assert not any(record["kind"] == "spoke" for record in found)
-
-
-def test_a_line_is_for_people(rig: Rig, agent: Running):
-    lines = rig.pancakes("log", "--level", "warning", "--from", "a/client").stdout.splitlines()
-
+    lines = rig.pancakes("log", "--level", "warning", *talk).stdout.splitlines()
     assert [line.split(None, 1)[1] for line in lines] == [
         "warning a/client/Talk: a warning",
         "error   a/client/Talk: an error",
     ]
+    if not any("word 40" in line for line in agent.said):
+        agent.hear("word 40")
+    found = records(rig, "--since", "500ms", *talk)
+    assert 5 <= len(found) <= 15
+    assert not any(record["kind"] == "spoke" for record in found)
 
 
-def test_on_a_terminal_levels_have_colours(rig: Rig, agent: Running):
-    code, shown = on_a_terminal(rig, 24, 100, "log", "-f", "--level", "warning", until=b"an error")
+def test_log_merges_agents_by_when_it_was_said(shared: tuple[Rig, Running]):
+    """The mission of b began later, so its times are smaller."""
+    rig, _ = shared
+    told = [f"{record['agent']} {words_of(record)}" for record in records(rig)]
+    assert told.index("a word 3") < told.index("b ready") < len(told) - 1
+    assert [line for line in told[told.index("b spoke word=hello") :] if line.startswith("a word")]
 
+
+def test_log_colours_levels_on_a_terminal_only(shared: tuple[Rig, Running]):
+    rig, _ = shared
+    code, shown = on_a_terminal(rig, 24, 100, "log", "-f", "a", "--level", "warning", until=b"an error")
     assert code == 0
     assert "\x1b[33m" in shown.partition("a warning")[0].rpartition("\n")[2]
     assert "\x1b[31m" in shown.partition("an error")[0].rpartition("\n")[2]
     assert "\x1b" not in rig.pancakes("log").stdout
 
 
-def test_more_than_fits_one_packet_comes_in_pages(rig: Rig, talk: None):
+def test_log_that_follows_loses_and_doubles_nothing(shared: tuple[Rig, Running]):
+    rig, _ = shared
+    with closing(LiveOutput(rig, "log", "-f", "a", "--from", "a/client", "--grep", "word [0-9]")) as log:
+        numbers = [int(log.line("word").rpartition(" ")[2])]
+        numbers += [int(log.line("word").rpartition(" ")[2]) for _ in range(numbers[0] + 60)]
+        assert numbers == list(range(1, len(numbers) + 1))
+        assert (log.interrupt(), log.said) == (0, [])
+        assert not any(" b/" in line for line in log.printed)
+
+    with closing(LiveOutput(rig, "log", "-f", "--since", "200ms", "--format", "json")) as log:
+        assert log.record("word")["kind"] == "line", "one object a line"
+        assert log.record("word")["level"] == "info"
+        assert log.interrupt() == 0
+
+
+def test_log_comes_in_pages_when_it_is_long(rig: Rig):
+    rig.install("talk", ENTRY_POINTS, SOURCE)
     rig.ready("a", '[task.Chatter]\ntype = "talk.Chatter"\n')
-
     said = [record["text"] for record in records(rig, "--from", "a/client/Chatter")]
-
     assert [int(text.partition(" ")[0]) for text in said] == list(range(1800))
 
 
-def test_agents_are_merged_by_when_it_was_said(rig: Rig, agent: Running):
-    second = rig.ready("b", QUIET)  # its mission began later, so its times are smaller
-    agent.hear("word")
-    second.hear("a warning")
-
-    found = records(rig)
-
-    told = [f"{record['agent']} {words_of(record)}" for record in found]
-    assert told.index("a word 3") < told.index("b ready") < len(told) - 1  # it was said before b was there,
-    assert [line for line in told[told.index("b spoke word=hello") :] if line.startswith("a word")]  # and goes on since
-    assert {record["agent"] for record in records(rig, "b")} == {"b"}
-
-
-def test_it_goes_on_and_nothing_is_lost_or_doubled(agent: Running, start: Start):
-    log = start("log", "-f", "--from", "a/client", "--grep", "word [0-9]")
-    numbers = [int(log.line("word").rpartition(" ")[2]) for _ in range(60)]
-
-    assert numbers == list(range(1, 61))
-    assert log.interrupt() == 0
-    assert log.said == []
-
-
-def test_followed_json_is_one_object_a_line(agent: Running, start: Start):
-    log = start("log", "-f", "--since", "200ms", "--format", "json")
-
-    assert log.record("word")["kind"] == "line"
-    assert log.record("word")["level"] == "info"
-    assert log.interrupt() == 0
-
-
-def test_agents_that_are_started_later_or_again_are_taken_in(rig: Rig, agent: Running, start: Start):
+def test_log_takes_in_agents_that_start_later_or_again(rig: Rig, start: Start):
+    rig.install("talk", ENTRY_POINTS, SOURCE)
+    rig.ready("a", TALK).hear("word 3")
     log = start("log", "-f", "--grep", "spoke|ready")
     log.line("a/kernel: ready")
 
@@ -159,56 +139,30 @@ def test_agents_that_are_started_later_or_again_are_taken_in(rig: Rig, agent: Ru
     log.line("b/kernel: ready")
     log.line("b/client/Talk: spoke")
     assert log.interrupt() == 0
-    assert [line.rpartition("/")[2] for line in log.printed if " a/" in line] == [
-        "kernel: ready",
-        "Talk: spoke word=hello",
-    ]
+    a_said = [line.rpartition("/")[2] for line in log.printed if " a/" in line]
+    assert a_said == ["kernel: ready", "Talk: spoke word=hello"]
 
 
-def test_only_the_agents_that_were_named_are_followed(rig: Rig, agent: Running, start: Start):
-    rig.ready("b", TALK)
-    log = start("log", "-f", "b")
-    for _ in range(30):
-        assert " b/" in log.line()
-    assert log.interrupt() == 0
-
-
-def test_a_log_service_that_stands_still_is_named(rig: Rig, agent: Running):
-    rig.ready("b", QUIET)
+def test_log_names_an_agent_whose_log_service_is_stopped(rig: Rig):
+    rig.install("talk", ENTRY_POINTS, SOURCE)
+    for name in ("a", "b"):
+        rig.ready(name, QUIET)
     assert rig.pancakes("service", "stop", "a/log").returncode == 0
-
     result = rig.pancakes("log")
-    assert result.returncode == 0
-    assert result.stderr.startswith("a does not tell what was said: ")
+    assert result.returncode == 0 and result.stderr.startswith("a does not tell what was said: ")
     assert "b/kernel: ready" in result.stdout
-
     result = rig.pancakes("log", "a")
     assert (result.returncode, result.stdout) == (1, "")
 
 
-def test_who_is_not_there_is_told(rig: Rig, agent: Running):
-    assert rig.pancakes("log", "b").stderr == "there is no agent 'b', only a\n"
-    assert rig.pancakes("log", "b", "-f").returncode == 3
-
-
-@pytest.mark.parametrize("arguments", [("--grep", "a(b"), ("--level", "loud"), ("--since", "ever")])
-def test_what_cannot_be_read_is_exit_code_2(rig: Rig, arguments: tuple[str, ...]):
-    assert rig.pancakes("log", *arguments).returncode == 2
-
-
-def test_it_has_help_with_an_example(rig: Rig):
-    assert "pancakes log -f" in rig.pancakes("log", "--help").stdout.partition("Example:")[2]
-
-
-def test_an_event_counts_as_info_and_reads_as_a_line():
+def test_log_counts_an_event_as_info_and_a_line():
     record = {"t_s": 1.0, "agent": "a", "source": "a/client", "kind": "moved", "to": "b", "error": "", "cost": 0}
-
     assert words_of(record) == "moved to=b cost=0"
     assert wants(record, "info", (), None)
     assert not wants(record, "warning", (), None)
 
 
-def test_what_comes_in_two_ways_is_shown_once():
+def test_log_shows_once_what_comes_in_two_ways():
     def line(n: int) -> dict[str, Any]:
         return {"t_s": float(n), "agent": "a", "source": "a/client", "kind": "line", "level": "info", "text": str(n)}
 

@@ -53,7 +53,7 @@ def state(rig: Rig) -> Path:
 
 
 @pytest.mark.parametrize("how", GONE)
-def test_an_agent_whose_state_directory_goes_away_ends_its_tasks_and_itself(rig: Rig, state: Path, how: str):
+def test_agent_ends_if_its_state_directory_goes_away(rig: Rig, state: Path, how: str):
     agent = rig.ready("a", COUNT)
     agent.hear("counted")
 
@@ -67,27 +67,24 @@ def test_an_agent_whose_state_directory_goes_away_ends_its_tasks_and_itself(rig:
     assert "Traceback" not in agent.everything()
 
 
-def test_an_agent_without_tasks_notices_that_as_well(rig: Rig, state: Path):
+def test_agent_without_tasks_ends_too_if_its_state_directory_goes_away(rig: Rig, state: Path):
     agent = rig.ready("a")
     removed(state)
     assert agent.ended() == 1
 
 
-@pytest.mark.parametrize("mode", [0o770, 0o702, 0o777])
-def test_a_state_directory_that_others_can_write_is_refused(rig: Rig, state: Path, mode: int):
+def test_agent_refuses_a_state_directory_that_others_can_write(rig: Rig, state: Path):
     state.mkdir(parents=True)
-    state.chmod(mode)
-
+    state.chmod(0o702)
     agent = rig.agent(rig.config("a"))
-
     assert agent.ended() == 1
-    text = f"the state directory {state} can be written by other users (mode {mode:04o}), so each of them could change"
-    assert agent.everything() == f"{text} what its tasks are: chmod go-w {state}"
-    state.chmod(mode & ~0o022)
+    (line,) = agent.everything().splitlines()
+    assert line.startswith(f"the state directory {state} can be written by other users (mode 0702)")
+    state.chmod(0o700)
     rig.ready("a")
 
 
-def test_a_full_disk_is_answered_for_and_told_and_all_goes_on_when_there_is_room_again(rig: Rig, state: Path):
+def test_agent_with_a_full_disk_answers_and_goes_on_later(rig: Rig, state: Path):
     agent = rig.ready("a", COUNT)
     agent.hear("counted")
     _, hard = resource.prlimit(agent.pid, resource.RLIMIT_FSIZE)
@@ -96,12 +93,9 @@ def test_a_full_disk_is_answered_for_and_told_and_all_goes_on_when_there_is_room
     agent.hear(f"the journal cannot write: File too large ({state}): it is tried again")
     stopped = rig.pancakes("task", "stop", "a/Count")
     assert stopped.returncode == 1
-    assert (
-        f"a/client/Count is stopped; what was asked for waits: the journal cannot write: File too large ({state})"
-        in (stopped.stderr)
-    )
+    assert "the journal cannot write" in stopped.stderr
     started = rig.pancakes("task", "start", "a/Count")
-    assert "is stopped; what was asked for waits: the journal cannot write" in started.stderr
+    assert started.returncode == 1 and "the journal cannot write" in started.stderr
 
     resource.prlimit(agent.pid, resource.RLIMIT_FSIZE, (hard, hard))
     agent.hear("the journal can write again")
@@ -110,19 +104,16 @@ def test_a_full_disk_is_answered_for_and_told_and_all_goes_on_when_there_is_room
     agent.signalled(signal.SIGTERM)
 
 
-def test_a_damaged_record_is_decided_about_with_adopt_or_forget(rig: Rig, state: Path):
+def test_task_forget_and_adopt_decide_about_a_damaged_record(rig: Rig, state: Path):
     rig.ready("a", COUNT).signalled(signal.SIGTERM)
     record = state / "record.a%2FCount.rec"
     record.write_bytes(record.read_bytes()[:-1] + b"?")
-    for _ in range(2):
-        agent = rig.agent(rig.config("a", COUNT))
-        agent.hear("/kernel: ready")
-        agent.hear("a/Count is not started: it may run elsewhere")
-        rig.entry(agent.pid)
-        asked = rig.pancakes("task", "start", "a/Count")
-        assert asked.returncode == 1 and "`pancakes task forget a/Count` leaves it there" in asked.stderr
-        agent.signalled(signal.SIGTERM)
-    agent = rig.ready("a", COUNT)
+    agent = rig.agent(rig.config("a", COUNT))
+    agent.hear("/kernel: ready")
+    agent.hear("a/Count is not started: it may run elsewhere")
+    rig.entry(agent.pid)
+    asked = rig.pancakes("task", "start", "a/Count")
+    assert asked.returncode == 1 and "`pancakes task forget a/Count` leaves it there" in asked.stderr
 
     assert "would" not in rig.pancakes("task", "forget", "a/Count", "--dry-run").stderr
     forgotten = rig.pancakes("task", "forget", "a/Count")

@@ -27,7 +27,7 @@ def asked(rig: Rig, address: str) -> None:
         assert "role" in done.stdout
 
 
-def test_clients_that_only_answer_pings_give_their_places_to_the_operator(rig: Rig):
+def test_strangers_as_clients_give_their_places_to_an_operator(rig: Rig):
     address = rig.address(rig.ready("a", RARE_PINGS))
     with Strangers(address, MAX_CLIENTS, "client") as strangers:
         strangers.wait_until_up(MAX_CLIENTS)
@@ -36,7 +36,7 @@ def test_clients_that_only_answer_pings_give_their_places_to_the_operator(rig: R
         assert "a is full: it has 64 clients, and this one gave its place to another" in refusal
 
 
-def test_of_strangers_who_say_nothing_the_oldest_are_told_that_the_agent_is_full(rig: Rig):
+def test_strangers_who_say_nothing_are_refused_oldest_first(rig: Rig):
     count = MAX_HANDSHAKES + 40
     address = rig.address(rig.ready("a", INSECURE))
     with Strangers(address, count) as strangers:
@@ -45,7 +45,7 @@ def test_of_strangers_who_say_nothing_the_oldest_are_told_that_the_agent_is_full
         assert all("is full: 256 connections" in refusal for refusal in strangers.refusals())
 
 
-def test_a_mesh_full_of_agents_says_so_at_once_and_still_answers_the_operator(rig: Rig):
+def test_strangers_as_agents_do_not_keep_an_operator_out(rig: Rig):
     address = rig.address(rig.ready("a", RARE_PINGS))
     with Strangers(address, MAX_AGENTS + 20, "agent") as strangers:
         strangers.wait_until_up(MAX_AGENTS - 1)
@@ -53,7 +53,7 @@ def test_a_mesh_full_of_agents_says_so_at_once_and_still_answers_the_operator(ri
         assert set(strangers.refusals()) == {"a is full: it is in a mesh of 256 already"}
 
 
-def test_where_all_clients_are_in_use_the_operator_is_told_so_at_once(rig: Rig):
+def test_clients_that_are_all_in_use_keep_an_operator_out(rig: Rig):
     address = rig.address(rig.ready("a", INSECURE))
     changed = threading.Condition()
 

@@ -51,27 +51,7 @@ def manager(rig: Rig) -> Iterator[Manager]:
     made.close()
 
 
-def test_it_says_that_it_is_ready_that_it_lives_and_that_it_ends(rig: Rig, manager: Manager):
-    running = rig.agent(rig.config("a", INSECURE))
-    assert "STATUS=a is ready" in manager.hear("READY=1")
-    for _ in range(3):
-        manager.hear("WATCHDOG=1")
-    running.process.terminate()
-    assert "STATUS=a ends" in manager.hear("STOPPING=1")
-    assert running.ended() == 0
-
-
-def test_one_that_hangs_says_no_more_that_it_lives(rig: Rig, manager: Manager):
-    rig.install("stuck", "[pancakes.tasks]\nstuck.Stuck = plugin_stuck:Stuck\n", STUCK)
-    running = rig.agent(rig.config("a", f'{INSECURE}[task.Stuck]\ntype = "stuck.Stuck"\n'))
-    manager.hear("READY=1")
-    with pytest.raises(TimeoutError):
-        while True:
-            manager.hear("WATCHDOG=1", within_s=2.0)
-    assert running.process.poll() is None
-
-
-def test_what_it_starts_does_not_speak_in_its_name(rig: Rig, manager: Manager):
+def test_agent_tells_its_manager_that_it_is_ready_lives_and_ends(rig: Rig, manager: Manager):
     source = """
 import os
 from pancakes.task import Task
@@ -82,10 +62,26 @@ class Look(Task):
 """
     rig.install("look", "[pancakes.tasks]\nlook.Look = plugin_look:Look\n", source)
     running = rig.agent(rig.config("a", f'{INSECURE}[task.Look]\ntype = "look.Look"\n'))
-    running.hear("told []")
+    assert "STATUS=a is ready" in manager.hear("READY=1")
+    running.hear("told []")  # what it starts does not speak in its name
+    for _ in range(3):
+        manager.hear("WATCHDOG=1")
+    running.process.terminate()
+    assert "STATUS=a ends" in manager.hear("STOPPING=1")
+    assert running.ended() == 0
 
 
-def test_a_manager_that_has_gone_stops_no_agent(rig: Rig, manager: Manager):
+def test_agent_that_hangs_no_longer_tells_that_it_lives(rig: Rig, manager: Manager):
+    rig.install("stuck", "[pancakes.tasks]\nstuck.Stuck = plugin_stuck:Stuck\n", STUCK)
+    running = rig.agent(rig.config("a", f'{INSECURE}[task.Stuck]\ntype = "stuck.Stuck"\n'))
+    manager.hear("READY=1")
+    with pytest.raises(TimeoutError):
+        while True:
+            manager.hear("WATCHDOG=1", within_s=2.0)
+    assert running.process.poll() is None
+
+
+def test_agent_goes_on_without_its_manager(rig: Rig, manager: Manager):
     running = rig.agent(rig.config("a", INSECURE))
     manager.hear("READY=1")
     manager.close()
@@ -94,14 +90,14 @@ def test_a_manager_that_has_gone_stops_no_agent(rig: Rig, manager: Manager):
     assert running.ended() == 0
 
 
-def test_its_state_is_where_the_manager_says(rig: Rig):
+def test_agent_keeps_its_state_where_the_manager_says(rig: Rig):
     own = rig.directory / "own"
     rig.environment["STATE_DIRECTORY"] = str(own)
     rig.agent(rig.config("a", INSECURE)).hear(READY)
     assert list(own.iterdir()) and not (rig.directory / "state").exists()
 
 
-def test_each_line_tells_the_journal_its_level(rig: Rig, tmp_path: Path):
+def test_agent_tells_the_journal_the_level_of_each_line(rig: Rig, tmp_path: Path):
     path = tmp_path / "journal"
     path.touch()
     status = os.stat(path)

@@ -38,56 +38,45 @@ def fails(rig: Rig) -> None:
     rig.install("fails", "[pancakes.tasks]\nfails.Blink = plugin_fails:Blink\n", FAILS)
 
 
-def test_a_terminal_shows_a_failure_in_one_line(rig: Rig, fails: None):
-    agent = rig.agent(rig.config("a", ONCE))
-    agent.hear(SAID)
-    agent.signalled(signal.SIGTERM)
-    agent.everything()
-    assert len([line for line in agent.said if "bad colour" in line]) == 1
-    assert not any("Traceback" in line for line in agent.said)
-
-
-def test_with_traceback_it_shows_all_of_it(rig: Rig, fails: None):
+def test_traceback_of_an_agent_is_shown_if_asked_for(rig: Rig, fails: None):
     agent = rig.agent(rig.config("a", ONCE), "--traceback")
     agent.hear(SAID)
     assert agent.hear("Traceback") == ROW
     agent.hear("KeyError: 'x'")
     agent.hear("          ValueError: bad colour")
+    agent.signalled(signal.SIGTERM)
+
+    launcher = rig.launch(rig.config("b", ONCE), "--traceback")
+    launcher.hear(SAID.replace("a/", "b/", 1))
+    assert launcher.hear("Traceback").endswith(ROW), "a launcher hands that on to its agents"
 
 
-def test_a_launcher_hands_that_on_to_its_agents(rig: Rig, fails: None):
-    launcher = rig.launch(rig.config("a", ONCE), "--traceback")
-    launcher.hear(SAID)
-    assert launcher.hear("Traceback").endswith(ROW)
-
-
-def test_it_can_be_asked_for_later(rig: Rig, fails: None):
-    rig.agent(rig.config("a", ONCE)).hear(SAID)
+def test_traceback_of_a_failure_can_be_asked_for_later(rig: Rig, fails: None):
+    """A terminal shows a failure in one line at first."""
+    agent = rig.agent(rig.config("a", ONCE))
+    agent.hear(SAID)
+    rig.entry(agent.pid)
 
     info = rig.pancakes("task", "info", "a/Blink").stdout
     assert "last failure, at " in info and "  Traceback (most recent call last):" in info.splitlines()
     assert "    return colours[" in info and "  ValueError: bad colour" in info.splitlines()
-    (described,) = json.loads(rig.pancakes("task", "info", "a/Blink", "--format", "json").stdout)
+    lines = [line.split(maxsplit=1) for line in info.splitlines()]
+    shown = {line[0]: line[1].strip() for line in lines if len(line) == 2}
+    lists = {"path_m": "[[0, 0], [1.5, 1]]", "marks": "left [1, 2]", "names": "a, b"}
+    assert {name: shown[name] for name in lists} == lists, "a list of points keeps its brackets"
+    (described,) = rig.listed("task", "info", "a/Blink")
     assert described["failure"]["text"] in SAID
     assert described["failure"]["traceback"].endswith("ValueError: bad colour")
 
     assert "Traceback" not in rig.pancakes("log").stdout
     assert ROW in rig.pancakes("log", "--traceback").stdout.splitlines()
-    told = [it for it in json.loads(rig.pancakes("log", "--format", "json").stdout) if "bad colour" in str(it)]
+    told = [it for it in rig.listed("log") if "bad colour" in str(it)]
     assert [record["kind"] for record in told] == ["line"]
     assert told[0]["traceback"] == described["failure"]["traceback"]
     every = json.loads(rig.pancakes("log", "--level", "debug", "--format", "json").stdout)
     assert {"task_failed", "task_given_up"} <= {record["kind"] for record in every}
 
-
-def test_a_list_of_points_keeps_its_brackets(rig: Rig, fails: None):
-    rig.agent(rig.config("a", ONCE)).hear(SAID)
-    info = [line.split(maxsplit=1) for line in rig.pancakes("task", "info", "a/Blink").stdout.splitlines()]
-    assert [
-        text.strip() for name, text in filter(lambda it: len(it) == 2, info) if name in ("path_m", "marks", "names")
-    ] == [
-        "[[0, 0], [1.5, 1]]",
-        "left [1, 2]",
-        "a, b",
-    ]
-    assert rig.pancakes("param", "get", "a/Blink", "path_m").stdout == "[[0.0, 0.0], [1.5, 1.0]]\n"
+    agent.signalled(signal.SIGTERM)
+    agent.everything()
+    assert len([line for line in agent.said if "bad colour" in line]) == 1
+    assert not any("Traceback" in line for line in agent.said)

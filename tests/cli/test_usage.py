@@ -1,0 +1,180 @@
+"""Arguments of all verbs: help with an example, usage faults, and what a verb does where no agent runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import click
+import pytest
+from cli.invoked import invoked
+from cli.processes import Rig
+
+from pancakes.tools.cli.main import COMMANDS, pancakes
+
+BODY = '{"voltage_v": 7.4, "level": 0.75}'
+# With a part of the sentence if that is the verb's own.
+FAULTS = """
+agent list --at 127.0.0.1
+agent list --timeout 0
+agent lisst
+agent info
+agent info x/north/a  # names no agent: write it as AGENT or FLEET/AGENT
+agent info test/a/client
+agent info north/a --fleet south  # a command speaks to one fleet, not to south (--fleet) and north
+agnt
+task list --state runing
+task list --timeout nan
+task list north/a south/a  # a command speaks to one fleet, not to north and south
+task stop Count
+task stop a/b/c/d/e
+task stop a/
+task info x/north/a/device/load  # names no task
+task start a/Idle --set step
+task rate a/Count fast
+task rate a/Count -1
+task rate a/Count nan
+task migrate Count
+task adopt Count
+task create a/Count --type count.Count --guard 5 --key guard=3  # --guard and --key guard say the same: give one of them
+task fence a/wheels --set Circle  # 'Circle' is no task id: it must read birthplace/name
+task fence a/wheels --dry-run  # --dry-run is about what --set would do
+task revive d/Count --set x=1  # say --config FILE too
+service stop a
+service stop test/a/client/Count
+service stop a/client --for soon
+service stop a/client --for 0s
+channel echo pond
+channel echo test/a/client/pond
+channel echo a/pond --count 0
+channel echo a/system --type load --field cpuu --count 1  # load has no field 'cpuu', did you mean 'cpu'?
+channel hz a/pond --for soon
+channel hz a/pond --window 1
+param set a/Count
+param set a/Count step
+param set a step=1
+param get a
+param list a/b/c/d/e
+log --grep a(b
+log --level loud
+log --since ever
+record repair
+down --at 127.0.0.1:7401
+down --all
+config schema --fleet --plugins
+plugin list --group thing
+completion tcsh
+view --foxglove --control  # --foxglove only shows
+""".strip().splitlines()
+PUBLISHED = {
+    ("batery", BODY): "no packet type 'batery' is installed here, did you mean 'battery'?",
+    ("battery", '{"voltage_v": "high", "level": 1}'): "battery.voltage_v: expected `float`, got `str`",
+    ("battery", '{"level": 1}'): "battery: object missing required field `voltage_v`",
+    ("battery", '{"voltage_v": 1, "level": 1, "livel": 2}'): "battery has no field 'livel', did you mean 'level'?",
+    ("battery", "[1, 2]"): "the body must be a JSON object",
+    ("battery", '{"level": '): "the body is no JSON: input data was truncated",
+    ("battery", "{level: 1}"): "the body is no JSON: object keys must be strings",
+    ("battery", BODY, "--rate", "0"): "--rate",
+    ("battery", BODY, "--to", "b/client/Watch"): "--to",
+    ("battery", BODY, "--to", "*"): "--to",
+}
+ASK_AGENTS = """
+agent info a
+agent list
+agent reload-keys a
+channel echo a/pond --count 1
+channel info a/pond
+channel list
+channel pub a/pond battery {"voltage_v":1,"level":1}
+down a
+log
+log a -f
+param get a/Count
+param list
+record start
+service list
+service stop a/client
+task create a/Count --type count.Count
+task fence a/wheels
+task list
+task migrate a/Count
+task stop a/Count
+top
+top --once
+""".strip().splitlines()
+
+
+def verbs(group: click.Group, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    """All verbs that a group has, each with its words."""
+    context = click.Context(group)
+    for name in COMMANDS if group is pancakes else group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        if isinstance(command, click.Group):
+            yield from verbs(command, (*path, name))
+        else:
+            yield (*path, name), command
+
+
+def test_help_of_every_verb_has_an_example():
+    without = [
+        words
+        for words, _ in verbs(pancakes)
+        if f"pancakes {' '.join(words)}" not in invoked(*words, "--help").output.partition("Example:")[2]
+    ]
+    assert without == []
+
+
+def test_dry_run_is_an_option_of_every_verb_that_changes_something():
+    """Those that only read, and those that need no dry run, are listed by name."""
+    harmless = {
+        *("agent", "log", "rerun", "why", "view", "report", "top", "what-if", "demo", "config", "plugin", "doctor"),
+        *("completion", "fleet enrol", "fleet init", "fleet join", "fleet renew", "fleet sign"),
+        *("task guards", "task info", "task list", "task migrations", "service info", "service list"),
+        *("channel bw", "channel echo", "channel hz", "channel info", "channel list"),
+        *("param describe", "param dump", "param get", "param list", "fleet can", "fleet list"),
+        *("record info", "record list"),
+    }
+    without = [
+        " ".join(words)
+        for words, command in verbs(pancakes)
+        if "--dry-run" not in {option for parameter in command.params for option in parameter.opts}
+    ]
+    assert [it for it in without if it not in harmless and it.split()[0] not in harmless] == []
+
+
+def test_usage_faults_are_exit_code_2():
+    """Nothing is reached before: no agent runs here, which would be the exit code 3."""
+    found = {}
+    for line in FAULTS:
+        words, _, part = line.partition("  # ")
+        result = invoked(*words.split(" "))
+        said = " ".join(result.stderr.split())
+        if result.exit_code != 2 or "Usage: " not in said or part not in said or result.stdout:
+            found[words] = (result.exit_code, result.output)
+    assert found == {}
+
+
+def test_usage_of_pub_body_that_does_not_fit_is_never_sent():
+    done = {words: invoked("channel", "pub", "a/pond", *words) for words in PUBLISHED}
+    assert {
+        words: result.output
+        for words, result in done.items()
+        if result.exit_code != 2 or PUBLISHED[words] not in result.stderr
+    } == {}
+
+
+def test_usage_mistyped_verb_is_guessed(rig: Rig):
+    result = rig.pancakes("tsk", "list")
+    assert result.returncode == 2 and result.stdout == ""
+    assert "Did you mean 'task'?\n" in result.stderr
+
+
+def test_no_agent_that_runs_is_exit_code_3(tmp_path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(tmp_path / "runtime"))
+    done = {line: invoked(*line.split()) for line in ASK_AGENTS}
+    begin = f"no agent runs on this machine ({tmp_path}/runtime names none)"
+    assert {
+        line: (result.exit_code, result.output)
+        for line, result in done.items()
+        if result.exit_code != 3 or not result.stderr.startswith(begin) or result.stdout
+    } == {}
