@@ -90,3 +90,9 @@ def test_a_task_is_named_by_identity_address_or_name_where_that_is_plain():
         names("Y")
     with pytest.raises(RecordingError, match="a/X has only 2 stays in the recording$"):
         names("X", "", 3)
+    with pytest.raises(RecordingError, match="the recording has no task 'XX', did you mean 'X'"):
+        names("XX")
+    with pytest.raises(RecordingError, match="a/X was never on 'c' in the recording, only on a, b$"):
+        names("X", "c")
+    with pytest.raises(RecordingError, match="the recording does not say what its tasks were"):
+        choose_stays([], "X")
