@@ -1,28 +1,120 @@
-"""What tests of several parts need."""
+"""The sets of the tests, and what tests of several parts need.
+
+Each test is in one set, by its fixtures, its file or its folder:
+
+- fast: decisions, virtual time, sockets within the process; what is in no other set.
+- live: programs that run, and threads in real time.
+- long: a browser, hosts behind ssh, built wheels, many seeds.
+- model: exhaustive searches at full bounds, and the mutants that they must convict.
+- foreign: programs that others wrote, such as ROS 2.
+
+`scripts/test` runs fast and live, `.ci/run` also long, and of model and foreign what changed since it passed
+(`harness.proven`). Files that end in `_full.py` run only with `scripts/test --all`, and so do sets that nothing asks for.
+"""
 
 from __future__ import annotations
 
 import shutil
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import hypothesis
 import pytest
+from harness import programs, proven
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+TESTS = Path(__file__).parent
+SETS = ("fast", "live", "long", "model", "foreign")
+CHANGED = "changed"
+"""What `--sets` may name beside them: of model and foreign, what changed since it passed."""
+
+BY_FIXTURE = {"browser": "long", "hosts": "long", "receiver": "foreign"}
+BY_SUFFIX = {"_live": "live", "_long": "long", "_full": "long"}
+BY_FOLDER = {
+    "cli": "live",
+    "client": "live",
+    "deploy": "live",
+    "launch": "live",
+    "mqtt": "live",
+    "trials": "live",
+    "ros2": "foreign",
+    "systemd_vm": "foreign",
+    "zenoh_links": "foreign",
+}
+SEARCHES = ("guarding", "hosting", "life", "migration")
+"""The folders whose `_full` files are exhaustive searches."""
 
 
-def pytest_configure() -> None:
+def set_of(item: pytest.Item) -> str:
+    """Returns the set that a test is in."""
+    folder = item.path.relative_to(TESTS).parts[0]
+    suffix = item.path.stem[item.path.stem.rfind("_") :]
+    if BY_FOLDER.get(folder) == "foreign":
+        return "foreign"
+    if suffix == "_full" and folder in SEARCHES:
+        return "model"
+    if suffix in BY_SUFFIX:
+        return BY_SUFFIX[suffix]
+    fixtures = getattr(item, "fixturenames", ())
+    return next((BY_FIXTURE[name] for name in fixtures if name in BY_FIXTURE), BY_FOLDER.get(folder, "fast"))
+
+
+def is_whole(item: pytest.Item) -> bool:
+    """Returns whether a test is the long form of another, or searches as far as can be."""
+    return item.path.stem.endswith("_full")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--sets",
+        type=lambda text: text.split(","),
+        metavar="SET,...",
+        help=f"run only the tests of these sets: {', '.join((*SETS, CHANGED))}",
+    )
+    parser.addoption("--prove", action="store_true", help="write down which subjects passed (tests/proven.json)")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Marks each test with its set, and leaves those that `--sets` asks for."""
+    sets = config.getoption("sets")
+    if unknown := set(sets or ()) - {*SETS, CHANGED}:
+        raise pytest.UsageError(f"--sets: unknown set {', '.join(sorted(unknown))}; there are {', '.join(SETS)}")
+    changed = proven.changed() if sets is not None and CHANGED in sets else frozenset()
+    kept, left = [], []
+    for item in items:
+        name = set_of(item)
+        item.add_marker(name)
+        asked = sets is None or (name in sets and not is_whole(item))
+        if name in ("model", "foreign") and changed:
+            asked = asked or proven.subject_of(item.path) in changed
+        (kept if asked else left).append(item)
+    if left:
+        config.hook.pytest_deselected(items=left)
+        items[:] = kept
+
+
+def pytest_configure(config: pytest.Config) -> None:
     """Lets the processes that tests start be interrupted, and hypothesis be patient.
 
     A shell that started this one with `&` has SIGINT ignored, and children inherit that; one that is caught here is not
     ignored there. And an example of hypothesis may take long on a machine that has other work, which is no fault of it.
     """
+    for name in SETS:
+        config.addinivalue_line("markers", f"{name}: see tests/conftest.py")
+    if config.getoption("prove") and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(proven.Prover())
     hypothesis.settings.register_profile("patient", hypothesis.settings.default, deadline=None)
     hypothesis.settings.load_profile("patient")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_unconfigure() -> None:
+    """Ends the fork server, if a test started one."""
+    programs.close_server()
 
 
 @pytest.fixture(scope="session", autouse=True)
