@@ -5,6 +5,9 @@ from __future__ import annotations
 import datetime
 import ipaddress
 import signal
+import socket
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +58,7 @@ class Authority:
         return builder.serial_number(x509.random_serial_number()).not_valid_before(now - day).not_valid_after(now + day)
 
 
-def broker_with(tmp_path: Path, *lines: str) -> Mosquitto:
-    found = Mosquitto(tmp_path / "mosquitto", *lines)
-    found.start()
-    return found
+Brokers = Callable[..., Mosquitto]
 
 
 def service(address: str, **settings: Any) -> dict[str, Any]:
@@ -76,12 +76,11 @@ def says(agent: AgentInTest, text: str, level: str = "error") -> None:
 
 
 @pytest.fixture
-def locked(tmp_path: Path) -> Any:
+def locked(tmp_path: Path, mosquitto: Brokers) -> Any:
     """A broker that speaks TLS, and wants the password of `robot`."""
     authority = Authority(tmp_path, "ours")
     certificate, key = authority.vouch("broker")
-    broker = broker_with(
-        tmp_path,
+    broker = mosquitto(
         f"certfile {certificate}",
         f"keyfile {key}",
         "allow_anonymous false",
@@ -90,11 +89,10 @@ def locked(tmp_path: Path) -> Any:
     (tmp_path / "password").write_text("secret\n")
     (tmp_path / "password").chmod(0o600)
     settings = {"user": "robot", "password_file": str(tmp_path / "password"), "ca": str(authority.path)}
-    yield broker, settings
-    broker.end()
+    return broker, settings
 
 
-def test_it_speaks_tls_and_shows_its_password(locked: Any) -> None:
+def test_mqtt_speaks_tls_with_a_password(locked: Any) -> None:
     broker, settings = locked
     with threaded_agent("a", services=service(f"mqtts://127.0.0.1:{broker.port}", **settings)) as agent:
         agent.wait_for(BrokerTraffic, lambda body: body.connected)
@@ -103,7 +101,7 @@ def test_it_speaks_tls_and_shows_its_password(locked: Any) -> None:
 
 
 @pytest.mark.parametrize("protocol", ["5", "3.1.1"])
-def test_a_wrong_password_is_named_once(locked: Any, tmp_path: Path, protocol: str) -> None:
+def test_mqtt_names_a_wrong_password_once(locked: Any, tmp_path: Path, protocol: str) -> None:
     broker, settings = locked
     (tmp_path / "password").write_text("sesame\n")
     address = f"mqtts://127.0.0.1:{broker.port}"
@@ -114,7 +112,7 @@ def test_a_wrong_password_is_named_once(locked: Any, tmp_path: Path, protocol: s
         assert "look at user and password_file" in line
 
 
-def test_a_certificate_of_another_authority_is_named(locked: Any, tmp_path: Path) -> None:
+def test_mqtt_names_a_certificate_of_another_authority(locked: Any, tmp_path: Path) -> None:
     broker, settings = locked
     settings["ca"] = str(Authority(tmp_path, "theirs").path)
     with threaded_agent("a", services=service(f"mqtts://127.0.0.1:{broker.port}", **settings)) as agent:
@@ -122,30 +120,27 @@ def test_a_certificate_of_another_authority_is_named(locked: Any, tmp_path: Path
         says(agent, "look at ca, and at the host in broker); trying until it is", "warning")
 
 
-def test_a_certificate_for_another_host_is_named(locked: Any) -> None:
+def test_mqtt_names_a_certificate_of_another_host(locked: Any) -> None:
     broker, settings = locked
     with threaded_agent("a", services=service(f"mqtts://localhost:{broker.port}", **settings)) as agent:
         says(agent, "its certificate is not believed (", "warning")
 
 
-def test_a_broker_that_wants_a_certificate_gets_it(tmp_path: Path) -> None:
+def test_mqtt_shows_its_certificate_to_a_broker(tmp_path: Path, mosquitto: Brokers) -> None:
     authority = Authority(tmp_path, "ours")
     certificate, key = authority.vouch("broker")
     lines = (f"cafile {authority.path}", f"certfile {certificate}", f"keyfile {key}", "require_certificate true")
-    broker = broker_with(tmp_path, *lines, "allow_anonymous true")
+    broker = mosquitto(*lines, "allow_anonymous true")
     mine, mine_key = authority.vouch("robot")
     address, ca = f"mqtts://127.0.0.1:{broker.port}", {"ca": str(authority.path)}
-    try:
-        shown = {**ca, "certificate": str(mine), "key": str(mine_key)}
-        with threaded_agent("a", services=service(address, **shown)) as agent:
-            agent.wait_for(BrokerTraffic, lambda body: body.connected)
-        with threaded_agent("b", services=service(address, **ca)) as agent:
-            says(agent, "is not there (", "warning")
-    finally:
-        broker.end()
+    shown = {**ca, "certificate": str(mine), "key": str(mine_key)}
+    with threaded_agent("a", services=service(address, **shown)) as agent:
+        agent.wait_for(BrokerTraffic, lambda body: body.connected)
+    with threaded_agent("b", services=service(address, **ca)) as agent:
+        says(agent, "is not there (", "warning")
 
 
-def test_tls_at_a_port_without_it_is_named(broker: Mosquitto) -> None:
+def test_mqtt_names_a_port_without_tls(broker: Mosquitto) -> None:
     with threaded_agent("a", services=service(f"mqtts://127.0.0.1:{broker.port}")) as agent:
         says(agent, "is not there (", "warning")
         assert any("TLS" in line for line in agent.lines("warning"))
@@ -159,9 +154,7 @@ def test_tls_at_a_port_without_it_is_named(broker: Mosquitto) -> None:
         (None, "", "cannot be read: No such file or directory"),
     ],
 )
-def test_a_password_file_that_cannot_be_used_is_named(
-    tmp_path: Path, mode: int | None, text: str, problem: str
-) -> None:
+def test_mqtt_names_an_unusable_password_file(tmp_path: Path, mode: int | None, text: str, problem: str) -> None:
     path = tmp_path / "password"
     if mode is not None:
         path.write_text(text)
@@ -171,56 +164,44 @@ def test_a_password_file_that_cannot_be_used_is_named(
         assert problem in agent.wait_for_event("service_failed", service="mqtt")["error"]
 
 
-def test_a_qos_that_the_broker_does_not_grant_is_named(tmp_path: Path) -> None:
-    broker = broker_with(tmp_path, "max_qos 1", "allow_anonymous true")
+def test_mqtt_names_a_qos_that_is_not_granted(mosquitto: Brokers) -> None:
+    broker = mosquitto("max_qos 1", "allow_anonymous true")
     take = [{"topic": "in", "type": "mqtt.number", "qos": 2}]
-    try:
-        with threaded_agent("a", services=service(broker.address, take=take)) as agent:
-            says(agent, "the broker sends in with QoS 1 at the most, not 2", "warning")
-            agent.publish("two", Number(1.0))
-            says(agent, "the broker takes QoS 1 at the most: out is published with that", "warning")
-            agent.wait_for(BrokerTraffic, lambda body: body.published == 2 and not body.waiting)
-    finally:
-        broker.end()
+    with threaded_agent("a", services=service(broker.address, take=take)) as agent:
+        says(agent, "the broker sends in with QoS 1 at the most, not 2", "warning")
+        agent.publish("two", Number(1.0))
+        says(agent, "the broker takes QoS 1 at the most: out is published with that", "warning")
+        agent.wait_for(BrokerTraffic, lambda body: body.published == 2 and not body.waiting)
 
 
-def test_a_message_that_is_too_large_for_the_broker_is_named_and_the_next_one_goes(tmp_path: Path) -> None:
-    broker = broker_with(tmp_path, "max_packet_size 200", "allow_anonymous true")
-    try:
-        with threaded_agent("a", services=service(broker.address)) as agent:
-            agent.wait_for(BrokerTraffic, lambda body: body.connected)
-            agent.publish("two", Number(1.0, "x" * 500))
-            says(agent, "bytes; the broker takes 200")
-            agent.publish("two", Number(1.0))
-            agent.wait_for(BrokerTraffic, lambda body: body.published == 2 and body.unsent == 1)
-    finally:
-        broker.end()
+def test_mqtt_names_a_message_too_large_for_the_broker(mosquitto: Brokers) -> None:
+    broker = mosquitto("max_packet_size 200", "allow_anonymous true")
+    with threaded_agent("a", services=service(broker.address)) as agent:
+        agent.wait_for(BrokerTraffic, lambda body: body.connected)
+        agent.publish("two", Number(1.0, "x" * 500))
+        says(agent, "bytes; the broker takes 200")
+        agent.publish("two", Number(1.0))
+        agent.wait_for(BrokerTraffic, lambda body: body.published == 2 and body.unsent == 1)
 
 
-def test_what_the_rules_of_the_broker_forbid_is_named(tmp_path: Path) -> None:
+def test_mqtt_names_what_access_rules_forbid(tmp_path: Path, mosquitto: Brokers) -> None:
     (tmp_path / "acl").write_text("topic write pancakes/#\n")
-    broker = broker_with(tmp_path, "allow_anonymous true", f"acl_file {tmp_path / 'acl'}")
-    try:
-        with threaded_agent("a", services=service(broker.address)) as agent:
-            agent.wait_for(BrokerTraffic, lambda body: body.connected)
-            agent.publish("one", Number(1.0))
-            says(agent, "the broker refuses what this agent publishes: not authorized")
-            agent.wait_for(BrokerTraffic, lambda body: body.unsent == 1 and not body.waiting)
-    finally:
-        broker.end()
+    broker = mosquitto("allow_anonymous true", f"acl_file {tmp_path / 'acl'}")
+    with threaded_agent("a", services=service(broker.address)) as agent:
+        agent.wait_for(BrokerTraffic, lambda body: body.connected)
+        agent.publish("one", Number(1.0))
+        says(agent, "the broker refuses what this agent publishes: not authorized")
+        agent.wait_for(BrokerTraffic, lambda body: body.unsent == 1 and not body.waiting)
 
 
-def test_two_connections_of_one_name_are_named(broker: Mosquitto) -> None:
+def test_mqtt_names_two_connections_of_one_name(broker: Mosquitto) -> None:
     with threaded_agent("a", services=service(broker.address)) as agent:
         agent.wait_for(BrokerTraffic, lambda body: body.connected)
         with broker.listening("t", "-i", "pancakes-a-mqtt"):
             says(agent, "is another one called pancakes-a-mqtt, too?", "warning")
 
 
-def test_what_speaks_no_mqtt_is_named(tmp_path: Path) -> None:
-    import socket
-    import threading
-
+def test_mqtt_names_a_server_that_is_no_broker() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         ended = threading.Event()
 
@@ -246,17 +227,14 @@ def test_what_speaks_no_mqtt_is_named(tmp_path: Path) -> None:
             thread.join()
 
 
-def test_a_broker_is_sent_no_more_at_a_time_than_it_takes(tmp_path: Path) -> None:
-    broker = broker_with(tmp_path, "max_inflight_messages 3", "allow_anonymous true")
-    try:
-        with threaded_agent("a", services=service(broker.address)) as agent:
-            agent.wait_for(BrokerTraffic, lambda body: body.connected)
-            broker.signal(signal.SIGSTOP)
-            for number in range(100):
-                agent.publish("two", Number(float(number)))
-            agent.wait_for(BrokerTraffic, lambda body: body.waiting == 100)
-            broker.signal(signal.SIGCONT)
-            told = agent.wait_for(BrokerTraffic, lambda body: body.published == 101).body
-            assert told.connections == 1
-    finally:
-        broker.end()
+def test_mqtt_sends_no_more_than_the_broker_takes(mosquitto: Brokers) -> None:
+    broker = mosquitto("max_inflight_messages 3", "allow_anonymous true")
+    with threaded_agent("a", services=service(broker.address)) as agent:
+        agent.wait_for(BrokerTraffic, lambda body: body.connected)
+        broker.signal(signal.SIGSTOP)
+        for number in range(100):
+            agent.publish("two", Number(float(number)))
+        agent.wait_for(BrokerTraffic, lambda body: body.waiting == 100)
+        broker.signal(signal.SIGCONT)
+        told = agent.wait_for(BrokerTraffic, lambda body: body.published == 101).body
+        assert told.connections == 1

@@ -45,14 +45,14 @@ def agent_of(broker: Mosquitto, folder: Path) -> Iterator[subprocess.Popen[bytes
             process.wait()
 
 
-def test_the_broker_says_that_an_agent_which_was_killed_is_offline(broker: Mosquitto, tmp_path: Path) -> None:
+def test_mqtt_status_is_offline_after_a_kill(broker: Mosquitto, tmp_path: Path) -> None:
     with agent_of(broker, tmp_path) as process, broker.listening("pancakes/a/status", "-R") as heard:
         process.send_signal(signal.SIGKILL)
         assert next(heard) == ("pancakes/a/status", "offline")
     assert broker.read("pancakes/a/status") == "offline", "and the broker keeps that"
 
 
-def test_an_agent_that_ends_says_all_that_it_has_to_say(broker: Mosquitto, tmp_path: Path) -> None:
+def test_mqtt_agent_that_ends_sends_its_last_words(broker: Mosquitto, tmp_path: Path) -> None:
     with agent_of(broker, tmp_path) as process, broker.listening("#", "-R") as heard:
         process.send_signal(signal.SIGTERM)
         assert process.wait(10) == 0
@@ -61,5 +61,5 @@ def test_an_agent_that_ends_says_all_that_it_has_to_say(broker: Mosquitto, tmp_p
     assert "did not stop" not in (tmp_path / "agent.log").read_text()
 
 
-def test_the_tutorial_works_as_it_is_written(broker: Mosquitto, tmp_path: Path) -> None:
+def test_mqtt_tutorial_works_as_written(broker: Mosquitto, tmp_path: Path) -> None:
     run_guide(ROOT / "plugins" / "pancakes-mqtt" / "README.md", tmp_path)

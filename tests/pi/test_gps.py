@@ -23,7 +23,7 @@ from pancakes.testing import AgentInTest, threaded_agent
 
 ORIGIN = {"lat_deg": 48.0, "lon_deg": 11.5}
 SLOW_S = 40.0
-"""So long gpsfake may take until gpsd knows its receiver, where other work goes on."""
+"""gpsfake may take this long until gpsd knows its receiver, on a busy machine."""
 
 
 def sentence(body: str) -> str:
@@ -90,8 +90,9 @@ class Receiver:
 
 
 @pytest.fixture
-def receiver(tmp_path: Path) -> Iterator[Receiver]:
-    found = Receiver(tmp_path, track())
+def receiver(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Receiver]:
+    """A gpsd that runs; its receiver moves east if the test asks for nothing else."""
+    found = Receiver(tmp_path, getattr(request, "param", track()))
     found.start()
     yield found
     found.end()
@@ -105,7 +106,7 @@ def hears(agent: AgentInTest, times: int) -> None:
     agent.wait_until(lambda: sum("hears gpsd at" in line for line in agent.lines("info")) == times)
 
 
-def test_poses_are_metres_east_and_north_of_the_origin(receiver: Receiver) -> None:
+def test_gps_poses_are_metres_from_the_origin(receiver: Receiver) -> None:
     with threaded_agent("a", devices=device(receiver.port)) as agent:
         body = agent.wait_for(Pose, lambda body: 100.0 < body.x_m < 250.0, at_most_s=SLOW_S).body
         steps = body.x_m / 7.4578  # 0.006 minutes of longitude at 48 degrees north
@@ -113,7 +114,7 @@ def test_poses_are_metres_east_and_north_of_the_origin(receiver: Receiver) -> No
         assert body.y_m == pytest.approx(0.0, abs=0.01) and body.theta_rad == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_gpsd_that_goes_and_comes_back_is_found_again(receiver: Receiver) -> None:
+def test_gps_finds_a_gpsd_that_comes_back(receiver: Receiver) -> None:
     with threaded_agent("a", devices=device(receiver.port)) as agent:
         agent.wait_for(Pose, at_most_s=SLOW_S)
         receiver.end()
@@ -124,7 +125,7 @@ def test_a_gpsd_that_goes_and_comes_back_is_found_again(receiver: Receiver) -> N
         assert not agent.events("task_failed") and not agent.lines("error")
 
 
-def test_a_gpsd_that_comes_up_later_is_found_and_its_absence_said_once(receiver: Receiver) -> None:
+def test_gps_finds_a_gpsd_that_starts_later(receiver: Receiver) -> None:
     receiver.end()
     with threaded_agent("a", devices=device(receiver.port)) as agent:
         agent.wait_until(lambda: any("is not there (Connection refused)" in line for line in agent.lines("warning")))
@@ -133,19 +134,15 @@ def test_a_gpsd_that_comes_up_later_is_found_and_its_absence_said_once(receiver:
         assert len([line for line in agent.lines("warning") if "is not there" in line]) == 1
 
 
-def test_a_receiver_that_does_not_know_where_it_is_is_named_once(tmp_path: Path) -> None:
-    receiver = Receiver(tmp_path, lost())
-    receiver.start()
-    try:
-        with threaded_agent("a", devices=device(receiver.port)) as agent:
-            agent.wait_until(lambda: "gps: the receiver does not know where it is" in agent.lines("warning"), SLOW_S)
-            hears(agent, 1)
-            assert not agent.probe.packets(Pose)
-    finally:
-        receiver.end()
+@pytest.mark.parametrize("receiver", [lost()], indirect=True, ids=["without satellites"])
+def test_gps_names_a_receiver_without_a_position_once(receiver: Receiver) -> None:
+    with threaded_agent("a", devices=device(receiver.port)) as agent:
+        agent.wait_until(lambda: "gps: the receiver does not know where it is" in agent.lines("warning"), SLOW_S)
+        hears(agent, 1)
+        assert not agent.probe.packets(Pose)
 
 
-def test_what_does_not_speak_like_gpsd_is_named() -> None:
+def test_gps_names_a_server_that_is_no_gpsd() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         with threaded_agent("a", devices=device(server.getsockname()[1])) as agent:
             other, _ = server.accept()

@@ -7,5 +7,5 @@ from pathlib import Path
 from harness.guide import ROOT, run_guide
 
 
-def test_the_tutorial_works_as_it_is_written(tmp_path: Path) -> None:
+def test_pi_tutorial_works_as_written(tmp_path: Path) -> None:
     run_guide(ROOT / "plugins" / "pancakes-pi" / "README.md", tmp_path)
