@@ -6,7 +6,9 @@ What of Pancakes itself fails, fails the test: see docs/testing.md, "What may no
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import pytest
@@ -142,14 +144,18 @@ def with_a_bad_task(fleet: FleetInTest, cls: type[Task]) -> AgentInTest:
     return agent
 
 
-@pytest.mark.parametrize("asked", [Stop("Bad"), Restart("Bad"), Migrate("Bad"), Describe("Bad", state=True), None])
-@pytest.mark.parametrize("cls", BAD)
-def test_a_bad_task_harms_no_other(cls: type[Task], asked: object) -> None:
+@pytest.mark.parametrize("asked", [Stop, Restart, Migrate, partial(Describe, state=True), None])
+def test_bad_task_harms_no_other(asked: Callable[[str], object] | None) -> None:
+    """All bad tasks of one agent together, and whatever is asked of them."""
     with FleetInTest(1) as fleet:
-        agent = with_a_bad_task(fleet, cls)
-        if asked is not None:
-            agent.ask(asked)
-            fleet.run_for(1.0)
+        agent = fleet.start("a", tasks={**{cls.__name__: cls for cls in BAD}, "Good": Good})
+        fleet.start("b")
+        fleet.connect()
+        fleet.run_for(2.5)
+        for cls in BAD:
+            if asked is not None:
+                agent.ask(asked(cls.__name__))
+        fleet.run_for(1.0)
         good: Good = agent.task("Good")
         assert good.state.n == pytest.approx(10 * fleet.now(), abs=1)
         assert len(agent.events("task_started", task="Good")) == 1
@@ -166,7 +172,7 @@ def test_a_bad_task_harms_no_other(cls: type[Task], asked: object) -> None:
         (HasNoSettings, "`self.settings` is of the class NoneType, and not Nothing"),
     ],
 )
-def test_what_cannot_be_written_down_is_told_once_with_its_place(cls: type[Task], why: str) -> None:
+def test_bad_state_is_told_once_with_its_place(cls: type[Task], why: str) -> None:
     with FleetInTest(1) as fleet:
         agent = with_a_bad_task(fleet, cls)
         fleet.run_for(3.0)
@@ -175,7 +181,7 @@ def test_what_cannot_be_written_down_is_told_once_with_its_place(cls: type[Task]
         assert told[0].startswith(f"what a/client/Bad carries cannot be written down: {why}")
 
 
-def test_what_can_be_written_down_again_is_written_and_the_next_fault_is_told() -> None:
+def test_bad_state_that_is_mended_is_written_again() -> None:
     with FleetInTest(1) as fleet:
         agent = with_a_bad_task(fleet, KeepsALongInteger)
         for _ in range(2):
@@ -189,7 +195,7 @@ def test_what_can_be_written_down_again_is_written_and_the_next_fault_is_told() 
         assert again.task("Bad").state.whole == 3
 
 
-def test_a_fault_is_told_again_after_the_task_was_as_it_had_been_written() -> None:
+def test_bad_state_is_told_again_after_it_was_mended() -> None:
     class Flips(Keeps):
         def do_wrong(self) -> None:
             self.reschedule(0.001)  # from here on its state stays as it is
@@ -204,7 +210,7 @@ def test_a_fault_is_told_again_after_the_task_was_as_it_had_been_written() -> No
         assert len([line for line in agent.lines("error") if "cannot be written down" in line]) == 2
 
 
-def test_a_task_that_ends_with_what_cannot_be_written_begins_again_from_what_is_on_disk() -> None:
+def test_bad_state_at_the_end_loses_to_the_disk() -> None:
     with FleetInTest(1) as fleet:
         agent = with_a_bad_task(fleet, KeepsALongInteger)
         assert agent.ask(Stop("Bad")).ok
@@ -215,7 +221,7 @@ def test_a_task_that_ends_with_what_cannot_be_written_begins_again_from_what_is_
         assert agent.task("Bad").state.n < 12 and agent.task("Bad").state.whole == 0
 
 
-def test_a_rule_whose_reading_cannot_be_read_is_told_and_asks_again_after_a_minute() -> None:
+def test_rule_with_a_bad_reading_asks_again_later() -> None:
     with FleetInTest(1) as fleet:
         rule = {"when": "bad_tasks.share", "below": 0.5}
         agent = fleet.start("a", tasks={"Good": {"type": Good, "migrate": rule}})

@@ -1,100 +1,14 @@
-"""Tasks are created, moved and removed while agents crash and links break: never do two run, and none comes back."""
+"""Tasks are created, moved and removed in storms: never do two run, and none comes back.
+
+`test_creation_storm_full.py` has more seeds.
+"""
 
 from __future__ import annotations
 
-import random
-from collections import Counter
-
 import pytest
-from services.created import Count
-
-from pancakes.control import Migrate
-from pancakes.creation import Create, Remove
-from pancakes.testing import FleetInTest
-
-STEPS = 20
-GUARD = {"guard": 3, "lease_s": 2.0}
-ACTS = ("create", "create", "remove", "remove", "migrate", "migrate", "crash", "cut")
-
-
-class Storm:
-    """Does things to three agents, and looks what runs meanwhile.
-
-    Args:
-        fleet: the agents.
-        seed: draws what is done.
-        keys: other keys of the tasks.
-    """
-
-    def __init__(self, fleet: FleetInTest, seed: int, keys: dict[str, object]) -> None:
-        self._fleet = fleet
-        self._random = random.Random(seed)
-        self._keys = keys
-        self._gone: set[str] = set()
-        self._epochs: dict[str, int] = {}
-        self.done: Counter[str] = Counter()
-
-    def act(self) -> None:
-        act, name = self._random.choice(ACTS), self._random.choice(sorted(self._fleet.agents))
-        if act == "create":
-            self._create(name)
-        elif act == "crash":
-            self._fleet.crash(name)
-            self.look(self._random.choice([0.1, 1.0, 4.0]))
-            self._fleet.restart(name)
-        elif act == "cut":
-            self._fleet.faults.cut(name, for_s=self._random.choice([0.5, 3.0]))
-        elif running := [name for name, agent in self._fleet.agents.items() if agent.running()]:
-            self._remove(running[0]) if act == "remove" else self._migrate(running[0])
-        self.look(self._random.choice([0.1, 0.5, 3.0, 8.0]))
-
-    def _create(self, name: str) -> None:
-        task_id = f"{name}/X"
-        reply = self._fleet.agents[name].ask(Create("X", "test.Count", keys=self._keys))
-        if reply.ok:
-            assert reply.result["epoch"] > self._epochs.get(task_id, 0)
-            self._gone.discard(task_id)
-            self._epochs[task_id] = reply.result["epoch"]
-            self.done["created"] += 1
-
-    def _remove(self, name: str) -> None:
-        agent = self._fleet.agents[name]
-        fence = agent.slot("X").fence
-        if fence is not None and agent.ask(Remove("X"), at_most_s=60.0).ok:
-            self._gone.add(fence.task_id)
-            self._epochs[fence.task_id] = fence.epoch[0]
-            self.done["removed"] += 1
-
-    def _migrate(self, name: str) -> None:
-        self.done["moved"] += self._fleet.agents[name].ask(Migrate("X"), at_most_s=60.0).ok
-
-    def look(self, duration_s: float) -> None:
-        """Looks again and again what runs."""
-        until_s = self._fleet.now() + duration_s
-        while self._fleet.now() < until_s:
-            self._fleet.run_for(0.05)
-            acting = Counter(self._acting())
-            assert not [task_id for task_id, copies in acting.items() if copies > 1], "it runs twice"
-            assert not self._gone.intersection(acting), "it was removed, and runs"
-
-    def _acting(self) -> list[str]:
-        slots = [agent.slot(task) for agent in self._fleet.agents.values() for task in agent.running()]
-        tasks = [slot.task for slot in slots]
-        return [it.fence.task_id for it in tasks if isinstance(it, Count) and it.fence is not None and it.may_act()]
+from services.creation_storms import GUARD, creation_storms
 
 
 @pytest.mark.parametrize("keys", [{}, GUARD], ids=["unguarded", "guarded"])
-def test_never_do_two_run_and_what_was_removed_stays_away(keys: dict[str, object]) -> None:
-    done: Counter[str] = Counter()
-    for seed in range(3):
-        with FleetInTest(seed, classes={"test.Count": Count}) as fleet:
-            for name in "abc":
-                fleet.start(name)
-            fleet.connect()
-            storm = Storm(fleet, seed, keys)
-            for _ in range(STEPS):
-                storm.act()
-            fleet.connect(60.0)
-            storm.look(10.0)
-            done += storm.done
-    assert all(done[what] > 2 for what in ("created", "removed", "moved")), done
+def test_creation_storm_runs_no_task_twice_or_after_removal(keys: dict[str, object]) -> None:
+    creation_storms([4], keys)

@@ -70,7 +70,7 @@ def kept_by(fleet, agent, path):
     return held_by(agent.component(path), *shared).size_bytes
 
 
-def test_the_state_of_a_task_that_has_gone_is_kept_nowhere(fleet):
+def test_state_of_a_task_that_has_gone_is_not_kept(fleet):
     a = fleet.start("a", tasks={"Heavy": Heavy})
     fleet.start("b")
     fleet.connect()
@@ -81,7 +81,7 @@ def test_the_state_of_a_task_that_has_gone_is_kept_nowhere(fleet):
     assert a.running() == [] and kept_by(fleet, a, "client") < STATE_BYTES // 2
 
 
-def test_of_a_large_state_a_packet_that_tells_of_its_coming_says_only_how_large_it_is(fleet):
+def test_arrival_of_a_large_state_tells_only_its_size(fleet):
     a = fleet.start("a", tasks={"Heavy": Heavy})
     b = fleet.start("b")
     fleet.connect()
@@ -90,7 +90,7 @@ def test_of_a_large_state_a_packet_that_tells_of_its_coming_says_only_how_large_
     assert re.fullmatch(r"about \d{7} bytes", told["load"]) and isinstance(told["count"], int)
 
 
-def test_half_a_snapshot_of_an_agent_that_has_gone_is_not_kept(fleet):
+def test_half_a_snapshot_of_a_gone_agent_is_not_kept(fleet):
     a = fleet.start("a", tasks={"Heavy": Heavy})
     b = fleet.start("b")
     fleet.connect()
@@ -98,15 +98,15 @@ def test_half_a_snapshot_of_an_agent_that_has_gone_is_not_kept(fleet):
     a.publish("sysctrl", Migrate("Heavy"))
     client = "client"
     before = kept_by(fleet, b, client)
-    while kept_by(fleet, b, client) <= before + STATE_BYTES // 3:  # each look walks through all that there is
-        fleet.run_for(0.5)
+    fleet.run_for(5.0)
+    assert kept_by(fleet, b, client) > before + STATE_BYTES // 3
     fleet.crash("a")
     b.wait_for_event("peer_down", at_most_s=30.0, peer="a")
     fleet.run_for(1.0)
     assert kept_by(fleet, b, client) < before + PIECE_BYTES
 
 
-def test_what_tasks_say_in_their_end_makes_no_new_stream_for_each_move(fleet):
+def test_streams_do_not_grow_with_each_move(fleet):
     a = fleet.start("a", tasks={"Sink": Sink, "Leaving": Leaving})
     b = fleet.start("b")
     fleet.connect()
