@@ -5,6 +5,9 @@ here=$PWD
 root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd) || exit 1
 cd "$root" || exit 1
 
+# Without .pyc files each of the thousands of processes that the tests start compiles Pancakes again.
+unset PYTHONDONTWRITEBYTECODE
+
 # Prints a Python that is new enough; $PYTHON goes first where it is set.
 find_python() {
     for name in "${PYTHON:-}" python3.13 python3.12 python3.11 python3 python; do
