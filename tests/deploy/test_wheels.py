@@ -15,7 +15,6 @@ from pancakes.tools.deploy.wheels import (
     distribution_of,
     extras_of,
     given_wheels,
-    installed_wheels,
     libraries_for,
     name_of,
     wheel_at,
@@ -102,11 +101,3 @@ def test_a_library_that_is_not_there_for_a_platform_is_told(tmp_path: Path, monk
     assert told.startswith("no wheels can be had for Python 3.11 on linux_sparc64: ERROR: ")
     assert "no-such-library-of-pancakes" in told
     assert not list((tmp_path / "cache" / "pancakes" / "libraries").iterdir())
-
-
-def test_what_is_installed_here_becomes_wheels(tmp_path: Path):
-    wheels = installed_wheels(tmp_path)
-    assert {distribution_of(wheel) for wheel in wheels} >= {"pancakes-agents", "pancakes-encirclement"}
-    (own,) = [wheel for wheel in wheels if distribution_of(wheel) == "pancakes-agents"]
-    with zipfile.ZipFile(own.path) as archive:
-        assert "pancakes/tools/there/own_supervisor.py" in archive.namelist()
