@@ -26,6 +26,6 @@ def for_each(cases: Iterable[Any], check: Callable[[Any], object]) -> None:
         except Exception as error:
             error.add_note(f"case {case}")
             failures.append(error)
-            failed.append(str(case))
+            failed.append(str(case)[:200])
     if failures:
         raise ExceptionGroup(f"{len(failures)} of {count} cases fail: {', '.join(failed)}", failures)

@@ -1,6 +1,7 @@
 """What a configuration can get wrong. All of it comes at once, each with its line, its key and what was meant."""
 
 import pytest
+from seeded import for_each
 
 from pancakes.errors import ConfigError
 from pancakes.runtime.config import parse
@@ -62,96 +63,105 @@ def test_only_the_format_that_this_version_knows_is_read(schema: str, problem: s
     assert faults(HEAD.replace("schema = 1", f"schema = {schema}")) == [f"a.toml:1: schema: {problem}"]
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("[tasks.X]\n", ["a.toml:4: [tasks]: unknown table, did you mean 'task'?"]),
-        ("[clock]\nspede = 2\n", ["a.toml:5: [clock] spede: unknown key, did you mean 'speed'?"]),
-        (
-            "[task.X]\ntype = 'x'\nrestart = { at_least = 1 }\n",
-            ["a.toml:6: [task.X] restart.at_least: unknown key, did you mean 'at_most'?"],
-        ),
-        (
-            "[task.X]\ntype = 'x'\n[task.X.migrate]\nwhen = 'battery'\nbelow = 0.5\nelse = 1\n",
-            ["a.toml:9: [task.X] migrate.else: unknown key"],
-        ),
-        (
-            "[service.network]\ndiscovery_hz = 1\n",
-            [
-                (
-                    "a.toml:5: [service.network] discovery_hz: unknown key;"
-                    " the service's own settings belong into its key `settings`"
-                )
-            ],
-        ),
-        (
-            "[task.X]\ntype = 'x'\nname = 'Y'\n",
-            ["a.toml:6: [task.X] name: unknown key; the name stands in the head of the table: [task.NAME]"],
-        ),
-        ("[channel.images]\nsize = 3\n", ["a.toml:5: [channel.images] size: unknown key"]),
-    ],
-)
-def test_unknown_keys_are_found_at_any_depth(text: str, expected: list[str]):
-    assert faults(HEAD + text) == expected
+def test_unknown_config_keys_at_any_depth():
+    def check(case):
+        text, expected = case
+        assert faults(HEAD + text) == expected
+
+    for_each(
+        [
+            ("[tasks.X]\n", ["a.toml:4: [tasks]: unknown table, did you mean 'task'?"]),
+            ("[clock]\nspede = 2\n", ["a.toml:5: [clock] spede: unknown key, did you mean 'speed'?"]),
+            (
+                "[task.X]\ntype = 'x'\nrestart = { at_least = 1 }\n",
+                ["a.toml:6: [task.X] restart.at_least: unknown key, did you mean 'at_most'?"],
+            ),
+            (
+                "[task.X]\ntype = 'x'\n[task.X.migrate]\nwhen = 'battery'\nbelow = 0.5\nelse = 1\n",
+                ["a.toml:9: [task.X] migrate.else: unknown key"],
+            ),
+            (
+                "[service.network]\ndiscovery_hz = 1\n",
+                [
+                    (
+                        "a.toml:5: [service.network] discovery_hz: unknown key;"
+                        " the service's own settings belong into its key `settings`"
+                    )
+                ],
+            ),
+            (
+                "[task.X]\ntype = 'x'\nname = 'Y'\n",
+                ["a.toml:6: [task.X] name: unknown key; the name stands in the head of the table: [task.NAME]"],
+            ),
+            ("[channel.images]\nsize = 3\n", ["a.toml:5: [channel.images] size: unknown key"]),
+        ],
+        check,
+    )
 
 
 def test_an_unknown_key_at_the_top():
     assert faults("shcema = 1\n" + HEAD) == ["a.toml:1: shcema: unknown key, did you mean 'schema'?"]
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("[clock]\nspeed = nan\n", "a.toml:5: [clock] speed: is not a number (nan)"),
-        ("[clock]\nspeed = true\n", "a.toml:5: [clock] speed: expected a number, got true or false"),
-        ("[clock]\nhold = 1\n", "a.toml:5: [clock] hold: expected true or false, got an integer"),
-        ("[device.d]\ndriver = 1\n", "a.toml:5: [device.d] driver: expected a string, got an integer"),
-        ("[device.d]\ndriver = 'x'\nsettings = 1\n", "a.toml:6: [device.d] settings: expected a table, got an integer"),
-        ("[device.d]\nrate_hz = 1\n", "a.toml:4: [device.d] driver: is missing"),
-        (
-            "[record]\ntask = 'Saver'\n",
-            "a.toml:4: [record]: task: 'Saver' is no task id: it must read birthplace/name",
-        ),
-        (
-            "[device.d]\ndriver = 'x'\nrate_hz = 100000000000000000000\n",
-            f"a.toml:6: [device.d] rate_hz: lies beyond what can be saved ({-(2**63)} to {2**64 - 1})",
-        ),
-        ("[device.d]\ndriver = ''\n", "a.toml:5: [device.d] driver: is empty"),
-        ("[service.vision]\ntype = ''\n", "a.toml:5: [service.vision] type: is empty"),
-        ("[task.X]\ntype = ''\n", "a.toml:5: [task.X] type: is empty"),
-        ("[service.vision]\n", "a.toml:4: [service.vision] type: is missing"),
-        ("[task.X]\n", "a.toml:4: [task.X] type: is missing"),
-        (
-            "[task.X]\ntype = 'x'\nrestart = { within_s = 0 }\n",
-            "a.toml:6: [task.X] restart.within_s: expected a number of seconds > 0, not 0",
-        ),
-        (
-            "[task.X]\ntype = 'x'\nrestart = { within_s = inf }\n",
-            "a.toml:6: [task.X] restart.within_s: is not finite (inf)",
-        ),
-        (
-            "[service.log]\nrestart = { at_most = -1 }\n",
-            "a.toml:5: [service.log] restart.at_most: expected an integer >= 0, not -1",
-        ),
-        (
-            "[task.X]\ntype = 'x'\nrestart = { pause_s = -1 }\n",
-            "a.toml:6: [task.X] restart.pause_s: expected a number of seconds >= 0, not -1",
-        ),
-        (
-            "[device.X]\ndriver = 'x'\nrestart = { again_s = -0.5 }\n",
-            "a.toml:6: [device.X] restart.again_s: expected a number of seconds >= 0, not -0.5",
-        ),
-        (
-            "[device.X]\ndriver = 'x'\nrestart = { pause_s = 30 }\n",
-            "a.toml:6: [device.X] restart.pause_max_s: is 10 s, less than the first pause (pause_s), which is 30 s",
-        ),
-        ("[task]\ntype = 'x'\n", "a.toml:5: [task.type]: expected a table with a name, such as [task.NAME]"),
-        ("[[task]]\ntype = 'x'\n", "a.toml:4: [task]: expected tables with a name each, such as [task.NAME]"),
-        ("[channel.system]\n", "a.toml:4: [channel.system]: the channel 'system' is a core one and always there"),
-    ],
-)
-def test_values_have_their_type_and_range(text: str, expected: str):
-    assert faults(HEAD + text) == [expected]
+def test_config_value_of_wrong_type_or_range():
+    def check(case):
+        text, expected = case
+        assert faults(HEAD + text) == [expected]
+
+    for_each(
+        [
+            ("[clock]\nspeed = nan\n", "a.toml:5: [clock] speed: is not a number (nan)"),
+            ("[clock]\nspeed = true\n", "a.toml:5: [clock] speed: expected a number, got true or false"),
+            ("[clock]\nhold = 1\n", "a.toml:5: [clock] hold: expected true or false, got an integer"),
+            ("[device.d]\ndriver = 1\n", "a.toml:5: [device.d] driver: expected a string, got an integer"),
+            (
+                "[device.d]\ndriver = 'x'\nsettings = 1\n",
+                "a.toml:6: [device.d] settings: expected a table, got an integer",
+            ),
+            ("[device.d]\nrate_hz = 1\n", "a.toml:4: [device.d] driver: is missing"),
+            (
+                "[record]\ntask = 'Saver'\n",
+                "a.toml:4: [record]: task: 'Saver' is no task id: it must read birthplace/name",
+            ),
+            (
+                "[device.d]\ndriver = 'x'\nrate_hz = 100000000000000000000\n",
+                f"a.toml:6: [device.d] rate_hz: lies beyond what can be saved ({-(2**63)} to {2**64 - 1})",
+            ),
+            ("[device.d]\ndriver = ''\n", "a.toml:5: [device.d] driver: is empty"),
+            ("[service.vision]\ntype = ''\n", "a.toml:5: [service.vision] type: is empty"),
+            ("[task.X]\ntype = ''\n", "a.toml:5: [task.X] type: is empty"),
+            ("[service.vision]\n", "a.toml:4: [service.vision] type: is missing"),
+            ("[task.X]\n", "a.toml:4: [task.X] type: is missing"),
+            (
+                "[task.X]\ntype = 'x'\nrestart = { within_s = 0 }\n",
+                "a.toml:6: [task.X] restart.within_s: expected a number of seconds > 0, not 0",
+            ),
+            (
+                "[task.X]\ntype = 'x'\nrestart = { within_s = inf }\n",
+                "a.toml:6: [task.X] restart.within_s: is not finite (inf)",
+            ),
+            (
+                "[service.log]\nrestart = { at_most = -1 }\n",
+                "a.toml:5: [service.log] restart.at_most: expected an integer >= 0, not -1",
+            ),
+            (
+                "[task.X]\ntype = 'x'\nrestart = { pause_s = -1 }\n",
+                "a.toml:6: [task.X] restart.pause_s: expected a number of seconds >= 0, not -1",
+            ),
+            (
+                "[device.X]\ndriver = 'x'\nrestart = { again_s = -0.5 }\n",
+                "a.toml:6: [device.X] restart.again_s: expected a number of seconds >= 0, not -0.5",
+            ),
+            (
+                "[device.X]\ndriver = 'x'\nrestart = { pause_s = 30 }\n",
+                "a.toml:6: [device.X] restart.pause_max_s: is 10 s, less than the first pause (pause_s), which is 30 s",
+            ),
+            ("[task]\ntype = 'x'\n", "a.toml:5: [task.type]: expected a table with a name, such as [task.NAME]"),
+            ("[[task]]\ntype = 'x'\n", "a.toml:4: [task]: expected tables with a name each, such as [task.NAME]"),
+            ("[channel.system]\n", "a.toml:4: [channel.system]: the channel 'system' is a core one and always there"),
+        ],
+        check,
+    )
 
 
 def test_infinity_is_no_rate():
@@ -160,16 +170,27 @@ def test_infinity_is_no_rate():
     ]
 
 
-@pytest.mark.parametrize(
-    ("name", "near"),
-    [("go home", "go_home"), ("a/b", "a_b"), ("*", "_"), (".x", "x"), ("a.b", "a_b"), ("-b", "b"), ("grün", "gr_n")],
-)
-def test_a_name_can_be_part_of_an_address_and_of_a_file_name(name: str, near: str):
-    (fault,) = faults(HEAD + f"[task.'{name}']\ntype = 'x'\n")
+def test_bad_task_name_gets_a_suggestion():
+    def check(case):
+        name, near = case
+        (fault,) = faults(HEAD + f"[task.'{name}']\ntype = 'x'\n")
 
-    assert fault.startswith("a.toml:4: [task.")
-    assert f"{name!a} is no name: a name has letters from a to z and A to Z, digits, '_' and '-'" in fault
-    assert fault.endswith(f"did you mean {near!r}?")
+        assert fault.startswith("a.toml:4: [task.")
+        assert f"{name!a} is no name: a name has letters from a to z and A to Z, digits, '_' and '-'" in fault
+        assert fault.endswith(f"did you mean {near!r}?")
+
+    for_each(
+        [
+            ("go home", "go_home"),
+            ("a/b", "a_b"),
+            ("*", "_"),
+            (".x", "x"),
+            ("a.b", "a_b"),
+            ("-b", "b"),
+            ("grün", "gr_n"),
+        ],
+        check,
+    )
 
 
 def test_agents_and_fleets_have_names_too():
@@ -224,40 +245,43 @@ class TestMigrationRules:
     def rule(self, rule: str) -> list[str]:
         return faults(HEAD + f"[task.X]\ntype = 'x'\nmigrate = {rule}\n[task.GoHome]\ntype = 'x'\n")
 
-    @pytest.mark.parametrize(
-        ("rule", "key", "problem"),
-        [
-            ("{ below = 0.5 }", "migrate.when", "is missing"),
-            ("{ when = '', below = 0.5 }", "migrate.when", "is empty"),
-            ("{ when = 'battery' }", "migrate", "needs a bound: below, above or both"),
-            ("{ when = 'battery', below = 65 }", "migrate.below", "expected a number from 0 to 1"),
-            ("{ when = 'battery', above = -1 }", "migrate.above", "expected a number from 0 to 1"),
-            ("{ when = 'battery', below = nan }", "migrate.below", "is not a number (nan)"),
-            ("{ when = 'x', field = 'celsius', above = inf }", "migrate.above", "is not finite (inf)"),
-            ("{ when = 'battery', below = 0.5, above = 0.4 }", "migrate.below", "is more than above (0.4)"),
-            ("{ when = 'battery', below = 0.5, then = 'X' }", "migrate.then", "names the task itself"),
-            ("{ when = 'battery', below = 0.5, cost = '' }", "migrate.cost", "is empty"),
-            ("{ when = 'battery', below = 0.5, cost = {} }", "migrate.cost", "names no cost function"),
-            (
-                "{ when = 'battery', below = 0.5, cost = { tasks = -1 } }",
-                "migrate.cost.tasks",
-                "a weight is a finite number of at least 0, not -1",
-            ),
-            (
-                "{ when = 'battery', below = 0.5, cost = { tasks = 1, load = inf } }",
-                "migrate.cost.load",
-                "is not finite (inf)",
-            ),
-            (
-                "{ when = 'battery', below = 0.5, cost = { tasks = nan } }",
-                "migrate.cost.tasks",
-                "is not a number (nan)",
-            ),
-        ],
-    )
-    def test_a_rule_that_cannot_be_meant(self, rule: str, key: str, problem: str):
-        (fault,) = self.rule(rule)
-        assert fault.startswith(f"a.toml:6: [task.X] {key}: {problem}")
+    def test_migration_rule_faults(self):
+        def check(case):
+            rule, key, problem = case
+            (fault,) = self.rule(rule)
+            assert fault.startswith(f"a.toml:6: [task.X] {key}: {problem}")
+
+        for_each(
+            [
+                ("{ below = 0.5 }", "migrate.when", "is missing"),
+                ("{ when = '', below = 0.5 }", "migrate.when", "is empty"),
+                ("{ when = 'battery' }", "migrate", "needs a bound: below, above or both"),
+                ("{ when = 'battery', below = 65 }", "migrate.below", "expected a number from 0 to 1"),
+                ("{ when = 'battery', above = -1 }", "migrate.above", "expected a number from 0 to 1"),
+                ("{ when = 'battery', below = nan }", "migrate.below", "is not a number (nan)"),
+                ("{ when = 'x', field = 'celsius', above = inf }", "migrate.above", "is not finite (inf)"),
+                ("{ when = 'battery', below = 0.5, above = 0.4 }", "migrate.below", "is more than above (0.4)"),
+                ("{ when = 'battery', below = 0.5, then = 'X' }", "migrate.then", "names the task itself"),
+                ("{ when = 'battery', below = 0.5, cost = '' }", "migrate.cost", "is empty"),
+                ("{ when = 'battery', below = 0.5, cost = {} }", "migrate.cost", "names no cost function"),
+                (
+                    "{ when = 'battery', below = 0.5, cost = { tasks = -1 } }",
+                    "migrate.cost.tasks",
+                    "a weight is a finite number of at least 0, not -1",
+                ),
+                (
+                    "{ when = 'battery', below = 0.5, cost = { tasks = 1, load = inf } }",
+                    "migrate.cost.load",
+                    "is not finite (inf)",
+                ),
+                (
+                    "{ when = 'battery', below = 0.5, cost = { tasks = nan } }",
+                    "migrate.cost.tasks",
+                    "is not a number (nan)",
+                ),
+            ],
+            check,
+        )
 
     def test_what_follows_is_a_task_of_this_agent(self):
         assert self.rule("{ when = 'battery', below = 0.5, then = 'GoHom' }") == [

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from msgspec.structs import replace
+from seeded import for_each
 
 from pancakes.errors import ConfigError
 from pancakes.mesh.migration.epoch import Epoch
@@ -114,14 +115,17 @@ def test_a_configuration_is_shown_with_its_defaults_and_where_each_was_said() ->
     assert {keys: origin(config, keys) for keys in expected} == expected
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_what_is_shown_is_a_configuration_that_comes_to_the_same(path: Path) -> None:
+def test_effective_config_means_the_same_when_read():
     plugins = Plugins()
-    shown = effective(load(path, plugins=plugins), plugins)
 
-    again = parse(document_text(shown), "shown", plugins=plugins)
+    def check(path):
+        shown = effective(load(path, plugins=plugins), plugins)
 
-    assert effective(again, plugins) == shown
+        again = parse(document_text(shown), "shown", plugins=plugins)
+
+        assert effective(again, plugins) == shown
+
+    for_each(FILES, check)
 
 
 def test_rules_recordings_and_created_tasks_are_shown_as_a_configuration_too() -> None:

@@ -1,7 +1,7 @@
 """A plug-in for pykka's own tests: it puts a component in the place of `pykka.ThreadingActor`.
 
-`test_pykka_own_tests.py` loads it in a pytest of its own, before pykka's tests are imported. It writes the outcome of
-each test to the file that `OUTCOMES` names.
+`test_pykka_own_tests_full.py` loads it in a pytest of its own, before pykka's tests are imported. It writes the outcome
+of each test to the file that `OUTCOMES` names.
 """
 
 import json

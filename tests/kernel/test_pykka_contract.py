@@ -10,6 +10,7 @@ import threading
 import pykka
 import pytest
 from pykka.messages import ProxyCall, ProxyGetAttr, ProxySetAttr
+from seeded import for_each
 
 from pancakes.runtime.clock import MissionClock, MonotonicClock
 from pancakes.runtime.hosting.bidding import TaskMigrator
@@ -30,29 +31,32 @@ from pancakes.testing import no_thread_left, threaded_agent
 PATIENCE_S = 10.0
 
 
-@pytest.mark.parametrize(
-    ("method", "parameters"),
-    [
-        ("_create_actor_inbox", []),
-        ("_create_future", []),
-        ("_start_actor_loop", ["self"]),
-        ("_actor_loop", ["self"]),
-        ("_actor_loop_setup", ["self"]),
-        ("_actor_loop_running", ["self"]),
-        ("_actor_loop_teardown", ["self"]),
-        ("_handle_receive", ["self", "message"]),
-        ("_handle_failure", ["self", "exception_type", "exception_value", "traceback"]),
-        ("_stop", ["self"]),
-        ("stop", ["self"]),
-        ("on_start", ["self"]),
-        ("on_stop", ["self"]),
-        ("on_failure", ["self", "exception_type", "exception_value", "traceback"]),
-        ("on_receive", ["self", "message"]),
-    ],
-)
-def test_the_methods_of_an_actor_are_as_we_know_them(method, parameters):
-    assert list(inspect.signature(getattr(pykka.Actor, method)).parameters) == parameters
-    assert list(inspect.signature(getattr(Component, method)).parameters) == parameters
+def test_pykka_actor_methods_are_known():
+    def check(case):
+        method, parameters = case
+        assert list(inspect.signature(getattr(pykka.Actor, method)).parameters) == parameters
+        assert list(inspect.signature(getattr(Component, method)).parameters) == parameters
+
+    for_each(
+        [
+            ("_create_actor_inbox", []),
+            ("_create_future", []),
+            ("_start_actor_loop", ["self"]),
+            ("_actor_loop", ["self"]),
+            ("_actor_loop_setup", ["self"]),
+            ("_actor_loop_running", ["self"]),
+            ("_actor_loop_teardown", ["self"]),
+            ("_handle_receive", ["self", "message"]),
+            ("_handle_failure", ["self", "exception_type", "exception_value", "traceback"]),
+            ("_stop", ["self"]),
+            ("stop", ["self"]),
+            ("on_start", ["self"]),
+            ("on_stop", ["self"]),
+            ("on_failure", ["self", "exception_type", "exception_value", "traceback"]),
+            ("on_receive", ["self", "message"]),
+        ],
+        check,
+    )
 
 
 def test_an_actor_sets_no_field_that_our_own_init_leaves_out():
@@ -98,12 +102,26 @@ def test_handling_a_stop_calls_stop_of_the_actor_itself():
     assert calls == ["stop"]
 
 
-@pytest.mark.parametrize(
-    "cls",
-    [Component, Task, Service, Root, ClientService, DeviceTask, NetworkClient, Discovery, TaskMigrator, Console, Timer],
-)
-def test_every_moving_part_is_a_pykka_actor(cls):
-    assert issubclass(cls, pykka.Actor)
+def test_components_are_pykka_actors():
+    def check(cls):
+        assert issubclass(cls, pykka.Actor)
+
+    for_each(
+        [
+            Component,
+            Task,
+            Service,
+            Root,
+            ClientService,
+            DeviceTask,
+            NetworkClient,
+            Discovery,
+            TaskMigrator,
+            Console,
+            Timer,
+        ],
+        check,
+    )
 
 
 @pytest.mark.parametrize("group", ["pancakes.tasks", "pancakes.services"])

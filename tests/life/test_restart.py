@@ -1,10 +1,12 @@
 """When what ended is started again, and how long that waits: the whole table."""
 
+import itertools
 import random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seeded import for_each
 
 from pancakes.runtime.life.restart import DeviceRestartSpec, Next, Restarts, RestartSpec, tries
 
@@ -28,22 +30,27 @@ def fail_after(restarts, ran_s, now_s=0.0):
     return restarts.began(now_s).ended(True, now_s + ran_s, longest)
 
 
-@pytest.mark.parametrize(
-    ("policy", "failed", "following", "due"),
-    [
-        ("permanent", True, Next.RESTART, True),
-        ("permanent", False, Next.RESTART, True),
-        ("transient", True, Next.RESTART, True),
-        ("transient", False, Next.REST, False),
-        ("temporary", True, Next.GIVE_UP, False),
-        ("temporary", False, Next.REST, False),
-    ],
-)
-@pytest.mark.parametrize("again_s", [0.0, 60.0])
-def test_the_policy_decides_what_follows_the_first_end(policy, failed, following, due, again_s):
-    found, restarts = Restarts(RestartSpec(policy, again_s=again_s)).ended(failed, 0.0, longest)
-    assert found is following
-    assert (restarts.due_s is not None) is due
+def test_restart_policy_after_first_end():
+    def check(case):
+        (policy, failed, following, due), again_s = case
+        found, restarts = Restarts(RestartSpec(policy, again_s=again_s)).ended(failed, 0.0, longest)
+        assert found is following
+        assert (restarts.due_s is not None) is due
+
+    for_each(
+        itertools.product(
+            [
+                ("permanent", True, Next.RESTART, True),
+                ("permanent", False, Next.RESTART, True),
+                ("transient", True, Next.RESTART, True),
+                ("transient", False, Next.REST, False),
+                ("temporary", True, Next.GIVE_UP, False),
+                ("temporary", False, Next.REST, False),
+            ],
+            [0.0, 60.0],
+        ),
+        check,
+    )
 
 
 @pytest.mark.parametrize("policy", ["permanent", "transient", "temporary"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-import pytest
+from seeded import for_each
 
 from pancakes.mesh.net.client_places import (
     IDLE_S,
@@ -55,18 +55,21 @@ def test_a_client_that_was_quiet_for_ten_seconds_is_idle():
     assert who_makes_room("x", places(("x", 10.0))) == 0
 
 
-@pytest.mark.parametrize(
-    ("remote", "machine"),
-    [
-        ("tcp://127.0.0.1:40000", THIS_MACHINE),
-        ("tcp://127.3.2.1:40000", THIS_MACHINE),
-        ("tcp://[::1]:40000", THIS_MACHINE),
-        ("tcp://[::ffff:127.0.0.1]:40000", THIS_MACHINE),
-        ("tcp://[::ffff:10.0.0.7]:40000", "10.0.0.7"),
-        ("tcp://10.0.0.7:1", "10.0.0.7"),
-        ("memory://agent2:1", "agent2"),
-        ("", ""),
-    ],
-)
-def test_the_machine_is_the_address_without_its_port(remote, machine):
-    assert machine_of(remote) == machine
+def test_machine_of_an_address():
+    def check(case):
+        remote, machine = case
+        assert machine_of(remote) == machine
+
+    for_each(
+        [
+            ("tcp://127.0.0.1:40000", THIS_MACHINE),
+            ("tcp://127.3.2.1:40000", THIS_MACHINE),
+            ("tcp://[::1]:40000", THIS_MACHINE),
+            ("tcp://[::ffff:127.0.0.1]:40000", THIS_MACHINE),
+            ("tcp://[::ffff:10.0.0.7]:40000", "10.0.0.7"),
+            ("tcp://10.0.0.7:1", "10.0.0.7"),
+            ("memory://agent2:1", "agent2"),
+            ("", ""),
+        ],
+        check,
+    )

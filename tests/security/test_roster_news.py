@@ -6,6 +6,7 @@ import json
 import math
 
 import pytest
+from seeded import for_each
 
 from pancakes.mesh.security.certified import NEVER_S, Certified, certified, fault_of_bearer
 from pancakes.mesh.security.roster import (
@@ -28,28 +29,31 @@ LOST = Certified("garage", "agent", "r2", (), "D4")
 ROSTER = Roster("garage", 7, NOW_S - DAY_S, (Revoked("D4", "agent/r2", "lost"),))
 
 
-@pytest.mark.parametrize(
-    ("shown", "now_s", "fault"),
-    [
-        (ROBOT, NOW_S, ""),
-        (ROBOT, EARLY_S, ""),
-        (ROBOT, LATE_S, ""),
-        (PERSON, NOW_S, ""),
-        (PERSON, NOW_S + 299.0, ""),
-        (PERSON, NOW_S + 3601.0, "its certificate ended 1.0 hours ago"),
-        (PERSON, EARLY_S, ""),
-        (PERSON, LATE_S, "its certificate ended 26447 days ago"),
-        (GONE, EARLY_S, "its certificate ended 9 days ago"),  # the roster was signed after its end
-        (
-            Certified("garage", "agent", "r2", (), "D4"),
-            EARLY_S,
-            "its certificate was revoked (roster 7): agent/r2: lost",
-        ),
-        (Certified("barn", "agent", "r1"), NOW_S, "its certificate is of the fleet barn, and ours of garage"),
-    ],
-)
-def test_clocks_and_rosters(shown, now_s, fault):
-    assert fault_of_certified(shown, "garage", ROSTER, now_s) == fault
+def test_roster_and_clock_decisions():
+    def check(case):
+        shown, now_s, fault = case
+        assert fault_of_certified(shown, "garage", ROSTER, now_s) == fault
+
+    for_each(
+        [
+            (ROBOT, NOW_S, ""),
+            (ROBOT, EARLY_S, ""),
+            (ROBOT, LATE_S, ""),
+            (PERSON, NOW_S, ""),
+            (PERSON, NOW_S + 299.0, ""),
+            (PERSON, NOW_S + 3601.0, "its certificate ended 1.0 hours ago"),
+            (PERSON, EARLY_S, ""),
+            (PERSON, LATE_S, "its certificate ended 26447 days ago"),
+            (GONE, EARLY_S, "its certificate ended 9 days ago"),  # the roster was signed after its end
+            (
+                Certified("garage", "agent", "r2", (), "D4"),
+                EARLY_S,
+                "its certificate was revoked (roster 7): agent/r2: lost",
+            ),
+            (Certified("barn", "agent", "r1"), NOW_S, "its certificate is of the fleet barn, and ours of garage"),
+        ],
+        check,
+    )
 
 
 def test_without_a_roster_the_clock_alone_counts():
@@ -57,25 +61,28 @@ def test_without_a_roster_the_clock_alone_counts():
     assert fault_of_certified(GONE, "garage", None, NOW_S) == "its certificate ended 10 days ago"
 
 
-@pytest.mark.parametrize(
-    ("new", "last", "now_s", "fault"),
-    [
-        (Roster("garage", 8, NOW_S), ROSTER, NOW_S, ""),
-        (Roster("garage", 1, NOW_S), None, NOW_S, ""),
-        (Roster("garage", 7, NOW_S), ROSTER, NOW_S, "the roster 7 is older than the roster 7, which is known"),
-        (Roster("garage", 6, NOW_S), ROSTER, NOW_S, "the roster 6 is older than the roster 7, which is known"),
-        (Roster("barn", 8, NOW_S), ROSTER, NOW_S, "the roster 8 is of the fleet barn, and this is garage"),
-        (Roster("garage", 8, NOW_S + LATEST_S - DAY_S + 1), ROSTER, EARLY_S, "is dated 30 days after"),
-        (Roster("garage", 8, NOW_S + LATEST_S - DAY_S), ROSTER, EARLY_S, ""),
-        (Roster("garage", 8, LATE_S), ROSTER, NOW_S, "sign it with pancakes fleet sign --force"),
-        (Roster("garage", 8, LATE_S, forced=True), ROSTER, NOW_S, ""),
-        (Roster("garage", 8, LATE_S), ROSTER, LATE_S, ""),
-        (Roster("garage", 8, EARLY_S), ROSTER, NOW_S, ""),
-    ],
-)
-def test_which_roster_is_taken(new, last, now_s, fault):
-    found = fault_of_news(new, last, "garage", now_s)
-    assert fault in found and bool(found) is bool(fault)
+def test_roster_choice():
+    def check(case):
+        new, last, now_s, fault = case
+        found = fault_of_news(new, last, "garage", now_s)
+        assert fault in found and bool(found) is bool(fault)
+
+    for_each(
+        [
+            (Roster("garage", 8, NOW_S), ROSTER, NOW_S, ""),
+            (Roster("garage", 1, NOW_S), None, NOW_S, ""),
+            (Roster("garage", 7, NOW_S), ROSTER, NOW_S, "the roster 7 is older than the roster 7, which is known"),
+            (Roster("garage", 6, NOW_S), ROSTER, NOW_S, "the roster 6 is older than the roster 7, which is known"),
+            (Roster("barn", 8, NOW_S), ROSTER, NOW_S, "the roster 8 is of the fleet barn, and this is garage"),
+            (Roster("garage", 8, NOW_S + LATEST_S - DAY_S + 1), ROSTER, EARLY_S, "is dated 30 days after"),
+            (Roster("garage", 8, NOW_S + LATEST_S - DAY_S), ROSTER, EARLY_S, ""),
+            (Roster("garage", 8, LATE_S), ROSTER, NOW_S, "sign it with pancakes fleet sign --force"),
+            (Roster("garage", 8, LATE_S, forced=True), ROSTER, NOW_S, ""),
+            (Roster("garage", 8, LATE_S), ROSTER, LATE_S, ""),
+            (Roster("garage", 8, EARLY_S), ROSTER, NOW_S, ""),
+        ],
+        check,
+    )
 
 
 @pytest.mark.parametrize("text", [b"", b"{}", b"[]", b'{"payload": "{}", "signature": ""}'])
@@ -91,20 +98,35 @@ def test_a_roster_is_no_larger_than_what_may_travel():
         read_signed(sound.ljust(MOST_BYTES + 1))
 
 
-@pytest.mark.parametrize(
-    ("shown", "name", "role", "fleet", "fault"),
-    [
-        (ROBOT, "r1", "agent", "garage", ""),
-        (PERSON, "alice.4f", "client", "garage", ""),
-        (ROBOT, "r1x", "agent", "garage", "it calls itself r1x, and its certificate is r1's (agent)"),
-        (ROBOT, "r1", "environment", "garage", "r1 comes as environment, and its certificate is for the role agent"),
-        (ROBOT, "r1", "agent", "barn", "r1 says that it is of the fleet barn, and its certificate says garage"),
-        (PERSON, "alice", "client", "garage", "it calls itself alice, and its certificate is alice's (operator)"),
-        (PERSON, "alicex.1", "client", "garage", "it calls itself alicex.1, and its certificate is alice's (operator)"),
-    ],
-)
-def test_a_bearer_is_what_the_certificate_says(shown, name, role, fleet, fault):
-    assert fault_of_bearer(shown, name, role, fleet) == fault
+def test_bearer_of_a_certificate():
+    def check(case):
+        shown, name, role, fleet, fault = case
+        assert fault_of_bearer(shown, name, role, fleet) == fault
+
+    for_each(
+        [
+            (ROBOT, "r1", "agent", "garage", ""),
+            (PERSON, "alice.4f", "client", "garage", ""),
+            (ROBOT, "r1x", "agent", "garage", "it calls itself r1x, and its certificate is r1's (agent)"),
+            (
+                ROBOT,
+                "r1",
+                "environment",
+                "garage",
+                "r1 comes as environment, and its certificate is for the role agent",
+            ),
+            (ROBOT, "r1", "agent", "barn", "r1 says that it is of the fleet barn, and its certificate says garage"),
+            (PERSON, "alice", "client", "garage", "it calls itself alice, and its certificate is alice's (operator)"),
+            (
+                PERSON,
+                "alicex.1",
+                "client",
+                "garage",
+                "it calls itself alicex.1, and its certificate is alice's (operator)",
+            ),
+        ],
+        check,
+    )
 
 
 def shown(*uris):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import weakref
 
 import pytest
+from seeded import for_each
 
 from pancakes.control import CONTROLS, Describe, Shutdown, Stop
 from pancakes.errors import PancakesError
@@ -17,28 +18,31 @@ from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, SYSTEM, Packet
 R2 = Bearer("r2", "agent", ("field",))
 
 
-@pytest.mark.parametrize(
-    ("rule", "is_allowed"),
-    [
-        (AccessRule(("r2",), ("change",)), True),
-        (AccessRule(("r?",), ("*",)), True),
-        (AccessRule(("role:agent",), ("look", "change")), True),
-        (AccessRule(("group:field",), ("change",)), True),
-        (AccessRule(("r2",), ("change",), ("r1/device/*",)), True),
-        (AccessRule(("r2",), ("change",), ("*",), ("r1", "r9")), True),
-        (AccessRule(("r3",), ("change",)), False),
-        (AccessRule(("role:operator",), ("change",)), False),
-        (AccessRule(("group:staff",), ("change",)), False),
-        (AccessRule(("agent",), ("change",)), False),
-        (AccessRule(("field",), ("change",)), False),
-        (AccessRule(("r2",), ("look",)), False),
-        (AccessRule(("r2",), ("change",), ("r1/client/*",)), False),
-        (AccessRule(("r2",), ("change",), ("*",), ("r9",)), False),
-    ],
-)
-def test_a_rule_allows_what_it_names_alone(rule, is_allowed):
-    assert allows([rule], R2, "change", ("r1/device/motors",), "r1") is is_allowed
-    assert allows([], R2, "change", ("r1/device/motors",), "r1") is False
+def test_access_rule_allows_only_what_it_names():
+    def check(case):
+        rule, is_allowed = case
+        assert allows([rule], R2, "change", ("r1/device/motors",), "r1") is is_allowed
+        assert allows([], R2, "change", ("r1/device/motors",), "r1") is False
+
+    for_each(
+        [
+            (AccessRule(("r2",), ("change",)), True),
+            (AccessRule(("r?",), ("*",)), True),
+            (AccessRule(("role:agent",), ("look", "change")), True),
+            (AccessRule(("group:field",), ("change",)), True),
+            (AccessRule(("r2",), ("change",), ("r1/device/*",)), True),
+            (AccessRule(("r2",), ("change",), ("*",), ("r1", "r9")), True),
+            (AccessRule(("r3",), ("change",)), False),
+            (AccessRule(("role:operator",), ("change",)), False),
+            (AccessRule(("group:staff",), ("change",)), False),
+            (AccessRule(("agent",), ("change",)), False),
+            (AccessRule(("field",), ("change",)), False),
+            (AccessRule(("r2",), ("look",)), False),
+            (AccessRule(("r2",), ("change",), ("r1/client/*",)), False),
+            (AccessRule(("r2",), ("change",), ("*",), ("r9",)), False),
+        ],
+        check,
+    )
 
 
 @pytest.mark.parametrize(
@@ -61,25 +65,28 @@ def test_each_control_packet_needs_a_right():
     assert right_of(Shutdown()) == "end" and right_of(Describe()) == "look"
 
 
-@pytest.mark.parametrize(
-    ("channel", "kind", "needed"),
-    [
-        (SYSCTRL, "stop", None),
-        (SYSCTRL, "reply", None),
-        (SYSCTRL, "words", ("publish", (SYSCTRL,))),
-        (CTRL, "velocity", ("command", ("r1/device/motors", "velocity"))),
-        (NETWORK, "migration.commit", None),
-        (NETWORK, "post.letter", None),
-        (NETWORK, "words", ("publish", (NETWORK,))),
-        (SYSTEM, "pose", ("publish", (SYSTEM,))),
-        (LOG, "event", ("publish", (LOG,))),
-        ("map", "words", ("publish", ("map",))),
-        ("map", "stop", ("publish", ("map",))),
-        ("map", "migration.commit", ("publish", ("map",))),
-    ],
-)
-def test_what_a_packet_needs(channel, kind, needed):
-    assert needs(Packet(channel, kind, "r2/c/T", "r1/device/motors", 0.0, 1, None)) == needed
+def test_rights_that_packets_need():
+    def check(case):
+        channel, kind, needed = case
+        assert needs(Packet(channel, kind, "r2/c/T", "r1/device/motors", 0.0, 1, None)) == needed
+
+    for_each(
+        [
+            (SYSCTRL, "stop", None),
+            (SYSCTRL, "reply", None),
+            (SYSCTRL, "words", ("publish", (SYSCTRL,))),
+            (CTRL, "velocity", ("command", ("r1/device/motors", "velocity"))),
+            (NETWORK, "migration.commit", None),
+            (NETWORK, "post.letter", None),
+            (NETWORK, "words", ("publish", (NETWORK,))),
+            (SYSTEM, "pose", ("publish", (SYSTEM,))),
+            (LOG, "event", ("publish", (LOG,))),
+            ("map", "words", ("publish", ("map",))),
+            ("map", "stop", ("publish", ("map",))),
+            ("map", "migration.commit", ("publish", ("map",))),
+        ],
+        check,
+    )
 
 
 def access(*rules: AccessRule, number: int = 7, **more) -> Access:

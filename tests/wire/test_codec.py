@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import itertools
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from seeded import for_each
 
 from pancakes.bodies.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
@@ -104,14 +106,22 @@ def test_a_body_of_an_unknown_type_stays_a_mapping():
     assert there_and_back(packet(Inner(Colour.RED))).body == {"colour": "red", "places": []}
 
 
-@pytest.mark.parametrize("dtype", ["bool", "uint8", "int64", "float16", "float32", "float64", ">f4", "complex128"])
-@pytest.mark.parametrize("shape", [(), (0,), (5,), (2, 3), (2, 1, 4)])
-def test_arrays_travel_as_they_are_and_come_read_only(dtype, shape):
-    array = (numpy.arange(numpy.prod(shape, dtype=int)) % 2).reshape(shape).astype(dtype)
-    came = there_and_back(packet({"array": array})).body["array"]
-    assert came.dtype == array.dtype and came.shape == array.shape
-    assert numpy.array_equal(came, array)
-    assert not came.flags.writeable
+def test_arrays_travel_and_come_read_only():
+    def check(case):
+        dtype, shape = case
+        array = (numpy.arange(numpy.prod(shape, dtype=int)) % 2).reshape(shape).astype(dtype)
+        came = there_and_back(packet({"array": array})).body["array"]
+        assert came.dtype == array.dtype and came.shape == array.shape
+        assert numpy.array_equal(came, array)
+        assert not came.flags.writeable
+
+    for_each(
+        itertools.product(
+            ["bool", "uint8", "int64", "float16", "float32", "float64", ">f4", "complex128"],
+            [(), (0,), (5,), (2, 3), (2, 1, 4)],
+        ),
+        check,
+    )
 
 
 def test_arrays_within_dataclasses_and_slices_of_arrays_travel():
@@ -146,29 +156,32 @@ def test_named_tuples_enums_of_ints_and_the_like_become_plain():
     assert there_and_back(packet(body)).body == [[1.0, 2.0], 1, b"b", {"a": 1}]
 
 
-@pytest.mark.parametrize(
-    ("body", "problem"),
-    [
-        ({"a": {1, 2}}, r"its body\.a is of the type set"),
-        ([1, object()], r"its body\[1\] is of the type object"),
-        ({1: 2}, "the key 1"),
-        ({"a": {b"k": 2}}, r"its body\.a has the key b'k'"),
-        (2**64, "ints"),
-        ("\ud800", "surrogates"),
-        (msgpack.ExtType(5, b""), "of the type ExtType"),
-        (numpy.array(["text"]), "only numbers and booleans"),
-        (numpy.array([None]), "only numbers and booleans"),
-        (numpy.zeros(2, dtype=[("a", "f4")]), "only numbers and booleans"),
-        ([0] * (MAX_ARRAY_LENGTH + 1), "list of 65537"),
-        ({str(number): 0 for number in range(MAX_MAP_LENGTH + 1)}, "map of 4097"),
-        (bytes(MAX_MESSAGE_BYTES), "a frame has room"),
-        ([Fails("x")], r"KeyError: 'fails' at test_codec.py:\d+ in __str__"),
-    ],
-)
-def test_what_cannot_travel_is_an_error_that_names_the_packet(body, problem):
-    with pytest.raises(LocalProtocolError, match=problem) as caught:
-        Encoder().packet(packet(body))
-    assert "packet 7 of the type 'no such type' from a/b/c cannot be sent" in str(caught.value)
+def test_packet_that_cannot_travel_is_named():
+    def check(case):
+        body, problem = case
+        with pytest.raises(LocalProtocolError, match=problem) as caught:
+            Encoder().packet(packet(body))
+        assert "packet 7 of the type 'no such type' from a/b/c cannot be sent" in str(caught.value)
+
+    for_each(
+        [
+            ({"a": {1, 2}}, r"its body\.a is of the type set"),
+            ([1, object()], r"its body\[1\] is of the type object"),
+            ({1: 2}, "the key 1"),
+            ({"a": {b"k": 2}}, r"its body\.a has the key b'k'"),
+            (2**64, "ints"),
+            ("\ud800", "surrogates"),
+            (msgpack.ExtType(5, b""), "of the type ExtType"),
+            (numpy.array(["text"]), "only numbers and booleans"),
+            (numpy.array([None]), "only numbers and booleans"),
+            (numpy.zeros(2, dtype=[("a", "f4")]), "only numbers and booleans"),
+            ([0] * (MAX_ARRAY_LENGTH + 1), "list of 65537"),
+            ({str(number): 0 for number in range(MAX_MAP_LENGTH + 1)}, "map of 4097"),
+            (bytes(MAX_MESSAGE_BYTES), "a frame has room"),
+            ([Fails("x")], r"KeyError: 'fails' at test_codec.py:\d+ in __str__"),
+        ],
+        check,
+    )
 
 
 def test_an_encoder_goes_on_after_an_error():
@@ -203,49 +216,65 @@ def test_the_longest_packet_that_is_let_pass_is_taken():
         Encoder().packet(packet(largest.body + b"x"))
 
 
-@pytest.mark.parametrize(
-    ("data", "problem"),
-    [
-        (b"\xc1", "msgpack"),
-        (b"\x92\x01", "msgpack"),
-        (b"\x90", "no array of messages"),
-        (b"\x80", "no array of messages"),
-        (b"\x91\x90", "neither a packet"),
-        (b"\x91\x91\xc0", "neither a packet"),
-        (b"\x91\xc0", "neither a packet"),
-        (b"\xdd\xff\xff\xff\xff", "msgpack"),
-        (b"\xdf\xff\xff\xff\xff", "msgpack"),
-        (b"\xc9\xff\xff\xff\xff\x01", "msgpack"),
-        (b"\x91" * 3000 + b"\xc0", "msgpack"),
-        (payload(ROW) + b"\xc0", "msgpack"),
-        (body({1: 2}), "msgpack"),
-        (body([0] * (MAX_ARRAY_LENGTH + 1)), "max_array_len"),
-        (body({str(number): 0 for number in range(MAX_MAP_LENGTH + 1)}), "max_map_len"),
-        (body({b"k": 2}), "key that is no string"),
-        (body(msgpack.ExtType(2, b"abc")), "not ours: 2"),
-        (body(EPOCH), "not ours: -1"),
-        (body([EPOCH]), "not ours: -1"),
-        (body(msgpack.ExtType(1, b"abc")), "malformed array"),
-        (body(msgpack.ExtType(1, msgpack.packb(["<f8", [3], bytes(16)]))), "shape"),
-        (body(msgpack.ExtType(1, msgpack.packb(["<f8", [-1], bytes(8)]))), "malformed array"),
-        (body(msgpack.ExtType(1, msgpack.packb(["|O8", [1], bytes(8)]))), "only numbers"),
-        (body(msgpack.ExtType(1, msgpack.packb(["f8,f8", [1], bytes(16)]))), "only numbers"),
-        (body(msgpack.ExtType(1, msgpack.packb(["<f8", [1] * 33, bytes(8)]))), "malformed array"),
-    ],
-)
-def test_bad_frames_are_the_peers_fault(data, problem):
-    with pytest.raises(RemoteProtocolError, match=problem):
-        read(data)
+def test_bad_frames_break_the_protocol():
+    def check(case):
+        data, problem = case
+        with pytest.raises(RemoteProtocolError, match=problem):
+            read(data)
+
+    for_each(
+        [
+            (b"\xc1", "msgpack"),
+            (b"\x92\x01", "msgpack"),
+            (b"\x90", "no array of messages"),
+            (b"\x80", "no array of messages"),
+            (b"\x91\x90", "neither a packet"),
+            (b"\x91\x91\xc0", "neither a packet"),
+            (b"\x91\xc0", "neither a packet"),
+            (b"\xdd\xff\xff\xff\xff", "msgpack"),
+            (b"\xdf\xff\xff\xff\xff", "msgpack"),
+            (b"\xc9\xff\xff\xff\xff\x01", "msgpack"),
+            (b"\x91" * 3000 + b"\xc0", "msgpack"),
+            (payload(ROW) + b"\xc0", "msgpack"),
+            (body({1: 2}), "msgpack"),
+            (body([0] * (MAX_ARRAY_LENGTH + 1)), "max_array_len"),
+            (body({str(number): 0 for number in range(MAX_MAP_LENGTH + 1)}), "max_map_len"),
+            (body({b"k": 2}), "key that is no string"),
+            (body(msgpack.ExtType(2, b"abc")), "not ours: 2"),
+            (body(EPOCH), "not ours: -1"),
+            (body([EPOCH]), "not ours: -1"),
+            (body(msgpack.ExtType(1, b"abc")), "malformed array"),
+            (body(msgpack.ExtType(1, msgpack.packb(["<f8", [3], bytes(16)]))), "shape"),
+            (body(msgpack.ExtType(1, msgpack.packb(["<f8", [-1], bytes(8)]))), "malformed array"),
+            (body(msgpack.ExtType(1, msgpack.packb(["|O8", [1], bytes(8)]))), "only numbers"),
+            (body(msgpack.ExtType(1, msgpack.packb(["f8,f8", [1], bytes(16)]))), "only numbers"),
+            (body(msgpack.ExtType(1, msgpack.packb(["<f8", [1] * 33, bytes(8)]))), "malformed array"),
+        ],
+        check,
+    )
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{0: ""}, {1: 5}, {2: None}, {3: 1}, {4: "now"}, {4: -1.0}, {4: float("nan")}, {5: -1}, {6: ["a"]}, {8: ["a", 1]}],
-)
-def test_a_malformed_packet_is_the_peers_fault(change):
-    row = [change.get(index, value) for index, value in enumerate(ROW)]
-    with pytest.raises(RemoteProtocolError, match="packet is malformed"):
-        packet_from_row(row)
+def test_malformed_packet_breaks_the_protocol():
+    def check(change):
+        row = [change.get(index, value) for index, value in enumerate(ROW)]
+        with pytest.raises(RemoteProtocolError, match="packet is malformed"):
+            packet_from_row(row)
+
+    for_each(
+        [
+            {0: ""},
+            {1: 5},
+            {2: None},
+            {3: 1},
+            {4: "now"},
+            {4: -1.0},
+            {4: float("nan")},
+            {5: -1},
+            {6: ["a"]},
+            {8: ["a", 1]},
+        ],
+        check,
+    )
 
 
 def test_a_packet_has_nine_parts():
@@ -290,13 +319,14 @@ def test_messages_of_the_link_travel(message):
     assert messages_from_payload(frame([Encoder().link_message(message)])[4:]) == [message]
 
 
-@pytest.mark.parametrize(
-    "row",
-    [[99], [True], [4], [4, -1], [4, "1"], [6, "nap", None], [7, ["x" * 300]], [HELLO_NUMBER, 1, "f", "a/b"]],
-)
-def test_malformed_messages_of_the_link_are_the_peers_fault(row):
-    with pytest.raises(RemoteProtocolError, match="a frame is malformed"):
-        messages_from_payload(payload(row))
+def test_malformed_link_message_breaks_the_protocol():
+    def check(row):
+        with pytest.raises(RemoteProtocolError, match="a frame is malformed"):
+            messages_from_payload(payload(row))
+
+    for_each(
+        [[99], [True], [4], [4, -1], [4, "1"], [6, "nap", None], [7, ["x" * 300]], [HELLO_NUMBER, 1, "f", "a/b"]], check
+    )
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "*", "two words", "x" * 65])

@@ -14,6 +14,7 @@ import numpy
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seeded import for_each
 
 from pancakes.bodies.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
@@ -243,22 +244,25 @@ def test_named_tuples_arrive_as_what_they_were_and_one_that_does_not_fit_costs_i
     assert len(unfit) == 1 and "epoch" in unfit[0].reason
 
 
-@pytest.mark.parametrize(
-    ("cls", "closed"),
-    [
-        (Pose, True),
-        (Infrared, True),
-        (Fence, True),
-        (Strict, True),
-        (KeepLease, True),
-        (Open, False),
-        (Tree, False),
-        (Odd, False),
-        (NamedOpen, False),
-    ],
-)
-def test_which_classes_say_all_that_they_hold(cls, closed):
-    assert is_closed(cls) is closed
+def test_closed_classes():
+    def check(case):
+        cls, closed = case
+        assert is_closed(cls) is closed
+
+    for_each(
+        [
+            (Pose, True),
+            (Infrared, True),
+            (Fence, True),
+            (Strict, True),
+            (KeepLease, True),
+            (Open, False),
+            (Tree, False),
+            (Odd, False),
+            (NamedOpen, False),
+        ],
+        check,
+    )
 
 
 def test_a_number_of_numpys_travels_as_a_number_also_in_a_closed_class():
@@ -318,56 +322,60 @@ def test_a_head_that_would_be_refused_is_refused_at_home(words):
         head_of(Packet(words[0], words[1], words[2], "", 0.0, 1, None))
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        b"\xc1",
-        b"\x90",
-        b"\x91\x90",
-        b"\x91\x91\xc0",
-        b"\x91\xc0",
-        b"\xdd\xff\xff\xff\xff",
-        b"\x91" * 3000 + b"\xc0",
-        raw(ROW) + b"\xc0",
-        raw(),
-        raw(ROW[:3]),
-        raw([*ROW, None]),
-        raw(ROW, head=HEAD[:4]),
-        raw(ROW, head=["", *HEAD[1:]]),
-        raw(ROW, head=[*HEAD[:3], "x" * 257, None]),
-        raw(ROW, head=[*HEAD[:4], ["a", 1]]),
-        raw(ROW, head=[*HEAD[:4], ["a", [1]]]),
-        raw(["now", *ROW[1:]]),
-        raw([-1.0, *ROW[1:]]),
-        raw([float("nan"), *ROW[1:]]),
-        raw([1.5, -1, None, {}]),
-        raw([1.5, 1, ["a"], {}]),
-        raw([1.5, 1, None]),
-    ],
-)
-def test_bad_frames_are_the_peers_fault(data):
-    with pytest.raises(RemoteProtocolError):
-        read(data)
+def test_bad_runs_break_the_protocol():
+    def check(data):
+        with pytest.raises(RemoteProtocolError):
+            read(data)
+
+    for_each(
+        [
+            b"",
+            b"\xc1",
+            b"\x90",
+            b"\x91\x90",
+            b"\x91\x91\xc0",
+            b"\x91\xc0",
+            b"\xdd\xff\xff\xff\xff",
+            b"\x91" * 3000 + b"\xc0",
+            raw(ROW) + b"\xc0",
+            raw(),
+            raw(ROW[:3]),
+            raw([*ROW, None]),
+            raw(ROW, head=HEAD[:4]),
+            raw(ROW, head=["", *HEAD[1:]]),
+            raw(ROW, head=[*HEAD[:3], "x" * 257, None]),
+            raw(ROW, head=[*HEAD[:4], ["a", 1]]),
+            raw(ROW, head=[*HEAD[:4], ["a", [1]]]),
+            raw(["now", *ROW[1:]]),
+            raw([-1.0, *ROW[1:]]),
+            raw([float("nan"), *ROW[1:]]),
+            raw([1.5, -1, None, {}]),
+            raw([1.5, 1, ["a"], {}]),
+            raw([1.5, 1, None]),
+        ],
+        check,
+    )
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        raw([1.5, 1, None, {1: 2}]),
-        raw([1.5, 1, None, {b"k": 2}]),
-        raw([1.5, 1, None, [0] * 65_537]),
-        raw([1.5, 1, None, {str(number): 0 for number in range(4097)}]),
-        raw([1.5, 1, None, msgpack.ExtType(2, b"abc")]),
-        raw([1.5, 1, None, [msgpack.Timestamp(0, 0)]]),
-        raw([1.5, 1, None, {"anything": msgpack.Timestamp(0, 0)}], head=["c", "runs test open", "s", "", None]),
-        raw([1.5, 1, None, {"number": "1"}], head=["c", "runs test strict", "s", "", None]),
-        raw([1.5, 1, None, {"number": 13}], head=["c", "runs test strict", "s", "", None]),
-    ],
-)
-def test_a_bad_body_is_not_the_links_fault(data):
-    ((bad,),) = read(data)
-    assert isinstance(bad, Unfit) and bad.packet.body is None
+def test_bad_body_breaks_no_protocol():
+    def check(data):
+        ((bad,),) = read(data)
+        assert isinstance(bad, Unfit) and bad.packet.body is None
+
+    for_each(
+        [
+            raw([1.5, 1, None, {1: 2}]),
+            raw([1.5, 1, None, {b"k": 2}]),
+            raw([1.5, 1, None, [0] * 65_537]),
+            raw([1.5, 1, None, {str(number): 0 for number in range(4097)}]),
+            raw([1.5, 1, None, msgpack.ExtType(2, b"abc")]),
+            raw([1.5, 1, None, [msgpack.Timestamp(0, 0)]]),
+            raw([1.5, 1, None, {"anything": msgpack.Timestamp(0, 0)}], head=["c", "runs test open", "s", "", None]),
+            raw([1.5, 1, None, {"number": "1"}], head=["c", "runs test strict", "s", "", None]),
+            raw([1.5, 1, None, {"number": 13}], head=["c", "runs test strict", "s", "", None]),
+        ],
+        check,
+    )
 
 
 def test_a_bad_body_costs_its_packet_alone_and_is_told_with_its_type_its_field_and_its_source():
@@ -436,18 +444,21 @@ def test_frames_with_a_broken_bit_are_read_or_refused(kind):
             read(bytes(broken))
 
 
-@pytest.mark.parametrize(
-    ("rows", "version"),
-    [
-        ([[HELLO_NUMBER, 7, {"all": "new"}]], 7),
-        ([[HELLO_NUMBER]], "unknown"),
-        ([[HELLO_NUMBER, "seven"]], "unknown"),
-        ([[HELLO_NUMBER, 2, "f"]], None),
-        ([[3, 7]], None),
-        ([[1, 7], 5], 7),
-        ([5, [1, 7]], None),
-        ([], None),
-    ],
-)
-def test_the_version_of_a_hello_in_another_form_is_found(rows, version):
-    assert foreign_version(msgpack.packb(rows), 2) == version
+def test_version_of_a_hello_in_another_form():
+    def check(case):
+        rows, version = case
+        assert foreign_version(msgpack.packb(rows), 2) == version
+
+    for_each(
+        [
+            ([[HELLO_NUMBER, 7, {"all": "new"}]], 7),
+            ([[HELLO_NUMBER]], "unknown"),
+            ([[HELLO_NUMBER, "seven"]], "unknown"),
+            ([[HELLO_NUMBER, 2, "f"]], None),
+            ([[3, 7]], None),
+            ([[1, 7], 5], 7),
+            ([5, [1, 7]], None),
+            ([], None),
+        ],
+        check,
+    )
