@@ -1,29 +1,25 @@
 """What `pancakes doctor` says of the fences of actuators."""
 
-import pytest
-
 from pancakes.tools.cli.verbs.fence_checks import check_fences
 
 ROW = {"actuator": "a/device/wheels", "task_id": "a/Circle", "brought_by": "z", "owner": "a", "reason": ""}
 
 
-@pytest.mark.parametrize(
-    ("seen", "owner_has", "obeyed"),
-    [
+def test_fence_check_finds_nothing_where_a_task_is_or_will_be_obeyed():
+    for seen, owner_has, obeyed in (
         ("4@a", "4@a", True),
         ("4@a", "9@b", False),  # it has moved, and has not commanded the actuator yet
         ("4@a", "4@b", False),
         ("4@a", "", None),  # no agent that is linked has it
-    ],
-)
-def test_an_actuator_that_obeys_a_task_or_will_is_in_order(seen, owner_has, obeyed):
-    assert list(check_fences([{**ROW, "seen": seen, "owner_has": owner_has, "obeyed": obeyed}])) == []
+    ):
+        row = {**ROW, "seen": seen, "owner_has": owner_has, "obeyed": obeyed}
+        assert list(check_fences([row])) == [], row
 
 
-@pytest.mark.parametrize(("seen", "owner_has"), [("10@z", "9@a"), ("9@b", "9@a")])
-def test_a_task_that_an_actuator_refuses_is_named(seen, owner_has):
-    (finding,) = check_fences([{**ROW, "seen": seen, "owner_has": owner_has, "obeyed": False}])
-    assert (finding.level, finding.about) == ("error", "a/device/wheels")
-    why = f"refuses a/Circle, which a has under epoch {owner_has}: it has seen epoch {seen}, brought by z"
-    assert finding.text == why
-    assert finding.advice.endswith("pancakes task fence a/device/wheels --set a/Circle")
+def test_fence_check_names_a_task_that_an_actuator_refuses():
+    for seen, owner_has in (("10@z", "9@a"), ("9@b", "9@a")):
+        (finding,) = check_fences([{**ROW, "seen": seen, "owner_has": owner_has, "obeyed": False}])
+        assert (finding.level, finding.about) == ("error", "a/device/wheels")
+        why = f"refuses a/Circle, which a has under epoch {owner_has}: it has seen epoch {seen}, brought by z"
+        assert finding.text == why
+        assert finding.advice.endswith("pancakes task fence a/device/wheels --set a/Circle")

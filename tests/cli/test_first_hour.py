@@ -13,9 +13,9 @@ from cli.processes import READY
 ONCE = f"{PASSWORD}\n"
 
 
-@pytest.fixture(params=["homes", "namespaces"])
+@pytest.fixture
 def three(request, tmp_path) -> Iterator[list[Machine]]:
-    with machines(tmp_path, ["laptop", "robot1", "robot2"], request.param) as made:
+    with machines(tmp_path, ["laptop", "robot1", "robot2"], getattr(request, "param", "homes")) as made:
         made[0].said("fleet", "init", "garage", "--me", "alice", typed=ONCE * 2)
         yield made
 
@@ -46,7 +46,8 @@ def agents(laptop: Machine, at: Machine) -> dict[str, dict]:
     return {row["agent"]: row for row in rows}
 
 
-def test_two_robots_join_run_are_renewed_and_revoked(three):
+@pytest.mark.parametrize("three", ["homes", "namespaces"], indirect=True)
+def test_first_hour_of_two_robots_that_join_and_are_revoked(three):
     laptop, robot1, robot2 = three
     said = enrolled(laptop, robot1, "enrol", "agent1", "--group", "field")
     assert "This machine is agent1 of the fleet garage" in said and "has not left this machine" in said
@@ -84,7 +85,7 @@ def test_two_robots_join_run_are_renewed_and_revoked(three):
     one.hear("agent2 (agent, tcp://")
 
 
-def test_a_person_joins_looks_and_is_told_what_is_missing(three):
+def test_first_hour_of_a_person_who_lacks_a_right(three):
     laptop, robot1, desk = three
     enrolled(laptop, robot1, "enrol", "agent1")
     said = carried(laptop, desk, "enrol", "bob", "--role", "observer")
@@ -102,7 +103,7 @@ def test_a_person_joins_looks_and_is_told_what_is_missing(three):
     assert desk.pancakes("task", "stop", "agent1/load", *at).returncode == 0
 
 
-def test_a_wrong_password_gives_nothing_out(three):
+def test_first_hour_with_a_wrong_password_gives_nothing_out(three):
     laptop, robot1, _ = three
     refused = laptop.pancakes("fleet", "enrol", "agent1", "--out", "stick", typed="guess\n")
     assert refused.returncode == 1 and "password" in refused.stderr.lower() and "Traceback" not in refused.stderr
@@ -111,7 +112,7 @@ def test_a_wrong_password_gives_nothing_out(three):
     assert other.returncode != 0 and not (robot1.home / ".config/pancakes/fleets/garage").exists()
 
 
-def test_no_secret_is_written_down_or_said(three):
+def test_first_hour_leaves_no_secret_behind(three):
     """Neither the key, nor the code, nor the password: not by an agent that says everything, nor by a command."""
     laptop, robot1, _ = three
     waiting = laptop.begin("fleet", "enrol", "agent1", "--host", laptop.host, "--port", "0", typed=ONCE)

@@ -36,14 +36,14 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     return ran
 
 
-def test_a_fleet_is_not_founded_in_the_place_of_another(run: Run):
+def test_fleet_init_founds_none_in_the_place_of_another(run: Run):
     key = (key_folders.fleets() / "garage" / "authority.key").read_bytes()
     with pytest.raises(PancakesError, match="there is a fleet garage in .* already"):
         run("init", "garage", "--no-password")
     assert (key_folders.fleets() / "garage" / "authority.key").read_bytes() == key
 
 
-def test_of_several_fleets_one_is_to_be_named(run: Run):
+def test_fleet_of_several_must_be_named(run: Run):
     run("init", "barn", "--no-password", "--me", "alice")
     with pytest.raises(
         PancakesError, match=r"several fleets were founded here: say which with --fleet \(barn, garage\)"
@@ -54,7 +54,7 @@ def test_of_several_fleets_one_is_to_be_named(run: Run):
         run("list", "--fleet", "shed")
 
 
-def test_a_name_is_given_out_once_and_no_folder_is_written_over(run: Run, tmp_path: Path):
+def test_fleet_enrol_gives_out_a_name_once(run: Run, tmp_path: Path):
     run("enrol", "r1", "--out", tmp_path / "r1")
     before = (tmp_path / "r1" / KEY).read_bytes()
     with pytest.raises(PancakesError, match="agent/r1 belongs to the fleet garage already"):
@@ -64,24 +64,19 @@ def test_a_name_is_given_out_once_and_no_folder_is_written_over(run: Run, tmp_pa
     assert (tmp_path / "r1" / KEY).read_bytes() == before and not (tmp_path / "other").exists()
 
 
-def test_what_is_no_folder_with_keys_is_not_joined(run: Run, tmp_path: Path):
+def test_fleet_join_refuses_a_folder_that_does_not_fit(run: Run, tmp_path: Path):
     run("enrol", "r1", "--out", tmp_path / "r1")
+    FleetOffice.founded("garage", tmp_path / "elsewhere").enrol_with_key("agent", "r1").write(tmp_path / "theirs")
+    shutil.copy(tmp_path / "theirs" / KEY, tmp_path / "r1" / KEY)
+    with pytest.raises(PancakesError, match="the authority of that fleet has not signed its certificate"):
+        run("join", tmp_path / "r1")
     (tmp_path / "r1" / "fleet.pem").unlink()
     with pytest.raises(PancakesError, match="r1 is no folder of pancakes fleet enrol: No such file"):
         run("join", tmp_path / "r1")
     assert key_folders.keys_of_agent("garage", "r1") is None
 
 
-def test_a_key_of_another_fleet_than_its_folder_says_is_not_joined(run: Run, tmp_path: Path):
-    run("enrol", "r1", "--out", tmp_path / "r1")
-    FleetOffice.founded("garage", tmp_path / "elsewhere").enrol_with_key("agent", "r1").write(tmp_path / "theirs")
-    shutil.copy(tmp_path / "theirs" / KEY, tmp_path / "r1" / KEY)
-    with pytest.raises(PancakesError, match="the authority of that fleet has not signed its certificate"):
-        run("join", tmp_path / "r1")
-    assert key_folders.keys_of_agent("garage", "r1") is None
-
-
-def test_the_keys_of_one_person_do_not_take_the_place_of_those_of_another(run: Run, tmp_path: Path):
+def test_fleet_join_keeps_the_keys_of_another_person(run: Run, tmp_path: Path):
     run("enrol", "bob", "--role", "observer", "--out", tmp_path / "bob")
     own = (key_folders.folder_of_person("garage") / KEY).read_bytes()
     with pytest.raises(PancakesError, match="you are alice of the fleet garage already: remove .*me first"):
@@ -91,7 +86,7 @@ def test_the_keys_of_one_person_do_not_take_the_place_of_those_of_another(run: R
     assert "This machine is r1 of the fleet garage" in run("join", tmp_path / "r1")
 
 
-def test_one_that_was_revoked_may_nothing_and_its_terminal_does_not_try(run: Run, tmp_path: Path):
+def test_fleet_revoke_leaves_no_rights(run: Run, tmp_path: Path):
     run("enrol", "bob", "--role", "observer", "--out", tmp_path / "bob")
     assert run("can", "bob", "look", "a").startswith("yes: ")
     run("revoke", "bob", "left")
@@ -104,7 +99,7 @@ def test_one_that_was_revoked_may_nothing_and_its_terminal_does_not_try(run: Run
         FleetWay.to("garage", MonotonicClock())
 
 
-def test_an_old_copy_of_the_authority_is_noticed(rig: Rig):
+def test_fleet_sign_notices_an_old_copy_of_the_authority(rig: Rig):
     rig.ready("a")
     folder = rig.keys.office("test").folder
     old = (folder / "register.json").read_bytes()

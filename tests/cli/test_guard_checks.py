@@ -16,33 +16,33 @@ def found(*rows):
     return [(finding.level, finding.about, finding.text, finding.advice) for finding in check_guards(rows)]
 
 
-def test_a_task_that_would_outlive_its_agent_is_not_named():
+def test_guard_check_is_content_with_a_task_that_would_outlive_its_agent():
     assert found(owns(), guards("b"), guards("c")) == []
 
 
-def test_an_owner_that_was_is_none():
+def test_guard_check_knows_a_former_owner():
     before = {**owns(epoch="9@a"), "permit_s": 0.0, "lease": False}
     assert found(before, guards("b", epoch="10@b", lease=False)) != []
     assert found(before, {**owns("b", epoch="10@b"), "guardians": ["a", "b"], "guard": 2}) == []
 
 
-def test_a_guardian_that_does_not_answer():
+def test_guard_check_names_a_guardian_that_does_not_answer():
     ((level, about, text, _),) = found(owns(), guards("b"))
     assert (level, about) == ("warning", "a/Scan") and text.endswith("does not answer: c")
 
 
-def test_a_task_with_too_few_guardians():
+def test_guard_check_names_a_task_with_too_few_guardians():
     ((level, _, text, advice),) = found({**owns(), "guardians": ["a"]})
     assert level == "warning" and "by 3 agents, and is by 1" in text and "a witness will do" in advice
 
 
-def test_a_task_without_a_permit():
+def test_guard_check_names_a_task_without_a_permit():
     ((level, _, text, _),) = found({**owns(), "permit_s": 0.0}, guards("b"))
     assert level == "error" and "stands still" in text
     assert found({**owns(wanted=False), "permit_s": 0.0}, guards("b"), guards("c")) == []
 
 
-def test_a_task_whose_owner_is_silent():
+def test_guard_check_names_a_task_whose_owner_is_silent():
     ((level, about, text, advice),) = found(guards("b", lease=False), guards("c", lease=False))
     assert (level, about) == ("error", "a/Scan") and "its owner a is silent" in text
     assert advice.startswith("pancakes task take b/Scan")
@@ -50,13 +50,13 @@ def test_a_task_whose_owner_is_silent():
     assert found(guards("b"), guards("c", lease=False)) == []
 
 
-def test_a_task_that_commands_hardware_without_a_dead_man_switch():
+def test_guard_check_names_hardware_without_a_dead_man_switch():
     ((level, about, text, advice),) = found(owns(no_dead_man=["lamp", "motors"]), guards("b"), guards("c"))
     assert (level, about) == ("warning", "a/Scan") and text.startswith("commands lamp, motors, whose hardware does not")
     assert advice.startswith("docs/writing-a-driver.md")
 
 
-def test_a_task_whose_clock_was_set_forward():
+def test_guard_check_names_a_clock_that_was_set_forward():
     ((level, _, text, advice),) = found(owns(clock_steps=1), guards("b"), guards("c"))
     assert level == "warning" and text == "stood still once because the time of day of a was set forward"
     assert advice == "have its clock set before the agent starts"

@@ -13,22 +13,21 @@ def said(code):
     return done.stdout.split()
 
 
-def test_an_agents_process_gives_way_often_and_collects_rarely():
+def test_interpreter_of_an_agent_is_prepared_for_many_threads():
     usual = said("pass")
     prepared = said("from pancakes.tools.cli import interpreter; interpreter.prepare()")
     assert float(prepared[0]) < float(usual[0]) / 5
     assert int(prepared[1]) > int(usual[1])
 
-
-def test_an_agents_process_may_open_more_files_than_some_systems_begin_with():
     begin = "import resource as r; r.setrlimit(r.RLIMIT_NOFILE, (256, r.getrlimit(r.RLIMIT_NOFILE)[1]))"
     prepare = "from pancakes.tools.cli import interpreter; interpreter.prepare()"
-    say = "print(r.getrlimit(r.RLIMIT_NOFILE)[0])"
-    assert int(said(f"{begin}; {say}")[0]) == 256
-    assert int(said(f"{begin}; {prepare}; {say}")[0]) >= 1024
+    assert int(said(f"{begin}; {prepare}; print(r.getrlimit(r.RLIMIT_NOFILE)[0])")[0]) >= 1024, "of 256 files before"
+
+    imported = "import pancakes.runtime.agent, pancakes.testing, pancakes.tools.cli.agent_command"
+    assert said(imported) == usual, "who only imports pancakes keeps what Python has"
 
 
-def test_what_an_agents_process_has_imported_is_not_looked_through_again_and_again(rig: Rig):
+def test_interpreter_of_an_agent_freezes_what_it_imported(rig: Rig):
     rig.install(
         "looking",
         "[pancakes.tasks]\ntest.Look = plugin_looking:Look\n",
@@ -41,7 +40,3 @@ def test_what_an_agents_process_has_imported_is_not_looked_through_again_and_aga
     words = rig.agent(rig.config("a", '[task.Look]\ntype = "test.Look"\n')).hear("are kept").split()
     kept, left = (int(words[words.index(word) - 2]) for word in ("kept,", "left"))
     assert kept > left > 0
-
-
-def test_who_only_imports_pancakes_keeps_what_python_has():
-    assert said("import pancakes.runtime.agent, pancakes.testing, pancakes.tools.cli.agent_command") == said("pass")

@@ -10,13 +10,18 @@ from pancakes.tools.cli.interrupts import event_at
 """
 
 
-def outcome(source: str) -> int:
-    """Runs a program; returns its exit code."""
-    return subprocess.run([sys.executable, "-c", HEAD + source], timeout=PATIENCE_S, check=False).returncode
+def outcomes(*sources: str) -> list[int]:
+    """Runs programs at the same time; returns their exit codes."""
+    running = [subprocess.Popen([sys.executable, "-c", HEAD + source]) for source in sources]
+    try:
+        return [it.wait(PATIENCE_S) for it in running]
+    finally:
+        for it in running:
+            it.kill()
+            it.wait()
 
 
-def test_a_signal_in_the_middle_of_the_wait_for_it_is_heard():
-    source = """
+IN_THE_MIDDLE_OF_THE_WAIT = """
 ended = event_at(signal.SIGINT)
 lines = []
 
@@ -31,44 +36,35 @@ def interrupt(frame, event, argument):
 sys.settrace(interrupt)
 sys.exit(7 if ended.wait(10) else 1)
 """
-    assert outcome(source) == 7
-
-
-def test_a_signal_that_does_not_wake_the_main_thread_is_heard():
-    """As one that comes in the moment before it sleeps, which cannot be hit on purpose."""
-    source = """
+# As one that comes in the moment before the main thread sleeps, which cannot be hit on purpose.
+THAT_DOES_NOT_WAKE_THE_MAIN_THREAD = """
 ended = event_at(signal.SIGINT)
 threading.Timer(0.2, lambda: signal.pthread_kill(threading.get_ident(), signal.SIGINT)).start()
 sys.exit(7 if ended.wait(10) else 1)
 """
-    assert outcome(source) == 7
-
-
-def test_the_second_signal_ends_the_process_where_that_is_wanted():
-    source = """
+A_SECOND_ONE_THAT_ENDS = """
 ended = event_at(signal.SIGINT, signal.SIGTERM, again=9)
 os.kill(os.getpid(), signal.SIGINT)
 ended.wait(10)
 os.kill(os.getpid(), signal.SIGTERM)
 sys.exit(1)
 """
-    assert outcome(source) == 9
-
-
-def test_the_second_signal_does_nothing_else():
-    source = """
+A_SECOND_ONE = """
 ended = event_at(signal.SIGINT)
 os.kill(os.getpid(), signal.SIGINT)
 os.kill(os.getpid(), signal.SIGINT)
 sys.exit(7 if ended.wait(10) else 1)
 """
-    assert outcome(source) == 7
-
-
-def test_a_signal_that_is_to_be_ignored_is_ignored():
-    source = """
+ONE_THAT_IS_IGNORED = """
 signal.signal(signal.SIGHUP, signal.SIG_IGN)
 event_at(signal.SIGHUP)
 sys.exit(7 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else 1)
 """
-    assert outcome(source) == 7
+
+
+def test_interrupt_is_heard_whenever_it_comes():
+    assert outcomes(IN_THE_MIDDLE_OF_THE_WAIT, THAT_DOES_NOT_WAKE_THE_MAIN_THREAD) == [7, 7]
+
+
+def test_second_interrupt_ends_the_process_only_if_wanted():
+    assert outcomes(A_SECOND_ONE_THAT_ENDS, A_SECOND_ONE, ONE_THAT_IS_IGNORED) == [9, 7, 7]

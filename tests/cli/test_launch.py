@@ -4,7 +4,6 @@ import json
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 import psutil
 import pytest
 from cli.processes import PATIENCE_S, Rig, Running
+from harness.programs import Program, pancakes
 
 FLEET = """
 schema = 1
@@ -61,16 +61,18 @@ def up(rig: Rig, *arguments: str | Path) -> tuple[Running, int, int]:
     return fleet, gate, node
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
-def test_a_fleet_starts_in_order_and_stops_in_reverse(rig: Rig, field: Path, number: signal.Signals):
+def test_launch_starts_in_order_and_stops_in_reverse(rig: Rig, field: Path):
     fleet, gate, node = up(rig, field)
-    agents = json.loads(rig.pancakes("agent", "list", "--format", "json").stdout)
-    assert [(it["agent"], it["fleet"], it["ready"]) for it in agents] == [
-        ("gate", "field", True),
-        ("node", "field", True),
-    ]
+    agents = [(it["agent"], it["fleet"], it["ready"]) for it in rig.listed("agent", "list")]
+    assert agents == [("gate", "field", True), ("node", "field", True)]
+    again = rig.pancakes("launch", str(field))
+    assert again.returncode == 1, "a fleet is not launched twice"
+    assert again.stderr == (
+        f"the agent gate of the fleet field runs already (process {gate})\n"
+        f"the agent node of the fleet field runs already (process {node})\n"
+    )
 
-    code, took_s = fleet.signalled(number)
+    code, took_s = fleet.signalled(signal.SIGINT)
 
     assert code == 0
     assert took_s < 4.0
@@ -83,49 +85,57 @@ def test_a_fleet_starts_in_order_and_stops_in_reverse(rig: Rig, field: Path, num
     assert any(line.startswith("node | ") and "node/kernel: ready" in line for line in fleet.said)
 
 
-def test_a_folder_is_launched_as_a_whole(rig: Rig):
+def test_launch_of_a_folder_prints_objects_for_programs(rig: Rig):
     for name in ("a", "b"):
         rig.config(name)
-    fleet = rig.launch(rig.directory)
-
-    fleet.hear("a is ready")
+    fleet = rig.launch(rig.directory, "--format", "json")
+    fleet.hear('"event": "ready"')
+    fleet.hear('"event": "ready"')
     assert fleet.signalled(signal.SIGTERM)[0] == 0
 
+    objects = [json.loads(line) for line in fleet.everything().splitlines()]
+    for name in ("a", "b"):
+        assert {"agent": name, "event": "ended", "text": "has ended (exit code 0)"} in objects
+        assert any(f"{name}/kernel: ready" in it["line"] for it in objects if "line" in it)
 
-def test_an_agent_that_dies_is_started_again(rig: Rig, field: Path):
+
+def test_launch_begins_missions_together_and_starts_again_what_dies(rig: Rig, field: Path):
+    field.write_text(FLEET.replace("[agent.gate]", "set = { clock.hold = true }\n[agent.gate]"))
     fleet, gate, node = up(rig, field)
+    fleet.hear("the mission of gate, node begins")
+    assert begun(rig, "gate")
 
     psutil.Process(node).kill()
 
     fleet.hear("node has ended (ended by SIGKILL) and is started again")
     again = pid_of(fleet.hear("node runs as process"))
-    fleet.hear("node is ready")
+    fleet.hear("the mission of node begins")
+    assert begun(rig, "node")
     assert rig.entry(again)["name"] == "node"
     assert fleet.signalled(signal.SIGTERM)[0] == 0
     assert is_gone(gate) and is_gone(again)
 
 
-def test_what_fails_each_time_is_given_up_and_the_others_go_on(rig: Rig, field: Path):
+def test_launch_gives_up_what_fails_each_time(rig: Rig, field: Path):
     (rig.directory / "blocked").write_text("a file where a directory should be")
     field.write_text(FLEET + 'set = { agent.state_dir = "blocked" }\nrestart = { at_most = 1 }\n')
     fleet = rig.launch(field)
 
     fleet.hear("node | the state directory blocked")
     fleet.hear("node has ended (exit code 1) and is given up after 1 restarts within 60 s")
-    assert [row["agent"] for row in json.loads(rig.pancakes("agent", "list", "--format", "json").stdout)] == ["gate"]
+    assert [row["agent"] for row in rig.listed("agent", "list")] == ["gate"]
     assert fleet.signalled(signal.SIGTERM)[0] == 1
 
 
-def test_the_end_of_all_agents_is_the_end_of_the_launcher(rig: Rig, field: Path):
-    fleet, gate, node = up(rig, field)
-
+def test_launch_can_leave_missions_at_0_and_ends_with_its_agents(rig: Rig, field: Path):
+    fleet, gate, node = up(rig, field, "--set", "clock.hold=true", "--hold")
+    assert mission_s(rig, "gate") == 0.0
     assert rig.pancakes("down").returncode == 0
-
     assert fleet.ended() == 0
     assert is_gone(gate) and is_gone(node)
 
 
-def test_agents_end_with_a_launcher_that_is_killed(rig: Rig, field: Path):
+def test_launch_that_is_killed_leaves_no_agent(rig: Rig, field: Path):
     fleet, gate, node = up(rig, field)
 
     fleet.process.kill()
@@ -133,7 +143,7 @@ def test_agents_end_with_a_launcher_that_is_killed(rig: Rig, field: Path):
     wait_until_gone(gate, node)
 
 
-def test_an_agent_that_hangs_is_killed_in_the_end(rig: Rig, field: Path, suspended: Callable[[int], None]):
+def test_launch_kills_an_agent_that_hangs(rig: Rig, field: Path, suspended: Callable[[int], None]):
     fleet, gate, node = up(rig, field)
     suspended(node)
 
@@ -145,7 +155,7 @@ def test_an_agent_that_hangs_is_killed_in_the_end(rig: Rig, field: Path, suspend
     assert is_gone(gate) and is_gone(node)
 
 
-def test_the_same_signal_again_ends_all_at_once(rig: Rig, field: Path, suspended: Callable[[int], None]):
+def test_launch_ends_at_once_on_the_same_signal_again(rig: Rig, field: Path, suspended: Callable[[int], None]):
     fleet, gate, node = up(rig, field)
     suspended(gate)
     fleet.process.send_signal(signal.SIGINT)
@@ -176,7 +186,7 @@ def suspended() -> Any:
             process.resume()
 
 
-def test_a_stop_while_they_start(rig: Rig, field: Path):
+def test_launch_can_be_stopped_while_agents_start(rig: Rig, field: Path):
     fleet = rig.launch(field)
     gate = pid_of(fleet.hear("gate runs as process"))
 
@@ -187,9 +197,9 @@ def test_a_stop_while_they_start(rig: Rig, field: Path):
     assert is_gone(gate)
 
 
-def test_where_nobody_listens_any_more_the_fleet_ends(rig: Rig, field: Path):
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pancakes.tools.cli.main", "launch", str(field)],
+def test_launch_ends_if_nobody_reads_its_output(rig: Rig, field: Path):
+    process = Program(
+        pancakes("launch", str(field)),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -206,8 +216,7 @@ def test_where_nobody_listens_any_more_the_fleet_ends(rig: Rig, field: Path):
 
 
 def mission_s(rig: Rig, agent: str) -> float:
-    rows = json.loads(rig.pancakes("agent", "list", "--format", "json").stdout)
-    time_s: float = next(row["mission_s"] for row in rows if row["agent"] == agent)
+    time_s: float = next(row["mission_s"] for row in rig.listed("agent", "list") if row["agent"] == agent)
     return time_s
 
 
@@ -216,55 +225,18 @@ def begun(rig: Rig, agent: str) -> bool:
     return any(mission_s(rig, agent) > 0.0 for _ in range(20))
 
 
-def test_missions_that_wait_begin_once_all_are_ready(rig: Rig, field: Path):
-    field.write_text(FLEET.replace("[agent.gate]", "set = { clock.hold = true }\n[agent.gate]"))
-    fleet, _, node = up(rig, field)
-
-    fleet.hear("the mission of gate, node begins")
-    assert begun(rig, "gate")
-
-    psutil.Process(node).kill()
-    fleet.hear("the mission of node begins")
-    assert begun(rig, "node")
-    assert fleet.signalled(signal.SIGTERM)[0] == 0
-
-
-def test_missions_can_be_left_at_0(rig: Rig, field: Path):
-    fleet, _, _ = up(rig, field, "--set", "clock.hold=true", "--hold")
-
-    assert mission_s(rig, "gate") == 0.0
-    assert fleet.signalled(signal.SIGTERM)[0] == 0
-
-
-def test_each_line_is_an_object_for_programs(rig: Rig):
-    fleet = rig.launch(rig.config("a"), "--format", "json")
-    fleet.hear('"event": "ready"')
-    fleet.signalled(signal.SIGTERM)
-
-    objects = [json.loads(line) for line in fleet.everything().splitlines()]
-    assert {"agent": "a", "event": "ended", "text": "has ended (exit code 0)"} in objects
-    assert any("a/kernel: ready" in it["line"] for it in objects if "line" in it)
-
-
-def test_nothing_starts_where_one_file_is_bad(rig: Rig):
-    result = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b", "[clock]\nsped = 1\n")))
-
-    assert result.returncode == 4
-    assert "b.toml:9: [clock] sped: unknown key, did you mean 'speed'?" in result.stderr
-    assert result.stdout == ""
-    assert not rig.runtime.exists()
-
-
-def test_a_port_that_is_in_use_is_found_before_anything_starts(rig: Rig):
+def test_launch_that_is_refused_starts_nothing(rig: Rig):
+    bad = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b", "[clock]\nsped = 1\n")))
+    assert (bad.returncode, bad.stdout) == (4, "") and "b.toml:9: [clock] sped" in bad.stderr
     with socket.create_server(("127.0.0.1", 0)) as taken:
         listen = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        result = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b")), "--set", f"b:agent.listen={listen}")
+        used = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b")), "--set", f"b:agent.listen={listen}")
+    assert (used.returncode, used.stdout) == (1, "")
+    assert used.stderr == f"b cannot listen at {listen}: address already in use\n"
+    assert not any(rig.runtime.glob("*.json"))
 
-    assert (result.returncode, result.stdout) == (1, "")
-    assert result.stderr == f"b cannot listen at {listen}: address already in use\n"
 
-
-def test_a_fleet_within_its_machine_takes_no_port(rig: Rig):
+def test_launch_within_its_machine_takes_no_port(rig: Rig):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         listen = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
         files = [rig.config("a"), rig.config("b", agent=f'peers = ["{listen}"]')]
@@ -278,23 +250,8 @@ def test_a_fleet_within_its_machine_takes_no_port(rig: Rig):
     assert fleet.signalled(signal.SIGTERM)[0] == 0
 
 
-def test_a_fleet_is_not_launched_twice(rig: Rig, field: Path):
-    fleet, gate, node = up(rig, field)
-
-    again = rig.pancakes("launch", str(field))
-
-    assert again.returncode == 1
-    assert again.stderr == (
-        f"the agent gate of the fleet field runs already (process {gate})\n"
-        f"the agent node of the fleet field runs already (process {node})\n"
-    )
-    assert fleet.signalled(signal.SIGTERM)[0] == 0
-
-
-def test_a_dry_run_shows_what_would_be_started(rig: Rig, field: Path):
-    result = rig.pancakes("launch", str(field), "--dry-run", "--set", "node:agent.seed=5", "--format", "json")
-
-    rows = json.loads(result.stdout)
+def test_launch_dry_run_shows_what_would_be_started(rig: Rig, field: Path, request: pytest.FixtureRequest):
+    rows = rig.listed("launch", str(field), "--dry-run", "--set", "node:agent.seed=5")
     assert [(row["agent"], row["fleet"], row["after"]) for row in rows] == [
         ("gate", "field", []),
         ("node", "field", ["gate"]),
@@ -302,15 +259,8 @@ def test_a_dry_run_shows_what_would_be_started(rig: Rig, field: Path):
     assert rows[1]["set"] == ['agent.fleet="field"', "agent.seed=5"]
     assert not any(rig.runtime.glob("*.json"))
 
-
-def test_the_configurations_of_the_demos_can_be_launched(rig: Rig, request: pytest.FixtureRequest):
-    folder = request.config.rootpath / "configs" / "encirclement"
+    demo = request.config.rootpath / "configs" / "encirclement"
     anywhere = "agent.listen=tcp://127.0.0.1:0"  # a demo may be running on this computer
-    rows = json.loads(rig.pancakes("launch", str(folder), "--set", anywhere, "--dry-run", "--format", "json").stdout)
-
+    rows = rig.listed("launch", str(demo), "--set", anywhere, "--dry-run")
     assert [row["agent"] for row in rows] == ["world", "agent1", "agent2", "sensor"]
     assert rows[1]["after"] == ["world"]
-
-
-def test_its_help_has_an_example(rig: Rig):
-    assert "pancakes launch configs/" in rig.pancakes("launch", "--help").stdout.partition("Example:")[2]

@@ -71,7 +71,7 @@ def heard(fleet: Running, text: str) -> None:
         fleet.hear(text)
 
 
-def test_where_a_task_has_gone_is_told_until_the_fleet_begins_afresh(rig: Rig, field: Path):
+def test_launch_tells_where_a_task_has_gone_until_fresh(rig: Rig, field: Path):
     acquaint(rig)
     fleet = rig.launch(field)
     heard(fleet, "task_started task=Walk")
@@ -97,38 +97,31 @@ def test_where_a_task_has_gone_is_told_until_the_fleet_begins_afresh(rig: Rig, f
     assert not [line for line in down(fleet) if "does not start" in line]
 
 
-def test_a_task_that_was_stopped_is_told_as_an_object_for_programs(rig: Rig, field: Path):
+def test_launch_fresh_is_refused_beside_an_agent_that_knows_the_fleet(rig: Rig, field: Path):
     fleet = rig.launch(field)
     fleet.hear("node is ready")
     assert rig.pancakes("task", "stop", "gate/Walk").returncode == 0
     down(fleet)
-
     fleet = rig.launch(field, "--format", "json")
     line = fleet.hear('"event": "rests"')
     assert json.loads(line) == {"agent": "gate", "event": "rests", "text": "does not start client/Walk: stopped"}
     fleet.hear('"agent": "node", "event": "ready"')
     down(fleet)
-
-
-@pytest.mark.parametrize("dry_run", [(), ("--dry-run",)])
-def test_a_fleet_does_not_begin_afresh_beside_an_agent_that_knows_it(rig: Rig, field: Path, dry_run: tuple[str, ...]):
-    fleet = rig.launch(field)
-    fleet.hear("node is ready")
-    down(fleet)
     before = records(rig)
     assert any(path.name.startswith("record.") for path in before)
     other = rig.ready("other", fleet="field")
 
-    refused = rig.pancakes("launch", str(field), "--fresh", *dry_run)
-
-    assert (refused.returncode, refused.stdout) == (1, "")
-    assert f"other of the fleet field runs outside this launch (process {other.pid})" in refused.stderr
+    demo = ("demo", "encirclement", "--live", "--headless", "--set", "agent.fleet=field")
+    for asked in (("launch", str(field), "--fresh"), ("launch", str(field), "--fresh", "--dry-run"), demo):
+        refused = rig.pancakes(*asked)
+        assert refused.returncode == 1, asked
+        assert f"other of the fleet field runs outside this launch (process {other.pid})" in refused.stderr
     assert records(rig) == before
     assert rig.pancakes("down", "other").returncode == 0
     assert rig.pancakes("launch", str(field), "--fresh", "--dry-run").returncode == 0
 
 
-def test_an_agent_at_the_address_of_a_peer_is_seen_although_it_is_registered_elsewhere(rig: Rig, field: Path):
+def test_launch_fresh_sees_an_agent_at_the_address_of_a_peer(rig: Rig, field: Path):
     """As one on another computer is."""
     elsewhere = rig.directory / "elsewhere"
     rig.environment["PANCAKES_RUNTIME_DIR"] = str(elsewhere)
@@ -145,12 +138,3 @@ def test_an_agent_at_the_address_of_a_peer_is_seen_although_it_is_registered_els
         "launch", str(rig.config("lone")), "--fresh", "--dry-run", "--set", f'agent.peers=["{address}"]'
     )
     assert another.returncode == 0, "that one is of another fleet"
-
-
-def test_a_demo_begins_from_empty_state_or_not_at_all(rig: Rig):
-    other = rig.ready("other", fleet="field")
-
-    refused = rig.pancakes("demo", "encirclement", "--live", "--headless", "--set", "agent.fleet=field")
-
-    assert refused.returncode == 1
-    assert f"other of the fleet field runs outside this launch (process {other.pid})" in refused.stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import time
 from collections.abc import Iterator
@@ -78,7 +77,7 @@ def wait_until_gone(*pids: int) -> None:
         time.sleep(0.02)
 
 
-def test_a_fleet_runs_on_three_hosts_and_here_and_ends_as_one(rig: Rig, robots: SshHosts):
+def test_launch_runs_a_fleet_on_three_hosts_and_here(rig: Rig, robots: SshHosts):
     path = fleet(rig, {"a": "robot1", "b": "robot2", "c": "robot3", "d": ""}, keys=True)
     running = rig.launch(path)
     pids = ready(running, *"abcd")
@@ -100,7 +99,7 @@ def test_a_fleet_runs_on_three_hosts_and_here_and_ends_as_one(rig: Rig, robots: 
 
 
 @pytest.mark.parametrize("victim", ["launcher", "connection"])
-def test_agents_end_with_their_launcher_or_its_connection(rig: Rig, robots: SshHosts, victim: str):
+def test_launch_that_ends_takes_its_agents_on_hosts_along(rig: Rig, robots: SshHosts, victim: str):
     running = rig.launch(fleet(rig, {"a": "robot1", "b": "robot2"}), "--restart", "never")
     pids = list(ready(running, "a", "b").values())
     if victim == "launcher":
@@ -115,7 +114,7 @@ def test_agents_end_with_their_launcher_or_its_connection(rig: Rig, robots: SshH
     assert psutil.pid_exists(pids[0])
 
 
-def test_an_agent_that_dies_there_is_started_again_over_a_new_connection_too(rig: Rig, robots: SshHosts):
+def test_launch_starts_agents_on_hosts_again(rig: Rig, robots: SshHosts):
     running = rig.launch(fleet(rig, {"a": "robot1", "b": "robot2"}))
     running.hear("b is ready")
     (ssh,) = [it for it in psutil.Process(running.pid).children() if "robot2" in it.cmdline()]
@@ -129,7 +128,7 @@ def test_an_agent_that_dies_there_is_started_again_over_a_new_connection_too(rig
     assert running.signalled(signal.SIGTERM)[0] == 0
 
 
-def test_a_fresh_launch_forgets_what_an_agent_remembers_there(rig: Rig, robots: SshHosts):
+def test_launch_fresh_forgets_what_agents_on_hosts_remember(rig: Rig, robots: SshHosts):
     path = fleet(rig, {"a": "robot1"})
     first = rig.launch(path)
     ready(first, "a")
@@ -142,14 +141,14 @@ def test_a_fresh_launch_forgets_what_an_agent_remembers_there(rig: Rig, robots: 
     assert identity.read_bytes() != before
 
 
-def test_a_mission_that_waits_begins_on_all_hosts_at_once(rig: Rig, robots: SshHosts):
+def test_launch_begins_missions_on_all_hosts_at_once(rig: Rig, robots: SshHosts):
     path = fleet(rig, {"a": "robot1", "b": "robot2", "d": ""}, rest="[clock]\nhold = true\n")
     running = rig.launch(path)
     running.hear("the mission of a, b, d begins")
     assert running.signalled(signal.SIGTERM)[0] == 0
 
 
-def test_what_a_hanging_agent_does_not_do_is_done_to_it(rig: Rig, robots: SshHosts):
+def test_launch_kills_an_agent_on_a_host_that_hangs(rig: Rig, robots: SshHosts):
     running = rig.launch(fleet(rig, {"a": "robot1"}))
     pid = pid_of(running.hear("a runs as process"))
     running.hear("a is ready")
@@ -162,33 +161,23 @@ def test_what_a_hanging_agent_does_not_do_is_done_to_it(rig: Rig, robots: SshHos
 def test_down_ends_agents_on_hosts(rig: Rig, robots: SshHosts):
     path = fleet(rig, {"a": "robot1", "b": "robot2", "d": ""})
     running = rig.launch(path)
-    ready(running, "a", "b", "d")
-    asked = rig.pancakes("down", "--fleet-file", str(path), "--dry-run", "--format", "json")
-    assert [(row["agent"], row["host"]) for row in json.loads(asked.stdout)] == [
-        ("d", ""),
-        ("b", "robot2"),
-        ("a", "robot1"),
-    ]
+    pids = ready(running, "a", "b", "d")
+    asked = rig.listed("down", "--fleet-file", str(path), "--dry-run")
+    assert [(row["agent"], row["host"]) for row in asked] == [("d", ""), ("b", "robot2"), ("a", "robot1")]
     one = rig.pancakes("down", "--fleet-file", str(path), "b")
     assert (one.returncode, "b" in one.stdout, "a" in one.stdout.split()) == (0, True, False), one.stderr
     running.hear("b has ended (exit code 0)")
-    ended = rig.pancakes("down", "--fleet-file", str(path))
-    assert ended.returncode == 0, ended.stderr
-    assert running.ended() == 0
-    assert "nothing" in rig.pancakes("down", "--fleet-file", str(path)).stderr
 
-
-def test_down_names_an_agent_on_a_host_that_does_not_end(rig: Rig, robots: SshHosts):
-    path = fleet(rig, {"a": "robot1"})
-    pids = ready(rig.launch(path), "a")
     psutil.Process(pids["a"]).suspend()
     ended = rig.pancakes("down", "--fleet-file", str(path), "--timeout", "1")
     assert ended.returncode == 3 and "a has not ended on robot1 within 1 s" in ended.stderr
     psutil.Process(pids["a"]).resume()  # it was told by a signal, too
-    wait_until_gone(pids["a"])
+    wait_until_gone(*pids.values())
+    assert running.ended() == 0
+    assert "nothing" in rig.pancakes("down", "--fleet-file", str(path)).stderr
 
 
-def test_the_way_to_an_agent_ends_with_the_program_that_made_it(rig: Rig, robots: SshHosts):
+def test_tunnel_to_an_agent_ends_with_its_program(rig: Rig, robots: SshHosts):
     program = """
 import sys, time
 from pathlib import Path
@@ -209,7 +198,7 @@ with open_hosts(make_fleet([Path(sys.argv[1])], (), None, None)) as hosts, tunne
 
 
 @pytest.mark.parametrize("trouble", ["away", "key", "host key", "python", "pancakes", "running"])
-def test_a_host_that_cannot_take_part_is_named_and_nothing_starts(rig: Rig, hosts: SshHosts, trouble: str):
+def test_launch_names_a_host_that_cannot_take_part(rig: Rig, hosts: SshHosts, trouble: str):
     hosts.add("robot1", f"{INSTALLED}:{BARE}")
     path = f"{INSTALLED}:{BARE}"
     if trouble == "python":

@@ -29,7 +29,7 @@ class Count(Task):
 """
 TASKS = ("one", "two", "three")
 CONFIG = "".join(f'[task.{name}]\ntype = "count.Count"\n\n' for name in TASKS)
-COMMANDS = 600
+COMMANDS = 400
 
 
 @pytest.fixture
@@ -142,7 +142,7 @@ def contradictions(source: random.Random) -> list[tuple[str, Any]]:
     return [("a", draw(source.choice(TASKS))) for _ in range(COMMANDS)]
 
 
-def test_contradictory_commands_are_applied_in_the_order_of_their_numbers(rig: Rig, abuse: Abuse):
+def test_commands_of_many_clients_are_applied_in_one_order(rig: Rig, abuse: Abuse):
     answered = abuse.replies(abuse.offer(contradictions(random.Random(5))))
 
     assert len(answered) == COMMANDS
@@ -157,30 +157,6 @@ def test_contradictory_commands_are_applied_in_the_order_of_their_numbers(rig: R
         assert found[name]["rate_hz"] == (model.rate_hz if model.runs else None)
         assert abuse.ask(0, "a", Describe(name)).result["settings"] == {"step": model.step}
     one_order_for_all(rig, abuse, answered, "a")
-
-
-NONSENSE = [
-    (Stop("nothing"), "has no task or service 'nothing'"),
-    (Start("client/nothing"), "client has no task 'nothing', only "),
-    (Restart("nowhere/one"), "has no service 'nowhere', only log, device, network, client"),
-    (Reschedule("nothing/at/all", 3.0), "'nothing/at/all' is no target: it must read task, service/task or service"),
-    (Configure("", {}), "'' is no target: it must read task, service/task or service"),
-    (Reschedule("client", 3.0), "client is a service: name one of its tasks"),
-    (Stop("client/", for_s=-1.0), "client cannot be stopped for -1.0 s"),
-]
-
-
-def test_what_is_not_there_is_refused_with_the_reason(rig: Rig, abuse: Abuse):
-    source = random.Random(7)
-    drawn = [source.choice(NONSENSE) for _ in range(COMMANDS)]
-
-    answered = abuse.replies(abuse.offer([("a", body) for body, _ in drawn]))
-
-    for (_, reason), it in zip(drawn, answered, strict=True):
-        assert not it.reply.ok
-        assert reason in it.reply.reason
-    found = rows(abuse, "a")
-    assert [found[name]["state"] for name in TASKS] == ["running"] * len(TASKS)
 
 
 MOVING = ("moved to", "is being handed over between", "is on its way", "is moving")
@@ -203,7 +179,7 @@ def stops_and_moves(source: random.Random) -> list[tuple[str, Any]]:
     return commands
 
 
-def test_a_task_that_moves_under_fire_stays_one_task(rig: Rig, abuse: Abuse):
+def test_commands_to_a_task_that_moves_leave_one_task(rig: Rig, abuse: Abuse):
     source = random.Random(11)
     answered: list[Answered] = []
     moved = False
@@ -226,7 +202,7 @@ def test_a_task_that_moves_under_fire_stays_one_task(rig: Rig, abuse: Abuse):
         one_order_for_all(rig, abuse, answered, agent)
 
 
-def test_services_that_go_and_come_lose_no_command(rig: Rig, abuse: Abuse):
+def test_commands_to_services_that_go_and_come_are_answered(rig: Rig, abuse: Abuse):
     source = random.Random(23)
     commands: list[tuple[str, Any]] = []
     for index in range(COMMANDS):

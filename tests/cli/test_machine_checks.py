@@ -1,6 +1,5 @@
 """`pancakes doctor` on the machine: libraries, plug-ins, folders, disks, and what is wrong with each."""
 
-import json
 import os
 import resource
 from collections import namedtuple
@@ -9,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli.processes import Rig
 
 from pancakes.runtime.journal import FileJournal, JournalEntry
 from pancakes.runtime.journal.write_ahead import WRITE_AHEAD
@@ -26,36 +24,25 @@ from pancakes.tools.cli.verbs.machine_checks import (
 )
 
 
-def diagnosis(rig: Rig, *arguments: str) -> tuple[int, list[tuple[str, str, str]]]:
-    """The exit code, and level, subject and text of all that was found."""
-    result = rig.pancakes("doctor", *arguments, "--format", "json")
-    assert result.stderr == ""
-    return result.returncode, [(row["level"], row["about"], row["text"]) for row in json.loads(result.stdout)]
-
-
 def levels(findings: Iterator[Finding] | list[Finding]) -> list[tuple[str, str]]:
     return [(finding.level, finding.about) for finding in findings]
 
 
-@pytest.mark.parametrize(
-    ("version", "bounds", "good"),
-    [
+def test_machine_check_of_versions(monkeypatch: pytest.MonkeyPatch):
+    for version, bounds, good in (
         ("4.5.0", ">=4.5,<5", True),
         ("4.10", ">=4.5", True),
         ("5.0.1", ">=4.5,<5", False),
         ("4.4.9", ">=4.5,<5", False),
         ("5.0rc1", ">=4.5", True),
         ("9", "", True),
-    ],
-)
-def test_versions(version: str, bounds: str, good: bool, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("importlib.metadata.requires", lambda name: [f"pykka{bounds}"])
-    monkeypatch.setattr("importlib.metadata.version", lambda name: version)
-
-    assert all(it.level == "ok" for it in check_python()) is good
+    ):
+        monkeypatch.setattr("importlib.metadata.requires", lambda name, bounds=bounds: [f"pykka{bounds}"])
+        monkeypatch.setattr("importlib.metadata.version", lambda name, version=version: version)
+        assert all(it.level == "ok" for it in check_python()) is good, (version, bounds)
 
 
-def test_a_library_that_is_missing_or_too_old_is_named(monkeypatch: pytest.MonkeyPatch):
+def test_machine_check_names_a_library_that_is_missing(monkeypatch: pytest.MonkeyPatch):
     needs = ["msgpack>=99", "no-such-library>=1", "pytest>=999 ; extra == 'test'"]
     monkeypatch.setattr("importlib.metadata.requires", lambda name: needs)
 
@@ -69,7 +56,7 @@ def test_a_library_that_is_missing_or_too_old_is_named(monkeypatch: pytest.Monke
     assert found[0].advice == "pip install 'msgpack>=99'"
 
 
-def test_a_plugin_that_cannot_be_imported_is_named():
+def test_machine_check_names_a_plugin_that_cannot_be_imported():
     class Broken(Plugins):
         def get(self, group: str, name: str) -> Any:
             from pancakes.errors import PluginError
@@ -84,7 +71,7 @@ def test_a_plugin_that_cannot_be_imported_is_named():
     assert "pancakes-agents" in found[0].advice
 
 
-def test_a_runtime_directory_that_is_open_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_machine_check_of_the_runtime_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     directory = tmp_path / "runtime"
     monkeypatch.setenv(VARIABLE, str(directory))
     assert levels(check_runtime_dir()) == [("ok", "runtime directory")]  # it is not there
@@ -96,7 +83,7 @@ def test_a_runtime_directory_that_is_open_to_others(tmp_path: Path, monkeypatch:
     assert levels(check_runtime_dir()) == [("ok", "runtime directory")]
 
 
-def test_directories_of_sockets_that_others_can_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_machine_check_of_directories_of_sockets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv(VARIABLE, str(tmp_path / "runtime"))
     assert levels(check_sockets()) == [], "no agent has listened yet"
     fleet = tmp_path / "runtime" / "local" / "garage"
@@ -132,7 +119,7 @@ def journal(tmp_path: Path) -> Iterator[FileJournal]:
     journal.close()
 
 
-def test_a_state_directory_says_who_uses_it(tmp_path: Path, journal: FileJournal):
+def test_machine_check_tells_who_uses_a_state_directory(tmp_path: Path, journal: FileJournal):
     first, second = check_state_dirs(tmp_path / "state")
     assert first.text.endswith(f"MiB are free at {tmp_path / 'state'}")
     assert second.text == f"{journal.directory} is in use by process {os.getpid()}"
@@ -140,7 +127,7 @@ def test_a_state_directory_says_who_uses_it(tmp_path: Path, journal: FileJournal
     assert list(check_state_dirs(tmp_path / "state"))[1].text == f"{journal.directory} is not in use"
 
 
-def test_a_torn_entry_is_found_and_left_alone(tmp_path: Path, journal: FileJournal):
+def test_machine_check_finds_damaged_entries(tmp_path: Path, journal: FileJournal):
     (torn,) = journal.directory.glob("task.*")
     torn.write_bytes(torn.read_bytes()[:-3])
 
@@ -148,30 +135,21 @@ def test_a_torn_entry_is_found_and_left_alone(tmp_path: Path, journal: FileJourn
 
     assert finding.level == "error"
     assert f"{torn.name} is torn or damaged" in finding.text
-    assert torn.exists()
 
-
-def test_what_was_set_aside_is_named(tmp_path: Path, journal: FileJournal):
-    (torn,) = journal.directory.glob("task.*")
     torn.rename(torn.with_name(torn.name + ".bad"))
-
     _, finding = check_state_dirs(tmp_path / "state")
+    assert (finding.level, torn.name + ".bad" in finding.text) == ("warning", True), "it was set aside"
 
-    assert (finding.level, torn.name + ".bad" in finding.text) == ("warning", True)
-
-
-def test_what_was_written_ahead_and_is_damaged_is_found(tmp_path: Path, journal: FileJournal):
+    torn.with_name(torn.name + ".bad").unlink()
     for data in (b"1", b"2"):
         journal.write([JournalEntry("record", "a/Scan", data)])
     ahead = journal.directory / WRITE_AHEAD
     ahead.write_bytes(b"?" + ahead.read_bytes()[1:])
-
     _, finding = check_state_dirs(tmp_path / "state")
-
     assert finding.level == "error" and f"{WRITE_AHEAD} is damaged" in finding.text
 
 
-def test_a_record_that_was_lost_is_to_be_decided_about_until_there_is_another(tmp_path: Path):
+def test_machine_check_of_a_lost_record_asks_for_a_decision(tmp_path: Path):
     journal = written(tmp_path, JournalEntry("record", "a/Scan", b""))
     (record,) = journal.directory.glob("record.*")
     record.rename(record.with_name(record.name + ".2.bad"))
@@ -185,21 +163,20 @@ def test_a_record_that_was_lost_is_to_be_decided_about_until_there_is_another(tm
     journal.close()
 
 
-def test_a_state_directory_that_others_can_write(tmp_path: Path, journal: FileJournal):
+def test_machine_check_of_a_state_directory_open_to_others(tmp_path: Path, journal: FileJournal):
     journal.directory.chmod(0o770)
     _, finding = check_state_dirs(tmp_path / "state")
     assert finding.level == "error" and f"chmod go-w {journal.directory}" in finding.text
 
 
-@pytest.mark.parametrize(("free_mib", "level"), [(10, "error"), (100, "warning"), (10_000, "ok")])
-def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_mib: int, level: str):
+def test_machine_check_of_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr("shutil.disk_usage", lambda path: usage(0, 0, free_mib * 2**20))
+    for free_mib, level in ((10, "error"), (100, "warning"), (10_000, "ok")):
+        monkeypatch.setattr("shutil.disk_usage", lambda path, free_mib=free_mib: usage(0, 0, free_mib * 2**20))
+        assert levels(check_state_dirs(tmp_path)) == [(level, "state")]
 
-    assert levels(check_state_dirs(tmp_path)) == [(level, "state")]
 
-
-def test_too_few_files():
+def test_machine_check_of_the_number_of_open_files():
     assert check_files(64, 4096).level == "warning"
     assert check_files(64, 4096).advice == "ulimit -n 1024"
     assert check_files(1024, 4096).level == "ok"

@@ -12,10 +12,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from cli.invoked import invoked
+from click.testing import Result
 
 from pancakes.errors import PancakesError
-from pancakes.tools.cli.main import pancakes
 from pancakes.tools.cli.verbs import distribution
 from pancakes.tools.cli.verbs.distribution import KINDS, LONGEST, File, Names, files_of, write
 
@@ -23,7 +23,7 @@ LONG = "abcdefghijklmnopqrstuvwxyzabcd"
 
 
 def new(*arguments: str) -> Result:
-    return CliRunner().invoke(pancakes, ["new", *arguments])
+    return invoked("new", *arguments)
 
 
 class AsWritten(configparser.ConfigParser):
@@ -93,30 +93,17 @@ class TestWhatIsWritten:
         loud = [line for line in running.said if " error " in line or " warning " in line]
         assert [line for line in loud if "has held a thread" not in line] == []
 
-    @pytest.mark.parametrize("name", ["ab", "wind-speed", LONG])
-    def test_ruff_finds_nothing_whatever_it_is_called(self, kind, name, tmp_path):
+    def test_ruff_finds_nothing_whatever_it_is_called(self, kind, tmp_path):
         ruff = pytest.importorskip("ruff")
-        assert new(kind, name, "--into", str(tmp_path)).exit_code == 0
+        for name in ("ab", "wind-speed", LONG):
+            assert new(kind, name, "--into", str(tmp_path)).exit_code == 0
         for command in (["check"], ["format", "--check", "--diff"]):
             found = subprocess.run(
-                [ruff.find_ruff_bin(), *command, "--no-cache", "."],
-                cwd=tmp_path / Names.of(name).dist,
-                capture_output=True,
-                text=True,
+                [ruff.find_ruff_bin(), *command, "--no-cache", "."], cwd=tmp_path, capture_output=True, text=True
             )
             assert found.returncode == 0, found.stdout
 
     def test_the_readme_tells_what_there_is(self, kind, tmp_path):
-        assert new(kind, "green-house", "--into", str(tmp_path)).exit_code == 0
-        folder = tmp_path / "green-house"
-        readme = (folder / "README.md").read_text()
-        named = re.findall(r"`((?:green_house|tests|configs)/[\w.]+|reading\.txt)`", readme)
-        assert named
-        assert all((folder / name).is_file() for name in named)
-        python = {path.relative_to(folder).as_posix() for path in folder.rglob("*.py")}
-        assert python - {"green_house/__init__.py"} <= set(named)
-
-    def test_a_dry_run_lists_the_same_files_and_writes_nothing(self, kind, tmp_path):
         dry = new(kind, "green-house", "--into", str(tmp_path), "--dry-run", "--format", "json")
         assert list(tmp_path.iterdir()) == []
         wet = new(kind, "green-house", "--into", str(tmp_path), "--format", "json")
@@ -124,22 +111,29 @@ class TestWhatIsWritten:
         assert [row["file"] for row in expected] == [row["file"] for row in written]
         assert {row["written"] for row in expected} == {False}
         assert {row["written"] for row in written} == {True}
-        there = {str(path) for path in (tmp_path / "green-house").rglob("*") if path.is_file()}
-        assert {row["file"] for row in written} == there
+        folder = tmp_path / "green-house"
+        assert {row["file"] for row in written} == {str(path) for path in folder.rglob("*") if path.is_file()}
+
+        readme = (folder / "README.md").read_text()
+        named = re.findall(r"`((?:green_house|tests|configs)/[\w.]+|reading\.txt)`", readme)
+        assert named
+        assert all((folder / name).is_file() for name in named)
+        python = {path.relative_to(folder).as_posix() for path in folder.rglob("*.py")}
+        assert python - {"green_house/__init__.py"} <= set(named)
 
 
-def test_every_template_has_a_purpose_and_every_purpose_a_template():
+def test_new_has_a_purpose_for_every_template():
     paths = {file.path for kind in KINDS for file in files_of(kind, Names.of("package"))}
     assert paths == set(distribution.PURPOSES)
 
 
-def test_templates_are_installed_with_the_package():
+def test_new_templates_are_installed_with_the_package():
     parser = configparser.ConfigParser()
     parser.read(Path(__file__).parents[2] / "setup.cfg")
     assert "templates/**/*.in" in parser["options.package_data"]["pancakes.tools.cli.verbs"]
 
 
-def test_the_next_commands_are_told(tmp_path):
+def test_new_tells_the_next_commands(tmp_path):
     told = new("task", "scan_target", "--into", str(tmp_path)).stdout
     assert f"cd {os.path.relpath(tmp_path / 'scan-target')}\n" in told
     assert "pip install -e " in told
@@ -149,9 +143,8 @@ def test_the_next_commands_are_told(tmp_path):
     assert "pip install" not in told
 
 
-@pytest.mark.parametrize(
-    ("text", "dist", "package", "cls"),
-    [
+def test_new_makes_names_of_one_word():
+    for text, *names in (
         ("scan_target", "scan-target", "scan_target", "ScanTarget"),
         ("scan-target", "scan-target", "scan_target", "ScanTarget"),
         ("ScanTarget", "scan-target", "scan_target", "ScanTarget"),
@@ -160,60 +153,53 @@ def test_the_next_commands_are_told(tmp_path):
         ("LED", "led", "led", "Led"),
         ("x2y", "x2y", "x2y", "X2y"),
         ("pancakes-garden", "pancakes-garden", "pancakes_garden", "PancakesGarden"),
-    ],
-)
-def test_names(text, dist, package, cls):
-    assert Names.of(text) == Names(dist, package, cls)
+    ):
+        assert Names.of(text) == Names(*names)
 
 
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("2fast", "'2fast' is no name: it must begin with a letter, and have only the letters a to z, digits, and"),
-        ("a--b", "is no name"),
-        ("_a", "is no name"),
-        ("a.b", "is no name"),
-        ("../up", "is no name"),
-        ("größe", "is no name"),
-        ("ab\n", "is no name"),
-        ("", "is no name"),
-        ("a", "a name must have from 2 to 30 characters, and 'a' has 1"),
-        ("a" * (LONGEST + 1), "has 31"),
-        ("class", "'class' is a word of the Python language"),
-        ("Match", "'match' is a word of the Python language"),
-        ("none", "'none' is a word of the Python language"),
-        ("random", "Python has a module 'random' of its own"),
-        ("pancakes", "'pancakes' means something else to Pancakes or to its tools"),
-        ("ctrl", "'ctrl' means something else"),
-        ("device", "'device' means something else"),
-        ("Sensor", "Pancakes has a class Sensor of its own: choose another name than 'sensor'"),
-    ],
-)
-def test_a_bad_name_is_a_sentence_and_leaves_nothing(text, why, tmp_path):
-    with pytest.raises(ValueError, match=re.escape(why)):
-        Names.of(text)
-    refused = new("task", "--into", str(tmp_path), "--", text)
-    assert refused.exit_code == 2
-    assert "Traceback" not in refused.stderr
-    assert list(tmp_path.iterdir()) == []
+BAD_NAMES = [
+    ("2fast", "'2fast' is no name: it must begin with a letter, and have only the letters a to z, digits, and"),
+    ("a--b", "is no name"),
+    ("_a", "is no name"),
+    ("a.b", "is no name"),
+    ("../up", "is no name"),
+    ("größe", "is no name"),
+    ("ab\n", "is no name"),
+    ("", "is no name"),
+    ("a", "a name must have from 2 to 30 characters, and 'a' has 1"),
+    ("a" * (LONGEST + 1), "has 31"),
+    ("class", "'class' is a word of the Python language"),
+    ("Match", "'match' is a word of the Python language"),
+    ("none", "'none' is a word of the Python language"),
+    ("random", "Python has a module 'random' of its own"),
+    ("pancakes", "'pancakes' means something else to Pancakes or to its tools"),
+    ("ctrl", "'ctrl' means something else"),
+    ("device", "'device' means something else"),
+    ("Sensor", "Pancakes has a class Sensor of its own: choose another name than 'sensor'"),
+]
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "why"),
-    [
+def test_new_refuses_a_bad_name_and_leaves_nothing(tmp_path):
+    for text, why in BAD_NAMES:
+        with pytest.raises(ValueError, match=re.escape(why)):
+            Names.of(text)
+        refused = new("task", "--into", str(tmp_path), "--", text)
+        assert refused.exit_code == 2 and "Traceback" not in refused.stderr, text
+    for kind, name, why in (
         ("task", "numpy", "a module numpy is installed here already, in "),
         ("task", "pytest-timeout", "pytest_timeout"),
         ("driver", "pose", "there is a packet type 'pose' already, pancakes.bodies.devices.types.Pose: choose another"),
-    ],
-)
-def test_what_is_installed_already_is_not_hidden(kind, name, why, tmp_path):
-    refused = new(kind, name, "--into", str(tmp_path))
-    assert refused.exit_code == 1
-    assert why in refused.stderr
+    ):
+        refused = new(kind, name, "--into", str(tmp_path))
+        assert refused.exit_code == 1 and why in refused.stderr, "it would hide what is installed"
+    refused = new("task", "scan_target", "--into", str(tmp_path / "nowhere"))
+    assert refused.exit_code == 2 and "does not exist" in refused.stderr
     assert list(tmp_path.iterdir()) == []
+    assert importlib.metadata.version("pancakes-agents")
+    assert "is installed here already" in Names("pancakes-agents", "zz", "Zz").taken("task")
 
 
-def test_what_the_templates_name_themselves_is_no_name():
+def test_new_refuses_names_that_its_templates_use():
     """A class of the user's must not hide one that its own files import or define."""
     names = set()
     for kind in KINDS:
@@ -227,36 +213,20 @@ def test_what_the_templates_name_themselves_is_no_name():
     assert classes == distribution.named_in_templates()
 
 
-def test_a_folder_that_exists_is_left_alone(tmp_path):
+def test_new_leaves_a_folder_that_exists_alone(tmp_path):
     (tmp_path / "scan-target").mkdir()
     (tmp_path / "scan-target" / "precious").write_text("mine")
     for options in ((), ("--dry-run",)):
         refused = new("task", "ScanTarget", "--into", str(tmp_path), *options)
         assert refused.exit_code == 1
         assert refused.stderr == f"{tmp_path / 'scan-target'} exists already: nothing was written\n"
+    with pytest.raises(PancakesError, match="/scan-target exists already"):
+        write(tmp_path / "scan-target", [File("one.txt", "", "1")])  # it came to be meanwhile
     assert [path.name for path in tmp_path.rglob("*")] == ["scan-target", "precious"]
 
 
-def test_a_folder_that_came_to_be_meanwhile_is_left_alone(tmp_path):
-    (tmp_path / "made").mkdir()
-    with pytest.raises(PancakesError, match="/made exists already"):
-        write(tmp_path / "made", [File("one.txt", "", "1")])
-    assert [path.name for path in tmp_path.rglob("*")] == ["made"]
-
-
-def test_nothing_stays_where_writing_fails_half_way(tmp_path):
+def test_new_leaves_nothing_if_writing_fails_half_way(tmp_path):
     files = [File("one.txt", "", "1"), File("one.txt/two.txt", "", "2")]
     with pytest.raises(PancakesError, match=r"/made cannot be written: (Not a directory|File exists)"):
         write(tmp_path / "made", files)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_to_write_into_must_be_there(tmp_path):
-    refused = new("task", "scan_target", "--into", str(tmp_path / "nowhere"))
-    assert refused.exit_code == 2
-    assert "does not exist" in refused.stderr
-
-
-def test_the_distribution_that_brings_the_command_is_found_by_its_name():
-    assert importlib.metadata.version("pancakes-agents")
-    assert "is installed here already" in Names("pancakes-agents", "zz", "Zz").taken("task")

@@ -8,7 +8,7 @@ import pytest
 from pancakes.tools.cli.output import show, show_json, show_sections
 
 
-def test_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str]):
+def test_output_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str]):
     show_json([{"radius_m": float("inf"), "levels": (float("nan"), 0.5)}])
 
     def refuse(name: str) -> None:
@@ -17,7 +17,7 @@ def test_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str
     assert json.loads(capsys.readouterr().out, parse_constant=refuse) == [{"radius_m": None, "levels": [None, 0.5]}]
 
 
-def test_nothing_is_cut_off_in_a_narrow_terminal(
+def test_output_table_fits_a_narrow_terminal_and_cuts_nothing(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
@@ -32,9 +32,8 @@ def test_nothing_is_cut_off_in_a_narrow_terminal(
     assert text.count("W") == 2
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
+def test_output_table_keeps_brackets_of_lists(capsys: pytest.CaptureFixture[str]):
+    for value, text in (
         (["pose", "motors"], "pose, motors"),
         ([[0.0, 0.0], [1.5, 1.0]], "[[0, 0], [1.5, 1]]"),
         ([(1.0, 2.0)], "[[1, 2]]"),
@@ -42,14 +41,12 @@ def test_nothing_is_cut_off_in_a_narrow_terminal(
         ({"left": [1, 2], "right": None}, "left [1, 2], right -"),
         ([{"x_m": 1.0, "y_m": 2.0}], "[{x_m 1, y_m 2}]"),
         ([], "-"),
-    ],
-)
-def test_what_is_in_a_list_keeps_its_brackets(capsys: pytest.CaptureFixture[str], value: object, text: str):
-    show([{"value": value}], ["value"], "table")
-    assert capsys.readouterr().out.splitlines()[-2].strip() == text
+    ):
+        show([{"value": value}], ["value"], "table")
+        assert capsys.readouterr().out.splitlines()[-2].strip() == text
 
 
-def test_a_section_of_text_is_shown_with_its_control_characters_escaped(capsys):
+def test_output_section_has_its_control_characters_escaped(capsys):
     show_sections({"last failure": "RuntimeError: bang \x1b]0;owned\x07\nand more"})
     shown = capsys.readouterr().out
     assert "\x1b" not in shown.replace("\x1b[1m", "").replace("\x1b[0m", "") and "\x07" not in shown

@@ -5,8 +5,7 @@ import os
 import signal
 import time
 
-import pytest
-from cli.processes import PATIENCE_S, Rig
+from cli.processes import PATIENCE_S
 
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 50\n'
 HERE = 'folders = ["."]'
@@ -17,13 +16,6 @@ from pancakes.task import Task
 class Idle(Task):
     pass
 """
-
-
-@pytest.fixture
-def rig(tmp_path):
-    rig = Rig(tmp_path)
-    yield rig
-    rig.close()
 
 
 def rows(rig, *arguments, code=0):
@@ -39,7 +31,7 @@ def grown(path, size):
         assert time.monotonic() < until_s, f"{path} does not grow"
 
 
-def test_recordings_are_started_listed_stopped_and_looked_at(rig):
+def test_record_starts_lists_stops_and_looks_at_recordings(rig):
     for name in ("a", "b"):
         rig.ready(name, LOAD, agent=HERE)
     assert rows(rig, "start", "--dry-run") == [
@@ -54,7 +46,7 @@ def test_recordings_are_started_listed_stopped_and_looked_at(rig):
     ]
     assert [row["done"] for row in rows(rig, "list")] == ["recording", "recording"]
     again = rig.pancakes("record", "start", "a")
-    assert (again.returncode, again.stderr) == (1, "a/log/Recorder is running already\n")
+    assert again.returncode == 1 and "running already" in again.stderr
     for name in ("a", "b"):
         grown(rig.directory / "run" / f"{name}.mcap", 2000)
     assert [row["done"] for row in rows(rig, "stop", "--dry-run")] == ["dry run", "dry run"]
@@ -69,28 +61,34 @@ def test_recordings_are_started_listed_stopped_and_looked_at(rig):
     assert "whole" in rig.pancakes("record", "info", "run").stdout
 
 
-def test_a_channel_that_nobody_has_is_refused_and_of_one_that_some_have_it_is_told(rig):
-    rig.ready("a", "[channel.map]\n", agent=HERE)
+def test_record_start_doubts_channels_and_tasks_that_are_not_there(rig):
+    rig.install("records", "[pancakes.tasks]\nrecords.Idle = plugin_records:Idle\n", IDLE)
+    rig.ready("a", '[channel.map]\n[task.Idle]\ntype = "records.Idle"\n', agent=HERE)
     rig.ready("b", agent=HERE)
     result = rig.pancakes("record", "start", "--channel", "mapp")
     assert (result.returncode, result.stderr.partition(",")[0]) == (1, "no agent has a channel 'mapp'")
     assert {row["path"] for row in rows(rig, "list")} == {None}
     result = rig.pancakes("record", "start", "--channel", "map", "--channel", "recording", "--path", "{agent}.mcap")
     assert (result.returncode, result.stderr) == (0, "b: no channel 'map', so nothing of it is recorded there\n")
+    rows(rig, "stop")
 
-
-def test_of_a_task_that_runs_nowhere_it_is_told(rig):
-    rig.install("records", "[pancakes.tasks]\nrecords.Idle = plugin_records:Idle\n", IDLE)
-    rig.ready("a", '[task.Idle]\ntype = "records.Idle"\n', agent=HERE)
-    told = "no task {} runs there now: of it nothing is recorded before it comes\n"
-    for task in ("b/Idle", "a/Idel"):
-        result = rig.pancakes("record", "start", "--task", task, "--path", "r.mcap")
-        assert (result.returncode, result.stderr) == (0, told.format(task))
+    told = "no task a/Idel runs there now: of it nothing is recorded before it comes\n"
+    for task, said in (("a/Idel", told), ("a/Idle", "")):
+        result = rig.pancakes("record", "start", "a", "--task", task, "--path", "r.mcap")
+        assert (result.returncode, result.stderr) == (0, said)
         rows(rig, "stop")
-    assert rig.pancakes("record", "start", "--task", "a/Idle", "--path", "r.mcap").stderr == ""
 
 
-def test_a_recording_goes_on_by_itself_after_a_kill_and_not_after_a_stop(rig):
+def test_record_start_that_is_refused_records_nothing(rig):
+    rig.ready("a", "[record]\nstart = false\nfree_mib = 1e9\n", agent='folders = [".", "/proc"]')
+    for path in ("r.mcap", "/proc/nowhere/a.mcap"):
+        result = rig.pancakes("record", "start", "--path", path)
+        assert (result.returncode, result.stdout) == (1, "") and path in result.stderr
+        assert rows(rig, "list") == [{"agent": "a", "done": result.stderr.strip().partition(": ")[2], "path": None}]
+    assert not (rig.directory / "r.mcap").exists()
+
+
+def test_record_goes_on_after_a_kill_and_not_after_a_stop(rig):
     agent = rig.ready("a", LOAD, agent=HERE)
     rows(rig, "start", "--path", "run/{agent}.mcap")
     grown(rig.directory / "run" / "a.mcap", 4000)
@@ -109,23 +107,7 @@ def test_a_recording_goes_on_by_itself_after_a_kill_and_not_after_a_stop(rig):
     assert not (rig.directory / "run" / "a.003.mcap").exists()
 
 
-def test_too_little_room_is_said_at_once(rig):
-    rig.ready("a", "[record]\nstart = false\nfree_mib = 1e9\n", agent=HERE)
-    result = rig.pancakes("record", "start", "--path", "r.mcap")
-    assert result.returncode == 1
-    assert "r.mcap does not begin: less than 1e+09 MiB are free on the disk of . (" in result.stderr
-    assert not (rig.directory / "r.mcap").exists()
-
-
-def test_a_bad_setting_is_refused_before_anything_is_recorded(rig):
-    rig.ready("a", agent='folders = ["/proc"]')
-    result = rig.pancakes("record", "start", "--path", "/proc/nowhere/a.mcap")
-    assert result.returncode == 1
-    assert result.stderr.startswith("a/log/Recorder failed to start: the recording /proc/nowhere/a.mcap cannot be")
-    assert rows(rig, "list") == [{"agent": "a", "done": result.stderr.strip().partition(": ")[2], "path": None}]
-
-
-def test_after_a_kill_all_but_the_last_moment_is_recovered(rig):
+def test_record_repair_recovers_all_but_the_last_moment(rig):
     agent = rig.ready("a", LOAD, "--record", "r.mcap")
     path = rig.directory / "r.mcap"
     grown(path, 20_000)
@@ -145,10 +127,7 @@ def test_after_a_kill_all_but_the_last_moment_is_recovered(rig):
     assert whole["duration_s"] > 0.5
     assert rows(rig, "repair", "mended.mcap")[0]["done"] == "whole already"
 
-
-@pytest.mark.parametrize("verb", ["info", "repair"])
-def test_what_is_no_recording_is_told_in_a_sentence(rig, verb):
     (rig.directory / "x.mcap").write_text("hello")
-    result = rig.pancakes("record", verb, "x.mcap")
-    assert (result.returncode, result.stderr) == (1, "x.mcap is no recording: it does not begin as an MCAP file does\n")
-    assert rig.pancakes("record", verb, "none").stderr == "there is no recording none\n"
+    for verb in ("info", "repair"):
+        result = rig.pancakes("record", verb, "x.mcap")
+        assert (result.returncode, result.stdout) == (1, "") and "x.mcap is no recording" in result.stderr

@@ -61,7 +61,7 @@ def wait_for(path: Path, count: int) -> None:
         time.sleep(0.01)
 
 
-def test_no_acknowledged_packet_is_lost_while_keys_are_renewed(rig: Rig):
+def test_reload_keys_loses_no_acknowledged_packet(rig: Rig):
     names = ("Source", "Sink")
     points = "".join(f"renewing.{name} = plugin_renewing:{name}\n" for name in names)
     rig.install("renewing", f"[pancakes.tasks]\n{points}", SOURCE)

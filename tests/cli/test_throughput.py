@@ -13,7 +13,7 @@ def packet(stamp: float, source: str = "a/device/pose", kind: str = "pose") -> P
     return Packet("system", kind, source, "cli-1", stamp, 1, POSE)
 
 
-def test_the_rate_is_that_of_the_intervals_between_stamps():
+def test_throughput_rate_is_that_between_stamps():
     heard = Throughput(began_s=100.0)
     for at_s, stamp in [(100.0, 1.0), (100.9, 1.1), (101.0, 1.3), (101.1, 1.4)]:
         heard.add(packet(stamp), at_s)
@@ -26,14 +26,14 @@ def test_the_rate_is_that_of_the_intervals_between_stamps():
     assert (row["packets"], row["window"]) == (4, 4)
 
 
-def test_or_between_arrivals():
+def test_throughput_rate_may_be_that_between_arrivals():
     heard = Throughput(began_s=100.0, arrivals=True)
     for at_s in (100.0, 100.5, 101.0):
         heard.add(packet(0.0), at_s)
     assert heard.rows(102.0)[0]["rate_hz"] == pytest.approx(2.0)
 
 
-def test_each_source_and_type_is_measured_by_itself():
+def test_throughput_is_of_each_source_and_type():
     heard = Throughput(began_s=0.0)
     for n in range(3):
         heard.add(packet(n * 0.1, "b/device/pose"), n * 0.1)
@@ -50,7 +50,7 @@ def test_each_source_and_type_is_measured_by_itself():
     assert heard.packets == 9
 
 
-def test_only_the_newest_packets_count():
+def test_throughput_counts_only_the_newest_packets():
     heard = Throughput(began_s=0.0, window=3)
     for at_s in (0.0, 5.0, 5.1, 5.2):
         heard.add(packet(at_s), at_s, size=100)
@@ -62,7 +62,7 @@ def test_only_the_newest_packets_count():
     assert row["bytes_per_s"] == pytest.approx(200.0)  # the two after the first of the window, since that
 
 
-def test_bytes_are_counted_from_the_beginning():
+def test_throughput_counts_bytes_from_the_beginning():
     heard = Throughput(began_s=10.0)
     for at_s, size in ((10.5, 100), (11.5, 300)):
         heard.add(packet(at_s), at_s, size)
@@ -73,7 +73,7 @@ def test_bytes_are_counted_from_the_beginning():
     assert (row["min_bytes"], row["mean_bytes"], row["max_bytes"]) == (100, 200.0, 300)
 
 
-def test_one_packet_has_no_rate_nor_have_those_of_a_mission_that_is_held():
+def test_throughput_of_one_packet_or_a_held_mission_has_no_rate():
     heard = Throughput(began_s=0.0)
     heard.add(packet(0.0), 1.0)
     assert heard.rows(2.0)[0]["rate_hz"] is None
@@ -81,7 +81,7 @@ def test_one_packet_has_no_rate_nor_have_those_of_a_mission_that_is_held():
     assert heard.rows(3.0)[0]["rate_hz"] is None
 
 
-def test_an_agent_that_was_started_anew_is_measured_anew():
+def test_throughput_of_an_agent_started_again_begins_again():
     heard = Throughput(began_s=0.0)
     for stamp in (100.0, 100.1, 0.5, 1.0, 1.5):
         heard.add(packet(stamp), stamp)
@@ -92,7 +92,7 @@ def test_an_agent_that_was_started_anew_is_measured_anew():
     assert row["window"] == 3
 
 
-def test_a_report_can_leave_out_who_fell_silent():
+def test_throughput_report_can_leave_out_who_fell_silent():
     heard = Throughput(began_s=0.0)
     heard.add(packet(0.0, "a/device/pose"), 0.0)
     heard.add(packet(0.0, "b/device/pose"), 0.0)
@@ -104,5 +104,5 @@ def test_a_report_can_leave_out_who_fell_silent():
     assert len(heard.rows(3.0)) == 2
 
 
-def test_who_follows_a_packet_does_not_make_it_larger():
+def test_throughput_size_does_not_depend_on_who_follows():
     assert size_of(packet(1.0)) == size_of(Packet("system", "pose", "a/device/pose", "cli-12345-abc", 1.0, 1, POSE))

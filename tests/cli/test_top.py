@@ -1,7 +1,7 @@
 """`pancakes top`: agents and tasks at a glance."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -26,14 +26,6 @@ TASKS = '[task.Walk]\ntype = "walk.Walk"\n[task.Idle]\ntype = "walk.Walk"\nstart
 def agent(rig: Rig) -> Running:
     rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", SOURCE)
     return rig.ready("a", TASKS)
-
-
-@pytest.fixture
-def top(rig: Rig) -> Iterator[LiveOutput]:
-    """`top` with JSON, which goes on."""
-    running = LiveOutput(rig, "top", "--every", "200ms", "--format", "json")
-    yield running
-    running.close()
 
 
 def row_of(name: str, state: str = "ready", **others: Any) -> dict[str, Any]:
@@ -67,8 +59,9 @@ def drawn(*agents: dict[str, Any], sort: str = "name", height: int | None = None
     return [line.rstrip() for line in captured.get().splitlines()]
 
 
-def test_once_takes_two_looks_and_tells_the_rates_that_are_reached(rig: Rig, agent: Running):
-    result = rig.pancakes("top", "--once", "--format", "json")
+def test_top_once_tells_rates_that_are_reached(rig: Rig, agent: Running):
+    rig.ready("b")
+    result = rig.pancakes("top", "--once", "--format", "json", "a")
 
     assert result.returncode == 0, result.stderr
     (row,) = json.loads(result.stdout)
@@ -83,54 +76,37 @@ def test_once_takes_two_looks_and_tells_the_rates_that_are_reached(rig: Rig, age
     assert 0.0 <= tasks["Walk"]["lateness_s"] < 0.5
     assert (tasks["Idle"]["state"], tasks["Idle"]["achieved_hz"]) == ("stopped", None)
 
-
-def test_once_prints_two_tables_for_people(rig: Rig, agent: Running):
-    rig.ready("b")
-    result = rig.pancakes("top", "--once", "--every", "200ms", "a")
-
-    lines = [line.split() for line in result.stdout.splitlines() if line.strip()]
-    assert lines[0][:2] == ["agent", "state"]
-    assert lines[2][:2] == ["a", "ready"]
+    table = rig.pancakes("top", "--once", "--every", "200ms", "a").stdout
+    lines = [line.split() for line in table.splitlines() if line.strip()]
+    assert (lines[0][:2], lines[2][:2]) == (["agent", "state"], ["a", "ready"])
     assert ["a/client/Walk", "running", "50"] in [line[:3] for line in lines]
     assert not any(line[0].startswith("b") for line in lines)
 
 
-def test_it_goes_on_and_sees_who_comes_and_goes(rig: Rig, agent: Running, top: LiveOutput):
+def test_top_goes_on_and_sees_who_comes_and_goes(rig: Rig, agent: Running, start: Callable[..., LiveOutput]):
+    top = start("top", "--every", "200ms", "--format", "json")
     assert top.record('"agent":"a"')["state"] == "ready"
     other = rig.ready("b")
     assert top.record('"agent":"b"')["state"] == "ready"
     other.process.kill()
     assert top.record('"agent":"b","fleet":"test","role":"agent","state":"no answer"')["tasks"] == []
     assert top.record('"agent":"a"')["state"] == "ready"
-    assert top.interrupt() == 0
-    assert top.said == []
+    assert (top.interrupt(), top.said) == (0, [])
 
-
-def test_on_a_terminal_it_draws_until_ctrl_c(rig: Rig, agent: Running):
     code, shown = on_a_terminal(rig, 12, 90, "top", "--every", "200ms", until=b"more tasks")
-
     assert code == 0
     assert "a/client/Idle" in shown
-    assert shown.rstrip().endswith("\x1b[?1049l")  # the terminal is as it was before
+    assert shown.rstrip().endswith("\x1b[?1049l"), "the terminal is as it was before"
 
 
-def test_where_nobody_is_there_the_exit_code_is_3(rig: Rig):
-    assert rig.pancakes("top", "--once").returncode == 3
-    assert rig.pancakes("top").returncode == 3
-
-
-def test_it_has_help_with_an_example(rig: Rig):
-    assert "pancakes top --once" in rig.pancakes("top", "--help").stdout.partition("Example:")[2]
-
-
-def test_cells_are_short():
+def test_top_has_short_cells():
     lines = drawn(row_of("a", battery_level=0.5, tasks=[task_of("Walk", lateness_s=None, achieved_hz=9.876)]))
 
     assert lines[2].split() == ["a", "ready", "12.5", "33", "0.25", "2", "0", "0", "50.0"]
     assert lines[6].split() == ["a/client/Walk", "running", "10", "9.88", "-", "0", "0", "0"]
 
 
-def test_tasks_are_sorted():
+def test_top_sorts_tasks():
     tasks = [task_of("A", missed=1), task_of("B", missed=5, lateness_s=None), task_of("C", lateness_s=0.5)]
 
     def order(sort: str) -> list[str]:
@@ -142,7 +118,7 @@ def test_tasks_are_sorted():
 
 
 @pytest.mark.parametrize(("agents", "tasks", "height"), [(2, 30, 20), (30, 2, 20), (30, 30, 12), (1, 1, 5), (3, 3, 24)])
-def test_it_fits_the_terminal(agents: int, tasks: int, height: int):
+def test_top_fits_the_terminal(agents: int, tasks: int, height: int):
     rows = [row_of(f"agent{n:02}") for n in range(agents)]
     rows[0]["tasks"] = [task_of(f"Task{n:02}") for n in range(tasks)]
 

@@ -93,7 +93,7 @@ COMMANDS = (
 )
 
 
-def test_what_a_task_says_holds_and_keeps_is_shown_escaped(rig: Rig, agent: Running, tmp_path: Path) -> None:
+def test_control_characters_of_a_task_are_shown_escaped(rig: Rig, agent: Running, tmp_path: Path) -> None:
     found = {}
     for command in COMMANDS:
         ended = rig.pancakes(*command)
@@ -136,35 +136,26 @@ def answered(port: int, name: str, fleet: str, role: str = "client", listen: str
             data = data[length:]
 
 
-@pytest.mark.parametrize(
-    ("name", "fleet", "role", "listen"),
-    [
+def test_control_characters_of_a_stranger_are_refused(rig: Rig) -> None:
+    agent = rig.ready("a", INSECURE)
+    for name, fleet, role, listen in (
         ("\x1b]0;owned\x07", "test", "client", ""),
         ("b.c", "test", "agent", ""),
         ("bä", "test", "agent", ""),
         ("-b", "test", "agent", ""),
+        ("b/c", "test", "agent", ""),
         (".b", "test", "client", ""),
         ("b" * 65, "test", "agent", ""),
-        ("b/c", "test", "agent", ""),
         ("b\n", "test", "agent", ""),
         ("", "test", "agent", ""),
         ("b", "te\x1bst", "agent", ""),
         ("b", "test", "agent", "tcp://\x1b]0;owned\x07:1"),
-    ],
-)
-def test_a_stranger_whose_hello_cannot_be_taken_is_told_why(
-    rig: Rig, name: str, fleet: str, role: str, listen: str
-) -> None:
-    agent = rig.ready("a", INSECURE)
-    reason = answered(rig.port(agent), name, fleet, role, listen)
-    wrong = "is no address" if listen else "is no name: a name has letters from a to z"
-    assert reason.startswith("protocol: ") and wrong in reason and not RAW.search(reason)
-    line = agent.hear(wrong)
-    assert not RAW.search(line)
+    ):
+        reason = answered(rig.port(agent), name, fleet, role, listen)
+        wrong = "is no address" if listen else "is no name: a name has letters from a to z"
+        assert reason.startswith("protocol: ") and wrong in reason and not RAW.search(reason), name
+    assert answered(rig.port(agent), "b.c-d_1", "test") == "", "a terminal may have a dot in its name"
+    assert not RAW.search(agent.hear("is no name"))
     listed = rig.pancakes("agent", "list")
     assert not RAW.search(listed.stdout + listed.stderr) and "owned" not in listed.stdout
-
-
-def test_a_terminal_may_have_a_dot_in_its_name(rig: Rig) -> None:
-    agent = rig.ready("a", INSECURE)
-    assert answered(rig.port(agent), "b.c-d_1", "test") == ""
+    assert not RAW.search("\n".join(agent.so_far()))

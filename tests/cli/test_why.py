@@ -3,11 +3,10 @@
 import json
 
 import pytest
-from click.testing import CliRunner
+from cli.invoked import invoked
 
 from pancakes.bodies.devices.types import Pose, Twist
 from pancakes.packet import Fence, Packet
-from pancakes.tools.cli.main import pancakes
 from pancakes.tools.recording.recorded_packet import RecordedPacket
 from pancakes.tools.recording.writer import RecordingWriter
 
@@ -55,7 +54,7 @@ def recording(tmp_path):
 @pytest.fixture
 def why(recording):
     def run(*options, code=0):
-        result = CliRunner().invoke(pancakes, ["why", str(recording), *options])
+        result = invoked("why", str(recording), *options)
         assert result.exit_code == code, result.output
         return result
 
@@ -67,7 +66,7 @@ def found(why):
     return lambda *options: json.loads(why(*options, "--format", "json").stdout)
 
 
-def test_alone_it_shows_the_kinds_of_chains_with_how_long_they_took(why, found):
+def test_why_shows_kinds_of_chains_with_their_times(why, found):
     assert found() == {
         "commands": 21,
         "uncaused": 1,
@@ -89,7 +88,7 @@ def test_alone_it_shows_the_kinds_of_chains_with_how_long_they_took(why, found):
     assert "world/client/Mocap pose → a/device/pose pose → a/client/Scan motors" in shown
 
 
-def test_a_moment_means_the_command_that_was_in_force_then_step_by_step(found):
+def test_why_at_a_moment_tells_the_command_in_force(found):
     (it,) = found("--at", "720ms")
     assert (it["mission_s"], it["agent"], it["type"], it["source"], it["seq"]) == (
         0.712, "a", "motors", "a/client/Scan", 7,
@@ -103,18 +102,13 @@ def test_a_moment_means_the_command_that_was_in_force_then_step_by_step(found):
     assert it["chain"][0]["body"] == {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.0}
     assert it["alike"]["p90_ms"] == 24.0
 
-
-def test_at_a_moment_each_actuator_has_its_command(found):
     assert [(it["type"], it["seq"]) for it in found("--at", "1min")] == [("gripper", 1), ("motors", 20)]
     assert [it["type"] for it in found("--at", "1min", "--type", "motors")] == ["motors"]
-
-
-def test_a_command_by_its_number_and_the_slowest_ones(found):
     assert [it["latency_ms"] for it in found("--seq", "3")] == [8.0]
     assert [it["seq"] for it in found("--slowest", "3")] == [20, 19, 18]
 
 
-def test_people_read_a_chain_as_a_table_with_what_was_said(why):
+def test_why_shows_a_chain_as_a_table(why):
     lines = [line.split() for line in why("--seq", "3").stdout.splitlines()]
     text = why("--seq", "3").stdout
     assert "a motors at 0.308 s, from a/client/Scan for a/Scan (#3)" in text
@@ -122,21 +116,18 @@ def test_people_read_a_chain_as_a_table_with_what_was_said(why):
     assert ["5", "a/device/pose", "pose", "#3", "0", "3", "x_m", "1,", "y_m", "2,", "theta_rad", "0"] in lines
     assert "8 ms from the first cause to the command. Of 20 that came about like this: p50 16" in text
 
-
-def test_a_command_that_answers_nothing_says_so(why):
     assert "it answers no packet that was recorded" in why("--type", "gripper", "--seq", "1").stdout
 
 
-def test_all_commands_are_listed_each_in_a_line(why, found):
+def test_why_lists_commands_each_in_a_line(why, found):
     assert [row["seq"] for row in found("--list", "--agent", "a", "--type", "motors")] == list(range(1, 21))
     lines = why("--list").stdout.splitlines()
     assert lines[0] == "    0.106 s  a motors  from a/client/Scan #1      6.000 ms after world/client/Mocap pose"
     assert lines[-1] == "    2.500 s  a gripper  from a/client/Grip #1  answers no packet"
 
 
-@pytest.mark.parametrize(
-    ("options", "code", "sentence"),
-    [
+def test_why_of_what_is_not_there_is_a_sentence(why, tmp_path):
+    for options, code, sentence in (
         (("--agent", "b"), 1, "has no such command, only such to a gripper, a motors of a/Scan"),
         (("--task", "a/Other"), 1, "has no such command"),
         (("--at", "10ms"), 1, "there is no such command before 0.01 s of mission time"),
@@ -144,26 +135,21 @@ def test_all_commands_are_listed_each_in_a_line(why, found):
         (("--type", "gripper", "--slowest", "1"), 1, "no such command that answers a packet that was recorded"),
         (("--at", "1s", "--list"), 2, "ask one of them"),
         (("--at", "soon"), 2, "is no time"),
-    ],
-)
-def test_what_is_not_there_is_said_in_a_sentence(why, options, code, sentence):
-    assert sentence in " ".join(why(*options, code=code).output.split())
-
-
-def test_a_recording_that_is_not_there_is_named(tmp_path):
-    result = CliRunner().invoke(pancakes, ["why", str(tmp_path / "none.mcap")])
+    ):
+        assert sentence in " ".join(why(*options, code=code).output.split())
+    result = invoked("why", str(tmp_path / "none.mcap"))
     assert result.exit_code == 1 and "there is no recording" in result.output
 
 
-def test_only_one_agents_recording_begins_the_chain_where_it_arrived(recording):
+def test_why_begins_a_chain_where_the_packet_arrived(recording):
     arguments = ["why", str(recording / "a.mcap"), "--seq", "3", "--format", "json"]
-    (it, *_) = json.loads(CliRunner().invoke(pancakes, [*arguments, "--type", "motors"]).stdout)
+    (it, *_) = json.loads(invoked(*arguments, "--type", "motors").stdout)
     assert it["latency_ms"] == 4.0 and it["chain"][0]["travel_ms"] is None
-    shown = CliRunner().invoke(pancakes, ["why", str(recording / "a.mcap"), "--seq", "3"]).stdout
+    shown = invoked("why", str(recording / "a.mcap"), "--seq", "3").stdout
     assert "it was not recorded when the packet left" in shown
 
 
-def test_an_agent_that_was_started_again_goes_on_in_the_recordings_mission_time(recording, found):
+def test_why_knows_mission_time_of_an_agent_started_again(recording, found):
     writer = RecordingWriter(recording / "a.002.mcap", {"agent": "a", "clock": "time of day", "speed": "1.0"})
     again = Packet("ctrl", "motors", "a/client/Scan", "", 0.25, 1, Twist(0.0, 0.0))
     writer.write(RecordedPacket(5000 * MS, "a", again))
