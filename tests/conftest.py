@@ -9,7 +9,7 @@ Each test is in one set, by its fixtures, its file or its folder:
 - foreign: programs that others wrote, such as ROS 2.
 
 `scripts/test` runs fast and live, `.ci/run` also long, and of model and foreign what changed since it passed
-(`harness.proven`). Files that end in `_full.py` run only with `scripts/test --all`, and so do sets that nothing asks for.
+(`harness.proven`). Files that end in `_full.py`, the long forms of others, run only with `scripts/test --all`.
 """
 
 from __future__ import annotations

@@ -80,8 +80,10 @@ class Prover:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         subject = subject_of(ROOT / report.nodeid.partition("::")[0])
-        if subject is not None and (report.failed or report.when == "call" and report.passed):
-            (self._failed if report.failed else self._passed).add(subject)
+        if subject is not None and report.failed:
+            self._failed.add(subject)
+        elif subject is not None and report.passed and report.when == "call":
+            self._passed.add(subject)
 
     def pytest_sessionfinish(self) -> None:
         before = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {}
