@@ -38,25 +38,40 @@ class LiveRescue(LiveDemo):
     name = "rescue"
 
 
+SPEEDS = (8.0, 4.0)
+"""Mission seconds a second. The second one is for a machine that, by the demo's own word, is too slow for the first."""
+
+
+@pytest.mark.timeout(300)
 def test_live_rescue_survives_the_return_of_the_killed_agent(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with LiveRescue(out, "--speed", "8", "--duration", "200", "--seed", "2", "--local") as demo:
+    for speed in SPEEDS:
+        out = tmp_path / f"{speed:g}"
+        said = fly_live(out, speed)
+        flight = read_flight(out)
+        # How soon it is taken over is the machine's; so short a mission leaves the circle uncovered.
+        strange = [it for it in flight.summary["reasons"] if "first command" not in it and "was covered" not in it]
+        if not strange or "this machine was too slow" not in said:
+            break
+    summary = flight.summary
+    assert strange == [], said
+    lost_s = flight.told("agent_lost", "agent1")[0]["t_s"]
+    assert lost_s >= Plugins().get("pancakes.demos", "rescue").loss.at_s(2)
+    assert [holder["agent"] for holder in summary["holders"]] == ["agent1", "agent2"]
+    assert summary["taken_by"] == "agent2" and summary["without_s"] > 0.0
+    assert flight.told("agent_returned", "agent1")[0]["t_s"] < flight.told("ready", "agent1")[-1]["t_s"] < 200.0
+    check_only_copy(flight, speed)
+    # A checkpoint may be a second old, which is `speed` seconds of the mission.
+    check_copy_continues(flight, speed)
+    assert "agent1 is killed" in said and "ended with exit code" not in said
+
+
+def fly_live(out: Path, speed: float) -> str:
+    """Runs the mission on real processes; returns what it said."""
+    with LiveRescue(out, "--speed", f"{speed:g}", "--duration", "200", "--seed", "2", "--local") as demo:
         demo.wait_for("new centre")
         first = demo.agents["agent1"].pid
         demo.wait_for("agent1 is started again, on its disk")
         assert demo.agents["agent1"].pid != first
         demo.ends()
         assert demo.left_after(0.0) == []
-    flight = read_flight(out)
-    summary = flight.summary
-    # How soon it is taken over is the machine's; so short a mission leaves the circle uncovered. It says nothing else.
-    assert all("first command" in reason or "was covered" in reason for reason in summary["reasons"]), demo.said
-    lost_s = flight.told("agent_lost", "agent1")[0]["t_s"]
-    assert lost_s >= Plugins().get("pancakes.demos", "rescue").loss.at_s(2)
-    assert [holder["agent"] for holder in summary["holders"]] == ["agent1", "agent2"]
-    assert summary["taken_by"] == "agent2" and summary["without_s"] > 0.0
-    assert flight.told("agent_returned", "agent1")[0]["t_s"] < flight.told("ready", "agent1")[-1]["t_s"] < 200.0
-    check_only_copy(flight, 8.0)
-    # A checkpoint may be a second old, of which a mission at this speed has eight.
-    check_copy_continues(flight, 8.0)
-    assert "agent1 is killed" in demo.said and "ended with exit code" not in demo.said
+    return demo.said
