@@ -37,6 +37,7 @@ def test_interpreter_of_an_agent_freezes_what_it_imported(rig: Rig):
         "    def on_start(self):\n"
         "        self.log('info', f'{gc.get_freeze_count()} are kept, {len(gc.get_objects())} are left')\n",
     )
-    words = rig.agent(rig.config("a", '[task.Look]\ntype = "test.Look"\n')).hear("are kept").split()
+    agent = rig.agent(rig.config("a", '[task.Look]\ntype = "test.Look"\n'), true_start=True)
+    words = agent.hear("are kept").split()
     kept, left = (int(words[words.index(word) - 2]) for word in ("kept,", "left"))
     assert kept > left > 0

@@ -162,8 +162,8 @@ def test_param_load_refuses_a_file_that_is_none(shared: Rig):
 
 
 def test_param_completion_knows_names_of_settings(shared: Rig):
-    words = {"COMP_WORDS": "pancakes param set a/Count st", "COMP_CWORD": "4"}
-    asked = shared.pancakes(_PANCAKES_COMPLETE="bash_complete", **words)
+    words = "pancakes param set a/Count st"
+    asked = shared.pancakes(_PANCAKES_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD="4")
     assert "plain,step=" in asked.stdout
 
 
