@@ -314,7 +314,7 @@ def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(pools, kerne
     both = threading.Event()
 
     class Slow(Component):
-        @every(hz=1)
+        @every(hz=4)
         def tick(self, tick):
             threading.Event().wait(0.01)
             ticked.append(self)
@@ -323,7 +323,7 @@ def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(pools, kerne
                 both.set()
 
     class Quick(Component):
-        @every(hz=1)
+        @every(hz=4)
         def tick(self, tick):
             pass
 

@@ -310,13 +310,14 @@ def test_only_mission_packets_are_counted(memory_rig):
     assert a.mesh.mission_packets_sent() == 6
 
 
-def test_a_beacon_brings_back_what_was_forgotten(memory_rig):
-    """b came too late to hear of c when it connected; the beacon repeats it."""
-    a = memory_rig.agent("a")
-    b = memory_rig.agent("b", [a.address])
+def test_mesh_beacon_brings_back_a_forgotten_address(memory_rig):
+    """b came too late to hear of c when it connected; the beacon repeats it. Heartbeats are seldom, to save time."""
+    times = LinkTimes(heartbeat_s=50.0, measure_s=500.0)
+    a = memory_rig.agent("a", times=times)
+    b = memory_rig.agent("b", [a.address], times=times)
     memory_rig.until(lambda: a.knows("b") and b.knows("a"))
     memory_rig.network.partition(["b"], ["c"], until_s=5000.0)
-    c = memory_rig.agent("c", [a.address])
+    c = memory_rig.agent("c", [a.address], times=times)
     memory_rig.timeline.run_until(4000.0)
     forgotten = [known["address"] for known in b.mesh.describe()["addresses"]]
     assert c.address not in forgotten, "an address that was learnt and never answered"
