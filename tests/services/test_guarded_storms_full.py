@@ -3,6 +3,7 @@
 import pytest
 from torture.storms import run_storms
 
+pytestmark = pytest.mark.timeout(600)
 SEEDS = 200
 AT_A_TIME = 50
 

@@ -10,6 +10,7 @@ from services.voyages import (
     moves_of_the_source,
 )
 
+pytestmark = pytest.mark.timeout(600)
 DURABILITIES = pytest.mark.parametrize("durability", ["lazy", "each"])
 
 
