@@ -1,14 +1,73 @@
-"""Runs the commands of a guide in the environment of the tests, as `scripts/readme` does in a fresh one."""
+"""The guides and their examples, and how to run the commands of one as `scripts/readme` does."""
 
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
+from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 60.0
+_TYPED = re.compile(r"^\w*\$ (.*)$")
+_UNMARKED = re.compile(r"^(?:pancakes|scripts/)")
+
+
+class Example(NamedTuple):
+    """A fenced block of a guide.
+
+    Attributes:
+        guide: the guide's path in the project.
+        line: the line that the block begins at.
+        info: what stands behind its fence, such as `python` or `sh background`.
+        text: the block.
+    """
+
+    guide: str
+    line: int
+    info: str
+    text: str
+
+    @property
+    def language(self) -> str:
+        return self.info.partition(" ")[0]
+
+    @property
+    def commands(self) -> list[str]:
+        """What a reader types: all of a block `sh`; in others what follows a prompt, or begins with `pancakes`."""
+        if self.language == "sh":
+            found = _readme().blocks(f"```sh\n{self.text}```\n")
+            return [statement.text for block in found for statement in _readme().statements(block)]
+        if self.language not in ("console", ""):
+            return []
+        prompted = [match[1] for line in self.text.splitlines() if (match := _TYPED.match(line))]
+        return prompted or [line for line in self.text.splitlines() if not self.language and _UNMARKED.match(line)]
+
+    def __str__(self) -> str:
+        return f"{self.guide}:{self.line}"
+
+
+def guides() -> list[str]:
+    """Returns the paths of all guides in the project, without the reference, which is generated."""
+    found = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "plugins").glob("*/README.md")]
+    return sorted(path.relative_to(ROOT).as_posix() for path in found)
+
+
+@cache
+def examples(guide: str) -> tuple[Example, ...]:
+    """Returns the fenced blocks of a guide, in their order."""
+    blocks = _readme().blocks((ROOT / guide).read_text(encoding="utf-8"))
+    return tuple(Example(guide, block.line, block.info, block.text) for block in blocks)
+
+
+def example(guide: str, begin: str) -> Example:
+    """Returns the only block of a guide whose text, or whose first command, begins with `begin`."""
+    found = [it for it in examples(guide) if it.text.startswith(begin) or (it.commands or [""])[0].startswith(begin)]
+    assert len(found) == 1, f"{guide} has {len(found)} blocks that begin with {begin!r}"
+    return found[0]
 
 
 def run_guide(guide: Path, place: Path) -> None:
@@ -34,6 +93,7 @@ def run_guide(guide: Path, place: Path) -> None:
     assert failures == []
 
 
+@cache
 def _readme() -> ModuleType:
     lib = ROOT / "scripts" / "lib"
     sys.path.insert(0, str(lib))

@@ -1,0 +1,369 @@
+"""The examples of all guides: configurations are sound, commands are ones that exist, and Python runs.
+
+`test_guides_live.py` runs the commands that need agents, and `WHERE` tells of each other block where it is run, or why
+it is not.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+import textwrap
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from harness.guide import ROOT, Example, example, examples, guides
+
+from pancakes.bodies.devices.driver import Actuator, Sensor
+from pancakes.bodies.devices.types import Pose
+from pancakes.packet import Packet
+from pancakes.runtime.config import parse
+from pancakes.runtime.config.plugin_check import check_plugins
+from pancakes.runtime.plugins import Plugins
+from pancakes.simulation.made_in_code import registered
+from pancakes.task import Task, on
+from pancakes.testing import FleetInTest
+from pancakes.tools.cli.agent_command import agent as pancakes_agent
+from pancakes.tools.cli.main import pancakes
+from pancakes.tools.launch.fleet_file import load_fleet
+
+ALL = [it for guide in guides() for it in examples(guide)]
+TOML = [it for it in ALL if it.language == "toml"]
+COMMANDS = [it for it in ALL if it.commands]
+
+RUN_WHOLE = {
+    "README.md": ".ci/run",
+    "docs/client.md": ".ci/run",
+    "docs/tutorial.md": ".ci/run",
+    "plugins/pancakes-mqtt/README.md": "tests/mqtt",
+    "plugins/pancakes-pi/README.md": "tests/pi",
+    "docs/testing.md": "tests/testing/test_testing_guide.py",
+    "docs/writing-a-driver.md": "tests/testing/test_testing_guide.py",
+    "docs/writing-a-task.md": "tests/testing/test_testing_guide.py",
+}
+"""Guides of which all blocks `sh` and `python` are run, and by what."""
+
+LIVE = "guides.test_guides_live"
+HERE = "guides.test_guides"
+WHERE: dict[tuple[str, str], str] = {
+    ("README.md", "scripts/demo"): "not run: a demo on a terminal takes a minute; tests/demo has it",
+    ("docs/configuration.md", "pancakes-agent --config"): f"{LIVE}.test_configuration_files_are_checked",
+    ("docs/configuration.md", "pancakes task create"): f"{LIVE}.test_configuration_of_created_tasks_is_kept",
+    ("docs/configuration.md", "pancakes launch"): f"{LIVE}.test_configuration_of_fleets_is_launched",
+    ("docs/deployment.md", "pancakes launch"): "not run: needs hosts behind ssh; tests/cli/test_launch_on_hosts*.py",
+    ("docs/deployment.md", "pancakes deploy"): "not run: needs hosts behind ssh; tests/deploy",
+    ("docs/energy.md", "pancakes demo energy"): "not run: takes minutes; tests/demo/test_energy_demo.py has it",
+    ("docs/page.md", "pancakes demo"): "not run: a page in a browser, until Ctrl-C; tests/web",
+    ("docs/page.md", "pancakes task info"): "not run: in the demo's 67th second; tests/cli/test_task_state*.py",
+    ("docs/protocol.md", "scripts/check-migration"): "not run: an exhaustive search; tests/migration and others",
+    ("docs/protocol.md", "scripts/torture"): "not run: takes minutes to hours",
+    ("docs/recordings.md", "pancakes demo"): f"{LIVE}.test_recordings_are_made",
+    ("docs/recordings.md", "pancakes view"): "not run: serves Foxglove until Ctrl-C; tests/cli/test_foxglove*.py",
+    ("docs/recordings.md", "pancakes record start --task"): f"{LIVE}.test_recordings_are_made",
+    ("docs/recordings.md", "pancakes record repair"): f"{LIVE}.test_recordings_are_used",
+    (
+        "docs/recordings.md",
+        "pancakes replay recordings --dry-run",
+    ): f"{LIVE}.test_recordings_are_used",
+    (
+        "docs/recordings.md",
+        "pancakes replay recordings --config",
+    ): f"{LIVE}.test_recordings_are_used",
+    ("docs/recordings.md", "pancakes rerun runs/encirclement-1-virtual/recording ScanTarget\n"): (
+        f"{LIVE}.test_recordings_are_used"
+    ),
+    ("docs/recordings.md", "pancakes rerun runs/encirclement-1-virtual/recording ScanTarget --stay"): (
+        f"{LIVE}.test_recordings_are_used"
+    ),
+    ("docs/recordings.md", "pancakes report"): f"{LIVE}.test_recordings_are_used",
+    (
+        "docs/recordings.md",
+        "pancakes why runs/live/recording\n",
+    ): f"{LIVE}.test_recordings_are_used",
+    (
+        "docs/recordings.md",
+        "pancakes why runs/live/recording --agent",
+    ): f"{LIVE}.test_recordings_are_used",
+    ("docs/recordings.md", "from pathlib import Path"): f"{LIVE}.test_recordings_are_used",
+    ("docs/releases.md", "scripts/release"): "not run: .ci/run runs it with other arguments",
+    ("docs/releases.md", "pancakes --version"): f"{LIVE}.test_releases_say_their_version",
+    ("docs/releases.md", "python3 -m venv"): "not run: installs wheels into /opt; tests/demo tries the wheels",
+    ("docs/ros2.md", "source /opt/ros"): "not run: needs ROS 2; tests/ros2",
+    ("docs/ros2.md", "ros2 param"): "not run: needs ROS 2; tests/ros2",
+    ("docs/ros2.md", "pip install 'pancakes-ros2[demo]'"): "not run: needs ROS 2; tests/ros2",
+    ("docs/ros2.md", "pancakes demo ros2"): "not run: needs ROS 2; tests/ros2",
+    ("docs/security.md", "pancakes fleet init"): "not run: needs three machines; tests/cli/test_first_hour*.py",
+    ("docs/security.md", "pancakes fleet join"): "not run: needs three machines; tests/cli/test_first_hour*.py",
+    ("docs/security.md", "pancakes agent list"): f"{LIVE}.test_security_of_two_robots",
+    ("docs/security.md", "pancakes fleet enrol agent3"): f"{LIVE}.test_security_of_two_robots",
+    ("docs/security.md", "pancakes task stop"): f"{LIVE}.test_security_of_two_robots",
+    ("docs/security.md", "pancakes fleet revoke"): f"{LIVE}.test_security_of_two_robots",
+    ("docs/simulation.md", "from pancakes.simulation"): f"{HERE}.test_simulation_prints_what_its_guide_says",
+    ("docs/simulation.md", "import gymnasium"): f"{HERE}.test_simulation_makes_a_learning_environment",
+    ("docs/simulation.md", "pancakes demo"): "not run: 200 missions; .ci/run has eight of the README",
+    ("docs/system-service.md", "sudo useradd"): "not run: changes this machine; tests/systemd_vm",
+    ("docs/testing.md", "pytest"): "not run: tests/testing/test_pytest_plugin.py has the options",
+    ("docs/time.md", '@on("system", Pose)'): f"{HERE}.test_time_of_a_packet_elsewhere",
+    ("docs/time.md", "pancakes doctor"): "not run: needs a robot whose clock is a year behind; tests/cli",
+    ("docs/tutorial.md", ""): "not run: .ci/run has made the environment already",
+    ("docs/what-if.md", "pancakes what-if"): f"{LIVE}.test_what_if_is_asked",
+    ("docs/writing-a-driver.md", ""): "not run: installs the guide's package; tests/testing runs its files",
+    ("docs/writing-a-task.md", ""): "not run: installs the guide's package; tests/testing runs its files",
+    ("docs/zenoh.md", "pip install"): f"{LIVE}.test_zenoh_joins_two_agents",
+    ("docs/zenoh.md", "pancakes task migrate"): "not run: needs two networks; tests/zenoh_links/test_zenoh_agents.py",
+    ("plugins/pancakes-mqtt/README.md", "pip install"): "not run: the environment has it",
+    ("plugins/pancakes-mqtt/README.md", "pancakes channel echo"): "not run: until Ctrl-C; tests/mqtt",
+    ("plugins/pancakes-pi/README.md", "pip install"): "not run: the environment has it",
+    ("plugins/pancakes-pi/README.md", "pancakes task info"): "not run: tests/pi has what it says",
+    ("plugins/pancakes-sensor-field/README.md", "pip install"): "not run: .ci/run has it, in README.md",
+    ("plugins/pancakes-sensor-field/README.md", "pancakes launch"): "not run: tests/sensor_field has it",
+    ("plugins/pancakes-sensor-field/README.md", "python -m"): "not run: tests/sensor_field has it",
+    ("plugins/pancakes-sensor-field/README.md", "pancakes-agent"): "not run: tests/sensor_field has it",
+    ("plugins/pancakes-zenoh/README.md", "pip install"): f"{LIVE}.test_zenoh_joins_two_agents",
+}
+"""By guide and by how a block begins: the test that runs it, or why none does."""
+
+
+def entry_of(block: Example) -> str:
+    """Returns what `WHERE` says of a block: its longest entry that fits."""
+    first = (block.commands or [block.text])[0] + "\n"
+    fitting = [key for key in WHERE if key[0] == block.guide and first.startswith(key[1])]
+    return WHERE[max(fitting, key=lambda key: len(key[1]))] if fitting else ""
+
+
+def is_run_whole(block: Example) -> bool:
+    return block.guide in RUN_WHOLE and block.language in ("sh", "python")
+
+
+def test_guides_have_no_block_that_is_forgotten():
+    """A new block is run by a test, or has a reason in `WHERE`; what is said of a block that has gone goes too."""
+    told = [it for it in ALL if (it.commands or it.language == "python") and not is_run_whole(it)]
+    assert [str(it) for it in told if not entry_of(it)] == []
+    used = {entry for it in told if (entry := entry_of(it))}
+    assert [key for key, entry in WHERE.items() if entry not in used] == []
+
+
+def test_guides_are_run_by_tests_that_exist():
+    for entry in WHERE.values():
+        if not entry.startswith("not run: "):
+            module, _, name = entry.rpartition(".")
+            assert hasattr(importlib.import_module(module), name), entry
+
+
+# Configurations --------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Said:
+    """Settings of the classes that guides make up."""
+
+    colour: str = ""
+    path: str = ""
+    full: float = 0.0
+    busy_above: float = 0.0
+
+
+class Invented(Task):
+    Settings = Said
+
+
+class InventedSensor(Sensor):
+    type = "light"
+
+    class Settings(Said): ...
+
+    def sample(self) -> Any:
+        return None
+
+
+class InventedActuator(Actuator):
+    type = "lamp"
+
+    class Settings(Said): ...
+
+    def apply(self, command: Any, ttl_s: float, source: str) -> None: ...
+
+    def hold(self) -> None: ...
+
+
+INVENTED: dict[str, type] = {
+    "blink.Blink": Invented,
+    "gps.serial": InventedSensor,
+    "loadwatch.LoadWatch": Invented,
+    "nightlight.NightLight": Invented,
+    "sysfs.lamp": InventedActuator,
+    "sysfs.light": InventedSensor,
+    "watch.Watch": Invented,
+}
+"""What stands for tasks and drivers of the reader's own; the guides' own classes are run elsewhere."""
+
+BODY = """
+[device.pose_of_body]
+driver = "null.pose"
+[device.motors_of_body]
+driver = "null.motors"
+[device.battery_of_body]
+driver = "null.battery"
+"""
+"""What the tasks of a fragment may need."""
+
+
+@pytest.mark.parametrize("block", [it for it in TOML if "[project]" not in it.text], ids=str)
+def test_guides_have_sound_configurations(block: Example, tmp_path: Path):
+    """A whole file (with `schema`) as it stands; a fragment with an agent and a body around it."""
+    values = tomllib.loads(block.text)
+    if "fleet" in values:
+        path = tmp_path / "fleet.toml"
+        path.write_text(block.text)
+        assert load_fleet(str(path)).agents
+        return
+    text = block.text
+    if "schema" not in values:
+        text = merged(block, values)
+    assert [str(fault) for fault in check_plugins(parse(text, block.guide), registered(INVENTED))] == []
+
+
+def merged(block: Example, values: dict[str, Any]) -> str:
+    """Returns a fragment as a file; the type of a task may have been said earlier in its guide."""
+    text = block.text + BODY
+    if "agent" not in values:
+        text += '[agent]\nname = "a"\n'
+    elif "name" not in values["agent"]:
+        text = text.replace("[agent]\n", '[agent]\nname = "a"\n')
+    for name, task in values.get("task", {}).items():
+        if "type" not in task:
+            earlier = [it.text for it in TOML if it.guide == block.guide and it.line < block.line]
+            (kind,) = {match[1] for it in earlier if (match := re.search(rf'\[task\.{name}\]\ntype = "(.*)"', it))}
+            text += f'[task.{name}]\ntype = "{kind}"\n'
+    return "schema = 1\n" + text
+
+
+@pytest.mark.parametrize("block", [it for it in TOML if "[project]" in it.text], ids=str)
+def test_guides_have_sound_distributions(block: Example):
+    groups = tomllib.loads(block.text)["project"]["entry-points"]
+    known = {"pancakes.tasks", "pancakes.drivers", "pancakes.packets", "pancakes.services"}
+    assert groups and set(groups) <= known
+
+
+# Commands --------------------------------------------------------------------------------------------------------
+
+BEFORE = {"sudo", "timeout", "--preserve-status"}
+"""What may stand before a program of ours."""
+BAD_ON_PURPOSE = ("pancakes task rate desk/load fast || true",)
+OURS = {"pancakes": pancakes, "pancakes-agent": pancakes_agent}
+
+
+def ours(command: str) -> Iterator[tuple[str, list[str]]]:
+    """Returns the programs of ours that a line of a shell runs, each with its arguments."""
+    lexer = shlex.shlex(command, posix=True, punctuation_chars=True)
+    lexer.whitespace_split = True
+    part: list[str] = []
+    for word in [*lexer, ";"]:
+        if re.fullmatch(r"[|&;<>()]+", word):
+            while part and (part[0] in BEFORE or "=" in part[0] or part[0].isdigit()):
+                part.pop(0)
+            if part and Path(part[0]).name in OURS:
+                yield Path(part[0]).name, part[1:]
+            part = []
+        else:
+            part.append(word)
+
+
+@pytest.mark.parametrize("block", COMMANDS, ids=str)
+def test_guides_name_commands_that_exist(block: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """With their options and arguments, as far as the command line looks at them before it does anything."""
+    monkeypatch.chdir(ROOT)
+    for command in block.commands:
+        for program, arguments in ours(command):
+            if "..." not in arguments and command not in BAD_ON_PURPOSE:
+                parsed(OURS[program], program, arguments)
+
+
+def parsed(command: click.Command, name: str, arguments: list[str]) -> None:
+    """Reads a command line.
+
+    Raises:
+        click.UsageError: there is no such verb or option, or a value does not fit.
+    """
+    context: click.Context | None = None
+    while isinstance(command, click.Group):
+        context = click.Context(command, parent=context, info_name=name)
+        if arguments and arguments[0].startswith("--"):
+            assert arguments[0] in {option for it in command.params for option in it.opts}, arguments
+            return
+        name, arguments = arguments[0], arguments[1:]
+        found = command.get_command(context, name)
+        assert found is not None, f"there is no verb {name}"
+        command = found
+    if "--help" not in arguments:
+        command.make_context(name, list(arguments), parent=context)
+
+
+SPAN = re.compile(r"`(pancakes(?:-agent)? [^`]+)`")
+
+
+@pytest.mark.parametrize("guide", guides())
+def test_guides_mention_verbs_and_options_that_exist(guide: str):
+    """In the text, where a command may be cut short or have AGENT in the place of a name."""
+    text = re.sub(r"^```.*?^```", "", (ROOT / guide).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    for span in SPAN.findall(text):
+        program, _, rest = " ".join(span.split()).partition(" ")
+        command: click.Command = OURS[program]
+        words = rest.replace("'", "").replace('"', "").split()
+        while isinstance(command, click.Group) and words and not words[0].startswith("-"):
+            found = command.get_command(click.Context(command), words[0])
+            assert found is not None or words[0] in ("...", "new"), span
+            if found is None:
+                break
+            command, words = found, words[1:]
+        known = {name for it in command.params for name in (*it.opts, *it.secondary_opts)}
+        options = {word.partition("=")[0].rstrip(",") for word in words if word.startswith("--")} - {"--help"}
+        assert options <= known, span
+
+
+# Python ----------------------------------------------------------------------------------------------------------
+
+
+def test_simulation_prints_what_its_guide_says(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: Any):
+    monkeypatch.chdir(tmp_path)
+    code = example("docs/simulation.md", "from pancakes.simulation")
+    blocks = examples("docs/simulation.md")
+    exec(compile(code.text, str(code), "exec"), {})
+    assert capsys.readouterr().out == blocks[blocks.index(code) + 1].text
+
+
+def test_simulation_makes_a_learning_environment():
+    pytest.importorskip("gymnasium")
+    code = example("docs/simulation.md", "import gymnasium")
+    names: dict[str, Any] = {}
+    exec(compile(code.text, str(code), "exec"), names)
+    assert names["seen"].shape == (11,) and not names["cut_off"]
+    names["environment"].close()
+
+
+def test_time_of_a_packet_elsewhere():
+    """The handler of the guide, in a task of its own: poses of this agent are on its track at their times."""
+    code = example("docs/time.md", "@on")
+    names: dict[str, Any] = {"on": on, "Pose": Pose, "Packet": Packet, "Task": Task, "found": []}
+    text = "class Track(Task):\n    class track:\n        add = staticmethod(lambda *pair: found.append(pair))\n"
+    exec(compile(text + textwrap.indent(code.text, "    "), str(code), "exec"), names)
+    with FleetInTest(classes={"test.Track": names["Track"]}) as fleet:
+        agent = fleet.start("a", tasks={"Track": names["Track"]})
+        fleet.run_for(1.0)
+        agent.publish("system", Pose(1.0, 2.0, 0.0))
+        fleet.run_for(0.5)
+    ((time_s, pose),) = names["found"]
+    assert time_s == pytest.approx(1.0, abs=0.1) and pose == Pose(1.0, 2.0, 0.0)
+
+
+def test_plugins_of_guides_are_not_installed():
+    """Else `INVENTED` would hide them."""
+    plugins = Plugins()
+    known = {name for group in ("pancakes.tasks", "pancakes.drivers") for name in plugins.names(group)}
+    assert not known & set(INVENTED)
