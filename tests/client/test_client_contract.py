@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from client.counting_agents import Answer, Count, CountingAgents, Word
 from client.twins import PATIENCE_S, TWINS, Connect
+from seeded import for_each
 
 from pancakes.client import AgentRow, AsyncClient, AsyncSubscriber, Client, Subscriber, TaskRow
 from pancakes.control import Describe, Reschedule, Stop
@@ -58,25 +59,25 @@ def test_agents_are_rows(client: Any):
     assert all(isinstance(row, AgentRow) for row in rows) and "flood" in rows[0].channels
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda client: client.tasks("c"),
-        lambda client: client.subscribe("c/system"),
-        lambda client: client.publish("c/system", Word("hello")),
-        lambda client: client.configure("c/Counting", {"step": 2}),
-        lambda client: client.migrate("c/Counting"),
-        lambda client: client.request("c", Describe()),
-    ],
-)
-def test_an_agent_that_is_not_there_is_a_sentence(client: Any, call: Any):
-    with pytest.raises(Unreachable, match="there is no agent 'c'"):
-        call(client)
+CALLS: list[Any] = [
+    lambda client: client.tasks("c"),
+    lambda client: client.subscribe("c/system"),
+    lambda client: client.publish("c/system", Word("hello")),
+    lambda client: client.configure("c/Counting", {"step": 2}),
+    lambda client: client.migrate("c/Counting"),
+    lambda client: client.request("c", Describe()),
+]
 
 
-def test_an_agent_that_starts_later_is_found_and_one_that_ended_is_not_waited_for(
-    client: Any, counting: CountingAgents, said: list[str]
-):
+def test_client_refuses_an_unknown_agent(client: Any):
+    def is_refused(call: Any) -> None:
+        with pytest.raises(Unreachable, match="there is no agent 'c'"):
+            call(client)
+
+    for_each(CALLS, is_refused)
+
+
+def test_client_finds_late_agents_and_forgets_ended_ones(client: Any, counting: CountingAgents, said: list[str]):
     client.tasks()
     later = counting.rig.ready("later")
 
@@ -229,35 +230,38 @@ WRONG: Any = 3
 WRONG_WORD, WRONG_STOP = Word(WRONG), Stop(WRONG)
 
 
-@pytest.mark.parametrize(
-    ("call", "sentence"),
-    [
-        (lambda client: client.subscribe("a/sistem"), "has no channel 'sistem'"),
-        (lambda client: client.subscribe("a/system/x/y"), "'a/system/x/y' names no channel: write it as AGENT/CHANNEL"),
-        (lambda client: client.subscribe("a/system", dict), "builtins.dict is no packet type"),
-        (lambda client: client.subscribe("a/system", agents=("b",)), "'a/system' names its agent"),
-        (lambda client: client.subscribe("a/system", most=0), "most is a number from 1, not 0"),
-        (lambda client: client.subscribe("a/system", timeout_s=-1.0), r"a number of seconds above 0, not -1\.0"),
-        (lambda client: client.tasks(timeout_s=float("nan")), "a number of seconds above 0, not nan"),
-        (lambda client: client.publish("system", Word("x")), "'system' names no channel of an agent"),
-        (lambda client: client.publish("a/sistem", Word("x")), "a has no channel 'sistem', did you mean 'system'"),
-        (lambda client: client.publish("a/system", {"text": "x"}), "builtins.dict is no packet type"),
-        (lambda client: client.publish("a/system", WRONG_WORD), "Word cannot be sent: .*Expected `str`, got `int`"),
-        (lambda client: client.request("a", WRONG_STOP), "Stop cannot be sent: .*Expected `str`, got `int`"),
-        (lambda client: client.publish("a/system", Word("x"), to="a/b/c/d"), "'a/b/c/d' is no service or task of a"),
-        (lambda client: client.publish("a/sysctrl", Stop("Counting")), "Stop is a control packet.*client.request"),
-        (lambda client: client.configure("Counting", {}), "'Counting' names no task: write it as AGENT/TASK"),
-        (lambda client: client.configure("a/Countink", {}), "no task or service 'Countink', did you mean 'Counting'"),
-        (lambda client: client.configure("a/Counting", {"stepp": 2}), "stepp"),
-        (lambda client: client.configure("a/Counting", {"step": 0}), "step"),
-        (lambda client: client.settings("a/client"), "a/client is a service, not a task"),
-        (lambda client: client.migrate("a/Counting", "c"), "c"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_with_a_sentence(client: Any, call: Any, sentence: str):
-    with pytest.raises(PancakesError, match=sentence) as caught:
-        call(client)
-    assert "\n" not in str(caught.value)
+NONSENSE: list[tuple[Any, str]] = [
+    (lambda client: client.subscribe("a/sistem"), "has no channel 'sistem'"),
+    (lambda client: client.subscribe("a/system/x/y"), "'a/system/x/y' names no channel: write it as AGENT/CHANNEL"),
+    (lambda client: client.subscribe("a/system", dict), "builtins.dict is no packet type"),
+    (lambda client: client.subscribe("a/system", agents=("b",)), "'a/system' names its agent"),
+    (lambda client: client.subscribe("a/system", most=0), "most is a number from 1, not 0"),
+    (lambda client: client.subscribe("a/system", timeout_s=-1.0), r"a number of seconds above 0, not -1\.0"),
+    (lambda client: client.tasks(timeout_s=float("nan")), "a number of seconds above 0, not nan"),
+    (lambda client: client.publish("system", Word("x")), "'system' names no channel of an agent"),
+    (lambda client: client.publish("a/sistem", Word("x")), "a has no channel 'sistem', did you mean 'system'"),
+    (lambda client: client.publish("a/system", {"text": "x"}), "builtins.dict is no packet type"),
+    (lambda client: client.publish("a/system", WRONG_WORD), "Word cannot be sent: .*Expected `str`, got `int`"),
+    (lambda client: client.request("a", WRONG_STOP), "Stop cannot be sent: .*Expected `str`, got `int`"),
+    (lambda client: client.publish("a/system", Word("x"), to="a/b/c/d"), "'a/b/c/d' is no service or task of a"),
+    (lambda client: client.publish("a/sysctrl", Stop("Counting")), "Stop is a control packet.*client.request"),
+    (lambda client: client.configure("Counting", {}), "'Counting' names no task: write it as AGENT/TASK"),
+    (lambda client: client.configure("a/Countink", {}), "no task or service 'Countink', did you mean 'Counting'"),
+    (lambda client: client.configure("a/Counting", {"stepp": 2}), "stepp"),
+    (lambda client: client.configure("a/Counting", {"step": 0}), "step"),
+    (lambda client: client.settings("a/client"), "a/client is a service, not a task"),
+    (lambda client: client.migrate("a/Counting", "c"), "c"),
+]
+
+
+def test_client_refuses_nonsense(client: Any):
+    def refuses(case: tuple[Any, str]) -> None:
+        call, sentence = case
+        with pytest.raises(PancakesError, match=sentence) as caught:
+            call(client)
+        assert "\n" not in str(caught.value)
+
+    for_each(NONSENSE, refuses)
 
 
 # What is done ----------------------------------------------------------------------------------------------------
@@ -399,12 +403,12 @@ def test_one_that_is_closed_says_so(connect: Connect):
         ({"timeout_s": "3"}, "a time limit is a number of seconds above 0, not '3'"),
     ],
 )
-def test_one_that_cannot_be_is_refused_with_a_sentence(connect: Connect, arguments: dict[str, Any], sentence: str):
+def test_client_refuses_bad_arguments(connect: Connect, arguments: dict[str, Any], sentence: str):
     with pytest.raises(PancakesError, match=sentence), connect(**arguments):
         pass
 
 
-def test_no_agent_at_an_address_is_a_sentence(connect: Connect):
+def test_client_refuses_an_address_without_agent(connect: Connect):
     with connect("127.0.0.1:1", timeout_s=2.0) as client, pytest.raises(Unreachable, match="127.0.0.1:1"):
         client.tasks()
 
@@ -414,6 +418,6 @@ def names_of(cls: type) -> set[str]:
 
 
 @pytest.mark.parametrize(("one", "other"), [(Client, AsyncClient), (Subscriber, AsyncSubscriber)])
-def test_the_twins_have_the_same_names(one: type, other: type):
+def test_client_twins_have_the_same_names(one: type, other: type):
     inner = {"give_to", "tell", "tend", "fail", "nothing_came"}
     assert names_of(one) - inner == names_of(other)
