@@ -45,7 +45,7 @@ def pytest_of(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch):
 
     def run(source: str, *options: str) -> pytest.RunResult:
         pytester.makepyfile(test_inner=TASKS + source)
-        return pytester.runpytest_subprocess("-W", "error", "-p", "no:cacheprovider", *options, timeout=120)
+        return pytester.runpytest_subprocess("-W", "error", "-p", "no:cacheprovider", *options, timeout=300)
 
     return run
 
