@@ -1,53 +1,61 @@
-"""No history of owners, takers and guardians breaks a promise; and a rule that is wrong or left out is seen."""
+"""No history of owners, takers and guardians breaks a promise, and the search sees a rule that is missing or wrong.
+
+Scenarios that are as small as their kind can be; those of `scripts/check-migration`, and all broken rules, are in
+`test_guarded_search_full.py`.
+"""
 
 from __future__ import annotations
 
-import pytest
-from model.guarded_mutants import MUTANTS, GuardedMutant
+from model.guarded_mutants import MUTANTS
 from model.guarded_parts import Scenario
 from model.guarded_scenarios import DEEP, SUITE
 from model.guarded_search import GuardedSearch
-from model.jobs import GuardedJob
+from seeded import for_each
 
-from pancakes.mesh.guarding import guardian_core
-
-# Seconds each, and minutes where the machine has much else to do.
-pytestmark = pytest.mark.timeout(900)
-
-
-@pytest.mark.parametrize("scenario", SUITE.values(), ids=lambda scenario: scenario.title)
-def test_no_history_breaks_a_promise_and_each_scenario_comes_to_what_it_is_there_for(scenario: Scenario) -> None:
-    search = GuardedSearch(scenario)
-    result = search.run()
-    assert result.violation == "", "\n".join([result.violation, *result.trace])
-    assert result.complete
-    assert search.missed() == []
-
-
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
-def test_a_rule_that_is_wrong_or_left_out_is_seen(mutant: GuardedMutant) -> None:
-    result = GuardedSearch(mutant.scenario, mutant.make()).run()
-    assert result.violation, f"the search does not see it, in {result.states} states"
-    assert all(sentence[0].isupper() and sentence.endswith(".") for sentence in result.trace)
-
-
-def test_a_scenario_that_does_not_come_to_what_it_is_there_for_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(SUITE, "vain", Scenario("vain", takers="B", called=0, crashes=""))
-    result = GuardedJob("vain").search()
-    assert result.violation == "the scenario, which never came to: B acts"
-
-
-def test_the_search_gives_up_rather_than_believe_itself() -> None:
-    result = GuardedSearch(SUITE["a taker, and crashes"], most_states=200).run()
-    assert not result.complete and result.violation == ""
+SMALL = (
+    Scenario("a taker", takers="B", crashes=""),
+    Scenario("a taker that crashes", takers="B", window=1, crashes="B"),
+    Scenario("an owner that crashes", takers="B", window=1, crashes="A"),
+    Scenario("what was replicated, of two guardians", "AB", guards="AB", takers="B", packets=1, window=1, crashes=""),
+    Scenario("a packet, and the owner crashes", takers="", packets=1, window=1, crashes="A"),
+    Scenario("a hand-off whose source crashes", owner="B", takers="", moves="A", numbers=2, window=1, crashes="B"),
+    Scenario("a hand-off whose destination crashes", owner="B", takers="", moves="A", numbers=2, window=1, crashes="A"),
+    Scenario("guardians replaced", "ABCD", swap="ABD", takers="", window=1, crashes=""),
+    Scenario("the guard set up, and the owner crashes", guards="A", swap="ABC", takers="", window=1, crashes="A"),
+    Scenario("the disk of a guardian lost", wipes="B", takers="C", window=1, crashes=""),
+    Scenario("the disk of the owner lost", wipes="A", takers="B", window=1, crashes=""),
+    Scenario("the disk of a guardian copied", copies="C", takers="B", window=1, crashes=""),
+    Scenario("the disk of the owner copied", copies="A", takers="B", window=1, crashes=""),
+    Scenario("stopped and started, of two guardians", "AB", guards="AB", takers="B", stops=True, window=1, crashes=""),
+    Scenario("a goodbye", takers="B", goodbyes=1, window=1, crashes=""),
+    Scenario("adopted", takers="", moves="B", wipes="BC", adopts=True, numbers=2, window=1, crashes=""),
+)
+NAMES = (
+    "a guardian pledges itself while its lease runs",
+    "a guardian does not write down its promise",
+    "one guardian gives a permit",
+    "a taker is content with one pledge",
+    "a destination runs without the guardians",
+)
 
 
-def test_a_mutant_whose_text_is_gone_says_so() -> None:
-    mutant = GuardedMutant("rotten", ((guardian_core, "a text that nobody wrote", ""),))
-    with pytest.raises(LookupError, match="'rotten' finds its text 0 times"):
-        mutant.make()
+def test_guarded_search_keeps_promises_in_small_scenarios() -> None:
+    def check(scenario: Scenario) -> None:
+        search = GuardedSearch(scenario)
+        result = search.run()
+        assert result.violation == "", "\n".join([result.violation, *result.trace])
+        assert result.complete and search.missed() == []
+
+    for_each(SMALL, check)
 
 
-def test_scenarios_and_mutants_have_names_of_their_own() -> None:
+def test_guarded_search_convicts_some_broken_rules() -> None:
+    mutants = {mutant.name: mutant for mutant in MUTANTS}
+    assert [
+        name for name in NAMES if not GuardedSearch(mutants[name].scenario, mutants[name].make()).run().violation
+    ] == []
+
+
+def test_guarded_search_names_are_unique() -> None:
     names = [*SUITE, *DEEP, *(mutant.name for mutant in MUTANTS)]
     assert len(names) == len(set(names)) and len(MUTANTS) >= 25

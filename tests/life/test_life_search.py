@@ -1,10 +1,12 @@
-"""No history of requests, timers, ends and failures breaks a life; and the search would see a rule that does."""
+"""No history of requests, timers, ends and failures breaks a life, and the search sees a rule that does.
+
+Each broken rule is convicted in `test_life_search_full.py`.
+"""
 
 import functools
 
 import pytest
 from model.life_search import search
-from seeded import for_each
 
 from pancakes.runtime.life.life import State
 from pancakes.runtime.life.restart import RestartSpec
@@ -45,16 +47,25 @@ def print_matrix(met):
         print(f"{state.name:<11}", " ".join(kind.__name__ if (state, kind) in met else "·" for kind in events))
 
 
+def unseen(pairs):
+    """Returns the pairs of state and event whose rule may do nothing, and no search sees it."""
+    return [
+        f"{state.name}, {kind.__name__}"
+        for state, kind in pairs
+        if not any(search(spec, {**TABLE, (state, kind): nothing})[2] for spec in SPECS.values())
+    ]
+
+
 def nothing(life, event, at):
     return life, []
 
 
-DOES_SOMETHING = [pair for pair, rule in TABLE.items() if rule.__name__ != "_nothing"]
+def rules_that_act():
+    does_something = [pair for pair, rule in TABLE.items() if rule.__name__ != "_nothing"]
+    return sorted(does_something, key=lambda pair: (pair[0].name, pair[1].__name__))
 
 
-def test_life_search_sees_each_rule_that_does_nothing():
-    def check(pair):
-        mutant = {**TABLE, pair: nothing}
-        assert any(search(spec, mutant)[2] for spec in SPECS.values()), "the search does not see it"
-
-    for_each(sorted(DOES_SOMETHING, key=lambda pair: (pair[0].name, pair[1].__name__)), check)
+def test_life_search_sees_some_rules_that_do_nothing():
+    """The first rule of each state."""
+    first = {state: (state, kind) for state, kind in reversed(rules_that_act())}
+    assert unseen(first.values()) == []
