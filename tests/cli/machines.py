@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from cli.processes import PATIENCE_S, Running
+from harness.programs import run
 from torture.live import free_ports
 from torture.namespaces import Namespaces, NoNamespaces, check
 
@@ -28,12 +29,14 @@ class Machine:
         host: its address.
         port: where its agent listens.
         command: what stands before each command that runs there.
+        true_start: whether a new Python starts for each, because a fork server has another network.
     """
 
-    def __init__(self, home: Path, host: str, port: int, command: Sequence[str] = ()) -> None:
+    def __init__(self, home: Path, host: str, port: int, command: Sequence[str] = (), true_start: bool = False) -> None:
         self.home, self.host, self.port = home, host, port
         self.command = [*command, sys.executable]
         self.address = f"{host}:{port}"
+        self.true_start = true_start
         home.mkdir(mode=0o700)
         kept = {key: value for key, value in os.environ.items() if not key.startswith(("PANCAKES_", "XDG_"))}
         self.environment = {**kept, "HOME": str(home), "PANCAKES_RUNTIME_DIR": str(home / "run")}
@@ -41,12 +44,11 @@ class Machine:
 
     def pancakes(self, *arguments: str, typed: str = "") -> subprocess.CompletedProcess[str]:
         """Runs a command to its end, without a terminal; `typed` are the lines that it reads."""
-        return subprocess.run(
+        return run(
             [*self.command, *PANCAKES, *arguments],
-            input=typed,
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
+            given=typed,
+            timeout_s=PATIENCE_S,
+            true_start=self.true_start,
             env=self.environment,
             cwd=self.home,
             start_new_session=True,
@@ -74,7 +76,7 @@ class Machine:
         return self._run([*self.command, *AGENT, "--config", str(config)])
 
     def _run(self, command: list[str], whole: bool = False) -> Running:
-        running = Running(command, self.environment, self.home, whole)
+        running = Running(command, self.environment, self.home, whole, true_start=self.true_start)
         self._running.append(running)
         return running
 
@@ -110,7 +112,8 @@ def machines(directory: Path, names: Sequence[str], kind: str) -> Iterator[list[
         with Namespaces() as spaces:  # the first is that of this thread, and of what it starts
             places = [*spaces.places, *(spaces.add() for _ in names[1:])]
             for name, place in zip(names, places, strict=True):
-                made.append(Machine(directory / name, place.host, 7401, () if place is places[0] else place.command))
+                command = () if place is places[0] else place.command
+                made.append(Machine(directory / name, place.host, 7401, command, true_start=True))
             yield made
     finally:
         for machine in made:

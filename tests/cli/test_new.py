@@ -8,7 +8,6 @@ import json
 import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -51,41 +50,28 @@ def installed(folder: Path, site: Path) -> dict[str, str]:
     }
 
 
-def run(folder: Path, environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", *arguments], cwd=folder, env=environment, capture_output=True, text=True, timeout=60
-    )
-
-
 @pytest.mark.parametrize("kind", KINDS)
 class TestWhatIsWritten:
-    def test_its_own_tests_pass_and_its_configurations_are_sound(self, kind, tmp_path):
+    def test_its_tests_pass_and_its_agent_runs(self, kind, tmp_path, rig):
         made = new(kind, "GreenHouse", "--into", str(tmp_path))
         assert made.exit_code == 0, made.output
         folder = tmp_path / "green-house"
-        environment = installed(folder, tmp_path / "site")
+        rig.environment.update(installed(folder, tmp_path / "site"), PANCAKES_RUNTIME_DIR=str(rig.runtime))
+        rig.directory = folder
 
-        tested = run(folder, environment, "pytest", "-q", "-W", "error", "-p", "no:cacheprovider")
-        assert tested.returncode == 0, tested.stdout
-        assert re.search(r"\b[4-9] passed", tested.stdout)
+        tested = rig.run("-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", whole=True)
+        assert tested.process.wait(60.0) == 0, tested.everything()
+        assert re.search(r"\b[4-9] passed", tested.everything())
 
         configs = sorted((folder / "configs").glob("*.toml"))
         assert len(configs) == (2 if kind == "plugin" else 1)
         for config in configs:
-            checked = run(folder, environment, "pancakes.tools.cli.agent_command", "--config", str(config), "--check")
-            assert checked.returncode == 0, checked.stderr
-            assert checked.stderr == ""
-            assert "is sound: the agent " in checked.stdout
+            checked = rig.agent(config, "--check")
+            assert (checked.ended(), checked.everything()) == (0, "")
 
-    def test_the_agent_runs(self, kind, tmp_path, rig):
-        folder = tmp_path / "green-house"
-        assert new(kind, "green_house", "--into", str(tmp_path)).exit_code == 0
-        rig.environment.update(installed(folder, tmp_path / "site"), PANCAKES_RUNTIME_DIR=str(rig.runtime))
-        rig.directory = folder
         config = folder / "configs" / ("sensor.toml" if kind == "plugin" else "green_house.toml")
         running = rig.agent(config, "--set", "agent.peers=[]")
-        ready = running.hear("/kernel: ready")
-        assert " info " in ready
+        assert " info " in running.hear("/kernel: ready")
         rig.entry(running.pid)  # it goes on to run
         running.process.terminate()
         assert running.ended() == 0
