@@ -30,7 +30,6 @@ from types import FrameType
 from typing import Any, Final
 
 import pytest
-import pytest_timeout
 from _pytest.outcomes import OutcomeException
 
 MARKER: Final = "cpu_limit"
@@ -85,7 +84,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[Any]:
 
     def over(number: int, frame: FrameType | None) -> None:
         __tracebackhide__ = True
-        if not pytest_timeout.is_debugging():
+        if not _debugged(item):
             _end(item, f"it took more than {limit_s:g} s of CPU time", frame)
 
     before = signal.getsignal(signal.SIGPROF)
@@ -111,14 +110,14 @@ def pytest_timeout_set_timer(item: pytest.Item, settings: Any) -> bool | None:
 
     def over(number: int, frame: FrameType | None) -> None:
         __tracebackhide__ = True
-        if settings.disable_debugger_detection or not pytest_timeout.is_debugging():
+        if settings.disable_debugger_detection or not _debugged(item):
             _end(item, f"Timeout: it took more than {settings.timeout:g} s", frame)
 
     def cancel() -> None:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
-    item.cancel_timeout = cancel  # type: ignore[attr-defined]  # where pytest-timeout looks for it
+    item.cancel_timeout = cancel  # where pytest-timeout looks for it
     signal.signal(signal.SIGALRM, over)
     signal.setitimer(signal.ITIMER_REAL, settings.timeout, AGAIN_S)
     return True
@@ -169,9 +168,15 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
     return report
 
 
+def _debugged(item: pytest.Item) -> bool:
+    """Return whether somebody looks at the test with a debugger, and needs time for that."""
+    debugged: bool = item.config.pluginmanager.getplugin("timeout").is_debugging()
+    return debugged
+
+
 def _spread_net(item: pytest.Item) -> None:
     after_s = item.stash.get(_WALL_S, 0.0)
-    if after_s > 0.0 and not pytest_timeout.is_debugging():
+    if after_s > 0.0 and not _debugged(item):
         faulthandler.dump_traceback_later(after_s + NET_S, file=item.config.stash[_STDERR], exit=True)
 
 
