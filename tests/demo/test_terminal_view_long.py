@@ -19,7 +19,7 @@ def test_terminal_view_keeps_the_page_address_in_sight(tmp_path: Path, rows: int
         screens = terminal.screens_until("until Ctrl-C")
         assert terminal.interrupt() == 1, "the mission was too short for its verdict"
         everything = terminal.everything()
-    # A terminal hands long writes on in pieces: only whole boxes count, and a line that is cut is whole on the next screen.
+    # A terminal hands long writes on in pieces: only whole boxes count, and a cut line is whole on the next screen.
     running = [screen for screen in screens if " of 10 s" in screen and screen.count("╰") == 2]
     (address,) = set(re.findall(r"http://127\.0\.0\.1:\d+/#token=\S+", everything))
     shown = [f"the page is at {address}" in screen for screen in running]
