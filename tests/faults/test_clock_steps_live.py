@@ -31,7 +31,8 @@ def wait_until(condition: Callable[[], Any]) -> None:
 
 
 @pytest.mark.timeout(200)
-def test_it_stands_still_until_its_guardians_have_answered_and_goes_on_under_the_same_epoch(tmp_path: Path) -> None:
+def test_clock_step_pauses_a_guarded_task_until_guardians_answer(tmp_path: Path) -> None:
+    """And it goes on under the same epoch."""
     task = '[task.One]\ntype = "torture.Holder"\nguard = 3\nlease_s = 10.0\ntakeover = "ask"\n'
     rest = {"a": f'{task}settings = {{directory = "{tmp_path}"}}\n'}
     listen = {name: f"local://{tmp_path}/{name}" for name in NAMES}

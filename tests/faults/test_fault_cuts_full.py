@@ -1,4 +1,4 @@
-"""The link cut where it matters most; all steps are cut by `scripts/torture cuts`."""
+"""The link cut at more steps of a hand-off."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from torture.cuts import FATES, STEPS, Cutter
 CASES = [(step, fate) for step in STEPS[-4:] for fate in FATES[-2:]] + [("reserve", FATES[1]), ("commit", FATES[0])]
 
 
-def test_each_cut_ends_as_the_protocol_says() -> None:
-    """In one test, all at once: they wait for time-outs most of the time."""
+def test_fault_cuts_end_as_the_protocol_says() -> None:
     faults = {(case.step, case.fate): case.faults for case in Cutter().run(CASES, 5)}
     assert faults == dict.fromkeys(CASES, ())

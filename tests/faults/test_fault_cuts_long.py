@@ -1,0 +1,13 @@
+"""The link cut at the steps of a hand-off that matter most; `scripts/torture cuts` cuts it at all of them."""
+
+from __future__ import annotations
+
+from torture.cuts import FATES, Cutter
+
+CASES = (("prepared", FATES[3]), ("commit", FATES[0]), ("commit", FATES[2]), ("activated", FATES[3]))
+
+
+def test_fault_cuts_end_as_the_protocol_says() -> None:
+    """In one test, all at once: they wait for time-outs most of the time."""
+    faults = {(case.step, case.fate): case.faults for case in Cutter().run(CASES, 4)}
+    assert faults == dict.fromkeys(CASES, ())
