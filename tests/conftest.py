@@ -24,20 +24,24 @@ import hypothesis
 import pytest
 from harness import programs, proven
 
+pytest_plugins = ["harness.limits"]
+
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 TESTS = Path(__file__).parent
 SETS = ("fast", "live", "long", "model", "foreign")
 CHANGED = "changed"
 """What `--sets` may name beside them: of model and foreign, what changed since it passed."""
 
-BY_FIXTURE = {"browser": "long", "hosts": "long", "receiver": "foreign"}
+CPU_LIMITS_S = {"fast": 10.0, "live": 60.0}
+"""What a test may take of the processor; see `harness.limits`."""
+
+BY_FIXTURE = {"browser": "long", "hosts": "long", "mosquitto": "live", "receiver": "foreign"}
 BY_SUFFIX = {"_live": "live", "_long": "long", "_full": "long"}
 BY_FOLDER = {
     "cli": "live",
     "client": "live",
     "deploy": "live",
     "launch": "live",
-    "mqtt": "live",
     "trials": "live",
     "ros2": "foreign",
     "systemd_vm": "foreign",
@@ -87,6 +91,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         name = set_of(item)
         item.add_marker(name)
+        if name in CPU_LIMITS_S:
+            item.add_marker(pytest.mark.cpu_limit(CPU_LIMITS_S[name]))
         asked = sets is None or (name in sets and not is_whole(item))
         if name in ("model", "foreign") and changed:
             asked = asked or proven.subject_of(item.path) in changed
