@@ -3,40 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from cryptography import x509
 from kept.conftest import Kept
-from kept.make import FLEET, LONG_AGO_NS
+from kept.make import LONG_AGO_NS
 
-from pancakes.control import Describe
 from pancakes.mesh.security.fleet_office import FleetOffice
 from pancakes.mesh.security.key_files import FLEET as AUTHORITY_FILE
 from pancakes.mesh.security.key_files import KEY, ROSTER
 from pancakes.mesh.security.keys import Keys
-from pancakes.testing import AgentInTest, threaded_agent
 
 
 @pytest.fixture
 def keys(kept: Kept) -> Path:
     return kept.folder / "keys"
-
-
-def agent(name: str, keys: Path, **more: Any) -> Any:
-    network = {"network": {"settings": {"keys": str(keys / name)}}}
-    return threaded_agent(name, services=network, fleet=FLEET, listen="tcp://127.0.0.1:0", **more)
-
-
-def address(agent: AgentInTest) -> str:
-    (found,) = [it for it in agent.ask(Describe()).result["listen"] if it.startswith("tcp://")]
-    return found
-
-
-def test_kept_keys_let_an_agent_join(keys: Path):
-    with agent("a", keys) as a, agent("b", keys, peers=(address(a),)) as b:
-        b.wait_until(lambda: b.agent.mesh.connected() and a.agent.mesh.connected())
-        assert not a.lines("warning") and not b.lines("warning")
 
 
 def test_kept_certificates_of_agents_never_end(keys: Path):

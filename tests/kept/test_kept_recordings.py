@@ -58,15 +58,6 @@ def test_kept_recording_says_why_a_command_was_given(kept: Kept, run: Any):
     assert sorted(chains) == [[f"{name}/device/pose pose", f"{name}/client/Drive motors"] for name in "ab"]
 
 
-def test_kept_recording_is_reported(kept: Kept, run: Any, request: pytest.FixtureRequest):
-    if "now" in request.node.name:
-        pytest.skip("report/ has the tests of reports of this version, and pictures take long")
-    pytest.importorskip("matplotlib")
-    run("report", "recording", "--out", "report")
-    assert json.loads((kept.folder / "report" / "report.json").read_text())
-    assert "Drive" in (kept.folder / "report" / "report.html").read_text()
-
-
 def test_kept_recording_is_replayed(kept: Kept, run: Any):
     """Into an agent in virtual time whose sensor says nothing of its own: it gives the commands that it gave then."""
     text = (kept.folder / "recording" / "a.toml").read_text()

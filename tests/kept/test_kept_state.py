@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from kept.conftest import Kept
-from kept.make import CLASSES, FILES, plain, started
+from kept.make import FILES, plain, started
 
 from pancakes.bodies.devices.types import Twist
 from pancakes.control import Describe, Guarding, Migrations
@@ -17,11 +17,11 @@ from pancakes.mesh.migration.record import Phase, Record
 from pancakes.packet import Fence, Packet
 from pancakes.runtime.config import parse
 from pancakes.runtime.config.plugin_check import check_plugins
-from pancakes.runtime.journal import Disk, FileJournal, MemoryJournal, VirtualStore
+from pancakes.runtime.journal import Disk, MemoryJournal, VirtualStore
 from pancakes.runtime.journal.seal import unseal
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.services.wanted_recordings import wanted_recordings
-from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
+from pancakes.testing import AgentInTest, FleetInTest
 
 KINDS = {"boot", "fence", "guard", "identity", "ledger", "record", "recording"}
 """The kinds of entries that a journal has. A new one belongs into what is kept."""
@@ -119,20 +119,6 @@ def test_kept_accounts_of_moves_are_listed(fleet: FleetInTest):
     accounts = {agent.name: agent.ask(Migrations()).result for agent in fleet.agents.values()}
     moves = {(it["task_id"], it["boot"]) for rows in accounts.values() for it in rows}
     assert ("a/Moved", 1) in moves
-
-
-def test_kept_state_directory_of_a_killed_agent_is_taken_up(kept: Kept):
-    """A journal on a true disk, with a write-ahead file. It was copied, which the agent knows and says."""
-    state = kept.folder / "agent" / "state"
-    expected = kept.expected["agent"]["Count"]
-    text = (kept.folder / "agent" / "alone.toml").read_text()
-    with threaded_agent("alone", text, classes=CLASSES, state_dir=state) as agent:
-        assert expected.pop("agent") == "alone" and began(agent, "Count") == expected
-        assert agent.ask(Describe("Stopped")).result["state"] == "stopped"
-        assert agent.lines("error") == []
-    journal = FileJournal(state)
-    assert journal.boot == 3 and journal.set_aside == () and journal.missing == ()
-    journal.close()
 
 
 @pytest.mark.parametrize("file", ["agent/alone.toml", *(f"fleet/{name}.toml" for name in FILES), "recording/a.toml"])
