@@ -1,56 +1,63 @@
 """Addresses of agents."""
 
 import pytest
+from seeded import for_each
 
 from pancakes.runtime.config import Address, parse_address
 
 
-@pytest.mark.parametrize(
-    ("text", "address", "loopback"),
-    [
-        ("tcp://127.0.0.1:7401", Address("tcp", "127.0.0.1", 7401), True),
-        ("tcp://localhost:0", Address("tcp", "localhost", 0), True),
-        ("tcp://127.8.0.1:1", Address("tcp", "127.8.0.1", 1), True),
-        ("tcp://[::1]:65535", Address("tcp", "::1", 65535), True),
-        ("tcp://[fe80::1%eth0]:1", Address("tcp", "fe80::1%eth0", 1), False),
-        ("tcp://0.0.0.0:1", Address("tcp", "0.0.0.0", 1), False),
-        ("tcp://robot-1.lab.example:1", Address("tcp", "robot-1.lab.example", 1), False),
-        ("unix:///run/robot-1.sock", Address("unix", path="/run/robot-1.sock"), True),
-        ("tcp://localhost.evil.example:1", Address("tcp", "localhost.evil.example", 1), False),
-    ],
-)
-def test_addresses(text: str, address: Address, loopback: bool):
-    assert parse_address(text) == address
-    assert address.loopback is loopback
+def test_address_parts():
+    def check(case):
+        text, address, loopback = case
+        assert parse_address(text) == address
+        assert address.loopback is loopback
+
+    for_each(
+        [
+            ("tcp://127.0.0.1:7401", Address("tcp", "127.0.0.1", 7401), True),
+            ("tcp://localhost:0", Address("tcp", "localhost", 0), True),
+            ("tcp://127.8.0.1:1", Address("tcp", "127.8.0.1", 1), True),
+            ("tcp://[::1]:65535", Address("tcp", "::1", 65535), True),
+            ("tcp://[fe80::1%eth0]:1", Address("tcp", "fe80::1%eth0", 1), False),
+            ("tcp://0.0.0.0:1", Address("tcp", "0.0.0.0", 1), False),
+            ("tcp://robot-1.lab.example:1", Address("tcp", "robot-1.lab.example", 1), False),
+            ("unix:///run/robot-1.sock", Address("unix", path="/run/robot-1.sock"), True),
+            ("tcp://localhost.evil.example:1", Address("tcp", "localhost.evil.example", 1), False),
+        ],
+        check,
+    )
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("", "is no address"),
-        ("127.0.0.1:7401", "write it as tcp://host:port"),
-        ("tcp://::1:7401", "an IPv6 host stands in brackets"),
-        ("tcp://127.0.0.1:7401/x", "is no address"),
-        ("tcp://me@host:1", "is no address"),
-        ("unix://run/robot1", "is no address"),
-        ("unix:///run/robot 1", "is no address"),
-        ("tcp://[fe80::1%\x1b[2J]:1", "is no address"),
-        ("tcp://host", "has no port"),
-        ("tcp://host:", "has no port"),
-        ("tcp://host:http", "has a bad port, 'http'"),
-        ("tcp://host:65536", "has a bad port"),
-        ("tcp://host:-1", "has a bad port"),
-        ("tcp://:7401", "has no host"),
-        ("tcp://[]:7401", "has no host"),
-        ("tcp://[::x]:7401", "has a bad IPv6 host"),
-        ("tcp://256.0.0.1:1", "four numbers from 0 to 255"),
-        ("tcp://ho*st:1", "has a bad host"),
-    ],
-)
-def test_what_is_no_address_says_why(text: str, problem: str):
-    with pytest.raises(ValueError, match="^'") as error:
-        parse_address(text)
-    assert problem in str(error.value)
+def test_address_that_is_none_says_why():
+    def check(case):
+        text, problem = case
+        with pytest.raises(ValueError, match="^'") as error:
+            parse_address(text)
+        assert problem in str(error.value)
+
+    for_each(
+        [
+            ("", "is no address"),
+            ("127.0.0.1:7401", "write it as tcp://host:port"),
+            ("tcp://::1:7401", "an IPv6 host stands in brackets"),
+            ("tcp://127.0.0.1:7401/x", "is no address"),
+            ("tcp://me@host:1", "is no address"),
+            ("unix://run/robot1", "is no address"),
+            ("unix:///run/robot 1", "is no address"),
+            ("tcp://[fe80::1%\x1b[2J]:1", "is no address"),
+            ("tcp://host", "has no port"),
+            ("tcp://host:", "has no port"),
+            ("tcp://host:http", "has a bad port, 'http'"),
+            ("tcp://host:65536", "has a bad port"),
+            ("tcp://host:-1", "has a bad port"),
+            ("tcp://:7401", "has no host"),
+            ("tcp://[]:7401", "has no host"),
+            ("tcp://[::x]:7401", "has a bad IPv6 host"),
+            ("tcp://256.0.0.1:1", "four numbers from 0 to 255"),
+            ("tcp://ho*st:1", "has a bad host"),
+        ],
+        check,
+    )
 
 
 def test_only_a_port_of_0_asks_for_any_port():

@@ -1,9 +1,11 @@
 """Classes of tasks, services, drivers and costs that cannot work are refused when they are made."""
 
 import importlib.util
+import itertools
 import sys
 
 import pytest
+from seeded import for_each
 
 from pancakes.bodies.devices.types import Load
 from pancakes.errors import ClassError
@@ -29,12 +31,15 @@ class Gripper: ...
 
 
 class ModuleOf:
-    """Imports a module with a text that is given; it lies at `path`."""
+    """Imports a module with a text that is given; it lies at `path`, another each time."""
 
-    def __init__(self, path):
-        self.path = path
+    def __init__(self, folder):
+        self._folder = folder
+        self._count = 0
 
     def __call__(self, text):
+        self._count += 1
+        self.path = self._folder / f"robot_module{self._count}.py"
         self.path.write_text(HEAD + text)
         spec = importlib.util.spec_from_file_location("robot_module", self.path)
         assert spec is not None and spec.loader is not None
@@ -46,7 +51,7 @@ class ModuleOf:
 
 @pytest.fixture
 def module_of(tmp_path):
-    yield ModuleOf(tmp_path / "robot_module.py")
+    yield ModuleOf(tmp_path)
     sys.modules.pop("robot_module", None)
 
 
@@ -93,13 +98,16 @@ METHODS = [
 ]
 
 
-@pytest.mark.parametrize(("base", "method", "instead"), METHODS)
-def test_a_method_that_cannot_be_called_is_refused_with_its_line_and_what_to_write(module_of, base, method, instead):
-    text = f"class Robot({base}):\n    {method}\n"
-    said = refusal(module_of, text)
-    name = method.partition("def ")[2].partition("(")[0]
-    assert said.startswith(f"{module_of.path}:{line_of(text, f'def {name}(')}: Robot.{name} ")
-    assert f"write `{instead}`" in said
+def test_class_refusal_of_a_method_names_line_and_remedy(module_of):
+    def check(case):
+        base, method, instead = case
+        text = f"class Robot({base}):\n    {method}\n"
+        said = refusal(module_of, text)
+        name = method.partition("def ")[2].partition("(")[0]
+        assert said.startswith(f"{module_of.path}:{line_of(text, f'def {name}(')}: Robot.{name} ")
+        assert f"write `{instead}`" in said
+
+    for_each(METHODS, check)
 
 
 @pytest.mark.parametrize("mark", ["on", "every"])
@@ -127,15 +135,17 @@ FIELDS = [
 ]
 
 
-@pytest.mark.parametrize(("declared", "instead"), FIELDS)
-@pytest.mark.parametrize(("base", "name"), [("Task", "State"), ("Task", "Settings"), ("Service", "Settings")])
-def test_a_field_that_cannot_be_saved_is_refused_with_its_line_and_what_to_write(
-    module_of, base, name, declared, instead
-):
-    text = f"class Robot({base}):\n    @dataclass\n    class {name}:\n        fine: int = 0\n        {declared}\n"
-    said = refusal(module_of, text)
-    assert said.startswith(f"{module_of.path}:{line_of(text, declared)}: Robot.{name}.{declared.partition(':')[0]} ")
-    assert instead in said
+def test_class_refusal_of_a_field_names_line_and_remedy(module_of):
+    def check(case):
+        (declared, instead), (base, name) = case
+        text = f"class Robot({base}):\n    @dataclass\n    class {name}:\n        fine: int = 0\n        {declared}\n"
+        said = refusal(module_of, text)
+        assert said.startswith(
+            f"{module_of.path}:{line_of(text, declared)}: Robot.{name}.{declared.partition(':')[0]} "
+        )
+        assert instead in said
+
+    for_each(itertools.product(FIELDS, [("Task", "State"), ("Task", "Settings"), ("Service", "Settings")]), check)
 
 
 def test_the_settings_of_a_driver_are_judged_as_well(module_of):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import msgspec
 import pytest
+from seeded import for_each
 
 from pancakes import control, events
 from pancakes.bodies.devices import types as devices
@@ -83,69 +84,79 @@ class Strange:
     of: Sized
 
 
-@pytest.mark.parametrize("cls", [Fixed, Place, Brief, devices.Pose, devices.Twist, devices.Motion, devices.Battery])
-def test_a_body_of_a_fixed_size_is_not_weighed(cls):
-    assert is_small(cls)
+def test_weight_is_not_taken_of_fixed_sizes():
+    def check(cls):
+        assert is_small(cls)
+
+    for_each([Fixed, Place, Brief, devices.Pose, devices.Twist, devices.Motion, devices.Battery], check)
 
 
-@pytest.mark.parametrize(
-    "cls",
-    [
-        Frame,
-        Named,
-        Lengthy,
-        Crowded,
-        Anything,
-        Strange,
-        dict,
-        devices.Infrared,
-        control.Reply,
-        events.Event,
-        events.LogLine,
-    ],
-)
-def test_a_body_that_may_be_large_is_weighed(cls):
-    assert not is_small(cls)
+def test_weight_of_bodies_that_may_be_large():
+    def check(cls):
+        assert not is_small(cls)
+
+    for_each(
+        [
+            Frame,
+            Named,
+            Lengthy,
+            Crowded,
+            Anything,
+            Strange,
+            dict,
+            devices.Infrared,
+            control.Reply,
+            events.Event,
+            events.LogLine,
+        ],
+        check,
+    )
 
 
-@pytest.mark.parametrize(
-    ("body", "least", "most"),
-    [
-        (Frame(1, bytes(1 << 20)), 1 << 20, (1 << 20) + 1024),
-        (Frame(1, b""), 0, 64),
-        (Named(1, "x" * 5000), 5000, 5200),
-        (Named(1, None, tuple(map(float, range(10_000)))), 240_000, 480_000),
-        (Anything(1, {"a": bytes(3000), "b": [bytes(3000)] * 10}), 33_000, 34_000),
-        (Anything(1, Frame(1, bytes(9000))), 9000, 9200),
-        (Strange(1, OrderedDict(a=bytearray(3000))), 3000, 3200),
-        ({"unknown": "here", "data": bytes(70_000)}, 70_000, 70_200),
-        (Anything(1, memoryview(bytes(8000))), 8000, 8200),
-    ],
-)
-def test_the_weight_is_about_what_it_takes(body, least, most):
-    assert least <= weigh(body) <= most
-    assert weight_of(body) == (weigh(body) if least > LIGHT_BYTES else 0)
+def test_weight_is_about_what_it_takes():
+    def check(case):
+        body, least, most = case
+        assert least <= weigh(body) <= most
+        assert weight_of(body) == (weigh(body) if least > LIGHT_BYTES else 0)
+
+    for_each(
+        [
+            (Frame(1, bytes(1 << 20)), 1 << 20, (1 << 20) + 1024),
+            (Frame(1, b""), 0, 64),
+            (Named(1, "x" * 5000), 5000, 5200),
+            (Named(1, None, tuple(map(float, range(10_000)))), 240_000, 480_000),
+            (Anything(1, {"a": bytes(3000), "b": [bytes(3000)] * 10}), 33_000, 34_000),
+            (Anything(1, Frame(1, bytes(9000))), 9000, 9200),
+            (Strange(1, OrderedDict(a=bytearray(3000))), 3000, 3200),
+            ({"unknown": "here", "data": bytes(70_000)}, 70_000, 70_200),
+            (Anything(1, memoryview(bytes(8000))), 8000, 8200),
+        ],
+        check,
+    )
 
 
 IMAGE = bytes(1 << 20)
 
 
-@pytest.mark.parametrize(
-    "what",
-    [
-        {"width": 640, "data": IMAGE, "height": 480},
-        {"camera": {"front": {"frame": {"width": 640, "data": IMAGE, "height": 480}}}},
-        {**{f"setting{n}": n for n in range(40)}, "data": IMAGE, "number": 1},
-        {**{f"setting{n}": "on" for n in range(200)}, "data": IMAGE, "name": "front"},
-        {"cameras": {f"camera{n}": {"on": False, "data": IMAGE if n == 3 else b"", "number": n} for n in range(8)}},
-        [1, IMAGE, 2],
-        [{"number": 1}, {"number": 2}, {"data": IMAGE}],
-    ],
-)
-def test_something_large_is_found_wherever_it_lies(what):
+def test_weight_finds_what_is_large_anywhere():
     """Also between numbers, deep inside, and among many small things."""
-    assert len(IMAGE) <= weigh(what) <= 1.01 * len(IMAGE)
-    assert len(IMAGE) <= weigh(events.Event("frame", {"what": what})) <= 1.01 * len(IMAGE)
+
+    def check(what):
+        assert len(IMAGE) <= weigh(what) <= 1.01 * len(IMAGE)
+        assert len(IMAGE) <= weigh(events.Event("frame", {"what": what})) <= 1.01 * len(IMAGE)
+
+    for_each(
+        [
+            {"width": 640, "data": IMAGE, "height": 480},
+            {"camera": {"front": {"frame": {"width": 640, "data": IMAGE, "height": 480}}}},
+            {**{f"setting{n}": n for n in range(40)}, "data": IMAGE, "number": 1},
+            {**{f"setting{n}": "on" for n in range(200)}, "data": IMAGE, "name": "front"},
+            {"cameras": {f"camera{n}": {"on": False, "data": IMAGE if n == 3 else b"", "number": n} for n in range(8)}},
+            [1, IMAGE, 2],
+            [{"number": 1}, {"number": 2}, {"data": IMAGE}],
+        ],
+        check,
+    )
 
 
 @pytest.mark.parametrize(
