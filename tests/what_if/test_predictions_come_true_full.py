@@ -1,4 +1,7 @@
-"""Moves and rates in real processes: what was said of each is compared with what then happens."""
+"""Moves and rates in real processes: what was forecast of each is compared with what then happens.
+
+It burns CPU time on purpose and compares what it measures to a fifth, so it needs a machine with nothing else to do.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ def rig(tmp_path) -> Iterator[Rig]:
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_loads_are_within_a_fifth_and_better_known_than_without(seed: int, rig: Rig):
+def test_forecast_of_real_loads_is_off_by_a_fifth_at_most_full(seed: int, rig: Rig):
     rng = random.Random(seed)
     tasks: dict[str, dict[str, tuple[int, float]]] = {
         agent: {f"{agent}{number}": (rng.randrange(10_000, 60_000), rng.randrange(10, 40)) for number in range(2)}
