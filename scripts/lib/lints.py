@@ -194,7 +194,6 @@ MAY_CALL = {
     "pancakes/runtime/kernel/channel_queue.py: bounded": "the limits of this queue",
     "pancakes/runtime/kernel/dead_letters.py: queue": "the keep of a queue is data",
     "pancakes/runtime/kernel/pinned.py: wake": "a queue",
-    "pancakes/runtime/kernel/pool.py: _LOG": "a fault to mend: an agent's log handler publishes, and needs this lock",
     "pancakes/runtime/kernel/pool.py: worker": "a new thread, which waits for this lock only after its start",
     "pancakes/runtime/kernel/stream.py: covers": "it compares two addresses",
     "pancakes/runtime/kernel/stream.py: mailbox": "the subscriptions of the mailbox, which this lock guards",

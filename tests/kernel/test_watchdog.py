@@ -1,5 +1,6 @@
 """The pool's watchdog: what it names, when it rests, and what it does where there are no threads."""
 
+import logging
 import threading
 
 import pytest
@@ -96,6 +97,44 @@ def test_no_component_is_named_because_the_whole_machine_stood_still(rig):
 
 def no_thread(*_):
     raise RuntimeError("can't start new thread")
+
+
+def test_pool_without_threads_logs_while_its_log_gives_it_work(rig, monkeypatch):
+    """An agent's log handler publishes: the pool gets work while it says that it has no thread for it."""
+    actor, other = rig.new_actor(), rig.new_actor()
+    may_publish, logged, done = threading.Event(), threading.Event(), threading.Event()
+
+    def publish():
+        may_publish.wait(PATIENCE_S)
+        actor.do(lambda: None)
+
+    class Publishes(logging.Handler):
+        def emit(self, record):
+            other.do(done.set)
+            logged.set()
+
+    rig.at_rest()
+    gates = []
+    while rig.pool.idle:
+        gates.append(rig.hold())
+        rig.see_held()
+    publishes = Publishes()
+    logging.getLogger().addHandler(publishes)
+    try:
+        with monkeypatch.context() as patch:
+            publisher = threading.Thread(target=publish, daemon=True)
+            publisher.start()
+            patch.setattr(threading.Thread, "start", no_thread)
+            may_publish.set()
+            publisher.join(PATIENCE_S)
+            assert logged.is_set() and not publisher.is_alive()
+    finally:
+        logging.getLogger().removeHandler(publishes)
+        for gate in gates:
+            gate.set()
+    rig.look()
+    assert done.wait(PATIENCE_S)
+    rig.at_rest()
 
 
 def test_where_no_thread_can_be_started_no_component_fails_and_work_is_done_later(rig, monkeypatch, caplog):

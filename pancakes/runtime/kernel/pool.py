@@ -128,6 +128,7 @@ class PoolDispatcher(Dispatcher):
 
     def _lend(self) -> None:
         """Puts a worker to work, if no thread is at work."""
+        lack: RuntimeError | None = None
         with self._lock:
             if self._stopping or self._active or len(self._workers) - len(self._idle) >= MOST_WORKERS:
                 return
@@ -142,13 +143,15 @@ class PoolDispatcher(Dispatcher):
             try:
                 worker.start()
             except RuntimeError as error:  # no fault of the publisher that called this; the watchdog tries again
-                if not self._lacks_threads:
-                    _LOG.error("%s has work for another thread, and gets none: %s", self.name, error)
+                lack = None if self._lacks_threads else error
                 self._lacks_threads = True
-                return
-            self._lacks_threads = False
-            self._begin(worker.shift)
-            self._workers.append(worker)
+            else:
+                self._lacks_threads = False
+                self._begin(worker.shift)
+                self._workers.append(worker)
+        if lack is not None:
+            # Without the lock: an agent publishes its log, which leads here again.
+            _LOG.error("%s has work for another thread, and gets none: %s", self.name, lack)
 
     def retire(self, worker: _Worker) -> bool:
         """Lays an idle worker down until it is wanted. Returns whether its thread shall end."""
