@@ -19,6 +19,7 @@ from pancakes.mesh.net import stream_transport
 from pancakes.mesh.net.local import LocalTransport
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.mesh.way_facts import Reach
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.plugins import Plugins
 
@@ -62,6 +63,13 @@ def as_another_user(path: Path, group: int | None = None) -> str:
                 folder.chmod(0o755)
     command = [sys.executable, "-c", CONNECTS, str(path), "" if group is None else str(group)]
     return subprocess.run(command, capture_output=True, text=True, check=True, cwd="/").stdout.strip()
+
+
+def test_local_way_is_nearer_and_cheaper_than_tcp(rig):
+    transport = rig.transport("a")
+    local, tcp = transport.facts("local://a"), transport.facts("tcp://127.0.0.1:7401")
+    assert (local.reach, tcp.reach) == (Reach.USER, Reach.MACHINE)
+    assert local.cost < tcp.cost
 
 
 def mode(path: Path) -> int:

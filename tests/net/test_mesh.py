@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy
 import pytest
+from net.conftest import RIGS
 from net.meetings import pair, raw_hello
 
 from pancakes.bodies.devices.types import Pose
@@ -24,7 +25,8 @@ def bodies(who):
     return [packet.body for packet in who.packets]
 
 
-def test_two_agents_meet_and_exchange_packets_in_order(rig, agent):
+@pytest.mark.parametrize("rig", RIGS, indirect=True)
+def test_mesh_of_two_exchanges_packets_in_order(rig, agent):
     a, b = pair(rig, agent)
     for number in range(500):
         a.say("b", number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import threading
 
 import pytest
@@ -191,6 +192,18 @@ def test_small_sends_to_a_reader_that_begins_late_arrive_whole(kind):
         rig.until(lambda: len(there.data) == 1000 * sends or here.closed_for)
         assert not here.closed_for
         rig.until(lambda: here.connection.unsent() == 0)
+
+
+@pytest.mark.parametrize("kind", [TcpRig, LocalRig])
+def test_send_over_a_broken_connection_closes_it(kind):
+    with contextlib.closing(kind()) as rig:
+        here, _, gate = with_late_reader(rig)
+        here.connection.send(b"the other side reads this, and no more until the gate is open")
+        here.connection._sock.shutdown(socket.SHUT_WR)  # noqa: SLF001 - no peer can break its sending side only
+        assert here.connection.send(b"lost") == 0
+        rig.until(lambda: here.closed_for)
+        gate.set()
+        assert "broke: broken pipe" in here.closed_for[0].lower()
 
 
 def test_a_connection_says_when_it_has_room_again(tcp_rig):

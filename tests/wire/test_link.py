@@ -253,6 +253,7 @@ def test_saying_goodbye_ends_the_link():
     assert sent(actions) == wire(Goodbye("sleep", 5.0))
     assert link.state is LinkState.OVER
     assert link.receive(wire(PACKET), 1.1) == link.tick(99.0) == link.leave(Goodbye("stop"), 1.2) == []
+    assert link.refuse("full", "there is no room", 1.3) == []
 
 
 def measured(*args):
