@@ -1,0 +1,141 @@
+"""`scripts/bench`: what it makes of its measurements, and what it keeps if it is ended or a topic fails."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from benchmarks import crowd, lateness
+from benchmarks.__main__ import bench
+from benchmarks.figure import Figure, Plan, alone, in_turns_of_all
+from benchmarks.observers import Compared, Round, Span, quiet
+from benchmarks.peer_environments import SCRIPTS, Peer, PeerMissing, python_of
+from benchmarks.peer_runs import pair
+from click.testing import CliRunner, Result
+
+
+def test_bench_keeps_what_it_has_measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A topic that fails is told, and the others are measured; an interrupted run has all until then."""
+    file = tmp_path / "figures.json"
+    errors: list[BaseException] = []
+
+    def breaks(plan: Plan) -> Iterator[Figure]:
+        yield Figure("before", "ms", runs=[1.0, 2.0])
+        if errors:
+            raise errors[0]
+
+    def ends(plan: Plan) -> Iterator[Figure]:
+        yield Figure("after", "ms", runs=[3.0])
+
+    monkeypatch.setitem(sys.modules, "benchmarks.fan_out", SimpleNamespace(TITLE="one", measure=breaks))
+    monkeypatch.setitem(sys.modules, "benchmarks.fleet", SimpleNamespace(TITLE="two", measure=ends))
+
+    def run(*options: str) -> tuple[Result, list[str]]:
+        only = ["--only", "fan_out", "--only", "fleet", "--json", str(file)]
+        result = CliRunner().invoke(bench, [*only, *options])
+        return result, [record["name"] for record in json.loads(file.read_text())] if file.exists() else []
+
+    result, names = run()
+    assert (result.exit_code, names) == (0, ["before", "after"])
+    errors[:] = [RuntimeError("a process ended")]
+    result, names = run()
+    assert (result.exit_code, names) == (1, ["before", "fan_out", "after"]) and "a process ended" in result.output
+    errors[:] = [KeyboardInterrupt()]
+    result, names = run()
+    assert (result.exit_code, names) == (130, ["before"])
+    file.unlink()
+    for options in (["--rounds", "4"], ["--json", f"{tmp_path}/none/figures.json"], ["--json", str(tmp_path)]):
+        result, names = run(*options)
+        assert (result.exit_code, names) == (2, []), options
+
+
+def test_bench_figures_are_medians_of_turns() -> None:
+    """Each side begins in turn; rounds that differ much are repeated; what is wanted is of the ratio."""
+    figure = Figure("x", "ns", wanted=2.0, runs=[30.0, 10.0, 20.0], bare_runs=[10.0, 10.0, 5.0])
+    assert (figure.value, figure.baseline, figure.ratio, figure.spread) == (20.0, 10.0, 2.0, (1.0, 4.0))
+    assert not figure.is_missed and Figure("x", "1/s", "min", 2.1, figure.runs, figure.bare_runs).is_missed
+    by_itself = [Figure("x", "ms", wanted=3.0, absolute=True)]
+    (figure,) = alone(Plan(rounds=3), by_itself, iter([[2.0], [5.0], [4.0]]).__next__)
+    assert (figure.value, figure.ratio, figure.spread, figure.is_missed) == (4.0, None, (2.0, 5.0), True)
+    order = ""
+
+    def side(name: str) -> list[float]:
+        nonlocal order
+        order += name
+        return [1.0]
+
+    runs: dict[str, list[float]] = {name: [] for name in "abc"}
+    sides = [(lambda name=name: side(name), [runs[name]]) for name in "abc"]
+    in_turns_of_all(Plan(rounds=3), sides, [Figure("x", "s", "max", 1.0, runs["a"], runs["b"])])
+    assert order == "abcbcacab"
+    for differs_by, rounds in ((1.0, 5), (2.0, 9)):
+        values = iter([1.0, differs_by] * 9)
+        wide = Figure("x", "s", wanted=2.0)
+        in_turns_of_all(Plan(rounds=5, most_rounds=9), [(lambda it=values: [next(it)], [wide.runs])], [wide])
+        assert len(wide.runs) == rounds
+
+
+def observed(ratio: float, late_us: int, others_ms: float, bare_ms: float = 100.0) -> Round:
+    """A round in which the machine had slowed down by a half when the observer went over to the other fleet."""
+    usual_us, seen_us = [90] * 198 + [100] * 2, [90] * 393 + [late_us] * 4 + [3 * late_us] * 3
+    bare = Span(bare_ms, usual_us, others_ms), Span(1.5 * bare_ms, usual_us, others_ms)
+    ours = Span(bare_ms * ratio, seen_us, 50.0), Span(1.5 * bare_ms * ratio, seen_us, others_ms)
+    return Round(ours, bare)
+
+
+def test_bench_compares_observers_in_quiet_rounds() -> None:
+    """Rounds in which others had the machine do not count; if they are all, the quieter half does."""
+    processor, p99 = Compared("x", "ms"), Compared("y", "us", share=0.99)
+    undisturbed = [observed(1.05, 200, 50.0) for _ in range(9)]
+    disturbed = [observed(2.0, 9000, 1e6, bare_ms=300.0) for _ in range(2)]
+    for measured in (*undisturbed, *disturbed):
+        processor.take(measured)
+        p99.take(measured)
+    assert (processor.value, processor.baseline) == (pytest.approx(131.25), 125.0)
+    assert processor.spread == (pytest.approx(1.05), pytest.approx(1.05))
+    assert (p99.ratio, p99.spread) == (2.0, (2.0, 2.0))
+    rounds = [observed(1.0, 100, 1e6 * number) for number in range(1, 6)]
+    assert quiet(rounds) == rounds[:3]
+
+
+def test_bench_takes_what_is_lost_for_an_error(tmp_path: Path) -> None:
+    """Packets of a crowd and of a peer; ticks that never came are late. A peer that is missing is named."""
+    assert sorted(lateness.all_there([0.1, 0.2], tasks=2, rate_hz=1.0, duration_s=3.0)) == [0.1, 0.2, 3.0, 3.0]
+    shape = crowd.Shape("few", range(3), range(3), False, 600)
+    reports = crowd.pancakes(shape, 600)
+    assert shape.deliveries == 3600 == sum(report["received"] for report in reports.values())
+    assert crowd.rate(shape, 600, reports) > 0
+    reports[1]["received"] -= 1
+    with pytest.raises(RuntimeError, match="1199 of 1200 packets arrived at member 1"):
+        crowd.rate(shape, 600, reports)
+    script = tmp_path / "over_nothing.py"
+    for lost in (0, 1):
+        script.write_text(PEER.format(scripts=str(SCRIPTS), lost=lost))
+        peer = Peer("nothing", script, ())
+        if lost:
+            with pytest.raises(RuntimeError, match="99 of 100 packets arrived over nothing"):
+                pair(peer, Path(sys.executable), 10, 100, 64)
+        else:
+            assert pair(peer, Path(sys.executable), 10, 100, 64)["received"] == 100
+    missing = Peer("nowhere", SCRIPTS / "over_nowhere.py", ("no_module_of_this_name",), hint="build it yourself")
+    with pytest.raises(PeerMissing, match="no_module_of_this_name.*build it yourself"):
+        python_of(missing)
+
+
+PEER = """
+import sys
+sys.path.insert(0, {scripts!r})
+from talk import BODY, KIND, encode, hear, say, unpack
+if sys.argv[1] == "far":
+    say(at="here")
+else:
+    plan = hear()
+    packet = unpack(encode("load", plan["packets"], bytes(plan["size"])))
+    assert packet[KIND] == "load" and len(packet[BODY]["data"]) == 64
+    say(times_s=[], per_s=7.0, received=packet[BODY]["number"] - {lost}, near=sys.argv[2])
+hear()
+"""
