@@ -1,5 +1,6 @@
 """A mission in virtual time that is recorded is the same mission to the byte."""
 
+import pytest
 from demo.flights import fly
 
 from pancakes.runtime.plugins import Plugins
@@ -8,7 +9,8 @@ from pancakes.tools.recording.recording_reader import RecordingReader
 FILES = ("trajectory.csv", "events.jsonl", "summary.json")
 
 
-def test_a_recorded_mission_is_the_same_to_the_byte(tmp_path):
+@pytest.mark.cpu_limit(60)  # two whole missions
+def test_recorded_mission_is_the_same_to_the_byte(tmp_path):
     Plugins().load_packets()
     fly("encirclement", 3, tmp_path / "plain", faults=True)
     out = tmp_path / "recorded"

@@ -62,8 +62,9 @@ def stacks(here: FrameType | None) -> str:
     texts = []
     for number, frame in [*frames.items(), (threading.get_ident(), here or own)]:
         stack = [it for it in traceback.extract_stack(frame) if not any(part in it.filename for part in _RUNNERS)]
-        texts.append(f"Stack of {names.get(number, 'a thread without a name')}:\n")
-        texts += traceback.format_list(stack)
+        if stack:  # else it is a thread of xdist's own
+            name = names.get(number, "a thread without a name")
+            texts += [f"Stack of {name}:\n", *traceback.format_list(stack)]
     return "".join(texts).rstrip()
 
 

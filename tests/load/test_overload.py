@@ -25,7 +25,7 @@ SECONDS = 1.0
     ],
     ids=lambda case: case.name,
 )
-def test_a_publisher_that_is_too_fast_costs_packets_and_nothing_else(tmp_path: Path, case: Case):
+def test_overload_costs_packets_and_nothing_else(tmp_path: Path, case: Case):
     seen = overload(tmp_path, case, SECONDS)
     assert seen.memory_bytes <= MEMORY_BYTES
     assert seen.published > seen.handled > 0
@@ -41,7 +41,7 @@ def assert_every_loss_is_told(seen: Seen) -> None:
     assert seen.published - seen.handled <= sum(seen.dropped.values())
 
 
-def test_reliable_readers_inside_an_agent_lose_nothing_and_the_publisher_is_told_to_wait(tmp_path: Path):
+def test_overload_of_reliable_reader_loses_nothing(tmp_path: Path):
     seen = overload(tmp_path, Case("inside", 64, 2000, "reliable"), SECONDS)
     assert seen.refused > 0
     assert (seen.published, seen.dropped) == (seen.handled, {})

@@ -42,10 +42,17 @@ def recorded(path: Path, *agents: Any) -> Iterator[None]:
 
 
 def run_again(
-    path: Path, task: str, cls: type, agent: str = "", number: int | None = None, live: bool = False, **settings: Any
+    path: Path,
+    task: str,
+    cls: type,
+    agent: str = "",
+    number: int | None = None,
+    live: bool = False,
+    speed: float = 1.0,
+    **settings: Any,
 ) -> Again:
-    """Runs the only stay of a task again that fits."""
+    """Runs the only stay of a task again that fits; `speed`: of the mission, when it was recorded live."""
     (stay,) = choose_stays(find_stays(RecordingReader(path).entries()), task, agent, number)
-    script = read_script(RecordingReader(path).entries(), stay, cls, virtual=not live)
+    script = read_script(RecordingReader(path).entries(), stay, cls, speed, virtual=not live)
     outcome = Rerun(stay, script, cls, settings).run()
     return Again(stay, script, outcome, compare(script.outputs, outcome.outputs, stay.task.address, Tolerance()))
