@@ -1,4 +1,4 @@
-"""What a service is set to where nothing is said is what docs/reference/configuration.md says."""
+"""The defaults of services and of restarts are those of docs/reference/configuration.md."""
 
 import json
 from collections.abc import Mapping
@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import fields
 
 from pancakes.runtime.hosting.client import ClientService
+from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.runtime.services.device import DeviceService
 from pancakes.runtime.services.log import LogService
 from pancakes.runtime.services.network import NetworkService
@@ -16,20 +17,29 @@ from pancakes.service import Service
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "configuration.md"
 
 
-def documented(name: str) -> Mapping[str, object]:
-    """Returns the defaults of a service, by key."""
-    section = PAGE.read_text(encoding="utf-8").partition(f"### `{name}`\n")[2].partition("\n##")[0]
+def documented(heading: str) -> Mapping[str, object]:
+    """Returns the defaults below a heading, by key."""
+    section = PAGE.read_text(encoding="utf-8").partition(f"\n{heading}\n")[2].partition("\n##")[0]
     rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| `")]
     return {row[0].strip("| `"): json.loads(row[2].strip("`")) for row in rows if len(row) > 2}
 
 
 @pytest.mark.parametrize(("name", "cls"), [("log", LogService), ("network", NetworkService), ("client", ClientService)])
-def test_the_defaults_are_the_documented_ones(name: str, cls: type[Service]) -> None:
+def test_settings_of_services_have_documented_defaults(name: str, cls: type[Service]) -> None:
     settings = cls.Settings()
     begun = {field.name: getattr(settings, field.name) for field in fields(cls.Settings)}
-    assert documented(name) == begun != {}
+    assert documented(f"### `{name}`") == begun != {}
 
 
-def test_the_device_service_has_no_settings_of_its_own() -> None:
-    assert documented("device") == {}
+def test_settings_of_the_device_service_are_none() -> None:
+    assert documented("### `device`") == {}
     assert vars(DeviceService.Settings()) == {}
+
+
+@pytest.mark.parametrize(
+    ("heading", "cls"),
+    [("## `restart = { ... }`", RestartSpec), ("## `[device.NAME] restart = { ... }`", DeviceRestartSpec)],
+)
+def test_settings_of_restarts_have_documented_defaults(heading: str, cls: type[RestartSpec]) -> None:
+    begun = {field.name: getattr(cls(), field.name) for field in fields(cls)}
+    assert documented(heading) == begun != {}
