@@ -14,7 +14,7 @@ def test_for_each_names_all_failing_cases():
 
 
 def test_for_each_passes_if_all_cases_pass():
-    seen = []
+    seen: list[str] = []
     for_each("ab", seen.append)
     assert seen == ["a", "b"]
 
