@@ -51,10 +51,16 @@ SEARCHES = ("guarding", "hosting", "life", "migration")
 """The folders whose `_full` files are exhaustive searches."""
 
 
+PURE = ("test_conversions", "test_without_ros2", "test_credit_pool", "test_change", "test_steadiness")
+"""The files of such folders that need none of the programs."""
+
+
 def set_of(item: pytest.Item) -> str:
     """Returns the set that a test is in."""
     folder = item.path.relative_to(TESTS).parts[0]
     suffix = item.path.stem[item.path.stem.rfind("_") :]
+    if item.path.stem in PURE:
+        return "fast"
     if BY_FOLDER.get(folder) == "foreign":
         return "foreign"
     if suffix == "_full" and folder in SEARCHES:
@@ -87,7 +93,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if unknown := set(sets or ()) - {*SETS, CHANGED}:
         raise pytest.UsageError(f"--sets: unknown set {', '.join(sorted(unknown))}; there are {', '.join(SETS)}")
     changed = proven.changed() if sets is not None and CHANGED in sets else frozenset()
-    kept, left = [], []
+    kept: list[pytest.Item] = []
+    left: list[pytest.Item] = []
     for item in items:
         name = set_of(item)
         item.add_marker(name)

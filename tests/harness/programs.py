@@ -92,7 +92,7 @@ def check_environment(environment: dict[str, str]) -> None:
     """Raises an `AssertionError` if Python would look at another environment at its start than it has here."""
 
     def of_start(variables: Any) -> dict[str, str]:
-        found = {name: value for name, value in variables.items() if name.startswith(("PYTHON", "LC_", "LANG"))}
+        found = {name: value for name, value in variables.items() if name.startswith(("PYTHON", "LC_", "LANG", "LD_"))}
         return {name: value for name, value in found.items() if name not in ("PYTHONPATH", "PYTHONUNBUFFERED")}
 
     wanted, had = of_start(environment), of_start(os.environ)
