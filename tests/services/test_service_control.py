@@ -168,6 +168,15 @@ def test_a_service_may_be_stopped_for_a_time_and_wakes_by_itself(fleet, service)
     assert agent.events("asked", what="wake", service=service)
 
 
+@pytest.mark.parametrize("ends", [Stop("client"), Restart("client")])
+@pytest.mark.parametrize("asked", [Reschedule("Count", 2.0), Configure("Count", {})])
+def test_service_does_what_was_asked_before_its_end(fleet, asked, ends):
+    """A command that comes just before the end of a service still finds its tasks running."""
+    agent = fleet.start("a", tasks={"Count": {"type": Count}})
+    first, second = agent.publish(SYSCTRL, asked), agent.publish(SYSCTRL, ends)
+    assert agent.reply_to(first).ok and agent.reply_to(second).ok
+
+
 def test_a_service_wakes_also_where_to_stop_took_longer_than_it_was_to_sleep(fleet):
     """Its tasks wait for a slow disk, say."""
     agent = with_mapper(fleet)
