@@ -73,9 +73,8 @@ def test_bench_figures_are_medians_of_turns() -> None:
     in_turns_of_all(Plan(rounds=3), sides, [Figure("x", "s", "max", 1.0, runs["a"], runs["b"])])
     assert order == "abcbcacab"
     for differs_by, rounds in ((1.0, 5), (2.0, 9)):
-        values = iter([1.0, differs_by] * 9)
         wide = Figure("x", "s", wanted=2.0)
-        in_turns_of_all(Plan(rounds=5, most_rounds=9), [(lambda it=values: [next(it)], [wide.runs])], [wide])
+        alone(Plan(rounds=5, most_rounds=9), [wide], iter([[1.0], [differs_by]] * 9).__next__)
         assert len(wide.runs) == rounds
 
 

@@ -39,8 +39,8 @@ def test_soak_exit_code_tells_of_faults(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert run("--steady") == 0
     monkeypatch.setattr(command, "names_of", None)  # a fleet that is made all the same fails
     monkeypatch.setattr(command, "virtual_figures", None)
-    refused = (["--steady", "--virtual"], ["--steady", "--leak", "1"], ["--virtual", "--leak", "1"])
-    refused += (["--steady", "--seed", "1"], ["--json", f"{tmp_path}/none/figures.json"], ["--json", str(tmp_path)])
+    refused = [["--steady", "--virtual"], ["--steady", "--leak", "1"], ["--virtual", "--leak", "1"]]
+    refused += [["--steady", "--seed", "1"], ["--json", f"{tmp_path}/none/figures.json"], ["--json", str(tmp_path)]]
     assert [run(*options) for options in refused] == [2] * 6
 
 
