@@ -26,6 +26,7 @@ SECONDS = 1.0
     ids=lambda case: case.name,
 )
 def test_overload_costs_packets_and_nothing_else(tmp_path: Path, case: Case):
+    """`overload` itself waits until the reader has caught up, and fails if it never does."""
     seen = overload(tmp_path, case, SECONDS)
     assert seen.memory_bytes <= MEMORY_BYTES
     assert seen.published > seen.handled > 0
@@ -33,7 +34,6 @@ def test_overload_costs_packets_and_nothing_else(tmp_path: Path, case: Case):
     assert (seen.disordered, seen.doubled) == (0, 0)
     assert max(seen.control_s) < 2.0
     assert max(seen.late_s) < 1.0
-    assert seen.behind_s < 10.0
 
 
 def assert_every_loss_is_told(seen: Seen) -> None:
