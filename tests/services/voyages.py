@@ -111,38 +111,43 @@ class Nomads(Voyage):
         return sent, numbers(self.fleet), fence.epoch[0]
 
 
+def least(source):
+    """Returns how many numbers a source sends at least in a voyage; fewer, and it shows little."""
+    return 500 if source is Source else 200
+
+
 def moves_of_the_source(seed, durability, source=Source):
     """Check that what a task sends from its new host comes after what it sent from the old one."""
     nomads = Nomads(4000 + seed, durability, source)
     nomads.sail([nomads.break_link, nomads.part, nomads.migrate, nomads.fail])
     sent, got, moves = nomads.arrive()
-    assert moves > 2 and sent > 200 and got == upto(sent)
+    assert moves > 2 and sent > least(source) and got == upto(sent)
     nomads.fleet.close()
 
 
-def _all_arrive(voyage, troubles):
+def _all_arrive(voyage, troubles, source):
     voyage.sail(troubles)
     sent, got = voyage.arrive()
-    assert sent > 200 and got == upto(sent)
+    assert sent > least(source) and got == upto(sent)
     voyage.fleet.close()
 
 
 def bad_links(seed, durability, source=Source):
     """Check that each number has its effect once and in order over links that break and networks that part."""
     voyage = Voyage(seed, durability, source)
-    _all_arrive(voyage, [voyage.break_link, voyage.part, voyage.migrate])
+    _all_arrive(voyage, [voyage.break_link, voyage.part, voyage.migrate], source)
 
 
 def failures_of_the_task(seed, durability, source=Source):
     """The same while the receiving task fails again and again."""
     voyage = Voyage(3000 + seed, durability, source)
-    _all_arrive(voyage, [voyage.fail, voyage.fail, voyage.fail, voyage.break_link, voyage.part])
+    _all_arrive(voyage, [voyage.fail, voyage.fail, voyage.fail, voyage.break_link, voyage.part], source)
 
 
 def killed_agents(seed, source=Source):
     """The same while agents are killed: with the durability `each`, nothing is lost."""
     voyage = Voyage(1000 + seed, "each", source)
-    _all_arrive(voyage, [voyage.kill, voyage.kill, voyage.break_link, voyage.part])
+    _all_arrive(voyage, [voyage.kill, voyage.kill, voyage.break_link, voyage.part], source)
 
 
 def killed_agents_of_a_lazy_task(seed, source=Source):
