@@ -5,7 +5,7 @@ It is in `story_of_a_moving_task.txt`, beside this file. `test_task_talk.py` has
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,7 +82,7 @@ class Story:
         elif isinstance(body, LogLine) and body.level in ("warning", "error"):
             self._note(packet.source, body.level, {})
 
-    def _note(self, who: str, kind: str, fields: dict[str, Any]) -> None:
+    def _note(self, who: str, kind: str, fields: Mapping[str, Any]) -> None:
         shown = "".join(f" {name}={fields[name]}" for name in SHOWN if fields.get(name) not in (None, "", b""))
         self.lines.append(f"{self._fleet.now():6.2f} {who}: {kind}{shown}")
 

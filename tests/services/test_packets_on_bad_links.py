@@ -15,6 +15,9 @@ from services.voyages import (
 
 from pancakes.task import every
 
+CASES = [(0, "lazy"), (1, "each")]
+"""Seeds and durabilities."""
+
 
 class SlowSource(Source):
     """Sends less, so that a voyage takes less time."""
@@ -25,15 +28,15 @@ class SlowSource(Source):
 
 
 def test_packets_arrive_in_order_from_a_source_that_moves():
-    for_each([(0, "lazy"), (1, "each")], lambda case: moves_of_the_source(*case, SlowSource))
+    for_each(CASES, lambda case: moves_of_the_source(case[0], case[1], SlowSource))
 
 
 def test_packets_arrive_once_and_in_order_over_bad_links():
-    for_each([(0, "lazy"), (1, "each")], lambda case: bad_links(*case, SlowSource))
+    for_each(CASES, lambda case: bad_links(case[0], case[1], SlowSource))
 
 
 def test_packets_arrive_once_while_the_task_fails():
-    for_each([(0, "lazy"), (1, "each")], lambda case: failures_of_the_task(*case, SlowSource))
+    for_each(CASES, lambda case: failures_of_the_task(case[0], case[1], SlowSource))
 
 
 def test_packets_arrive_once_while_agents_are_killed():
