@@ -61,7 +61,7 @@ def test_an_agent_that_goes_names_the_place_of_each_task(rig: Rig):
         (["move", "x/One"], 3, "x"),
         (["move", "a/One", "--cost", "nonsense"], 1, "knows no cost function 'nonsense'"),
         (["move", "a"], 2, "'a' names no task"),
-        (["rate", "a/One", "-1"], 2, "'-1'"),
+        (["rate", "a/One", "-1"], 2, "-1"),
         (["rate", "a/One", "5", "--timer", "x"], 1, "has no timer 'x', only burn"),
         (["rate", "a/One", "5", "--for", "0.01s"], 2, "a measurement takes from 0.1 to 600 s"),
         (["rate", "a/One", "5", "--for", "x"], 2, "'x' is no time"),
