@@ -109,8 +109,15 @@ def p99(values: Sequence[float]) -> float:
     return sorted(values)[int(len(values) * 0.99)]
 
 
-def overload(directory: Path, case: Case, for_s: float) -> Seen:
-    """Runs one case with agents of its own; the publisher is too fast for so many seconds."""
+def overload(directory: Path, case: Case, for_s: float, calm: float = 0.5) -> Seen:
+    """Runs one case with agents of its own.
+
+    Args:
+        directory: all of their files.
+        case: the case.
+        for_s: so many seconds at least the publisher is too fast.
+        calm: the share of the bearable rate at which it publishes afterwards, while the reader catches up.
+    """
     inside = case.where == "inside"
     flood = {"size": case.size, "channel": "system" if case.where.endswith("system") else "load"}
     reader: Tasks = {case.reader: {"work_s": 1 / case.bearable_per_s}, "Pulse": {}}
@@ -137,7 +144,7 @@ def overload(directory: Path, case: Case, for_s: float) -> Seen:
             while not _shows(fleet, reading, case) and time.monotonic() < began_s + for_s + PATIENCE_S:
                 fleet.client.wait(lambda: False, 0.1)
             ended_s = time.monotonic()
-        fleet.configure("a", "Flood", per_s=case.bearable_per_s / 2)
+        fleet.configure("a", "Flood", per_s=case.bearable_per_s * calm)
         behind_s = fleet.wait(lambda: _behind(fleet, reading, case.reader) < JUST_COME, "catching up")
         # The last ones come one by one: who has to wait for a core may have no room yet for more.
         fleet.configure("a", "Flood", per_s=LAST_PER_S)
