@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+import typing
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Final, get_args, get_origin
 
@@ -21,6 +22,9 @@ ARRAY_EXTENSION: Final = 1
 """Number of the msgpack extension type of a numpy array: its dtype, shape and raw bytes."""
 
 _DTYPE = re.compile(r"\A(?:\|b1|\|[iu]1|[<>][iu][248]|[<>]f[248]|[<>]c(?:8|16))\Z")
+
+_ALIAS: Final[Any] = getattr(typing, "TypeAliasType", ())
+"""What `type X = ...` makes; nothing before Python 3.12."""
 
 _Side = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
 
@@ -125,8 +129,18 @@ def check_items(array: Any) -> None:
 # As values of settings and state -------------------------------------------------------------------------------
 
 
+def unaliased(kind: Any) -> Any:
+    """Returns a type with what an alias stands for in the alias's place: from numpy 2.5 on, `NDArray` is one."""
+    while True:
+        alias = kind if isinstance(kind, _ALIAS) else get_origin(kind)
+        if not isinstance(alias, _ALIAS):
+            return kind
+        kind = alias.__value__ if alias is kind else alias.__value__[get_args(kind)]
+
+
 def is_array_type(kind: Any) -> bool:
     """Returns whether a field's type is `numpy.ndarray`, with or without the type of its items."""
+    kind = unaliased(kind)
     array = _of_numpy("ndarray")
     return array != () and (kind is array or get_origin(kind) is array)
 
@@ -197,7 +211,7 @@ def _dtype_of(kind: Any) -> Any:
     """The type of an array's items: a dtype, an abstract class such as `numpy.floating`, or None where any will do."""
     import numpy
 
-    arguments = get_args(kind)
+    arguments = get_args(unaliased(kind))
     items = get_args(arguments[1]) if len(arguments) == 2 else ()
     item = items[0] if items else None
     if not isinstance(item, type) or item is numpy.generic:

@@ -18,7 +18,14 @@ import msgspec
 from pancakes.errors import ClassError
 from pancakes.packet import field_names
 from pancakes.runtime.foundation import codecs
-from pancakes.runtime.foundation.arrays import array_of, fault_of_array_type, is_array, is_array_type, is_number_type
+from pancakes.runtime.foundation.arrays import (
+    array_of,
+    fault_of_array_type,
+    is_array,
+    is_array_type,
+    is_number_type,
+    unaliased,
+)
 from pancakes.runtime.foundation.source_place import place_of_field
 from pancakes.settings import fault_of_class
 
@@ -138,8 +145,9 @@ _NO_VALUE: Final = type("_NoValue", (), {})()
 
 def _fault_in(kind: Any, inside: frozenset[type]) -> str:
     """Judges a type and what it is made of; `inside` are the classes that it stands in."""
+    kind = unaliased(kind)
     while typing.get_origin(kind) is Annotated:
-        kind = typing.get_args(kind)[0]
+        kind = unaliased(typing.get_args(kind)[0])
     if is_array_type(kind):
         return fault_of_array_type(kind)
     parts = [part for part in typing.get_args(kind) if part is not Ellipsis]
