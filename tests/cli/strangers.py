@@ -113,6 +113,14 @@ class Strangers:
                 assert time.monotonic() < until_s, f"the agent took {self.up()} of {len(self.all)}: {self.refusals()}"
                 self._changed.wait(0.1)
 
+    def wait_until_refused(self, count: int) -> None:
+        """Waits until the agent has refused so many."""
+        until_s = time.monotonic() + PATIENCE_S
+        with self._changed:
+            while len(self.refusals()) < count:
+                assert time.monotonic() < until_s, f"the agent refused {len(self.refusals())} of {len(self.all)}"
+                self._changed.wait(0.1)
+
     def _run(self) -> None:
         while not self._ending:
             for key, _ in self._selector.select(0.05):

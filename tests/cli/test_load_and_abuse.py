@@ -65,7 +65,7 @@ def one_order_for_all(rig: Rig, abuse: Abuse, answered: list[Answered], agent: s
     stories = [client.told[agent] for client in abuse.clients]
     file = rig.directory / f"{agent}.jsonl"
     abuse.wait(lambda: len({len(story) for story in (*stories, in_file(file))}) == 1)
-    assert len(stories[0]) > 20
+    assert stories[0]
     by_number = sorted(stories[0])
     for story in (*stories, in_file(file)):
         assert sorted(story) == by_number

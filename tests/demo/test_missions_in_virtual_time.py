@@ -8,6 +8,7 @@ import pytest
 from demo.flight_checks import check_encirclement, check_intruder, check_pioneer, check_rescue
 from demo.flights import Flight
 
+pytestmark = pytest.mark.cpu_limit(60.0)  # a mission takes up to ten seconds of a processor
 TASKS = {"", "ScanTarget", "GoHome"}
 
 
