@@ -97,7 +97,12 @@ def row_of(name: str, python: str, options: list[str]) -> Row:
         report = place / "report.xml"
         began_s = time.monotonic()
         command = [str(venv / "bin" / "python"), "-m", "pytest", "-n", str(WORKERS), "--dist", "worksteal"]
-        command += ["-p", "no:cacheprovider", *(IGNORED if name.startswith("lowest") else ())]
+        command += [
+            f"--basetemp={place / 'tests'}",
+            "-p",
+            "no:cacheprovider",
+            *(IGNORED if name.startswith("lowest") else ()),
+        ]
         try:
             code = subprocess.run(
                 [*command, f"--junitxml={report}", *options],
