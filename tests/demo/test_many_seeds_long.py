@@ -11,7 +11,6 @@ from demo.terminal import Terminal
 PASSED = 0
 
 
-@pytest.mark.timeout(400)
 @pytest.mark.parametrize(
     ("name", "seconds", "folders"), [("rescue", 150.0, ("",)), ("energy", 20.0, ("plain", "thresholds", "feedback"))]
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from demo.flight_checks import check_copy_continues, check_only_copy
 from demo.flights import read_flight
 from demo.live_demo import LiveDemo
@@ -15,7 +14,6 @@ from pancakes.runtime.plugins import Plugins
 FILES = ("events.jsonl", "trajectory.csv", "summary.json")
 
 
-@pytest.mark.timeout(400)
 def test_rescue_repeats_byte_for_byte_if_recorded(tmp_path: Path) -> None:
     # The mission is shorter than it should be: the verdict names that, and nothing else.
     sets = ("--seed", "2", "--duration", "170")
@@ -42,7 +40,6 @@ SPEEDS = (8.0, 4.0)
 """Mission seconds a second. The second one is for a machine that, by the demo's own word, is too slow for the first."""
 
 
-@pytest.mark.timeout(300)
 def test_live_rescue_survives_the_return_of_the_killed_agent(tmp_path: Path) -> None:
     for speed in SPEEDS:
         out = tmp_path / f"{speed:g}"

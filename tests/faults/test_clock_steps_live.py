@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
 from torture.live import LiveFleet
 
 from pancakes.client import Client, Where
@@ -30,7 +29,6 @@ def wait_until(condition: Callable[[], Any]) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.timeout(200)
 def test_clock_step_pauses_a_guarded_task_until_guardians_answer(tmp_path: Path) -> None:
     """And it goes on under the same epoch."""
     task = '[task.One]\ntype = "torture.Holder"\nguard = 3\nlease_s = 10.0\ntakeover = "ask"\n'

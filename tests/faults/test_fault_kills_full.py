@@ -9,7 +9,6 @@ from torture.points import NAMES, POINTS
 from torture.roads import ROADS, Routers, over_zenoh
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("over", ["tcp", "local"])
 def test_fault_kills_at_each_point_lose_no_task(over: str) -> None:
     """At each point between the effects of the protocol once, and the rest of the fifty at random moments."""
@@ -18,7 +17,6 @@ def test_fault_kills_at_each_point_lose_no_task(over: str) -> None:
     assert tally.kills >= 50 and sorted(tally.points) == sorted(NAMES)
 
 
-@pytest.mark.timeout(300)
 def test_fault_kills_of_agents_and_routers_lose_no_task() -> None:
     tally = run_fleets(24, [], seed=4, fleets=1, make_roads=over_zenoh)
     check(tally, 24)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from torture.kills import Kills, run_fleets
 from torture.points import POINTS
 from torture.tally import Tally
@@ -18,7 +17,6 @@ def check(tally: Tally, kills: int) -> None:
     assert tally.worst_step_back < 50 * (5 + tally.longest_no_disk_s)
 
 
-@pytest.mark.timeout(300)
 def test_fault_kills_double_and_lose_no_task() -> None:
     """At every sixth point between the effects of the protocol, and at random moments."""
     points = [point for point in POINTS if point.then is None][::6]

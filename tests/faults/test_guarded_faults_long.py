@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from torture.guarded_faults import Takeovers
 from torture.strokes import KINDS
 from torture.takeover_tally import TakeoverTally
@@ -16,7 +15,6 @@ Permits.may_act = lambda permits, fence: True
 """
 
 
-@pytest.mark.timeout(600)
 def test_guarded_faults_never_have_two_act_or_none(tmp_path: Path) -> None:
     tally = Takeovers(tmp_path).run(faults=len(KINDS), fleets=3)
     print("\n".join(tally.told()))
@@ -25,7 +23,6 @@ def test_guarded_faults_never_have_two_act_or_none(tmp_path: Path) -> None:
     assert tally.faults.total() == len(KINDS) and tally.meanwhile >= 2
 
 
-@pytest.mark.timeout(400)
 def test_guarded_faults_convict_agents_that_ignore_permits(tmp_path: Path) -> None:
     tally = TakeoverTally()
     for seed in range(1, 4):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from torture.late_acts import LateTally, run_late_acts
 
 OPENED = """
@@ -23,14 +22,12 @@ GuardedTasks.may_write = lambda *given: None
 """Agents that look at the permit before each turn, and when a task publishes, and not after that."""
 
 
-@pytest.mark.timeout(200)
 def test_late_acts_of_each_kind_are_one_at_most(tmp_path: Path) -> None:
     tally = run_late_acts(tmp_path, stops=2, fleets=2)
     print(tally.told())
     assert tally.most <= 1 and tally.stops == 4 and tally.acts > 600
 
 
-@pytest.mark.timeout(300)
 def test_late_acts_convict_agents_without_a_gate(tmp_path: Path) -> None:
     tally = LateTally()
     for seed in range(1, 4):

@@ -3,14 +3,12 @@
 import json
 import subprocess
 
-import pytest
 from ros2.environments import AGENTS, ROBOTS, environment, python_of
 
 SPEEDS = (4.0, 2.0)
 """Mission seconds a second: the second one where this machine, by the demo's own word, is too slow for the first."""
 
 
-@pytest.mark.timeout(500)
 def test_two_robots_that_are_nodes_alone_pass_the_verdict(domain, tmp_path):
     command = [str(python_of(AGENTS)), "-m", "pancakes.tools.cli.main", "demo", "ros2", "--headless", "--local"]
     theirs = f'world:task.World.settings.python="{python_of(ROBOTS)}"'

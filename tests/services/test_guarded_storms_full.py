@@ -3,7 +3,6 @@
 import pytest
 from torture.storms import run_storms
 
-pytestmark = pytest.mark.timeout(600)
 SEEDS = 200
 AT_A_TIME = 50
 

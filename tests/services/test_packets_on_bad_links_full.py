@@ -10,7 +10,6 @@ from services.voyages import (
     moves_of_the_source,
 )
 
-pytestmark = pytest.mark.timeout(600)
 DURABILITIES = pytest.mark.parametrize("durability", ["lazy", "each"])
 
 

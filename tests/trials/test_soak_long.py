@@ -10,10 +10,7 @@ import pytest
 from soak import steady, virtual
 from soak.agents import Fleet, names_of
 
-pytestmark = [
-    pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="reads what Linux says"),
-    pytest.mark.timeout(300),
-]
+pytestmark = pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="reads what Linux says")
 
 
 def silent(text: str) -> None:

@@ -30,7 +30,6 @@ def rig(tmp_path) -> Iterator[Rig]:
         rig.close()
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_forecast_of_real_loads_is_off_by_a_fifth_at_most_full(seed: int, rig: Rig):
     rng = random.Random(seed)
