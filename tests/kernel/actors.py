@@ -22,7 +22,7 @@ class NoKernel:
 
     def __init__(self):
         self.said = []
-        self.lateness_heard = ()
+        self.ticks_heard = ()
         self.meter = None
         self.stream = InformationStream("a")
 

@@ -16,7 +16,7 @@ from pancakes.runtime.foundation.local_time import LocalTime
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import Tick, every
 from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.runtime.kernel.task_timer import HeardTick
 from pancakes.runtime.kernel.turn_meter import MeterReading, TurnMeter
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
@@ -113,14 +113,15 @@ def test_random_numbers_are_each_actors_own_and_repeat_with_the_seed():
     assert len({kernel.random_for("x").random() for kernel in kernels}) == 2
 
 
-def test_each_tick_is_told_with_its_lateness_to_those_that_want_to_hear(virtual: VirtualRig) -> None:
-    told: list[tuple[TaskTimer, float]] = []
+def test_each_tick_is_told_to_listeners(virtual: VirtualRig) -> None:
+    told: list[HeardTick] = []
     hear = told.append
     metronome = virtual.spawn(Metronome, "a/client/M")
-    virtual.kernel.hear_lateness(hear)
+    virtual.kernel.hear_ticks(hear)
     virtual.run_until(0.25)
-    assert told == [(metronome.timers["tick"], 0.0)] * 2
-    virtual.kernel.unhear_lateness(hear)
+    timer = metronome.timers["tick"]
+    assert told == [(timer, Tick(0.1), 0.1), (timer, Tick(0.2), 0.1)]
+    virtual.kernel.unhear_ticks(hear)
     virtual.run_until(0.55)
     assert len(told) == 2 and len(metronome.ticks) == 5
 

@@ -1,13 +1,15 @@
 """How late ticks were is counted while an agent is recorded, and percentiles are found in what was counted."""
 
+import math
 import random
 
 import pytest
 
 from pancakes.control import Start, Stop
-from pancakes.task import Task, every
+from pancakes.task import Task, Tick, every
 from pancakes.testing import FleetInTest
-from pancakes.tools.recording.latenesses import LEAST_S, STEP, Latenesses, bucket_of, quantile_s
+from pancakes.tools.recording.figures import TaskTicks, TimerTicks, ticks_of
+from pancakes.tools.recording.latenesses import LEAST_S, MOST, STEP, Latenesses, TickRun, bucket_of, quantile_s
 from pancakes.tools.recording.recording_reader import RecordingReader
 from pancakes.tools.report.rate_figures import Rates
 
@@ -46,14 +48,61 @@ def test_what_is_not_late_is_not_and_nothing_has_no_percentiles():
     assert quantile_s({}, 0.5) is None
 
 
-def test_each_tick_is_counted_once():
-    heard = Latenesses()
+@pytest.fixture(scope="module")
+def timer():
     with FleetInTest() as fleet:
-        timer = fleet.start("a", tasks={"Tick100": Tick100}).task("Tick100").timers["tick"]
+        return fleet.start("a", tasks={"Tick100": Tick100}).task("Tick100").timers["tick"]
+
+
+def test_lateness_of_each_tick_is_counted_once(timer):
+    heard = Latenesses()
     for lateness_s in (0.0, 0.001, 0.001):
-        heard.heard((timer, lateness_s))
+        heard.heard((timer, Tick(1.0, 0, lateness_s), 0.01))
     assert heard.take() == {timer: {0: 1, bucket_of(0.001): 2}}
     assert heard.take() == {}
+
+
+def test_ticks_are_noted_as_runs(timer):
+    """A late tick, a missed one and another period each begin a new run; a rounded deadline does not."""
+    heard = Latenesses()
+    for deadline_s in (0.1, 0.2, 0.30000000000000004):
+        heard.heard((timer, Tick(deadline_s), 0.1))
+    heard.heard((timer, Tick(0.6, 2), 0.1))
+    heard.heard((timer, Tick(0.7, 0, 0.04), 0.1))
+    heard.heard((timer, Tick(0.8, 0, 0.06), 0.1))
+    heard.heard((timer, Tick(0.85), 0.05))
+    heard.heard((timer, Tick(0.9, 0, 0.02), math.inf))
+    heard.take()
+    assert heard.runs == {
+        timer: [
+            TickRun(0.1, 0.1, 3, 0),
+            TickRun(0.6, 0.1, 2, 2),
+            TickRun(0.8, 0.1, 1, 0, 0.06),
+            TickRun(0.85, 0.05, 1, 0),
+            TickRun(0.9, 0.0, 1, 0, 0.02),
+        ]
+    }
+    assert not heard.overflowed
+    heard.take()
+    assert heard.runs == {}
+
+
+def test_ticks_are_told_of_described_tasks(timer):
+    """In a recording of one task only of that one."""
+    runs = {timer: [TickRun(0.1, 0.1, 3, 1, 0.06)]}
+    told = TimerTicks("a/client/Tick100", "tick", ((0.1, 0.1, 3, 1, 0.06),))
+    assert ticks_of(5, runs) == ticks_of(5, runs, "a/Tick100") == TaskTicks(5, (told,))
+    assert ticks_of(6, runs, "a/Other") == TaskTicks(6, ())
+
+
+def test_lost_ticks_are_told(timer):
+    heard = Latenesses()
+    for _ in range(MOST):
+        heard.heard((timer, Tick(1.0), 0.01))
+    heard.take()
+    assert heard.overflowed
+    heard.take()
+    assert not heard.overflowed
 
 
 def test_a_recording_holds_all_ticks_and_nobody_counts_once_it_has_ended(tmp_path):
@@ -62,7 +111,7 @@ def test_a_recording_holds_all_ticks_and_nobody_counts_once_it_has_ended(tmp_pat
         assert agent.ask(Start("log/Recorder", {"path": str(tmp_path / "r.mcap")})).ok
         fleet.run_for(5.0)
         assert agent.ask(Stop("log/Recorder")).ok
-        assert agent.kernel.lateness_heard == ()
+        assert agent.kernel.ticks_heard == ()
     rates = Rates()
     for entry in RecordingReader(tmp_path / "r.mcap").entries():
         if entry.packet.type == "task_figures":

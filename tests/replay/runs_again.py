@@ -49,10 +49,15 @@ def run_again(
     number: int | None = None,
     live: bool = False,
     speed: float = 1.0,
+    without: str = "",
     **settings: Any,
 ) -> Again:
-    """Runs the only stay of a task again that fits; `speed`: of the mission, when it was recorded live."""
-    (stay,) = choose_stays(find_stays(RecordingReader(path).entries()), task, agent, number)
-    script = read_script(RecordingReader(path).entries(), stay, cls, speed, virtual=not live)
+    """Runs the only stay of a task again that fits; `speed`: of the mission, when it was recorded live.
+
+    Packets of the type `without` are left out, as if the recording lacked them.
+    """
+    entries = [entry for entry in RecordingReader(path).entries() if entry.packet.type != without]
+    (stay,) = choose_stays(find_stays(entries), task, agent, number)
+    script = read_script(entries, stay, cls, speed, virtual=not live)
     outcome = Rerun(stay, script, cls, settings).run()
     return Again(stay, script, outcome, compare(script.outputs, outcome.outputs, stay.task.address, Tolerance()))

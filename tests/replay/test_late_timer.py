@@ -3,8 +3,13 @@
 import pytest
 
 from pancakes.runtime.clock import MissionClock
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.task import every
+from pancakes.tools.recording.latenesses import TickRun
 from pancakes.tools.replay.late_timer import LateTimer
+from pancakes.tools.replay.ran_ticks import RanTicks
 
 
 class Target:
@@ -60,3 +65,27 @@ def test_a_timer_that_rests_or_changes_its_rate_does_not_tick_for_what_was_held_
     timer.cancel(target)
     dispatcher.run_until(9.0)
     assert len(target.ticks) == 1
+
+
+def test_ticks_are_those_that_ran():
+    """As late as they are known to be, and each told how many were missed."""
+    dispatcher = VirtualDispatcher()
+    ran = RanTicks(1.0, [TickRun(2.0, 1.0, 1, 1), TickRun(5.0, 1.0, 2, 2, 0.75)], complete=True)
+    timer = LateTimer("a", MissionClock(dispatcher.clock), dispatcher, [(2.2, 0.0)], 0.0, {"tick": ran})
+    kernel = Kernel("a", virtual=dispatcher)
+    kernel.timer.halt()
+    kernel.timer = timer
+    ticks = []
+
+    class Ticks(Component):
+        @every(hz=1)
+        def tick(self, tick):
+            ticks.append((tick.time_s, tick.missed, pytest.approx(tick.lateness_s)))
+
+        @every(hz=0.25)
+        def other(self, tick):
+            ticks.append(tick.time_s)
+
+    kernel.spawn(Ticks, "a/client/Ticks")
+    dispatcher.run_until(9.5)
+    assert ticks == [(2.0, 1, 0.2), 4.0, (5.0, 2, 0.75), (6.0, 0, 0.0), 8.0]

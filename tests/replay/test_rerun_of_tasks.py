@@ -1,5 +1,6 @@
 """Tasks that were recorded are run again: as they were they agree, and what was changed shows."""
 
+import threading
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +19,7 @@ from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
 from pancakes.tools.recording.recorded_packet import RecordingError
 from pancakes.tools.recording.recording_reader import RecordingReader
 from pancakes.tools.replay.comparison import StreamKey
+from pancakes.tools.replay.ran_ticks import UNKNOWN_TICKS
 from pancakes.tools.replay.rerun import class_of
 from pancakes.tools.replay.stays import choose_stays, find_stays
 
@@ -405,27 +407,67 @@ def wait_for(agent: AgentInTest, cls: type, count: int) -> None:
 
 
 def test_rerun_of_task_on_threads_agrees(tmp_path):
-    """At a tenth of the speed, so that the host keeps up whatever else it does.
-
-    A recording does not tell which ticks the host was too slow for, so a run comes with all of them. A tick of 10 Hz
-    has 0.9 s of host time here before it counts as left out.
-    """
-    with threaded_agent("a", tasks={"Track": {"type": Track, "start": False}}, speed=0.1) as agent:
+    """However slow the host is: a tick may be missed, or be due while the task starts or ends."""
+    with threaded_agent("a", tasks={"Track": {"type": Track, "start": False}}) as agent:
         with recorded(tmp_path, agent):
-            # Between two ticks: one that is due while the task starts is left out as well.
-            agent.wait_until(lambda: 0.01 < agent.kernel.now() % 0.1 < 0.03)
             agent.ask(Start("Track"))
-            for number in range(1, 4):
+            for number in range(1, 6):
                 agent.publish("system", Pose(float(number), 0.0, 0.0))
                 wait_for(agent, Load, number)
                 wait_for(agent, Temperature, len(agent.probe.packets(Temperature)) + 1)
             agent.ask(Stop("Track"))
-    again = run_again(tmp_path, "Track", Track, live=True, speed=0.1)
-    assert again.comparison.streams[StreamKey("ctrl", "load", "")].equal == 3
-    assert again.comparison.streams[StreamKey("system", "temperature", "")].recorded >= 3
+    again = run_again(tmp_path, "Track", Track, live=True)
+    assert again.comparison.streams[StreamKey("ctrl", "load", "")].equal == 5
+    assert again.comparison.streams[StreamKey("system", "temperature", "")].recorded >= 5
     assert again.comparison.differences == []
-    changed = run_again(tmp_path, "Track", Other, live=True, speed=0.1)
-    assert changed.comparison.streams[StreamKey("ctrl", "load", "")].different == 3
+    changed = run_again(tmp_path, "Track", Other, live=True)
+    assert changed.comparison.streams[StreamKey("ctrl", "load", "")].different == 5
+
+
+class Dawdles(Track):
+    """Has ticks of 10 Hz become due while it starts, handles a pose, and ends; live only. Tells how many it missed."""
+
+    def dawdle(self):
+        if self.kernel.virtual is None:
+            passed = threading.Event()
+            self.kernel.timer.after(0.35, passed.set)
+            assert passed.wait(60.0)
+
+    def on_start(self):
+        self.dawdle()
+
+    @on("system", Pose)
+    def pose(self, packet):
+        self.dawdle()
+        super().pose(packet)
+
+    @every(hz=10)
+    def tell(self, tick):
+        self.publish("system", Temperature(self.state.total + tick.missed))
+
+    def on_stop(self):
+        self.dawdle()
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_rerun_leaves_out_missed_ticks(tmp_path, stops):
+    """Whether the task ends before the recording does, or goes on."""
+    with threaded_agent("a", tasks={"Dawdles": {"type": Dawdles, "start": False}}) as agent:
+        with recorded(tmp_path, agent):
+            agent.ask(Start("Dawdles"))
+            wait_for(agent, Temperature, 1)
+            agent.publish("system", Pose(10.0, 0.0, 0.0))
+            wait_for(agent, Load, 1)
+            wait_for(agent, Temperature, len(agent.probe.packets(Temperature)) + 1)
+            if stops:
+                agent.ask(Stop("Dawdles"))
+    again = run_again(tmp_path, "Dawdles", Dawdles, live=True)
+    told = again.comparison.streams[StreamKey("system", "temperature", "")]
+    assert max(packet.body.celsius % 10.0 for packet in again.outcome.outputs if packet.type == "temperature") >= 2.0
+    assert (again.kinds, again.script.notes, again.stay.end) == ([], [], "stopped" if stops else "")
+    assert told.equal == told.recorded >= 3
+    older = run_again(tmp_path, "Dawdles", Dawdles, live=True, without="task_ticks")
+    assert "extra" in older.kinds and older.script.notes == [UNKNOWN_TICKS]
 
 
 def test_a_task_of_a_recording_that_went_on_after_a_kill_is_run_again_life_by_life(tmp_path, monkeypatch):

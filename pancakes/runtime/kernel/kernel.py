@@ -36,7 +36,7 @@ from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.registry import Registry
 from pancakes.runtime.kernel.stream import InformationStream
 from pancakes.runtime.kernel.task_table import TaskTable
-from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.runtime.kernel.task_timer import HeardTick
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.timer import Timer, VirtualTimer
 from pancakes.runtime.kernel.timer_table import TimerTable
@@ -80,7 +80,7 @@ class Kernel:
         peer_clock: says what is known of the clocks of another agent; the agent sets it.
         mission_changed: called once the mission has begun, or is known to begin; the agent sets it.
         meter: times all turns; None: nothing measures, and none is timed.
-        lateness_heard: told of each tick of a task how late it was, in the task's turn; see `hear_lateness`.
+        ticks_heard: told of each tick of a task, in the task's turn; see `hear_ticks`.
         unraised: called with an exception that is for the program (`dispatch.is_for_program`), but was raised on a
             thread of the kernel's own, where it counts as the failure of an actor. In that thread; tests set it.
     """
@@ -119,7 +119,7 @@ class Kernel:
         self.peer_clock: Callable[[str], PeerClock | None] = lambda agent: None
         self.mission_changed: Callable[[], None] = lambda: None
         self.meter: TurnMeter | None = None
-        self.lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...] = ()
+        self.ticks_heard: tuple[Callable[[HeardTick], None], ...] = ()
         self.unraised: Callable[[BaseException], None] = lambda error: None
         self._seqs: dict[str, Counter] = {}
         self._lock = threading.Lock()
@@ -201,18 +201,18 @@ class Kernel:
             if counter is None or counter.value < next_seq:
                 self._seqs[address] = Counter(next_seq)
 
-    def hear_lateness(self, heard: Callable[[tuple[TaskTimer, float]], None]) -> None:
-        """Calls `heard` with each timer of a task that ticks, and how late it was, in mission time; in the task's turn.
+    def hear_ticks(self, heard: Callable[[HeardTick], None]) -> None:
+        """Calls `heard` with each tick of a task that runs, in the task's turn; not with those that are missed.
 
         It must not block; the `append` of a deque takes the least. Any thread.
         """
         with self._lock:
-            self.lateness_heard = (*self.lateness_heard, heard)
+            self.ticks_heard = (*self.ticks_heard, heard)
 
-    def unhear_lateness(self, heard: Callable[[tuple[TaskTimer, float]], None]) -> None:
-        """Ends what `hear_lateness` began."""
+    def unhear_ticks(self, heard: Callable[[HeardTick], None]) -> None:
+        """Ends what `hear_ticks` began."""
         with self._lock:
-            self.lateness_heard = tuple(other for other in self.lateness_heard if other != heard)
+            self.ticks_heard = tuple(other for other in self.ticks_heard if other != heard)
 
     def random_for(self, name: str) -> random.Random:
         """Returns a source of random numbers of its own for each name, drawn from the agent's seed."""

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import thread_time
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 from pancakes.runtime.kernel.handlers import Tick
 from pancakes.runtime.kernel.mailbox import Runnable
 from pancakes.runtime.kernel.turn_meter import TurnMeter
 
+HeardTick: TypeAlias = "tuple[TaskTimer, Tick, float]"
+"""A timer, a tick of it that runs now, and the timer's period in seconds. A plain tuple: it is made in each tick."""
+
 
 class Ticker(Protocol):
     """What a timer needs of the kernel."""
 
-    lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...]
+    ticks_heard: tuple[Callable[[HeardTick], None], ...]
     meter: TurnMeter | None
 
     def now(self) -> float:
@@ -29,7 +32,7 @@ class TaskTimer:
         method: the method's name.
         handler: the method.
         period_s: from tick to tick, in mission time; infinity lets it rest.
-        ticker: the clock, and what is told how late each tick is.
+        ticker: the clock, and what is told of each tick.
 
     Attributes:
         deadline_s: the deadline of the tick that is pending, in mission time.
@@ -108,10 +111,11 @@ class TaskTimer:
         self.missed_total += missed
         self.lateness_sum_s += lateness_s
         self.lateness_max_s = max(lateness_s, self.lateness_max_s)
-        for heard in self._ticker.lateness_heard:
-            heard((self, lateness_s))
+        tick = Tick(deadline_s, missed, lateness_s)
+        for heard in self._ticker.ticks_heard:
+            heard((self, tick, self.period_s))
         meter = self._ticker.meter
         begun_s = thread_time() if meter is not None else 0.0
-        self._handler(self.component, Tick(deadline_s, missed, lateness_s))
+        self._handler(self.component, tick)
         if meter is not None:
             meter.tick(self.component.address, self.method, thread_time() - begun_s)

@@ -21,7 +21,7 @@ from pancakes.mesh.security.key_files import write_private
 from pancakes.packet import LOG, SYSTEM, Packet, agent_of
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
-from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.runtime.kernel.task_timer import HeardTick
 from pancakes.runtime.runtime_dir import make_directory, runtime_dir
 from pancakes.service import Service
 
@@ -72,11 +72,12 @@ class MetricsService(Service):
             raise
         self.port = server.port
         self._close = server.close
-        self.kernel.hear_lateness(self._late)
+        self.kernel.hear_ticks(self._late)
         self.log("info", f"metrics are at http://{HOST}:{self.port}/metrics{shown}")
 
-    def _late(self, tick: tuple[TaskTimer, float]) -> None:
-        self._metrics.ticked(*tick)
+    def _late(self, heard: HeardTick) -> None:
+        timer, tick, _ = heard
+        self._metrics.ticked(timer, tick.lateness_s)
 
     @on(LOG, Event, keep=queue(4096))
     def on_event(self, packet: Packet) -> None:
@@ -91,7 +92,7 @@ class MetricsService(Service):
             self._metrics.battery_level = packet.body.level
 
     def on_stop(self) -> None:
-        self.kernel.unhear_lateness(self._late)
+        self.kernel.unhear_ticks(self._late)
         self._close()
         if self.settings.token and self.port:
             _token_file(self.port).unlink(missing_ok=True)

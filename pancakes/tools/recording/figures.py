@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import msgspec
+from msgspec.structs import astuple
 
 from pancakes.packet import packet_type
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.tools.recording.description import is_described
+from pancakes.tools.recording.latenesses import TickRun
 
 
 class TimerFigures(msgspec.Struct, frozen=True):
@@ -94,6 +97,52 @@ class TaskFigures(msgspec.Struct, frozen=True):
     links: tuple[OneLink, ...] = ()
     undelivered: int = 0
     dead_letters: int = 0
+
+
+class TimerTicks(msgspec.Struct, frozen=True):
+    """Ticks of one timer of a task.
+
+    Attributes:
+        address: the task's address.
+        timer: the method.
+        runs: the ticks that ran one after the other: the deadline of the first and their period, in mission time, how
+            many they are, how many ticks were missed before the first, and how late that was if it was late (see
+            `latenesses.TickRun`).
+    """
+
+    address: str
+    timer: str
+    runs: tuple[tuple[float, float, int, int, float], ...]
+
+
+@packet_type("task_ticks")
+class TaskTicks(msgspec.Struct, frozen=True):
+    """The ticks of an agent's tasks that ran since the message before. Not in virtual time: there all of them run.
+
+    Attributes:
+        number: counts the messages of a recording; one is left out if some ticks are not known.
+        timers: each timer that ticked, also of tasks that have ended since.
+    """
+
+    number: int
+    timers: tuple[TimerTicks, ...]
+
+
+def ticks_of(number: int, runs: Mapping[TaskTimer, Sequence[TickRun]], task_id: str = "") -> TaskTicks:
+    """Returns the ticks that ran.
+
+    Args:
+        number: see `TaskTicks`.
+        runs: see `Latenesses`.
+        task_id: only those of the task with this identity; empty: of all tasks that a recording describes.
+    """
+    told = []
+    for timer, own in runs.items():
+        address, fence = timer.component.address, getattr(timer.component, "fence", None)
+        wanted = fence is not None and fence.task_id == task_id if task_id else is_described(address.partition("/")[2])
+        if wanted:
+            told.append(TimerTicks(address, timer.method, tuple(astuple(run) for run in own)))
+    return TaskTicks(number, tuple(told))
 
 
 def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]) -> TaskFigures:

@@ -19,7 +19,7 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.stream import Tap
 from pancakes.tools.recording.alignment import CLOCKS, row_of
 from pancakes.tools.recording.description import CHANNEL, TaskDescription
-from pancakes.tools.recording.figures import figures_of
+from pancakes.tools.recording.figures import TaskTicks, figures_of, ticks_of
 from pancakes.tools.recording.latenesses import Latenesses
 from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.tools.recording.settings import RecordingSettings
@@ -101,6 +101,7 @@ class Recording:
         self._lost_before = 0
         self._tasks: dict[str, TaskDescription] = {}
         self._latenesses = Latenesses()
+        self._ticks_number = 0
         self.asking: Callable[[], bool] = lambda: False
         # One look at the time of day: between two packets only the monotonic clock counts.
         virtual = kernel.virtual is not None
@@ -124,7 +125,7 @@ class Recording:
         self._clocks_due_s = self._flushed_s + CLOCKS_SOON_S if own_clock else math.inf
         self._tap_channels()
         kernel.stream.tap_outgoing(self._take)
-        kernel.hear_lateness(self._latenesses.heard)
+        kernel.hear_ticks(self._latenesses.heard)
 
     # Taking: in the publishers' threads ------------------------------------------------------------------------
 
@@ -143,8 +144,18 @@ class Recording:
 
     def _note(self, body: Any) -> None:
         """Adds a packet that the recording itself makes."""
-        kernel = self._kernel
-        self._take(Packet(CHANNEL, type_name(body), self._source, "", kernel.mission.now(), self._take_seq(), body))
+        self._note_at(self._now(), body)
+
+    def _note_at(self, host_s: float, body: Any) -> None:
+        stamp, seq = self._kernel.mission.now(), self._take_seq()
+        packet = Packet(CHANNEL, type_name(body), self._source, "", stamp, seq, body)
+        self._waiting.put(packet, _Seen(host_s, packet))
+
+    def _note_ticks(self, host_s: float) -> None:
+        """Adds which ticks ran that were just taken, as of a moment before that; in virtual time all of them do."""
+        if self._kernel.virtual is None:
+            self._ticks_number += 1 + self._latenesses.overflowed
+            self._note_at(host_s, ticks_of(self._ticks_number, self._latenesses.runs, self._settings.task))
 
     # What the tasks are ----------------------------------------------------------------------------------------
 
@@ -176,6 +187,7 @@ class Recording:
         if now_s - self._sampled_s >= SAMPLE_S:
             self._sampled_s = now_s
             self._note(figures_of(self._kernel, self._latenesses.take()))
+            self._note_ticks(now_s)
         since_s = now_s - self._flushed_s
         if self._settings.task and since_s < LATEST_S and self.asking():
             return ""  # what one task reads is known only once its service has said so
@@ -204,10 +216,13 @@ class Recording:
 
     def end(self) -> None:
         """Takes nothing any more, writes what has come, and closes the file."""
-        self._kernel.unhear_lateness(self._latenesses.heard)
+        self._kernel.unhear_ticks(self._latenesses.heard)
         for channel, tap in self._taps.items():
             self._kernel.stream.untap(channel, tap)
         self._kernel.stream.untap_outgoing(self._take)
+        now_s = self._now()
+        self._latenesses.take()
+        self._note_ticks(now_s)  # the last entry: it tells that no tick ran later
         try:
             self._write_waiting()
             if self._clocks_due_s < math.inf:
@@ -255,6 +270,8 @@ class Recording:
         if packet.fence is not None and packet.fence.task_id == settings.task:
             return True
         body = packet.body
+        if isinstance(body, TaskTicks):
+            return True
         if getattr(body, "task_id", "") == settings.task or packet.destination == TO_TASK + settings.task:
             return True  # what it was, and what is addressed to it wherever it is
         if isinstance(body, Event) and body.kind == "recording_started":

@@ -90,7 +90,7 @@ class Rerun:
         self._kernel = Kernel(stay.agent, seed=stay.task.seed, virtual=self._dispatcher)
         self._kernel.timer.halt()
         self._kernel.timer = LateTimer(
-            stay.agent, self._kernel.mission, self._dispatcher, script.spoken_s, script.speed
+            stay.agent, self._kernel.mission, self._dispatcher, script.spoken_s, script.speed, script.ticks
         )
         # A task that listens or dials finds a network without other agents.
         network = MemoryNetwork(self._dispatcher.call_at, self._dispatcher.clock.now, random.Random("network"))

@@ -20,6 +20,7 @@ from pancakes.tools.recording.description import CHANNEL, TaskDescription
 from pancakes.tools.recording.message import packet_from_bytes
 from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.tools.replay.overtaken import Overtaken
+from pancakes.tools.replay.ran_ticks import UNKNOWN_TICKS, RanTicks, TicksReader
 from pancakes.tools.replay.stays import ENDS, Stay
 from pancakes.tools.replay.steps import CHANGES, Change, Given
 
@@ -45,6 +46,8 @@ class Script:
         superseded: how many packets were left out of `steps`, because a newer one took their place in the mailbox
             before the task came to them, or the task's end came first.
         speed: mission seconds for each second of host time then.
+        ticks: which ticks ran, by timer; None: all did, or the recording does not tell.
+        notes: sentences on what the recording does not tell.
     """
 
     steps: list[Given | Change] = field(default_factory=list)
@@ -54,6 +57,8 @@ class Script:
     spoken_s: list[tuple[float, float]] = field(default_factory=list)
     superseded: int = 0
     speed: float = 1.0
+    ticks: dict[str, RanTicks] | None = None
+    notes: list[str] = field(default_factory=list)
 
 
 def read_script(
@@ -101,6 +106,9 @@ def read_script(
     end_s = times.end_s - END_S * speed if stay.end and not virtual else math.inf
     script.steps = [step for step in steps if not overtaken.fell_out(step) and not overtaken.came_late(step, end_s)]
     script.superseded = len(steps) - len(script.steps)
+    script.ticks = reader.ticks.ticks()
+    if script.ticks is None and stay.task.timers and not virtual:
+        script.notes.append(UNKNOWN_TICKS)
     return script
 
 
@@ -116,6 +124,7 @@ class _StayReader:
             (it.channel, it.type): it.keep.limit for it in subscriptions if it.type is not None and not it.keep.reliable
         }
         self.channels: dict[str, None] = {}
+        self.ticks = TicksReader(stay)
         self._letters: dict[Cause, None] = {}
         self._before: dict[Cause, None] = {}
         self._lives = False
@@ -124,6 +133,7 @@ class _StayReader:
     def take(self, entry: RecordedPacket) -> bool:
         """Returns whether an entry is an input, an output or a change of the stay; in the order of time."""
         stay, packet = self._stay, entry.packet
+        self.ticks.take(entry)
         if not self._lives and isinstance(packet.body, TaskDescription):
             self._lives = alike(asdict(packet.body), asdict(stay.task))
         if self._over or entry.agent != stay.agent or entry.time_ns > stay.to_ns or packet.channel == CHANNEL:

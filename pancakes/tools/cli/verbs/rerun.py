@@ -131,7 +131,7 @@ def _row(stay: Stay, script: Script, outcome: Outcome, comparison: RunComparison
         "failed_then": failed_then,
         "failed_now": outcome.failed or None,
         "failed_now_s": outcome.failed_s if outcome.failed else None,
-        "notes": [*_notes(stay), *outcome.notes],
+        "notes": [*_notes(stay), *script.notes, *outcome.notes],
         "streams": [
             {"channel": key.channel, "type": key.type, "to": key.to, **vars(counts)}
             for key, counts in comparison.streams.items()
