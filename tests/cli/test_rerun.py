@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+from pancakes.tools.replay.ran_ticks import UNKNOWN_TICKS
+
 TASK = """
 from dataclasses import dataclass
 
@@ -26,6 +28,10 @@ class Sum(Task):
             return
         self.state.total += packet.body.cpu
         self.publish("ctrl", Load(self.settings.gain * self.state.total))
+
+    @every(hz=1)
+    def tick(self, tick):
+        pass
 """
 ENTRY = "[pancakes.tasks]\nsums.Sum = plugin_sums:Sum\n"
 CONFIG = '[task.Sum]\ntype = "sums.Sum"\n[task.Sum.settings]\ngain = 2.0\n[record]\npath = "r/{agent}.mcap"\n'
@@ -47,6 +53,7 @@ def test_rerun_shows_what_differs_with_exit_code_1(recorded):
     result = recorded.pancakes("rerun", "r", "Sum")
     assert (result.returncode, result.stderr) == (0, "")
     assert "a/Sum (sums.Sum) on a, " in result.stdout
+    assert "note:" not in result.stdout
     assert result.stdout.endswith("it agrees with the recording\n")
     other = recorded.pancakes("rerun", "r/a.mcap", "a/Sum", "--set", "gain=3", "--show", "2")
     assert other.returncode == 1
@@ -64,6 +71,17 @@ def test_rerun_shows_what_differs_with_exit_code_1(recorded):
     assert recorded.pancakes("rerun", "r", "Sum", "--set", "nonsense").returncode == 2
     for options in (("--stay", "2"), ("--agent", "b"), ("--set", "gian=1")):
         assert recorded.pancakes("rerun", "r", "Sum", *options).returncode == 1, options
+
+
+def test_rerun_notes_that_ticks_are_unknown(rig):
+    """The recording has no `task_ticks`."""
+    rig.install("sums", ENTRY, TASK)
+    agent = rig.ready("a", CONFIG + 'types = ["event", "load", "task_description"]\n')
+    assert rig.pancakes("record", "stop").returncode == 0
+    agent.close()
+    result = rig.pancakes("rerun", "r", "Sum")
+    assert result.returncode == 0
+    assert [line for line in result.stdout.splitlines() if line.startswith("note:")] == [f"note: {UNKNOWN_TICKS}"]
 
 
 def test_rerun_finds_a_changed_line_of_code(recorded):
