@@ -14,6 +14,7 @@ Each test is in one set, by its fixtures, its file or its folder:
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 from collections.abc import Iterator
@@ -106,7 +107,30 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         (kept if asked else left).append(item)
     if left:
         config.hook.pytest_deselected(items=left)
-        items[:] = kept
+    items[:] = dear_first(kept, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+
+
+def dear_first(items: list[pytest.Item], workers: int) -> list[pytest.Item]:
+    """Returns tests in an order in which each worker begins with its share of the dear files.
+
+    `--dist worksteal` gives each worker an equal part of the list. A file that takes minutes, and stands at the end of
+    its part, keeps all others waiting.
+    """
+    dear: dict[Path, list[pytest.Item]] = {}
+    quick = []
+    for item in items:
+        if any(item.get_closest_marker(name) for name in ("long", "model", "foreign")):
+            dear.setdefault(item.path, []).append(item)
+        else:
+            quick.append(item)
+    parts: list[list[pytest.Item]] = [[] for _ in range(workers)]
+    for number, file in enumerate(dear.values()):
+        parts[number % workers] += file
+    for number, part in enumerate(parts):
+        room = len(items) * (number + 1) // workers - len(items) * number // workers - len(part)
+        part += quick[: max(0, room)]
+        del quick[: max(0, room)]
+    return [item for part in parts for item in part] + quick
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import islice
@@ -80,12 +81,16 @@ def test_client_refuses_an_unknown_agent(client: Any):
 def test_client_finds_late_agents_and_forgets_ended_ones(client: Any, counting: CountingAgents, said: list[str]):
     client.tasks()
     later = counting.rig.ready("later")
-
-    assert "later" in {row.agent for row in client.agents()}
-    with client.subscribe("later/system") as heard:
-        later.process.terminate()
-        later.ended()
-        assert client.wait(lambda: heard.away() == ["later"], PATIENCE_S)
+    try:
+        until_s = time.monotonic() + PATIENCE_S
+        while "later" not in {row.agent for row in client.agents()}:
+            assert time.monotonic() < until_s, "it is never found"
+        with client.subscribe("later/system") as heard:
+            later.process.terminate()
+            later.ended()
+            assert client.wait(lambda: heard.away() == ["later"], PATIENCE_S)
+    finally:
+        later.close()  # other tests share the agents a and b
     assert {row.agent for row in client.agents()} == {"a", "b"}
     assert said == ["later is away: waiting for it to come back"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import subprocess
@@ -98,12 +99,16 @@ class Mosquitto:
     def end(self, number: int = signal.SIGTERM) -> None:
         if self._process is not None:
             self._process.send_signal(number)
+            self._process.send_signal(signal.SIGCONT)  # a failed test may have left it stopped
             self._process.wait(PATIENCE_S)
             self._process = None
 
     def signal(self, number: int) -> None:
+        """Sends it a signal; returns once a SIGSTOP has stopped it."""
         assert self._process is not None
         self._process.send_signal(number)
+        if number == signal.SIGSTOP:
+            os.waitpid(self._process.pid, os.WUNTRACED)
 
     def log(self) -> str:
         return (self._folder / "log.txt").read_text()
