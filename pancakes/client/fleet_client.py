@@ -456,8 +456,8 @@ class Client:
 
     def _look(self) -> None:
         """Finds what was started since the last look."""
-        if self.now() - self._looked_s >= LOOK_S:
-            self._mesh.look_again()
+        self._mesh.look_again()
+        if self.now() - self._looked_s >= LOOK_S:  # which costs each address a connection
             self._mesh.greet_again()
             self._looked_s = self.now()
 
