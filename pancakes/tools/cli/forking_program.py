@@ -25,7 +25,7 @@ from pancakes.tools.cli.parent import die_with_parent
 LOADED: Final = ("pancakes.runtime", "pancakes.mesh.net")
 """Agents run what is in these packages. Plug-ins are loaded by each agent: a thread that one begins would be lost."""
 LONGEST: Final = 1 << 20
-"""At most so many bytes has the message for one child."""
+"""The largest message for one child, in bytes."""
 MOST_FILES: Final = 16
 STANDARD_STREAMS: Final = (1, 2)
 
