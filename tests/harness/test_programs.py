@@ -7,6 +7,7 @@ import pty
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import psutil
@@ -54,7 +55,9 @@ def test_program_is_a_child_with_its_folder_environment_and_command(tmp_path: Pa
         found = psutil.Process(process.pid)
         assert found.ppid() == os.getpid() and found.cwd() == str(tmp_path)
         assert found.cmdline()[:4] == [sys.executable, "-m", AGENT, "--config"]
-        assert list((tmp_path / "runtime").glob(f"*.{process.pid}.json"))
+        until_s = time.monotonic() + PATIENCE_S
+        while not list((tmp_path / "runtime").glob(f"*.{process.pid}.json")):  # it comes shortly after "ready"
+            assert time.monotonic() < until_s, "it does not use the runtime directory of its environment"
     finally:
         end(process, ready)
 
