@@ -15,7 +15,8 @@ import pytest
 from harness.programs import AGENT, Program, close_server, pancakes, run
 
 PATIENCE_S = 30.0
-CONFIG = 'schema = 1\n[agent]\nname = "a"\nfleet = "programs"\nstate_dir = ""\n'
+CONFIG = f'schema = 1\n[agent]\nname = "a"\nfleet = "programs-{os.getpid()}"\nstate_dir = ""\n'
+"""Two workers of a test run have no agents of one name in one fleet: the second would find its place taken."""
 both = pytest.mark.parametrize("true_start", [False, True], ids=["forked", "true start"])
 
 
