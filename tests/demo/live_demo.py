@@ -56,18 +56,22 @@ class LiveDemo:
                 self._news.notify_all()
 
     def wait_for(self, text: str) -> None:
-        """Waits until it has printed a line with `text`, and finds its agents."""
+        """Waits until it has printed a line with `text`, and for its agents."""
         with self._news:
             seen = self._news.wait_for(lambda: any(text in line for line in self.lines), PATIENCE_S)
         assert seen, f"it never said {text!r}, only:\n{self.said}"
-        self._find_agents()
-        assert self.is_whole, list(self.agents)
+        self.wait_for_agents()
 
     def wait_for_agents(self) -> None:
-        """Waits until the processes of its agents are there, whatever they are doing."""
+        """Waits until all of its agents run, whatever they are doing.
+
+        A process that was just forked has its launcher's command line for a moment: it is not known as an agent yet.
+        """
         deadline_s = time.monotonic() + PATIENCE_S
+        self._find_agents()
         while not self.is_whole:
             assert self.process.poll() is None and time.monotonic() < deadline_s, self.said
+            time.sleep(0.01)
             self._find_agents()
 
     def _find_agents(self) -> None:
@@ -79,8 +83,8 @@ class LiveDemo:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all of its agents were found."""
-        return sorted(self.agents) == sorted(AGENTS)
+        """Whether all of its agents were found, and run."""
+        return sorted(self.agents) == sorted(AGENTS) and all(_runs(agent) for agent in self.agents.values())
 
     def name_of(self, words: list[str]) -> str:
         """Returns the name of a process by its command line; an empty string: it is none of ours."""
