@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
 import random
 import socket
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from msgspec.structs import replace
 
-from pancakes.runtime.runtime_dir import runtime_dir
 from pancakes.tools.launch.table_addresses import addresses_in, moved
 
 NOT_LENT: Final = range(15_000, 32_000)
@@ -22,37 +20,34 @@ NOT_LENT: Final = range(15_000, 32_000)
 class Claim:
     """Keeps other launchers on this machine from some ports, also while no agent listens there yet.
 
-    Two fleets that are started at once would else both find them free. It ends with the process at the latest.
+    Two fleets that are started at once would else both find them free. It ends with the process at the latest. A claim
+    is a socket in Linux's abstract namespace, which all users of a network namespace share, as they share its ports.
     """
 
-    def __init__(self, locks: list[int]) -> None:
-        self._locks = locks
+    def __init__(self, held: list[socket.socket]) -> None:
+        self._held = held
 
     @classmethod
     def to(cls, ports: Iterable[int]) -> Claim | None:
         """Claims ports; returns None where another launcher has claimed one of them."""
-        directory = runtime_dir() / "ports"
         claim = cls([])
-        # A launcher that cannot write there claims nothing, and may find the ports free.
-        with contextlib.suppress(OSError):
-            # One after the other: a directory made on the way would be open to others, and no agent would use it.
-            for made in (runtime_dir(), directory):
-                made.mkdir(mode=0o700, parents=True, exist_ok=True)
-            for port in ports:
-                lock = os.open(directory / str(port), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-                claim._locks.append(lock)
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    claim.release()
-                    return None
+        if sys.platform != "linux":
+            return claim  # which claims nothing: two launchers may find the ports free
+        for port in ports:
+            held = socket.socket(socket.AF_UNIX)
+            claim._held.append(held)
+            try:
+                held.bind(f"\0pancakes-port-{port}")
+            except OSError:
+                claim.release()
+                return None
         return claim
 
     def release(self) -> None:
         """Gives the ports up. A second call does nothing."""
-        locks, self._locks = self._locks, []
-        for lock in locks:
-            os.close(lock)
+        held, self._held = self._held, []
+        for it in held:
+            it.close()
 
 
 def claim_ports(
