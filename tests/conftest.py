@@ -99,7 +99,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         name = set_of(item)
         item.add_marker(name)
-        if name in CPU_LIMITS_S:
+        if name in CPU_LIMITS_S and item.get_closest_marker("cpu_limit") is None:
             item.add_marker(pytest.mark.cpu_limit(CPU_LIMITS_S[name]))
         asked = sets is None or (name in sets and not is_whole(item))
         if name in ("model", "foreign") and changed:
