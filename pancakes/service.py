@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from pancakes.control import Command, Describe, Hold
 from pancakes.errors import ClassError, ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
-from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.foundation.own_names import check_made, check_own_names
+from pancakes.runtime.kernel.component import COMPONENT_HOOKS, Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.mailbox import Mailbox
@@ -35,6 +36,9 @@ from pancakes.runtime.supervision.task_messages import Carried, Changed, TaskBeg
 from pancakes.runtime.supervision.task_news import tell_of_task
 from pancakes.settings import SettingsError, make_settings
 from pancakes.task import Nothing, TaskSpec
+
+_HOOKS: Final = (*COMPONENT_HOOKS, "own_tasks", "refuse_stop", "Settings", "only_name")
+_MADE_WITH: Final = ("kernel", "address", "mailbox", "settings", "tasks", "owner", "kept")
 
 
 class Service(Component):
@@ -72,7 +76,9 @@ class Service(Component):
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
+        check_own_names(cls, Service, _HOOKS, ("settings",))
         super().__init_subclass__(**others)
+        check_made(cls, _MADE_WITH, "a service", "`def on_start(self)`")
         check_saved(cls, "Settings")
 
     def __init__(
@@ -281,7 +287,7 @@ class Service(Component):
 
     # What its tasks' actors tell -------------------------------------------------------------------------------
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         match message:
             case TaskBegan():
                 slot = self.slots.get(message.task.name)
@@ -294,7 +300,7 @@ class Service(Component):
             case Close():
                 self.close(message.for_s)
             case _:
-                return super().on_receive(message)
+                return super().take_message(message)
         return None
 
     def _task_ended(self, ended: TaskEnded) -> None:

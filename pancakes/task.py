@@ -29,7 +29,8 @@ from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.post import Incoming
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.packet import SYSCTRL, Fence, Packet
-from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.foundation.own_names import check_made, check_own_names
+from pancakes.runtime.kernel.component import COMPONENT_HOOKS, Component
 from pancakes.runtime.kernel.handlers import Tick, checked_period, every, on, period_of
 from pancakes.runtime.kernel.keep import queue, reliable
 from pancakes.runtime.kernel.mailbox import Mailbox
@@ -37,7 +38,7 @@ from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.task_table import SettingsNote
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.restart import RestartSpec
-from pancakes.runtime.supervision.saved_types import check_offers, check_saved
+from pancakes.runtime.supervision.saved_types import check_offers, check_saved, check_words
 from pancakes.runtime.supervision.task_messages import (
     Carried,
     Changed,
@@ -107,6 +108,10 @@ class TaskSpec(msgspec.Struct, frozen=True):
     arguments: Mapping[str, Any] = _NONE
 
 
+_HOOKS: Final = (*COMPONENT_HOOKS, "on_settings", "Settings", "State", "requires", "offers")
+_MADE_WITH: Final = ("kernel", "address", "mailbox", "carried", "rate_hz", "fence", "owner", "tells_each_turn")
+
+
 class Task(Component):
     """The base of all tasks.
 
@@ -127,8 +132,11 @@ class Task(Component):
     state: Any
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, what it saves and offers."""
+        """Raises `ClassError` if the class cannot work: a method that Pancakes calls, what it saves and offers."""
+        check_own_names(cls, Task, _HOOKS, ("settings", "state"))
         super().__init_subclass__(**others)
+        check_made(cls, _MADE_WITH, "a task", "`def on_start(self)`")
+        check_words(cls, "requires", "offers")
         check_saved(cls, "Settings", "State")
         check_offers(cls.__qualname__, cls.State, cls.offers)
 
@@ -196,8 +204,8 @@ class Task(Component):
         # A guarded task that does not know whether another agent runs it stands still until its service tells it.
         if self.kernel.permits.may_act(self.fence):
             return True
-        if not self.actor_inbox.paused:
-            self.pause()
+        if not self.is_frozen:
+            self.freeze()
             self.__tell(HasNoPermit(self))
         return False
 
@@ -299,7 +307,7 @@ class Task(Component):
         self.__heard.took(stream, seq)
         return True
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         match message:
             case ChangeTask():
                 self.__take_change(message)
@@ -309,19 +317,18 @@ class Task(Component):
                 self.__stand_still(message)
             case GoOn():
                 self.fence = message.fence or self.fence
-                if self.actor_inbox.paused:
-                    self.resume()
+                self.thaw()
             case Give():
                 self.__take(message)
             case _:
-                return super().on_receive(message)
+                return super().take_message(message)
         return None
 
     def __tell(self, message: object) -> bool:
         return self.__owner is not None and tell(self.__owner, message)
 
     def __look(self) -> None:
-        if self.actor_inbox.paused or self.actor_stopped.is_set() or not self.acts():
+        if self.is_frozen or self.actor_stopped.is_set() or not self.acts():
             return
         try:
             looked = Looked(self, self.carry())
@@ -330,12 +337,12 @@ class Task(Component):
         self.__tell(looked)
 
     def __stand_still(self, message: StandStill) -> None:
-        self.pause()
+        self.freeze()
         try:
             stood = Stood(self, message.offer, self.carry())
         except Exception as error:  # what a task keeps in its state may be anything
             stood = Stood(self, message.offer, None, str(error))
-            self.resume()
+            self.thaw()
         self.__tell(stood)
 
     def __take(self, message: Give) -> None:

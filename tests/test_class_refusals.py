@@ -87,7 +87,7 @@ METHODS = [
     ("Task", "async def on_stop(self): ...", "def on_stop(self)"),
     ("Task", "def on_settings(self, settings): ...", "def on_settings(self)"),
     ("Service", "async def own_tasks(self): ...", "def own_tasks(self)"),
-    ("Service", "def admit(self): ...", "def admit(self, slot)"),
+    ("Service", "def own_tasks(self, more): ...", "def own_tasks(self)"),
     ("Sensor", "type = 'pose'\n    async def sample(self): ...", "def sample(self)"),
     (
         "Actuator",
@@ -268,3 +268,83 @@ def test_a_tap_that_nobody_would_await_is_refused(fleet):
 
     with pytest.raises(ClassError, match="hear is `async def`"):
         fleet.start("a").kernel.stream.tap("system", hear)
+
+
+NOT_FREE = [
+    ("Task", "def pause(self): ...", "pause"),
+    ("Task", "def began(self): ...", "began"),
+    ("Task", "@every(hz=1)\n    def drain(self, tick): ...", "drain"),
+    ("Task", "@property\n    def settings(self): ...", "def settings"),
+    ("Task", "@staticmethod\n    def call(function): ...", "call"),
+    ("Task", "name = 'circle'", "class Robot"),
+    ("Task", "def freeze(self): ...", "freeze"),
+    ("Task", "def on_start(self):\n        value = {}\n        self.timers = value", "self.timers"),
+    ("Task", "def on_start(self):\n        self.agent = lambda: self", "self.agent"),
+    ("Service", "def _start(self): ...", "_start"),
+    ("Service", "def reply(self, request, reason='', result=None): ...", "reply"),
+    ("Service", "def on_start(self):\n        self.slots, self.mine = {}, 1", "self.slots"),
+    ("Sensor", "def settings(self): ...\n    def sample(self): ...", "def settings"),
+    ("Actuator", "def context(self): ...", "context"),
+]
+
+
+@pytest.mark.parametrize(("base", "part", "marked"), NOT_FREE, ids=[f"{it[0]}-{it[2]}" for it in NOT_FREE])
+def test_name_of_pancakes_is_refused_in_a_class_of_a_user(module_of, base, part, marked):
+    text = f"class Robot({base}):\n    {part}\n"
+    said = refusal(module_of, text)
+    assert said.startswith(f"{module_of.path}:{line_of(text, marked)}: Robot.") and "is Pancakes' own" in said
+
+
+def test_name_of_pancakes_in_a_mixin_is_refused(module_of):
+    said = refusal(module_of, "class Stops:\n    def stop(self): ...\nclass Robot(Stops, Task): ...\n")
+    assert "Stops.stop would replace a name that is Pancakes' own in a Task" in said
+
+
+def test_class_with_hooks_and_names_of_its_own_is_taken(module_of):
+    module_of("""\
+class Base(Task):
+    def on_start(self):
+        self.mine = self.agent
+        other = Gripper()
+        other.name = "x"
+        self.settings, self.state = self.settings, self.state
+    def steer(self): ...
+class Robot(Base):
+    requires = ("pose",)
+    def on_receive(self, message): ...
+    def on_failure(self, exception_type, exception_value, traceback): ...
+    def steer(self): ...
+class Camera(Sensor):
+    type = "load"
+    blocking = True
+    def open(self):
+        self.handle = 1
+    def sample(self): ...
+class Bridge(Service):
+    only_name = "bridge"
+    def own_tasks(self):
+        return ()
+""")
+
+
+@pytest.mark.parametrize(
+    ("base", "signature", "instead"),
+    [
+        ("Task", "self", "on_start(self)"),
+        ("Task", "self, kernel, address", "on_start(self)"),
+        ("Service", "self, settings", "on_start(self)"),
+        ("Sensor", "self", "open(self)"),
+    ],
+)
+def test_init_that_cannot_be_called_is_refused(module_of, base, signature, instead):
+    text = f"class Robot({base}):\n    def __init__({signature}): ...\n"
+    said = refusal(module_of, text)
+    assert said.startswith(f"{module_of.path}:{line_of(text, '__init__')}: Robot.__init__ takes ({signature})")
+    assert f"write `def {instead}`" in said
+
+
+@pytest.mark.parametrize("name", ["requires", "offers"])
+def test_one_word_for_a_tuple_of_words_is_refused(module_of, name):
+    said = refusal(module_of, f"class Robot(Task):\n    {name} = 'pose'\n")
+    assert f"Robot.{name} is 'pose': write ('pose',)" in said
+    assert "and no tuple of names" in refusal(module_of, f"class Robot(Task):\n    {name} = (1, '')\n")

@@ -17,7 +17,7 @@ ROBOTS = ("a", "b", "c")
 
 
 class Wanderer(Task):
-    """Counts, so that one can see what it has forgotten."""
+    """Counts, so that one can see what it has forgotten; naps now and then, also on its way."""
 
     @dataclass
     class State:
@@ -26,6 +26,13 @@ class Wanderer(Task):
     @every(hz=20)
     def tick(self, tick):
         self.state.n += 1
+        if self.state.n % 7 == 0:
+            self.pause()
+            self.after(0.2, self.wake)
+
+    def wake(self):
+        self.state.n += 1
+        self.resume()
 
 
 class Storm:
@@ -47,8 +54,8 @@ class Storm:
     def hosts(self, task):
         running = []
         for agent in self.fleet.agents.values():
-            component = agent.kernel.registry.get(f"{agent.name}/client/{task}")
-            if component is not None and not component.actor_inbox.paused:
+            component = agent.component(f"client/{task}")
+            if component is not None and not component.is_frozen:
                 running.append(agent.name)
         return running
 

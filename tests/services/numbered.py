@@ -70,7 +70,7 @@ def numbers(fleet, task="Sink"):
     """What the one copy of the task that runs has in its state."""
     for agent in fleet.agents.values():
         component = agent.component(f"client/{task}")
-        if component is not None and not component.actor_inbox.paused:
+        if component is not None and not component.is_frozen:
             return component.state.numbers
     return None
 

@@ -58,6 +58,8 @@ class Switch(Task):
 class Still(Task):
     """Has no state; a pose makes it slower."""
 
+    __module__ = "pancakes"  # its names are Pancakes' own
+
     times_written = 0
 
     def carry(self):

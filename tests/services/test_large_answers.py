@@ -32,6 +32,8 @@ class Map(Task):
 class Chatty(Service):
     """Says more about why it does not start its tasks than fits a frame."""
 
+    __module__ = "pancakes"  # its names are Pancakes' own
+
     def admit(self, slot):
         return "x" * 300_000
 

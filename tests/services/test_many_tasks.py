@@ -49,6 +49,8 @@ def test_all_of_many_tasks_run_once_the_service_is_ready():
 class Impatient(Crowd):
     """Is asked to stop its last task before that has been started."""
 
+    __module__ = "pancakes"  # its names are Pancakes' own
+
     def after_start(self):
         super().after_start()
         self.was_running = [slot.task is not None for slot in self.slots.values()]
@@ -70,6 +72,8 @@ def test_what_is_asked_of_a_task_before_its_turn_to_start_waits_for_that():
 
 class Leaving(Crowd):
     """Is stopped before all of its tasks have been started."""
+
+    __module__ = "pancakes"  # its names are Pancakes' own
 
     def after_start(self):
         super().after_start()

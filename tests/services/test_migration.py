@@ -80,7 +80,7 @@ def hosts(fleet, name="Circle"):
     return [
         agent.name
         for agent in fleet.agents.values()
-        if (task := agent.component(f"client/{name}")) is not None and not task.actor_inbox.paused
+        if (task := agent.component(f"client/{name}")) is not None and not task.is_frozen
     ]
 
 

@@ -39,6 +39,8 @@ class RefusesBadly(Service):
 class KeepsBadly(Service):
     """Its `keep` is wrong."""
 
+    __module__ = "pancakes"  # its names are Pancakes' own
+
     def keep(self):
         raise KeyError("cells")
 
@@ -134,6 +136,8 @@ def test_who_waits_for_a_service_is_answered_where_its_on_failure_leaves_the_bas
 
 def test_a_service_that_fails_on_a_command_answers_it_once():
     class Fails(Service):
+        __module__ = "pancakes"  # its names are Pancakes' own
+
         def carry_out_command(self, body, slot, request):
             raise RuntimeError("no map")
 

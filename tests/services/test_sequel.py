@@ -21,14 +21,16 @@ from pancakes.testing import FleetInTest
 class Listens(Task):
     """Keeps what it is told."""
 
+    __module__ = "pancakes"  # its names are Pancakes' own
+
     def on_start(self):
         self.heard = []
 
-    def on_receive(self, message):
+    def take_message(self, message):
         if isinstance(message, MoveOver):
             self.heard.append(message)
             return None
-        return super().on_receive(message)
+        return super().take_message(message)
 
 
 class Surveys(ClientService):
@@ -199,8 +201,8 @@ def test_service_hears_once_that_its_move_is_accounted(negotiates):
         owner: Any = a.component("client/Owner")
         asker: Any = a.component(f"client/{negotiates}")
         request = Solicit(TaskId("a", "Circle"), 1, "test.Circle", "", "client", (), "tasks", None, b"")
-        migrator.on_receive(Negotiate(asker, request, "rule", "", False))
-        migrator.on_receive(HasMoved(owner, request.task_id, "b", "1 a", None, ""))
+        migrator.take_message(Negotiate(asker, request, "rule", "", False))
+        migrator.take_message(HasMoved(owner, request.task_id, "b", "1 a", None, ""))
         fleet.run_for(0.1)
         (over,) = owner.heard
         assert (over.task_id, over.reason) == (request.task_id, "")

@@ -165,9 +165,9 @@ def test_a_birthplace_that_hears_of_the_owner_first_gives_no_birth(fleet):
 
 
 def test_a_link_that_stands_before_its_network_service_runs_is_caught_up_with(fleet, monkeypatch):
-    receive = Census.on_receive
+    receive = Census.take_message
     deaf = lambda census, message: None if isinstance(message, NeighbourUp) else receive(census, message)  # noqa: E731
-    monkeypatch.setattr(Census, "on_receive", deaf)
+    monkeypatch.setattr(Census, "take_message", deaf)
     a, b = restored(fleet)
     assert state(a)[0] == state(b)[0] == "running"
     assert a.ask(Restart("network/NetworkClient")).ok

@@ -78,6 +78,8 @@ class Small(Task):
 class Crowd(Service):
     """A user's service that brings a crowd of tasks, and tells on a file descriptor when all of them run."""
 
+    __module__ = "pancakes"  # its names are Pancakes' own
+
     @dataclass
     class Settings:
         tasks: int

@@ -147,6 +147,8 @@ class Worker(Passing):
     It holds a lock while it may act, and writes a line into a file where it finds another at work.
     """
 
+    __module__ = "pancakes"  # its names are Pancakes' own
+
     @dataclass
     class Settings(Passing.Settings):
         directory: str = ""
@@ -176,13 +178,13 @@ class Worker(Passing):
         super().on_failure(exception_type, exception_value, traceback)
         self.on_stop()
 
-    def pause(self) -> None:
-        super().pause()
+    def freeze(self) -> None:
+        super().freeze()
         fcntl.flock(self._lock, fcntl.LOCK_UN)
 
-    def resume(self) -> None:
+    def thaw(self) -> None:
         self._take()
-        super().resume()
+        super().thaw()
 
     def _take(self) -> None:
         try:

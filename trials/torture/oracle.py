@@ -104,7 +104,8 @@ class Oracle:
         """Returns the copies of a task that run."""
         alive = [copy for copy in self._copies.get(name, ()) if not copy.actor_stopped.is_set()]
         self._copies[name] = alive
-        return [copy for copy in alive if copy.actor_inbox.component is copy and not copy.actor_inbox.paused]
+        # One that naps is a copy, too: its own call may wake it.
+        return [copy for copy in alive if copy.actor_inbox.component is copy and not copy.is_frozen]
 
     def check(self) -> None:
         """Looks whether any task runs twice, or has heard what it must not."""
@@ -117,7 +118,7 @@ class Oracle:
 
 
 class Roamer(Task):
-    """Counts its ticks, writes notes to another task, and tells an oracle what it does.
+    """Counts its ticks, naps after some, writes notes to another task, and tells an oracle what it does.
 
     Attributes:
         oracle: the one of the fleet that runs just now: there is one at a time. A class made for each would stay for
@@ -153,6 +154,9 @@ class Roamer(Task):
         assert self.oracle is not None
         self.oracle.ticked(self)
         self.state.n += 1
+        if self.state.n % 10 == 0:
+            self.pause()
+            self.after(0.25, self.wake)
         if not self.oracle.talk:
             return
         try:
@@ -160,6 +164,11 @@ class Roamer(Task):
         except MailboxFull:
             return  # its partner was away for long
         self.written += 1
+
+    def wake(self) -> None:
+        assert self.oracle is not None
+        self.oracle.ticked(self)  # it acts, as in a tick
+        self.resume()
 
 
 class Drives(Roamer):

@@ -11,15 +11,17 @@ import random
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Final, Protocol, TypeVar
 
 from pancakes.bodies.devices.hardware import Hardware
 from pancakes.mesh.net.transport import Transport
 from pancakes.packet import Packet
+from pancakes.runtime.foundation.own_names import check_made, check_own_names
 from pancakes.runtime.foundation.signatures import check_overrides
 from pancakes.runtime.supervision.saved_types import check_saved
 
 _T = TypeVar("_T")
+_HOOKS: Final = ("type", "blocking", "networked", "Settings", "hardware", "open", "close", "receive")
 
 
 class DeviceContext(Protocol):
@@ -98,8 +100,10 @@ class Driver(ABC):
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
+        check_own_names(cls, Driver, _HOOKS)
         super().__init_subclass__(**others)
         check_overrides(cls)
+        check_made(cls, ("context", "settings"), "a driver", "`def open(self)`")
         check_saved(cls, "Settings")
 
     def __init__(self, context: DeviceContext, settings: Any) -> None:

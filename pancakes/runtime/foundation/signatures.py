@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Final
 
 from pancakes.errors import ClassError
@@ -33,7 +33,7 @@ def check_called(function: Any, given: Sequence[str], caller: str, write: str) -
     if not callable(function):
         raise ClassError(f"{function!r} is no method, and {caller}: write `{write}`")
     check_runs(function, write)
-    if not _takes(function, len(given)):
+    if not takes(function, len(given)):
         raise ClassError(f"{_head(function)} takes {_parameters(function)}, and {caller}: write `{write}`")
 
 
@@ -85,7 +85,7 @@ def _check_override(function: Callable[..., Any], original: Callable[..., Any]) 
     parameters = inspect.signature(original).parameters.values()
     positional = [it for it in parameters if it.kind in (it.POSITIONAL_ONLY, it.POSITIONAL_OR_KEYWORD)]
     named = [it.name for it in parameters if it.kind is it.KEYWORD_ONLY]
-    if not _takes(function, len(positional), named):
+    if not takes(function, len(positional), named):
         raise ClassError(
             f"{_head(function)} takes {_parameters(function)}, and stands in for"
             f" {original.__qualname__}{_parameters(original)}, which Pancakes calls: write `{write}`"
@@ -100,7 +100,8 @@ def _plain_count(function: Any) -> int | None:
     return int(code.co_argcount)
 
 
-def _takes(function: Callable[..., Any], count: int, named: Sequence[str] = ()) -> bool:
+def takes(function: Callable[..., Any], count: int, named: Collection[str] = ()) -> bool:
+    """Returns whether a function can be called with so many arguments and those names."""
     if not named and _plain_count(function) == count:
         return True  # nearly all; a signature takes 10 µs
     try:

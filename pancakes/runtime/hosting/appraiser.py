@@ -58,9 +58,9 @@ class Appraiser(Component):
         super().__init__(*args, **others)
         self._costs = costs
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         if not isinstance(message, Appraise):
-            return super().on_receive(message)
+            return super().take_message(message)
         terms, refusal = appraise(message.choice, message.facts, self._costs())
         tell(message.asker, Appraised(message.number, terms, refusal))
         return None

@@ -109,7 +109,7 @@ class TaskMigrator(Task):
 
     # What the services tell that own the tasks -----------------------------------------------------------------
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         match message:
             case Negotiate():
                 self._negotiate(message)
@@ -126,7 +126,7 @@ class TaskMigrator(Task):
             case Imported():
                 self.on_solicit(message.waiting)
             case _:
-                return super().on_receive(message)
+                return super().take_message(message)
         return None
 
     def _negotiate(self, asked: Negotiate, until_s: float = math.inf) -> None:

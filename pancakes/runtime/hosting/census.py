@@ -70,7 +70,7 @@ class Census(Component):
         self._claims = Claims()
         self._say_so: set[str] = set()  # the agents that take this one's disk for an old copy
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         match message:
             case NeighbourUp():
                 self._meet(message.peer, message.boot)
@@ -89,7 +89,7 @@ class Census(Component):
                 for peer in sorted(self._say_so):
                     tell(message.service, CopyNoticed(peer))
             case _:
-                return super().on_receive(message)
+                return super().take_message(message)
         return None
 
     def _meet(self, peer: str, boot: Boot) -> None:

@@ -408,7 +408,7 @@ class ClientService(Service):
 
     # What others tell ------------------------------------------------------------------------------------------
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         match message:
             case Looked() | Stood() | HasNoPermit():
                 slot = self.slots.get(message.task.name)
@@ -435,7 +435,7 @@ class ClientService(Service):
             case MigratorBegan():
                 self._mover.migrator_began()
             case _:
-                return super().on_receive(message)
+                return super().take_message(message)
         return None
 
     @on(NETWORK, messages.Reserve, keep=KEEP, addressed=True)

@@ -63,7 +63,7 @@ class Courier(Component):
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         self.kernel.stream.courier = None
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         match message:
             case Say():
                 self._say(message.peer, message.body)
@@ -72,7 +72,7 @@ class Courier(Component):
             case OwnerHeard():
                 self._ask_began(message)
             case _:
-                return super().on_receive(message)
+                return super().take_message(message)
         return None
 
     def take(self, packet: Packet) -> None:

@@ -144,7 +144,7 @@ class Guardian(Component):
             one.effects.extend(recover(register, self._talk.boot))
             self._go_on(one)
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         match message:
             case RegisterWritten():
                 self._written(message)
@@ -157,7 +157,7 @@ class Guardian(Component):
             case AskedOfGuardian():
                 self._asked(message)
             case _:
-                return super().on_receive(message)
+                return super().take_message(message)
         return None
 
     def _asked(self, asked: AskedOfGuardian) -> None:

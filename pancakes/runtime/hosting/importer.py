@@ -53,9 +53,9 @@ class Importer(Component):
         super().__init__(*args, **others)
         self._installed = installed
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         if not isinstance(message, Import):
-            return super().on_receive(message)
+            return super().take_message(message)
         self._installed.version_of(message.type)
         tell(message.asker, Imported(message.waiting))
         return None

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from time import thread_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import pykka
 
@@ -39,6 +39,10 @@ def _ignore_end(component: Component, error: BaseException | None) -> None:
     """Is told of an end that no other part waits for."""
 
 
+COMPONENT_HOOKS: Final = ("on_start", "on_stop", "on_failure", "on_receive", "blocking")
+"""The names of `Component` that a class of a user may have as well."""
+
+
 class Component(PykkaActor):
     """A task or a service: an actor with an address, driven by packets and by time.
 
@@ -61,6 +65,11 @@ class Component(PykkaActor):
 
     actor_inbox: Mailbox  # type: ignore[assignment]
     actor_stopped: Flag  # type: ignore[assignment]
+
+    # In the class, as few ever rest: it saves each actor three attributes.
+    __paused = False
+    __frozen = False
+    __held: Sequence[Call] = ()
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raises `ClassError` where a method cannot be called as Pancakes calls it."""
@@ -241,16 +250,17 @@ class Component(PykkaActor):
         self.publish = refuse  # type: ignore[method-assign]
 
     def pause(self) -> None:
-        """Stands still: no tick, no packet, until `resume`: they wait. In the actor."""
-        self.actor_inbox.paused = True
-        for timer in self.timers.values():
-            self.kernel.timer.cancel(timer)
+        """Handles no tick and no packet until `resume`; calls (`after`) go on, packets wait. In the actor.
+
+        A pause does not move with a task: on the other agent it runs.
+        """
+        self.__paused = True
+        self.__rest()
 
     def resume(self) -> None:
-        """Goes on after `pause`. In the actor."""
-        self.actor_inbox.paused = False
-        for timer in self.timers.values():
-            self.__tick(timer)
+        """Goes on after `pause`, unless Pancakes has frozen it meanwhile, to move it for instance. In the actor."""
+        self.__paused = False
+        self.__go_on()
 
     # Hooks -----------------------------------------------------------------------------------------------------
 
@@ -371,6 +381,38 @@ class Component(PykkaActor):
             self.__tick(timer)
         self.after_start()
 
+    def freeze(self) -> None:
+        """For subclasses: lets none of its author's code run until `thaw`: calls, too, wait. In the actor.
+
+        It is apart from `pause`, so that an author's `resume` does not end it, nor `thaw` an author's pause.
+        """
+        self.__frozen = True
+        self.__rest()
+
+    def thaw(self) -> None:
+        """For subclasses: goes on after `freeze`. In the actor."""
+        self.__frozen = False
+        held, self.__held = self.__held, ()
+        for call in held:
+            self.actor_inbox.put(call)
+        self.__go_on()
+
+    @property
+    def is_frozen(self) -> bool:
+        return self.__frozen
+
+    def __rest(self) -> None:
+        self.actor_inbox.paused = True
+        for timer in self.timers.values():
+            self.kernel.timer.cancel(timer)
+
+    def __go_on(self) -> None:
+        if self.__paused or self.__frozen or not self.actor_inbox.paused:
+            return
+        self.actor_inbox.paused = False
+        for timer in self.timers.values():
+            self.__tick(timer)
+
     def acts(self) -> bool:
         """For subclasses: returns whether the next tick or packet may be handled. In the actor."""
         return True
@@ -386,7 +428,7 @@ class Component(PykkaActor):
         return period_s
 
     def __tick(self, timer: TaskTimer) -> None:
-        if timer.period_s < math.inf:
+        if timer.period_s < math.inf and not self.actor_inbox.paused:
             self.kernel.timer.every(timer, timer.period_s)
         else:
             self.kernel.timer.cancel(timer)
@@ -404,10 +446,13 @@ class Component(PykkaActor):
                     item.run()
             elif isinstance(item, Told):
                 if item.component is self:
-                    self.on_receive(item.message)
+                    self.take_message(item.message)
             elif isinstance(item, Call):
                 if item.component is self:
-                    item.function()
+                    if self.__frozen or not self.acts():
+                        self.__held = (*self.__held, item)
+                    else:
+                        item.function()
             else:
                 self.handle_envelope(item)
 
@@ -442,6 +487,10 @@ class Component(PykkaActor):
         for handler in self.__handlers.get(packet.channel, NO_HANDLERS)[packet.type]:
             handler(self, packet)
         self.__in_hand = None
+
+    def take_message(self, message: Any) -> Any:
+        """For subclasses: handles what `tell` has brought. In the actor."""
+        raise TypeError(f"{self.address} knows nothing of {message!r}")
 
     def on_receive(self, message: Any) -> Any:
         """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""

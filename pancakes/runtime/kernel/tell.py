@@ -17,7 +17,7 @@ class Told:
 
 
 def tell(component: Reference, message: object) -> bool:
-    """Gives an actor a message, which its `on_receive` takes after what it is doing now. Any thread.
+    """Gives an actor a message, which its `take_message` takes after what it is doing now. Any thread.
 
     Its successor at the same address does not get it.
 

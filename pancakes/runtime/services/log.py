@@ -160,9 +160,9 @@ class LogService(Service):
         self._end_tracing()
         super().on_failure(exception_type, exception_value, traceback)
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         if not isinstance(message, RecordingBegan):
-            return super().on_receive(message)
+            return super().take_message(message)
         self._recording = message.first
         return None
 

@@ -166,9 +166,9 @@ class NetworkService(Service):
             f" because this agent guards {shortest.task_id}: give that task a longer lease_s, or no guard"
         )
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         if not isinstance(message, PeerDown):
-            return super().on_receive(message)
+            return super().take_message(message)
         for channel, by in list(self._followers):
             if agent_of(by) == message.peer:
                 self._unfollow(channel, by)

@@ -132,7 +132,7 @@ class Root(Component):
             self._mission_start.tell(self)
         self._on_ready()
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         match message:
             case ServiceReady():
                 self._services.service_ready(message)
@@ -146,7 +146,7 @@ class Root(Component):
             case Close():
                 self._services.close()
             case _:
-                return super().on_receive(message)
+                return super().take_message(message)
         return None
 
     # Control ---------------------------------------------------------------------------------------------------

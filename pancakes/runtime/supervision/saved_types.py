@@ -9,7 +9,7 @@ import dataclasses
 import inspect
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import PurePath
 from typing import Annotated, Any, Final, Union
 
@@ -61,6 +61,22 @@ def check_saved(owner: type, *names: str) -> None:
     faults = [fault for name in names if name in vars(owner) for fault in _faults_of(owner, name, vars(owner)[name])]
     if faults:
         raise ClassError("\n".join(faults))
+
+
+def check_words(owner: type, *names: str) -> None:
+    """Refuses a class that gives one word for a tuple of words: each of its letters would be taken for one.
+
+    Raises:
+        ClassError: names the attribute, and what to write.
+    """
+    for name in names:
+        value = vars(owner).get(name, ())
+        if isinstance(value, str):
+            raise ClassError(f"{place_of_field(owner)}: {owner.__qualname__}.{name} is {value!r}: write ({value!r},)")
+        if not isinstance(value, Sequence) or not all(isinstance(word, str) and word for word in value):
+            raise ClassError(
+                f"{place_of_field(owner)}: {owner.__qualname__}.{name} is {value!r}, and no tuple of names"
+            )
 
 
 def check_offers(owner: str, state: type, offers: tuple[str, ...]) -> None:

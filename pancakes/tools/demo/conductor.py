@@ -322,13 +322,13 @@ class Conductor(Task):
             self._file.write(line_of(record) + "\n")
         self._mission.told(record)
 
-    def on_receive(self, message: Any) -> Any:
+    def take_message(self, message: Any) -> Any:
         if isinstance(message, EndMission):
             self.end(message.reason)
         elif isinstance(message, LossStep):
             self._on_loss(message)
         else:
-            return super().on_receive(message)
+            return super().take_message(message)
         return None
 
     def end(self, reason: str) -> None:

@@ -10,14 +10,16 @@ from typing import Any
 from msgspec.structs import replace
 
 from pancakes.errors import PancakesError, PluginError, describe
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.packet import Fence, Packet, agent_of
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.registry import DeviceEntry
+from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.supervision.task_messages import Carried
+from pancakes.runtime.supervision.task_messages import Carried, GoOn, StandStill
 from pancakes.settings import change_plain
 from pancakes.task import Task
 from pancakes.tools.recording.recorded_packet import RecordingError
@@ -229,10 +231,6 @@ class Rerun:
         def make() -> None:
             if event.kind == "rate_changed":
                 task.reschedule(event.fields["rate_hz"], event.fields["timer"])
-            elif event.kind == "task_frozen":
-                task.pause()
-            elif event.kind == "task_resumed":
-                task.resume()
             else:
                 told = event.fields["settings"]
                 task.change_settings({name: told[name] for name in told if name not in self._settings})
@@ -243,4 +241,9 @@ class Rerun:
             except (PancakesError, ValueError) as error:
                 self._outcome.notes.append(f"at {change.time_s:.3f} s what was changed then cannot be: {error}")
 
-        task.call(try_it)
+        if event.kind == "task_frozen":
+            tell(task, StandStill(Epoch(0, "")))
+        elif event.kind == "task_resumed":
+            tell(task, GoOn())
+        else:
+            task.call(try_it)

@@ -22,7 +22,6 @@ from pancakes.errors import MailboxFull, PancakesError
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, SYSTEM, Packet, agent_of, body_class, field_names, known_types
 from pancakes.runtime.foundation.suggestion import hint_of
 from pancakes.runtime.kernel.keep import queue
-from pancakes.runtime.kernel.tell import tell
 from pancakes.service import Service
 from pancakes_mqtt.arrivals import Arrivals
 from pancakes_mqtt.bridge_tables import PublishRow, TakeRow
@@ -40,10 +39,6 @@ AGAIN_S: Final = 0.05
 """How long, in host time, a packet waits that a reader has had no room for."""
 MOST_PUBLISHERS: Final = 4096
 """The rates of so many publishers are remembered."""
-
-
-class Arrived(msgspec.Struct, frozen=True):
-    """Tells the service that messages wait."""
 
 
 class MqttBridge(Service):
@@ -115,12 +110,6 @@ class MqttBridge(Service):
         super().on_failure(exception_type, exception_value, traceback)
         self._end()
 
-    def on_receive(self, message: Any) -> Any:
-        if isinstance(message, Arrived):
-            self._take_all()
-            return None
-        return super().on_receive(message)
-
     def _end(self) -> None:
         self._arrivals.close()
         if self._connection is not None:
@@ -172,7 +161,7 @@ class MqttBridge(Service):
     def _came(self, message: Message) -> None:
         """A message has come; in the connection's thread, which waits while there is no room for what is promised."""
         if self._arrivals.put(message):
-            tell(self, Arrived())
+            self.call(self._take_all)
 
     def _take_all(self) -> None:
         for _ in range(AT_ONCE):
@@ -183,10 +172,10 @@ class MqttBridge(Service):
                 self.after_host(AGAIN_S, self._take_all)
                 return
         else:  # others have their turn
-            tell(self, Arrived())
+            self.call(self._take_all)
             return
         if self._arrivals.ring():  # it has come since
-            tell(self, Arrived())
+            self.call(self._take_all)
 
     def _take_next(self) -> bool:
         self._in_hand = message = self._arrivals.take()
