@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import secrets
 import threading
 import uuid
 from collections.abc import Callable, Mapping, Sequence
@@ -31,6 +32,7 @@ from pancakes.packet import Packet, body_class, join
 from pancakes.runtime.clock import SkewedClock
 from pancakes.runtime.composition import Composition
 from pancakes.runtime.config import Config
+from pancakes.runtime.foundation.numbering import first_number
 from pancakes.runtime.hosting.births import BirthRule
 from pancakes.runtime.hosting.boot_memory import BootMemory
 from pancakes.runtime.hosting.census import Census
@@ -193,6 +195,7 @@ class Agent:
                 journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, self._journal_lost, defer
             )
         self.store = store
+        self.kernel.life, self.kernel.first_number = f"{journal.uuid}/{journal.boot}", first_number(journal.life)
         self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use
         disk = Disk(journal, store, self.skipped)
         self.records = Records(disk)
@@ -231,10 +234,14 @@ class Agent:
             links=config.agent.links,
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
-        self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))
+        secret = (
+            f"{self.kernel.random_for('outbox').getrandbits(128):032x}"
+            if virtual is not None
+            else secrets.token_hex(16)
+        )
+        self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name, secret))
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         self.kernel.links = self.mesh.links
-        self.kernel.life = f"{journal.uuid}/{journal.boot}"
         self.kernel.peer_clock = self.mesh.clocks.clock_of
         self.kernel.mission_changed = self.mesh.mission_changed
         for channel in config.channels:
@@ -418,7 +425,8 @@ class Agent:
             "neighbours": self.mesh.neighbours(),
             "peers": list(self.mesh.connected()),
             "insecure": self.insecure_over,
-            "roster": roster.number if (roster := self._roster()) is not None else None,
+            "roster": self._roster_number(),
+            "roster_fault": fault._asdict() if (fault := self.mesh.roster_fault) is not None else None,
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
@@ -428,6 +436,11 @@ class Agent:
 
     def _roster(self) -> Roster | None:
         return self._keys.roster if self._keys is not None else None
+
+    def _roster_number(self) -> int | None:
+        """Returns the number of the roster that this agent goes by; 0: it knows none; None: it has no keys."""
+        roster = self._roster()
+        return roster.number if roster is not None else 0 if self._keys is not None else None
 
     # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
 

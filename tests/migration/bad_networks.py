@@ -2,11 +2,12 @@
 
 import random
 
-from pancakes.mesh.migration.post import ForwardTo, Incoming, Outgoing, Receipt
+from pancakes.mesh.migration.post import ForwardTo, Incoming, Outgoing, Receipt, Seek, name_to
 from pancakes.mesh.migration.record import TaskId
 
 SCAN = TaskId("a", "Scan")
-STREAM = "me/1"
+STREAM = "me/1#secret"
+NAME = name_to(STREAM, "a/Scan")
 
 
 def post_over_a_bad_network(seed):
@@ -38,7 +39,10 @@ def post_over_a_bad_network(seed):
             effects, filter_ = list(checkpoint[0]), Incoming(checkpoint[1])
         for _ in range(min(len(wire), source.randrange(6))):
             dispatch = wire.pop(source.randrange(len(wire)) if source.random() < 0.3 else 0)
-            letter, peer = dispatch.letter, dispatch.peer or host
+            if isinstance(dispatch, Seek):
+                lose_and_double(out.forwarded(ForwardTo("a/Scan", host, epoch_n), host, now_s))
+                continue
+            letter, peer = dispatch.letter, dispatch.peer
             if peer != host:
                 lose_and_double(out.forwarded(ForwardTo("a/Scan", host, epoch_n), peer, now_s))
                 continue
@@ -50,5 +54,5 @@ def post_over_a_bad_network(seed):
             if source.random() < 0.5:  # the acknowledgement follows the checkpoint, and may be lost
                 checkpoint = list(effects), filter_.heard()
                 if source.random() < 0.8:
-                    lose_and_double(out.acknowledged(Receipt("a/Scan", STREAM, len(effects), epoch_n), host, now_s))
+                    lose_and_double(out.acknowledged(Receipt("a/Scan", NAME, len(effects), epoch_n), host, now_s))
     assert effects == list(range(1, 301))

@@ -5,7 +5,7 @@ import gc
 import pytest
 
 from pancakes.mesh.migration.outbox import Outbox
-from pancakes.mesh.migration.post import ForwardTo, Outgoing, Receipt
+from pancakes.mesh.migration.post import ForwardTo, Outgoing, OutgoingLetter, Receipt
 from pancakes.mesh.migration.record import TaskId
 
 SINK = TaskId("a", "Sink")
@@ -18,11 +18,21 @@ def box():
 
 
 def post(box, *packets, sender=ME, now_s=0.0):
-    return [sent.letter for packet in packets for sent in box.post(sender, SINK, packet, "a", now_s)]
+    return letters(sent for packet in packets for sent in box.post(sender, SINK, packet, "a", now_s))
+
+
+def letters(to_send):
+    return [sent.letter for sent in to_send if isinstance(sent, OutgoingLetter)]
+
+
+def acknowledge(box, letter, seq, epoch_n=0):
+    """The agent a says that letters up to a number have had their effect."""
+    box.acknowledged(Receipt("a/Sink", letter.stream, seq, epoch_n), "a", 0.0)
 
 
 def numbered(letters):
-    return [(letter.stream, letter.seq, letter.sender) for letter in letters]
+    """What people see of them: the name without what tells it to a task's agent."""
+    return [(letter.stream.partition("#")[0], letter.seq, letter.sender) for letter in letters]
 
 
 def test_each_task_that_sends_has_a_stream_and_all_others_have_one():
@@ -41,13 +51,12 @@ def test_a_new_stream_begins_where_the_others_know_the_task_to_be(box):
 
 
 def test_a_task_goes_on_in_its_stream_on_its_new_host(box):
-    post(box, b"1", b"2", b"3")
-    box.acknowledged(Receipt("a/Sink", "s/uuid.1/1", 1, 0), "a", 0.0)
+    acknowledge(box, post(box, b"1", b"2", b"3")[0], 1)
     posted = box.leave(ME)
     there = Outbox("t/uuid.1", "t")
     there.arrive(ME, posted, fresh=True)
     # What was not acknowledged is sent again from there, and wants its acknowledgement there.
-    again = [sent.letter for sent in there.due(0.0)]
+    again = letters(there.due(0.0))
     assert numbered(again) == [("s/uuid.1/1", 2, "t"), ("s/uuid.1/1", 3, "t")]
     assert [letter.first for letter in again] == [2, 2]
     assert numbered(post(there, b"4")) == [("s/uuid.1/1", 4, "t")]
@@ -56,8 +65,7 @@ def test_a_task_goes_on_in_its_stream_on_its_new_host(box):
 
 
 def test_numbers_go_on_where_all_was_acknowledged(box):
-    post(box, b"1")
-    box.acknowledged(Receipt("a/Sink", "s/uuid.1/1", 1, 0), "a", 0.0)
+    acknowledge(box, post(box, b"1")[0], 1)
     there = Outbox("t/uuid.1", "t")
     there.arrive(ME, box.leave(ME), fresh=True)
     assert numbered(post(there, b"2")) == [("s/uuid.1/1", 2, "t")]
@@ -94,7 +102,7 @@ def test_one_that_begins_anew_while_it_is_thought_to_leave_has_a_stream_of_its_o
     posted = box.leave(ME)
     box.arrive(ME, posted, fresh=False)
     assert numbered(post(box, b"2")) == [("s/uuid.1/2", 1, "s")]
-    assert numbered(sent.letter for sent in box.due(100.0))[0] == ("s/uuid.1/1", 1, "s")
+    assert numbered(letters(box.due(100.0)))[0] == ("s/uuid.1/1", 1, "s")
 
 
 def test_a_thousand_moves_to_and_fro_leave_no_stream_behind():
@@ -127,9 +135,10 @@ def test_where_it_may_have_run_since_what_is_in_the_snapshot_comes_and_a_new_str
     posted = box.leave(ME)
     there = Outbox("t/uuid.2", "t")
     there.arrive(ME, posted, fresh=False)
-    assert numbered(sent.letter for sent in there.due(0.0)) == [("s/uuid.1/1", 1, "t"), ("s/uuid.1/1", 2, "t")]
+    again = letters(there.due(0.0))
+    assert numbered(again) == [("s/uuid.1/1", 1, "t"), ("s/uuid.1/1", 2, "t")]
     assert numbered(post(there, b"other")) == [("t/uuid.2/1", 1, "t")]
-    there.acknowledged(Receipt("a/Sink", "s/uuid.1/1", 2, 1), "a", 0.0)
+    acknowledge(there, again[0], 2, epoch_n=1)
     assert there.waiting() == {"a/Sink": 1}
 
 
@@ -143,9 +152,23 @@ def test_a_task_that_fails_and_begins_anew_keeps_its_stream(box):
 
 
 def test_a_stream_that_nobody_adds_to_is_forgotten_once_all_is_acknowledged(box):
-    post(box, b"1")
+    (letter,) = post(box, b"1")
     posted = box.leave(ME)
     there = Outbox("t/uuid.2", "t")
     there.arrive(ME, posted, fresh=False)
-    there.acknowledged(Receipt("a/Sink", "s/uuid.1/1", 1, 0), "a", 0.0)
+    acknowledge(there, letter, 1)
     assert there.host_of("", SINK) == ""
+
+
+def test_stream_that_moves_tells_nothing_of_the_others():
+    """The agent that it moves to learns its secret, and no other one of its old agent."""
+    box = Outbox("s/uuid.1", "s", "0" * 32)
+    post(box, b"1"), post(box, b"1", sender="s/Other")
+    moved, other = box.leave(ME), box.leave("s/Other")
+    assert moved is not None and other is not None
+    secrets = [posted.stream.partition("#")[2] for posted in (moved, other)]
+    assert len(set(secrets)) == 2 and all(len(secret) == 32 for secret in secrets)
+    again = Outbox("s/uuid.1", "s", "1" * 32)
+    post(again, b"1")
+    begun = again.leave(ME)
+    assert begun is not None and begun.stream != moved.stream, "it is drawn from the agent's secret"

@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import pytest
-from migration.bad_networks import SCAN, STREAM, post_over_a_bad_network
+from migration.bad_networks import NAME, SCAN, STREAM, post_over_a_bad_network
 from seeded import for_each
 
 from pancakes.errors import MailboxFull
@@ -21,10 +21,13 @@ from pancakes.mesh.migration.post import (
     Letter,
     LostLetters,
     Outgoing,
+    OutgoingLetter,
     Receipt,
+    Seek,
     StreamsBegan,
     asked_now,
     false_name,
+    name_to,
 )
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import Packet
@@ -40,15 +43,15 @@ def post(out, count, now_s=0.0, task_id=SCAN):
 
 
 def receipt(seq, epoch_n=0):
-    return Receipt("a/Scan", STREAM, seq, epoch_n)
+    return Receipt("a/Scan", NAME, seq, epoch_n)
 
 
 def seqs(dispatches):
-    return [(dispatch.peer, dispatch.letter.seq) for dispatch in dispatches]
+    return [(it.peer, it.letter.seq) if isinstance(it, OutgoingLetter) else it for it in dispatches]
 
 
 def began(seq, epoch_n, began_n, began_seq):
-    return Receipt("a/Scan", STREAM, seq, epoch_n, began_n, began_seq)
+    return Receipt("a/Scan", NAME, seq, epoch_n, began_n, began_seq)
 
 
 class TestWhatIsLost:
@@ -63,18 +66,22 @@ class TestWhatIsLost:
         return out
 
     def test_what_was_acknowledged_and_lies_beyond_its_state(self, out):
+        out.forwarded(ForwardTo("a/Scan", "b", 1), "a", 0.0)
         out.acknowledged(began(9, 1, 1, 5), "b", 0.0)
         assert out.take_lost() == [LostLetters("a/Scan", 6, 8, "b")]
         out.acknowledged(began(10, 1, 1, 5), "b", 0.0)
         assert out.take_lost() == []
 
     def test_each_later_beginning_counts(self, out):
+        out.forwarded(ForwardTo("a/Scan", "b", 1), "a", 0.0)
         out.acknowledged(began(9, 1, 1, 8), "b", 0.0)
+        out.forwarded(ForwardTo("a/Scan", "c", 2), "b", 0.0)
         out.acknowledged(began(10, 2, 2, 7), "c", 0.0)
         assert out.take_lost() == [LostLetters("a/Scan", 8, 9, "c")]
 
     @pytest.mark.parametrize("upto", [8, 9, -1])
     def test_nothing_where_its_state_has_it_or_that_is_not_known(self, out, upto):
+        out.forwarded(ForwardTo("a/Scan", "b", 1), "a", 0.0)
         out.acknowledged(began(9, 1, 1, upto), "b", 0.0)
         assert out.take_lost() == []
 
@@ -82,6 +89,7 @@ class TestWhatIsLost:
         out = Outgoing(STREAM, "me")
         post(out, 10)
         out.acknowledged(receipt(8), "a", 0.0)
+        out.forwarded(ForwardTo("a/Scan", "b", 1), "a", 0.0)
         out.acknowledged(began(9, 1, 1, 5), "b", 0.0)
         assert out.take_lost() == []
 
@@ -89,23 +97,28 @@ class TestWhatIsLost:
         assert out.is_unsure_of("a/Scan", 1) and not out.is_unsure_of("a/Scan", 0) and not out.is_unsure_of("b/X", 1)
         out.began(StreamsBegan("a/Scan", 1, {"another": 0}), "b")
         assert out.take_lost() == []
-        out.began(StreamsBegan("a/Scan", 1, {STREAM: 0}), "b")
+        out.began(StreamsBegan("a/Scan", 1, {NAME: 0}), "b")
         assert out.take_lost() == [LostLetters("a/Scan", 1, 8, "b")]
         assert not out.is_unsure_of("a/Scan", 1)
 
     def test_a_sender_that_moves_takes_along_what_it_knows(self, out):
         moved = Outgoing.of(out.posted(), "you")
+        moved.forwarded(ForwardTo("a/Scan", "c", 2), "a", 0.0)
         moved.acknowledged(began(9, 2, 2, 3), "c", 0.0)
         assert moved.take_lost() == [LostLetters("a/Scan", 4, 8, "c")]
 
     def test_a_box_says_which_task_has_sent_them(self):
         box = Outbox("me/uuid.1", "me")
-        for sender in ("", "me/Source"):
-            box.post(sender, SCAN, b"packet", "a", 0.0)
-        for stream in ("me/uuid.1", "me/uuid.1/1"):
-            box.acknowledged(Receipt("a/Scan", stream, 1, 0, 0, 0), "a", 0.0)
-        assert box.unsure_of("a/Scan", 3) == ("me/uuid.1", "me/uuid.1/1")
-        box.began(StreamsBegan("a/Scan", 3, {"me/uuid.1": 0, "me/uuid.1/1": 0}), "b")
+        names = tuple(
+            sent.letter.stream
+            for sender in ("", "me/Source")
+            for sent in box.post(sender, SCAN, b"packet", "a", 0.0)
+            if isinstance(sent, OutgoingLetter)
+        )
+        for name in names:
+            box.acknowledged(Receipt("a/Scan", name, 1, 0, 0, 0), "a", 0.0)
+        assert box.unsure_of("a/Scan", 3) == names
+        box.began(StreamsBegan("a/Scan", 3, dict.fromkeys(names, 0)), "b")
         assert [(lost.sender, lost.first, lost.last) for lost in box.take_lost()] == [("", 1, 1), ("me/Source", 1, 1)]
 
 
@@ -128,17 +141,17 @@ class TestTheSender:
         post(out, 2)
         now_s = 0.0
         times_s: list[float] = []
-        asked: list[list[int]] = []
+        asked: list[list[str]] = []
         while len(asked) < 7:
             now_s += 0.05
             sent = out.due(now_s)
             if sent:
                 times_s.append(now_s)
-                asked.append([one.letter.seq for one in sent if not one.peer])
+                asked.append([one.task_id for one in sent if isinstance(one, Seek)])
         pauses = [later_s - before_s for before_s, later_s in pairwise(times_s)]
         assert pauses == pytest.approx([0.3, 0.6, 1.2, 2.4, 2.4, 2.4], abs=0.06)
         assert max(pauses) == pytest.approx(LONGEST_S, abs=0.06)
-        assert asked == [[], [], [], [1], [1], [1], [1]]
+        assert asked == [[], [], [], *[["a/Scan"]] * 4]
 
     def test_says_which_letters_will_never_come_again(self, out):
         post(out, 3)
@@ -171,20 +184,25 @@ class TestTheSender:
         asked = [("a", 1)]
         for round_ in range(1, 10):
             asked = seqs(out.due(10.0 * round_))
-        assert asked == [("a", 1), ("", 1)], "nothing is heard of it, so all are asked"
+        assert asked == [("a", 1), Seek("a/Scan")], "nothing is heard of it, so all are asked"
         assert seqs(out.forwarded(ForwardTo("a/Scan", "b", 9), "c", 200.0)) == [("b", 1)]
 
-    def test_learns_from_a_receipt_where_the_task_is(self, out):
+    def test_believes_no_receipt_of_an_agent_that_it_sent_nothing(self, out):
         post(out, 2)
-        out.acknowledged(receipt(1, epoch_n=4), "d", 0.1)
-        assert seqs(out.due(9.0)) == [("d", 2)]
-        out.acknowledged(receipt(1, epoch_n=2), "b", 0.1)
-        assert seqs(post(out, 1)) == [("d", 3)]
+        out.acknowledged(receipt(2, epoch_n=4), "liar", 0.1)
+        assert out.waiting() == {"a/Scan": 2}
+        assert seqs(out.due(9.0)) == [("a", 1), ("a", 2)]
 
     def test_believes_no_receipt_of_a_former_stream(self, out):
         post(out, 2)
-        out.acknowledged(Receipt("a/Scan", "me/0", 2, 0), "a", 0.1)
+        out.acknowledged(Receipt("a/Scan", name_to("me/0#secret", "a/Scan"), 2, 0), "a", 0.1)
         assert out.waiting() == {"a/Scan": 2}
+
+    def test_has_another_name_for_each_task(self, out):
+        """Whoever gets letters to one of them could write to the other in this stream."""
+        names = [post(out, 1, task_id=TaskId("a", name))[0].letter.stream for name in ("Scan", "Other")]
+        assert names == [NAME, name_to(STREAM, "a/Other")] and len(set(names)) == 2
+        assert all(name.startswith("me/1#") and "secret" not in name for name in names)
 
 
 class TestTheReceiver:
@@ -225,7 +243,7 @@ def test_post_is_bounded_in_bytes_except_the_first():
     outgoing.post(SCAN, bytes(WINDOW_BYTES + 1), "b", 0.0)
     with pytest.raises(MailboxFull, match=r"1 packets for the task a/Scan \(\d+ bytes\) wait"):
         outgoing.post(SCAN, b"x", "b", 0.0)
-    outgoing.acknowledged(Receipt(str(SCAN), "s", 1, 0), "b", 0.0)
+    outgoing.acknowledged(Receipt(str(SCAN), name_to("s", "a/Scan"), 1, 0), "b", 0.0)
     outgoing.post(SCAN, bytes(WINDOW_BYTES - 1), "b", 0.0)
     moved = Outgoing.of(outgoing.posted(), "c")
     moved.post(SCAN, b"x", "b", 0.0)

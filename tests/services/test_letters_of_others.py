@@ -1,10 +1,10 @@
-"""Nobody speaks for another, in a letter to a task neither."""
+"""No agent speaks for another, and none can take the effect of another's letters to a task away."""
 
 import pytest
 from msgspec.structs import replace
 from services.numbered import SINK, Numbered, Sink, numbers
 
-from pancakes.mesh.migration.post import ForwardTo, Letter
+from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.packet import Packet
 from pancakes.testing import FleetInTest
@@ -61,5 +61,45 @@ def test_an_agent_that_was_not_asked_does_not_get_the_letters_of_a_task(fleet):
     fleet.run_for(0.1)
     assert stolen == [] and fleet.agents["b"].agent.outbox.waiting() == {"a/Sink": 1}
     fleet.network.heal()
+    fleet.run_for(10.0)
+    assert numbers(fleet) == [1]
+
+
+def stream_of(fleet, agent):
+    """A stream of an agent, as another can know it: from the agent's hello, and by its habit of numbering."""
+    return [fleet.agents[agent].agent.outbox.name + ending for ending in ("", "#", "/1", "/1#")]
+
+
+def test_letters_in_another_agents_stream_take_no_effect_away(fleet):
+    """C jumps far ahead in the stream of B: what B sends is then old, acknowledged, and without effect."""
+    packet = Encoder().packet(replace(FORGED, source="c/client/Source"))
+    for stream in stream_of(fleet, "b"):
+        fleet.agents["c"].publish("network", Letter("a/Sink", stream, 1000, 1000, packet, "c"), to=COURIER)
+    fleet.run_for(0.1)
+    for n in (1, 2, 3):
+        fleet.agents["b"].publish("system", Numbered(n), to=SINK)
+    fleet.run_for(1.0)
+    assert numbers(fleet)[-3:] == [1, 2, 3]
+
+
+def test_receipts_of_an_agent_without_the_task_acknowledge_nothing(fleet):
+    fleet.network.partition(["a"], ["b", "c"])
+    fleet.agents["b"].publish("system", Numbered(1), to=SINK)
+    fleet.run_for(0.1)
+    for stream in stream_of(fleet, "b"):
+        fleet.agents["c"].publish("network", Receipt("a/Sink", stream, 1000, 1000), to="b/kernel/Courier")
+    fleet.run_for(0.1)
+    assert fleet.agents["b"].agent.outbox.waiting() == {"a/Sink": 1}
+
+
+def test_agents_that_are_asked_where_a_task_is_get_no_letter(fleet):
+    """Whoever saw one could write in its stream; and what is in it is for the task only."""
+    seen: list[Packet] = []
+    fleet.agents["c"].kernel.stream.tap("network", seen.append, ("post.letter", "task.where"))
+    fleet.crash("a")
+    fleet.agents["b"].publish("system", Numbered(1), to=SINK)
+    fleet.run_for(20.0)
+    assert {packet.type for packet in seen} == {"task.where"}
+    fleet.restart("a")
     fleet.run_for(10.0)
     assert numbers(fleet) == [1]

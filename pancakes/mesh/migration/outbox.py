@@ -7,10 +7,11 @@ new host comes after what it sent from the old one.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from hashlib import blake2s
 
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.post import ForwardTo, LostLetters, Outgoing, OutgoingLetter, Receipt, StreamsBegan
+from pancakes.mesh.migration.post import ForwardTo, LostLetters, Outgoing, Receipt, StreamsBegan, ToSend
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Posted
 
@@ -25,23 +26,26 @@ class Outbox:
     Args:
         name: begins the names of all streams that are begun here; no other start of any agent ever had it.
         agent: the agent.
+        secret: what no other agent can guess; the secret of each stream is drawn from it.
 
     Attributes:
         name: the same name.
         agent: the same agent.
     """
 
-    def __init__(self, name: str, agent: str) -> None:
+    def __init__(self, name: str, agent: str, secret: str = "") -> None:
         self.name = name
         self.agent = agent
+        self._secret = secret
         self._begun = 0
-        self._common = Outgoing(name, agent)
-        self._streams: dict[str, Outgoing] = {name: self._common}
+        self._common = self._begin(name)
+        self._streams: dict[str, Outgoing] = {self._common.stream: self._common}
+        self._named: dict[str, Outgoing] = {}  # by what they are called in letters
         self._of: dict[str, Outgoing] = {}  # the streams that tasks add to, by the sender's id
         self._left: dict[str, Outgoing | None] = {}  # those of tasks that stand still for a hand-off
         self._ending: set[str] = set()  # tasks that have left for good, and whose actor has not ended
 
-    def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[OutgoingLetter]:
+    def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[ToSend]:
         """Takes a packet, and returns what is to be sent now.
 
         Args:
@@ -54,7 +58,10 @@ class Outbox:
         Raises:
             MailboxFull: too many of this sender wait for this task already.
         """
-        return self._stream_of(sender).post(task_id, packet, host, now_s)
+        stream = self._stream_of(sender)
+        follows = stream.post(task_id, packet, host, now_s)
+        self._named[stream.name_for(str(task_id))] = stream
+        return follows
 
     def host_of(self, sender: str, task_id: TaskId) -> str:
         """Returns where a task is thought to be; empty: nothing that is kept here was ever sent to it."""
@@ -64,9 +71,9 @@ class Outbox:
         known = [found for stream in self._streams.values() if (found := stream.host_of(task_id)) is not None]
         return max(known)[1] if known else ""
 
-    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[OutgoingLetter]:
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[ToSend]:
         """Forgets what has had its effect, and returns what may follow."""
-        stream = self._streams.get(receipt.stream)
+        stream = self._named.get(receipt.stream)
         if stream is None:
             return []
         follows = stream.acknowledged(receipt, peer, now_s)
@@ -74,8 +81,9 @@ class Outbox:
         return follows
 
     def unsure_of(self, task_id: str, epoch_n: int) -> tuple[str, ...]:
-        """Returns the streams of which letters may be lost, now that a task is owned under an epoch."""
-        return tuple(name for name, stream in self._streams.items() if stream.is_unsure_of(task_id, epoch_n))
+        """Returns the streams, as letters to a task name them, whose letters may be lost now that an epoch owns it."""
+        streams = self._streams.values()
+        return tuple(stream.name_for(task_id) for stream in streams if stream.is_unsure_of(task_id, epoch_n))
 
     def began(self, news: StreamsBegan, peer: str) -> None:
         """Learns from what state a task began where it is now."""
@@ -91,11 +99,11 @@ class Outbox:
             for lost in stream.take_lost()
         ]
 
-    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[OutgoingLetter]:
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[ToSend]:
         """Learns of a peer where a task has gone, and returns what waits for it."""
         return [dispatch for stream in self._streams.values() for dispatch in stream.forwarded(news, peer, now_s)]
 
-    def due(self, now_s: float) -> list[OutgoingLetter]:
+    def due(self, now_s: float) -> list[ToSend]:
         """Returns what is to be sent again."""
         return [dispatch for stream in self._streams.values() for dispatch in stream.due(now_s)]
 
@@ -129,7 +137,7 @@ class Outbox:
         """It has left for good, with its stream; `ends`: its actor is still to end here, and `ended` is to follow."""
         stream = self._left.pop(sender, None)
         if stream is not None:
-            self._streams.pop(stream.stream, None)
+            self._forget(stream)
         if ends:
             self._ending.add(sender)
 
@@ -152,7 +160,8 @@ class Outbox:
         former = [self._left.pop(sender, None), self._of.pop(sender, None)]
         if posted is not None:
             if fresh or posted.stream not in self._streams:
-                self._streams[posted.stream] = Outgoing.of(posted, self.agent)
+                arrived = self._streams[posted.stream] = Outgoing.of(posted, self.agent)
+                self._named.update(dict.fromkeys(arrived.names(), arrived))
             stream = self._streams[posted.stream]
             if fresh:
                 self._of[sender] = stream
@@ -167,14 +176,24 @@ class Outbox:
         stream = self._of.get(sender)
         if stream is None:
             self._begun += 1
-            name = f"{self.name}/{self._begun}"
-            stream = self._of[sender] = self._streams[name] = Outgoing(name, self.agent)
+            stream = self._of[sender] = self._begin(f"{self.name}/{self._begun}")
+            self._streams[stream.stream] = stream
         return stream
+
+    def _begin(self, name: str) -> Outgoing:
+        # A secret of its own, as it moves with its sender, and the agent there learns it.
+        secret = blake2s(name.encode(), key=self._secret.encode(), digest_size=16).hexdigest()
+        return Outgoing(f"{name}#{secret}", self.agent)
 
     def _drop_done(self, stream: Outgoing) -> None:
         is_kept = self._streams.get(stream.stream) is stream  # and not another one, that has come under its name
         if is_kept and stream is not self._common and not stream.waiting() and stream not in self._open():
-            del self._streams[stream.stream]
+            self._forget(stream)
+
+    def _forget(self, stream: Outgoing) -> None:
+        self._streams.pop(stream.stream, None)
+        for name in stream.names():
+            self._named.pop(name, None)
 
     def _open(self) -> Iterator[Outgoing | None]:
         yield from self._of.values()

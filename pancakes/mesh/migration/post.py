@@ -9,7 +9,8 @@ speaks for itself alone (`docs/protocol.md`, packets).
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from hashlib import blake2s
 from typing import Annotated, Final
 
 import msgspec
@@ -43,7 +44,8 @@ class Letter(msgspec.Struct, frozen=True):
 
     Attributes:
         task_id: the task, as `birthplace/name`.
-        stream: the sender's stream; it moves with a task that sends. A sender that lost its memory begins a new one.
+        stream: the sender's stream as this task's agent knows it, see `name_to`; it moves with a task that sends. A
+            sender that lost its memory begins a new one.
         seq: number in that stream, to this task, from 1.
         first: the lowest number that was not acknowledged when this was sent; nothing before it comes again.
         packet: the packet, as the wire writes it.
@@ -126,6 +128,7 @@ class _Correspondence(msgspec.Struct):
     """All that goes to one task in one stream.
 
     Attributes:
+        name: what the stream is called in letters to this task.
         host: where the task is thought to be.
         epoch_n: how fresh that is.
         packets: what is not acknowledged, by number.
@@ -137,6 +140,7 @@ class _Correspondence(msgspec.Struct):
         began_n: as in `Receipt`, of the agent that has acknowledged last; -1: none has.
     """
 
+    name: str
     host: str
     epoch_n: int = -1
     packets: OrderedDict[int, bytes] = msgspec.field(default_factory=OrderedDict)
@@ -175,12 +179,41 @@ class OutgoingLetter(msgspec.Struct, frozen=True):
     """What to send, and to which agent.
 
     Attributes:
-        peer: the agent; empty: this one and neighbours, see `asked_now`.
+        peer: the agent.
         letter: the letter.
     """
 
     peer: str
     letter: Letter
+
+
+class Seek(msgspec.Struct, frozen=True):
+    """Ask this agent and neighbours (`asked_now`) which one has a task: the one that had it does not answer.
+
+    They are not sent the letters, which are for that agent only.
+
+    Attributes:
+        task_id: the task, as `birthplace/name`.
+    """
+
+    task_id: str
+
+
+ToSend = OutgoingLetter | Seek
+
+
+def name_to(stream: str, task_id: str) -> str:
+    """Returns what a stream is called in letters to one task.
+
+    Only an agent that gets these letters may learn it. Another that knew it could send a letter of that name to the
+    task, and the sender's own would be taken for old ones: acknowledged, without effect.
+
+    Args:
+        stream: `NAME#SECRET`; the name is for people.
+        task_id: the task, as `birthplace/name`.
+    """
+    name, _, secret = stream.partition("#")
+    return f"{name}#{blake2s(task_id.encode(), key=secret.encode(), digest_size=12).hexdigest()}"
 
 
 def asked_now(neighbours: Sequence[str], now_s: float) -> Sequence[str]:
@@ -195,7 +228,7 @@ class Outgoing:
     """The letters of one stream that are not acknowledged.
 
     Args:
-        stream: its name, that no other stream ever had.
+        stream: its name, that no other stream ever had, and its secret; see `name_to`.
         agent: the agent that sends them.
     """
 
@@ -213,8 +246,9 @@ class Outgoing:
             first = to.next_seq - len(to.packets)
             packets = OrderedDict(enumerate(to.packets, first))
             size = sum(map(len, to.packets))
+            name = name_to(posted.stream, to.task_id)
             stream._to[to.task_id] = _Correspondence(
-                to.host, to.epoch_n, packets, size, to.next_seq, began_n=to.began_n
+                name, to.host, to.epoch_n, packets, size, to.next_seq, began_n=to.began_n
             )
         return stream
 
@@ -228,12 +262,21 @@ class Outgoing:
             ),
         )
 
+    def names(self) -> Iterable[str]:
+        """Returns what the stream is called in letters, by the task that they are for."""
+        return [to.name for to in self._to.values()]
+
+    def name_for(self, task_id: str) -> str:
+        """Returns what the stream is called in letters to a task that something was sent to; empty: nothing was."""
+        to = self._to.get(task_id)
+        return to.name if to is not None else ""
+
     def host_of(self, task_id: TaskId) -> tuple[int, str] | None:
         """Returns how fresh the news is of where a task is, and where that is; None: nothing was ever sent to it."""
         to = self._to.get(str(task_id))
         return (to.epoch_n, to.host) if to is not None else None
 
-    def post(self, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[OutgoingLetter]:
+    def post(self, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[ToSend]:
         """Takes a packet, and returns what is to be sent now.
 
         Args:
@@ -245,7 +288,9 @@ class Outgoing:
         Raises:
             MailboxFull: too many wait for this task already.
         """
-        to = self._to.setdefault(str(task_id), _Correspondence(host))
+        to = self._to.get(str(task_id))
+        if to is None:
+            to = self._to[str(task_id)] = _Correspondence(name_to(self.stream, str(task_id)), host)
         if len(to.packets) >= WINDOW or (to.packets and to.size_bytes + len(packet) > WINDOW_BYTES):
             raise MailboxFull(
                 f"{len(to.packets)} packets for the task {task_id} ({to.size_bytes} bytes) wait for their"
@@ -259,10 +304,14 @@ class Outgoing:
         to.next_seq += 1
         return self._fill(str(task_id), to)
 
-    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[OutgoingLetter]:
-        """Forgets what has had its effect, and returns what may follow."""
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[ToSend]:
+        """Forgets what has had its effect, and returns what may follow.
+
+        Only the agent that the letters went to is believed: of another, what it acknowledges is sent on to where the
+        task is, whose filter knows it.
+        """
         to = self._to.get(receipt.task_id)
-        if to is None or receipt.stream != self.stream:
+        if to is None or receipt.stream != to.name or peer != to.host:
             return []
         self._began(receipt.task_id, to, receipt.began_n, receipt.began_seq, peer)
         if receipt.epoch_n >= to.epoch_n:
@@ -282,8 +331,8 @@ class Outgoing:
     def began(self, news: StreamsBegan, peer: str) -> None:
         """Learns from what state a task began where it is now."""
         to = self._to.get(news.task_id)
-        if to is not None and self.stream in news.upto:
-            self._began(news.task_id, to, news.began_n, news.upto[self.stream], peer)
+        if to is not None and to.name in news.upto:
+            self._began(news.task_id, to, news.began_n, news.upto[to.name], peer)
 
     def _began(self, task_id: str, to: _Correspondence, began_n: int, upto: int, peer: str) -> None:
         if began_n <= to.began_n:
@@ -297,13 +346,16 @@ class Outgoing:
         lost, self._lost = self._lost, []
         return lost
 
-    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[OutgoingLetter]:
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[ToSend]:
         """Learns of a peer where a task has gone, and returns what waits for it.
 
         Older news than what is known is ignored, and so is that of an agent that was not asked.
         """
         to = self._to.get(news.task_id)
-        if to is None or news.epoch_n <= to.epoch_n or (peer != to.host and to.pause_s < LONGEST_S):
+        if to is None or (peer != to.host and to.pause_s < LONGEST_S):
+            return []
+        # Of one epoch there is one owner, whose own word is as good as a receipt of it.
+        if news.epoch_n < to.epoch_n or (news.epoch_n == to.epoch_n and news.peer != peer):
             return []
         moved = news.peer != to.host
         to.host, to.epoch_n = news.peer, news.epoch_n
@@ -312,16 +364,16 @@ class Outgoing:
         to.pause_s = RESEND_S
         return self._again(news.task_id, to, now_s)
 
-    def due(self, now_s: float) -> list[OutgoingLetter]:
+    def due(self, now_s: float) -> list[ToSend]:
         """Returns what is to be sent again."""
-        out: list[OutgoingLetter] = []
+        out: list[ToSend] = []
         for task_id, to in self._to.items():
             if not to.packets or to.due_s > now_s:
                 continue
             lost = to.pause_s >= LONGEST_S
             out.extend(self._again(task_id, to, now_s))
             if lost:
-                out.append(OutgoingLetter("", self._letter(task_id, to, next(iter(to.packets)))))
+                out.append(Seek(task_id))
             to.pause_s = min(2 * to.pause_s, LONGEST_S)
         return out
 
@@ -329,12 +381,12 @@ class Outgoing:
         """Returns how many packets wait for their acknowledgement, by task."""
         return {task_id: len(to.packets) for task_id, to in self._to.items() if to.packets}
 
-    def _again(self, task_id: str, to: _Correspondence, now_s: float) -> list[OutgoingLetter]:
+    def _again(self, task_id: str, to: _Correspondence, now_s: float) -> list[ToSend]:
         to.due_s = now_s + to.pause_s
         to.in_flight = 0
         return self._fill(task_id, to)
 
-    def _fill(self, task_id: str, to: _Correspondence) -> list[OutgoingLetter]:
+    def _fill(self, task_id: str, to: _Correspondence) -> list[ToSend]:
         """Returns what may be sent besides what is on its way."""
         if not to.packets:
             to.in_flight = 0
@@ -348,7 +400,7 @@ class Outgoing:
         ]
 
     def _letter(self, task_id: str, to: _Correspondence, seq: int) -> Letter:
-        return Letter(task_id, self.stream, seq, next(iter(to.packets)), to.packets[seq], self._agent)
+        return Letter(task_id, to.name, seq, next(iter(to.packets)), to.packets[seq], self._agent)
 
 
 def false_name(letter: Letter, packet: Packet | None, peer: str) -> str:

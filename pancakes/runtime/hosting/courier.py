@@ -11,12 +11,13 @@ from pancakes.mesh.migration.post import (
     ForwardTo,
     Letter,
     Receipt,
+    Seek,
     StreamsBegan,
     asked_now,
     false_name,
 )
 from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.migration.whereabouts import WhereIs, whereabouts
+from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs, whereabouts
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.codec import packet_from_row, rows_from_payload
 from pancakes.packet import NETWORK, Packet, agent_of, join
@@ -87,7 +88,7 @@ class Courier(Component):
         self._outbox.post(packet, host, self.kernel.host.now())
         tell(self, SendUnsent())
 
-    def _say(self, peer: str, body: Letter | Receipt | ForwardTo | StreamsBegan) -> None:
+    def _say(self, peer: str, body: Letter | Receipt | ForwardTo | StreamsBegan | WhereIs) -> None:
         if peer != self.agent:
             try:
                 self.publish(NETWORK, body, to=join(peer, COURIER))
@@ -154,6 +155,11 @@ class Courier(Component):
         except PancakesError as error:
             self.log("debug", f"{packet.source} was not told where {packet.body.task_id!a} is: {error}")
 
+    @on(NETWORK, TaskAt, addressed=True)
+    def on_task_at(self, packet: Packet) -> None:
+        """An agent that was asked says which one has a task."""
+        self._found(packet.body, agent_of(packet.source))
+
     def _arrived(self, letter: Letter, peer: str) -> None:
         try:
             task_id = TaskId.parse(letter.task_id)
@@ -197,18 +203,26 @@ class Courier(Component):
         self._outbox.forwarded(news, peer, self.kernel.host.now())
         self._send()
 
+    def _found(self, at: TaskAt, peer: str) -> None:
+        if at.peer:
+            self._forwarded(ForwardTo(at.task_id, at.peer, at.epoch.n), peer)
+
     # Sending ---------------------------------------------------------------------------------------------------
 
     def _send(self) -> None:
-        letters = self._outbox.take_unsent()
-        for dispatch in letters:
-            if dispatch.peer:
-                self._say(dispatch.peer, dispatch.letter)
-                continue
-            for peer in (self.agent, *asked_now(self._mesh.neighbours(), self.kernel.host.now())):
-                self._say(peer, dispatch.letter)
-        if letters and not self._looking:
+        unsent = self._outbox.take_unsent()
+        for it in unsent:
+            if isinstance(it, Seek):
+                self._seek(it.task_id)
+            else:
+                self._say(it.peer, it.letter)
+        if unsent and not self._looking:
             self._look_later()
+
+    def _seek(self, task_id: str) -> None:
+        self._found(whereabouts(self.agent, task_id, self._records.get(TaskId.parse(task_id))), self.agent)
+        for peer in asked_now(self._mesh.neighbours(), self.kernel.host.now()):
+            self._say(peer, WhereIs(task_id))
 
     def _look_later(self) -> None:
         self._looking = True

@@ -16,9 +16,9 @@ from pancakes.mesh.migration.post import (
     AskBegan,
     ForwardTo,
     LostLetters,
-    OutgoingLetter,
     Receipt,
     StreamsBegan,
+    ToSend,
 )
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Posted
@@ -43,7 +43,7 @@ class SharedOutbox:
         self._outbox = outbox
         self._lock = threading.Lock()
         self._encoder = Encoder()
-        self._unsent: list[OutgoingLetter] = []  # in the order in which they were numbered
+        self._unsent: list[ToSend] = []  # in the order in which they were numbered
 
     @property
     def name(self) -> str:
@@ -68,7 +68,7 @@ class SharedOutbox:
             data = self._encoder.packet(packet)
             if len(data) > MAX_MESSAGE_BYTES - ENVELOPE_BYTES:
                 raise LocalProtocolError(
-                    f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} takes {len(data)} bytes,"
+                    f"the packet {packet.number} of the type {packet.type!r} from {packet.source} takes {len(data)} bytes,"
                     f" and {MAX_MESSAGE_BYTES - ENVELOPE_BYTES} may be sent to a task"
                 )
             host = self._outbox.host_of(sender, task_id) or host
@@ -105,7 +105,7 @@ class SharedOutbox:
         with self._lock:
             self._unsent += self._outbox.due(now_s)
 
-    def take_unsent(self) -> Sequence[OutgoingLetter]:
+    def take_unsent(self) -> Sequence[ToSend]:
         """Returns what is to be sent now, in order, and forgets that."""
         with self._lock:
             unsent, self._unsent = self._unsent, []
