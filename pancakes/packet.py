@@ -23,6 +23,7 @@ from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import as_list
 from pancakes.runtime.foundation.local_time import READER
+from pancakes.runtime.foundation.numbering import number_in_life
 
 SYSTEM: Final = "system"
 """Channel for sensor readings and other news about the system."""
@@ -44,7 +45,7 @@ TO_TASK: Final = "task:"
 """What a destination begins with that means a task and not a place."""
 
 Cause = tuple[str, int]
-"""The (source, seq) of the packet that was being handled when another was published."""
+"""The (source, seq) of the packet that was being handled when another was published; in whatever life that was."""
 
 
 class Fence(msgspec.Struct, frozen=True, array_like=True):
@@ -71,7 +72,8 @@ class Packet(msgspec.Struct, frozen=True, gc=False):
         source: address of the publisher.
         destination: see the module's text.
         stamp: mission time at the publisher, in seconds.
-        seq: number of this packet among its source's packets, from 1.
+        seq: number of this packet among its source's packets. Each life of an agent counts on from another place, so
+            that source and number name one packet for good.
         body: a registered dataclass, or a plain mapping where the type is unknown here.
         cause: the packet that led to this one, if any.
         fence: set where a task under supervision published it.
@@ -86,6 +88,11 @@ class Packet(msgspec.Struct, frozen=True, gc=False):
     body: Any
     cause: Cause | None = None
     fence: Fence | None = None
+
+    @property
+    def number(self) -> int:
+        """Its number among the packets of its source in this life of its agent, from 1: for people."""
+        return number_in_life(self.seq)
 
     @property
     def age_s(self) -> float | None:

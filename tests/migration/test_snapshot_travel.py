@@ -31,7 +31,6 @@ SNAPSHOT = Snapshot(
     periods_s={"report": 0.5},
     posted=Posted("agent1/uuid.1/3", (PostedTo("agent3/Scout", "agent3", 2, 9, (b"packet",), 2),)),
     heard={"agent3/client/Scout": 6},
-    sent={"ctrl": 41},
     restart={"policy": "permanent"},
     migrate={"when": "battery", "below": 0.65},
 )

@@ -84,7 +84,7 @@ def hosts(fleet, name="Circle"):
     ]
 
 
-def test_migration_carries_settings_state_rate_and_numbers(fleet):
+def test_migration_carries_settings_state_and_rate(fleet):
     a, b = fleet.agents["a"], fleet.agents["b"]
     assert a.ask(Configure("Circle", {"radius_m": 0.8})).ok
     assert a.ask(Reschedule("Circle", 5.0)).ok
@@ -97,9 +97,8 @@ def test_migration_carries_settings_state_rate_and_numbers(fleet):
     assert (moved.settings.radius_m, moved.state.centre_m) == (0.8, (1.0, 2.0))
     assert moved.timers["drive"].rate_hz == 5.0
     before, after = a.probe.packets(Load), b.probe.packets(Load)
-    # Not a tick is forgotten, and the numbers of its packets go on.
+    # Not a tick is forgotten.
     assert after[0].body.cpu == before[-1].body.cpu + 1
-    assert after[0].seq > before[-1].seq
     (arrived,) = b.events("task_arrived")
     assert (arrived["source_agent"], arrived["epoch"]) == ("a", 1)
     assert tuple(arrived["state"]["centre_m"]) == (1.0, 2.0)

@@ -75,7 +75,6 @@ class Snapshot(msgspec.Struct, frozen=True):
         periods_s: the period of each of its periodic handlers, as last rescheduled; infinity where it was paused.
         posted: the packets that it has sent to other tasks; None in a checkpoint, and where there are none.
         heard: the duplicate filter: up to which number every packet had its effect, by stream.
-        sent: number of the last packet it sent, by stream.
         restart: its restart policy, as in `[task.NAME] restart`.
         durability: `lazy` or `each`.
         migrate: its rule for moving, as in `[task.NAME] migrate`; None where it has none.
@@ -96,7 +95,6 @@ class Snapshot(msgspec.Struct, frozen=True):
     periods_s: dict[str, float] = {}
     posted: Posted | None = None
     heard: dict[str, int] = {}
-    sent: dict[str, int] = {}
     restart: dict[str, Any] = {}
     durability: str = "lazy"
     migrate: dict[str, Any] | None = None

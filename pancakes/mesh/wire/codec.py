@@ -51,7 +51,7 @@ def unsendable(packet: Packet, error: Exception) -> LocalProtocolError:
     """Returns the sentence that names a packet and says why it cannot be sent."""
     why = str(error) if isinstance(error, (WireError, *codecs.UNENCODABLE)) else describe(error)
     return LocalProtocolError(
-        f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be sent: {why}"
+        f"the packet {packet.number} of the type {packet.type!r} from {packet.source} cannot be sent: {why}"
     )
 
 

@@ -264,8 +264,6 @@ class Arrivals:
         place.written, place.looked_s = None, self._host.kernel.host.now()
         slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(place.task_id), (start.epoch.n, start.epoch.minter))
-        for seq in snapshot.sent.values():
-            self._host.kernel.continue_seq(slot.address, seq + 1)
         kernel = self._host.kernel
         self._host.outbox.arrive(place.task_id, snapshot.posted, start.fresh, kernel.host.now(), kernel.restamped)
         if snapshot.posted is not None:

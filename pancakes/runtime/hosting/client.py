@@ -348,9 +348,7 @@ class ClientService(Service):
     # Starting and ending ---------------------------------------------------------------------------------------
 
     def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
-        sent, task_id = self.kernel.seq_of(slot.address).value - 1, self.places.at[slot.name].task_id
-        of_slot = {slot.address: sent}
-        return snapshot_of(slot.spec, task_id, self.name, carried, of_slot, posted).encode()
+        return snapshot_of(slot.spec, self.places.at[slot.name].task_id, self.name, carried, posted).encode()
 
     def snapshot_at_rest(self, slot: Slot) -> bytes:
         if slot.carried is None:

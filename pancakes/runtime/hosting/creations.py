@@ -105,9 +105,7 @@ class Creations:
 
     def _first_snapshot(self, spec: TaskSpec, task_id: TaskId) -> bytes:
         host = self._host
-        address = join(host.address, spec.name)
-        sent = {address: host.kernel.seq_of(address).value - 1}
-        return snapshot_of(spec, task_id, host.name, None, sent).encode()
+        return snapshot_of(spec, task_id, host.name, None).encode()
 
     def _refuse_known(self, task_id: TaskId) -> None:
         """Raises `ControlRefused` where there is such a task here, or is about to be."""

@@ -94,7 +94,7 @@ class Deliveries:
             letters.note_failures(letter, failures)
             if failures == ATTEMPTS and packet is not None:
                 self._host.kernel.dead_letters.bury(
-                    f"{task.address} failed {failures} times on {packet.type!r} #{packet.seq} from {packet.source}"
+                    f"{task.address} failed {failures} times on {packet.type!r} #{packet.number} from {packet.source}"
                 )
         elif told.outcome is LetterOutcome.TAKEN:
             self._took(place, letters, task, letter, packet)

@@ -26,7 +26,6 @@ def snapshot_of(
     task_id: TaskId,
     service: str,
     carried: Carried | None,
-    sent: Mapping[str, int],
     posted: Posted | None = None,
 ) -> Snapshot:
     """Returns a task as data.
@@ -36,7 +35,6 @@ def snapshot_of(
         task_id: its identity for life.
         service: the service that looks after it.
         carried: what it carries; None: it has not begun yet.
-        sent: the number of the last packet that it has published, by its address.
         posted: what it has sent to other tasks and is not acknowledged; only of one that moves.
     """
     carried = carried or Carried(spec.settings, {})
@@ -52,7 +50,6 @@ def snapshot_of(
         periods_s=dict(carried.periods_s),
         posted=posted,
         heard=dict(carried.heard),
-        sent=dict(sent),
         restart=asdict(spec.restart),
         durability=spec.durability,
         migrate=asdict(spec.rule) if spec.rule is not None else None,

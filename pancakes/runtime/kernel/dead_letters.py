@@ -45,7 +45,7 @@ class DeadLetters:
         else:
             self.bury(
                 f"{address} failed {failures} time{'s' * (failures > 1)} on {packet.type!r}"
-                f" #{packet.seq} from {packet.source}"
+                f" #{packet.number} from {packet.source}"
             )
 
     def bury(self, reason: str) -> None:

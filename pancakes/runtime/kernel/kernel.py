@@ -75,6 +75,7 @@ class Kernel:
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the agent sets it.
         life: names this life of the agent: its journal, and how often that was opened; the agent sets it.
+        first_number: the number of the first packet of each source, see `foundation.numbering`; the agent sets it.
         disk_use: says how often this agent has waited for its disk, and what it has written; the agent sets it.
         links: says what is to be known about each link to another agent, as plain values; the agent sets it.
         peer_clock: says what is known of the clocks of another agent; the agent sets it.
@@ -114,6 +115,7 @@ class Kernel:
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
         self.life = agent
+        self.first_number = 1
         self.disk_use: Callable[[], tuple[int, int]] = lambda: (0, 0)
         self.links: Callable[[], Sequence[dict[str, Any]]] = tuple
         self.peer_clock: Callable[[str], PeerClock | None] = lambda agent: None
@@ -191,11 +193,11 @@ class Kernel:
         with self._lock:
             counter = self._seqs.get(address)
             if counter is None:
-                counter = self._seqs[address] = Counter(1)
+                counter = self._seqs[address] = Counter(self.first_number)
             return counter
 
     def continue_seq(self, address: str, next_seq: int) -> None:
-        """Lets the packets of a source go on where they were, elsewhere or before a reboot; never back."""
+        """Lets the packets of a source go on from a number, where a recording had it; never back."""
         with self._lock:
             counter = self._seqs.get(address)
             if counter is None or counter.value < next_seq:

@@ -83,7 +83,7 @@ def _exact_data(row: _Row, packet: Packet) -> bytes:
         return data
     except Exception:  # as in `data_of`
         raise LocalProtocolError(
-            f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be recorded: {reason}"
+            f"the packet {packet.number} of the type {packet.type!r} from {packet.source} cannot be recorded: {reason}"
         ) from None
 
 

@@ -142,7 +142,7 @@ class PickedCommands:
                         round(1e3 * it.mission_s),
                         texts.setdefault(it.text, len(texts)),
                         kinds.setdefault(kind, len(kinds)),
-                        [step.packet.seq for step in it.steps],
+                        [step.packet.number for step in it.steps],
                         [round(1e6 * step.travel_s) for step in before],
                         [round(1e6 * step.handling_s) for step in before],
                     ]

@@ -57,7 +57,7 @@ def _row(command: PickedCommand) -> str:
     parts = []
     for step, following in zip(command.steps, (*command.steps[1:], None), strict=True):
         took = f" → {_ms(step.travel_s + step.handling_s)} → " if following is not None else ""
-        parts.append(f"{escape(step.name)} #{step.packet.seq}{took}")
+        parts.append(f"{escape(step.name)} #{step.packet.number}{took}")
     took = _ms(command.latency_s)
     return f'<tr><td class="n">{command.mission_s:.3f}</td><td class="n">{took}</td><td>{"".join(parts)}</td></tr>'
 

@@ -97,6 +97,7 @@ def record_of(agent: str, packet: Packet) -> dict[str, Any]:
         "source": packet.source,
         "stamp": packet.stamp,
         "seq": packet.seq,
+        "number": packet.number,
         "cause": list(packet.cause) if packet.cause is not None else None,
         "body": body_to_plain(packet.body),
     }
@@ -104,7 +105,7 @@ def record_of(agent: str, packet: Packet) -> dict[str, Any]:
 
 def text_of(record: Mapping[str, Any]) -> str:
     """Returns a record as a YAML document."""
-    lines = [f"{key}: {_scalar(record[key])}" for key in ("type", "source", "stamp", "seq")]
+    lines = [f"{key}: {_scalar(record[key])}" for key in ("type", "source", "stamp", "number")]
     return "\n".join([*lines, *_lines("body", record["body"], ""), "---"])
 
 

@@ -36,7 +36,7 @@ MOST_ALIKE: Final = 50
     "--at", "at_s", metavar="TIME", type=Duration(),
     help="Of each actuator the command that was in force at this mission time: 42.5s, 2min.",
 )  # fmt: skip
-@click.option("--seq", metavar="N", type=click.IntRange(min=1), help="The command with this number, as --list has it.")
+@click.option("--seq", metavar="N", type=click.IntRange(min=1), help="The commands with this number, as --list has it.")
 @click.option("--slowest", metavar="N", type=click.IntRange(min=1), help="The N that took longest from their cause.")
 @click.option("--list", "list_", is_flag=True, help="All commands, each in a line, as they are read.")
 @format_option
@@ -183,7 +183,7 @@ def _choose(question: _CommandQuestion) -> tuple[list[ActuatorCommand], int]:
     for command in question.commands():
         if at_s is not None and question.time.at(command.time_ns) <= at_s:
             newest[command.agent, command.packet.type] = command
-        elif question.seq == command.packet.seq:
+        elif question.seq in (command.packet.seq, command.packet.number):
             fitting = [*fitting, command][:MOST_ALIKE]
             more += 1
     return [command for _, command in sorted(newest.items())] + fitting, more - len(fitting)
@@ -197,6 +197,7 @@ def _row(command: ActuatorCommand, time: MissionTime) -> dict[str, Any]:
         "type": packet.type,
         "source": packet.source,
         "seq": packet.seq,
+        "number": packet.number,
         "task_id": packet.fence.task_id if packet.fence is not None else "",
         "steps": len(command.chain.steps),
         "latency_ms": _ms(command.chain.latency_s) if command.caused else None,
@@ -206,7 +207,7 @@ def _row(command: ActuatorCommand, time: MissionTime) -> dict[str, Any]:
 
 def _line(row: dict[str, Any]) -> str:
     cause = f"{row['latency_ms']:9.3f} ms after {row['cause']}" if row["cause"] else "answers no packet"
-    return f"{row['mission_s']:9.3f} s  {row['agent']} {row['type']}  from {row['source']} #{row['seq']}  {cause}"
+    return f"{row['mission_s']:9.3f} s  {row['agent']} {row['type']}  from {row['source']} #{row['number']}  {cause}"
 
 
 def _steps(command: ActuatorCommand, time: MissionTime) -> list[dict[str, Any]]:
@@ -218,6 +219,7 @@ def _steps(command: ActuatorCommand, time: MissionTime) -> list[dict[str, Any]]:
         {
             "source": step.packet.source,
             "seq": step.packet.seq,
+            "number": step.packet.number,
             "channel": step.packet.channel,
             "type": step.packet.type,
             "mission_s": round(time.at(step.time_ns), 6),
@@ -252,14 +254,14 @@ def _print(row: dict[str, Any]) -> None:
     from pancakes.tools.recording.commands import body_text
 
     of = f" for {row['task_id']}" if row["task_id"] else ""
-    show_text(f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['seq']})")
+    show_text(f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['number']})")
     if row["cause"] is None:
         show_text("it answers no packet that was recorded: a timer led to it, or its cause is not in the recording")
     last = len(row["chain"]) - 1
     steps = [
         {
             "at ms": step["at_ms"],
-            "packet": f"{step['source']} {step['type']} #{step['seq']}",
+            "packet": f"{step['source']} {step['type']} #{step['number']}",
             "on its way ms": step["travel_ms"] if place < last else None,
             "until the next ms": step["handling_ms"] if place < last else None,
             "says": body_text(step["body"], LONGEST),

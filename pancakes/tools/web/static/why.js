@@ -93,7 +93,7 @@ export class Why {
 function chain(steps, whole) {
   const list = h("ol.chain");
   steps.forEach((step, index) => {
-    const row = h("li", {}, h("div.what", {}, h("b", {}, step.type), h("span", {}, ` ${step.source} #${step.seq}`)), h("div.body.dim", {}, step.body));
+    const row = h("li", {}, h("div.what", {}, h("b", {}, step.type), h("span", {}, ` ${step.source} #${step.number}`)), h("div.body.dim", {}, step.body));
     row.style.setProperty("--tint", colour(step.source.split("/")[0]));
     if (index < steps.length - 1) {
       const bar = h("span.bars", { "aria-hidden": "true" });
