@@ -343,6 +343,12 @@ def test_init_that_cannot_be_called_is_refused(module_of, base, signature, inste
     assert f"write `def {instead}`" in said
 
 
+def test_a_driver_says_what_it_does_with_a_rate_in_one_of_three_words(module_of):
+    text = "class Gauge(Sensor):\n    type = 'x'\n    rate = 5\n"
+    said = f":{line_of(text, 'class')}: Gauge.rate is 5, and none of 'needed', 'optional', 'none'"
+    assert said in refusal(module_of, text)
+
+
 @pytest.mark.parametrize("name", ["requires", "offers"])
 def test_one_word_for_a_tuple_of_words_is_refused(module_of, name):
     said = refusal(module_of, f"class Robot(Task):\n    {name} = 'pose'\n")

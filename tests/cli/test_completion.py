@@ -13,6 +13,7 @@ from cli.processes import PATIENCE_S, Rig, Running
 TASKS = """
 [device.load]
 driver = "host.load"
+rate_hz = 1
 
 [device.pose]
 driver = "null.pose"

@@ -27,6 +27,7 @@ CONFIG = """
 driver = "null.motors"
 [device.load]
 driver = "host.load"
+rate_hz = 1
 [task.Circle]
 type = "circle.Circle"
 """

@@ -107,7 +107,7 @@ def test_unit_of_a_person_keeps_the_usual_folders():
 def test_agent_unit_prints_the_unit_of_a_configuration(rig: Rig):
     logs = rig.directory / "logs"
     settings = '{ port = "/dev/ttyUSB3", nodes = { shed = 1 } }'
-    device = f'[device.line]\ndriver = "sensor_field.serial"\nsettings = {settings}\n'
+    device = f'[device.line]\ndriver = "sensor_field.serial"\nrate_hz = 1\nsettings = {settings}\n'
     config = rig.config("a", f'[service.log]\nsettings = {{ file = "{logs}/a.jsonl" }}\n{device}')
     done = rig.pancakes("agent", "unit", str(config), "--run-as", "robot")
     assert done.returncode == 0, done.stderr

@@ -44,7 +44,7 @@ class Mouth(Task):
     class State(Struct):
         words: list[str] = []
 
-    @every(0.5)
+    @every(hz=2)
     def speak(self, tick) -> None:
         self.state.words = [OWNED]
         self.log("warning", "said " + OWNED + chr(10) + "    0.000 error   other: forged")

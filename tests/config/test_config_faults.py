@@ -34,7 +34,7 @@ restart = { policy = "permanant", at_most = "three" }
     assert faults(text) == [
         "a.toml:4: [agent] rolle: unknown key, did you mean 'role'?",
         "a.toml:6: [clock] speed: expected a number > 0, not 0",
-        "a.toml:9: [device.motors] rate_hz: expected a number > 0, not -10",
+        "a.toml:9: [device.motors] rate_hz: expected a number >= 0, not -10",
         "a.toml:12: [task.ScanTarget] service: there is no service 'clinet', did you mean 'client'?",
         (
             "a.toml:13: [task.ScanTarget] restart.policy: expected one of 'permanent', 'transient', 'temporary',"

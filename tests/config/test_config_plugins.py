@@ -22,6 +22,7 @@ from pancakes.task import Task
 
 class Compass(Sensor):
     type = "pose"
+    rate = "optional"
 
     @dataclass
     class Settings:
@@ -39,7 +40,32 @@ class Wheels(Actuator):
     def hold(self) -> None: ...
 
 
+class Beacon(Sensor):
+    type = "pose"
+    rate = "none"
+
+    @dataclass
+    class Settings:
+        max_hz: float | None = None
+
+    def sample(self) -> None: ...
+
+
+class Gauge(Sensor):
+    type = "gauge"
+
+    def sample(self) -> None: ...
+
+
+class Pump(Wheels):
+    type = "pump"
+
+    def tick(self) -> None: ...
+
+
 class Untyped(Sensor):
+    rate = "optional"
+
     def sample(self) -> None: ...
 
 
@@ -62,6 +88,9 @@ PARTS = {
     ("pancakes.transports", "tcp"): TcpTransport,
     ("pancakes.drivers", "test.compass"): Compass,
     ("pancakes.drivers", "test.wheels"): Wheels,
+    ("pancakes.drivers", "test.beacon"): Beacon,
+    ("pancakes.drivers", "test.gauge"): Gauge,
+    ("pancakes.drivers", "test.pump"): Pump,
     ("pancakes.drivers", "test.untyped"): Untyped,
     ("pancakes.drivers", "test.function"): len,
     ("pancakes.tasks", "test.Circle"): Circle,
@@ -159,6 +188,31 @@ def test_the_service_of_a_device_must_be_there_and_be_one_for_devices():
         "a.toml:11: [device.other] service: there is no service 'sensor', did you mean 'sensors'?",
         "a.toml:14: [device.wheels] service: 'client' is no service for devices",
     ]
+
+
+@pytest.mark.parametrize(
+    ("driver", "rate", "refused"),
+    [
+        ("gauge", None, "is missing: 'test.gauge' has a reading only at a rate, such as `rate_hz = 1`"),
+        ("gauge", 0, ""),
+        ("gauge", 5, ""),
+        ("beacon", None, ""),
+        (
+            "beacon",
+            5,
+            "is not for 'test.beacon', whose readings come when its hardware has them: `settings.max_hz` bounds them",
+        ),
+        ("compass", None, ""),
+        ("compass", 5, ""),
+        ("wheels", None, ""),
+        ("wheels", 5, "is not for 'test.wheels', which does nothing at a rate"),
+        ("pump", 5, ""),
+    ],
+)
+def test_a_rate_that_a_driver_needs_or_does_not_take(driver, rate, refused):
+    text = f'[device.d]\ndriver = "test.{driver}"\n' + (f"rate_hz = {rate}\n" if rate is not None else "")
+    line = 4 if rate is None else 6
+    assert faults(text) == ([f"a.toml:{line}: [device.d] rate_hz: {refused}"] if refused else [])
 
 
 def test_a_task_may_bear_the_name_of_a_device_of_another_service():

@@ -93,6 +93,7 @@ type = "test.Walk"
 settings = { speed_mps = 0.5 }
 [device.load]
 driver = "host.load"
+rate_hz = 1
 """
 
 
@@ -163,10 +164,10 @@ def test_rules_recordings_and_created_tasks_are_shown_as_a_configuration_too() -
     assert other.guard_rule == GuardRule(3, 2.0, 0.5, ("b",), "ask")
 
 
-def test_a_paused_task_is_shown_with_the_rate_that_it_was_created_with() -> None:
-    paused = Snapshot(TaskId("a", "Other"), "test.Walk", "1", "client", periods_s={"walk": inf})
-    assert table_of(paused, start=True)["rate_hz"] is None
-    assert table_of(replace(paused, rate_hz=2.0), start=True)["rate_hz"] == 2.0
+def test_a_task_that_rests_is_shown_with_the_rate_0() -> None:
+    rests = Snapshot(TaskId("a", "Other"), "test.Walk", "1", "client", periods_s={"walk": inf})
+    assert table_of(rests, start=True)["rate_hz"] == 0
+    assert table_of(replace(rests, rate_hz=2.0), start=True)["rate_hz"] == 0
 
 
 @pytest.mark.parametrize(
@@ -174,7 +175,7 @@ def test_a_paused_task_is_shown_with_the_rate_that_it_was_created_with() -> None
     [
         ({"type": "test.Walk"}, []),
         ({}, ["[task.New] type: is missing"]),
-        ({"type": "test.Wakl", "rate_hz": 0}, ["[task.New] rate_hz: ", "[task.New] type: unknown task type"]),
+        ({"type": "test.Wakl", "rate_hz": -1}, ["[task.New] rate_hz: ", "[task.New] type: unknown task type"]),
         ({"type": "test.Walk", "service": "clint"}, ["[task.New] service: there is no service 'clint'"]),
         ({"type": "test.Walk", "migrate": {"when": "battery"}}, ["[task.New] migrate: needs a bound"]),
         ({"type": "test.Walk", "settings": {"sped": 1}}, ["[task.New] settings.sped: unknown key"]),

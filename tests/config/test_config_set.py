@@ -88,7 +88,7 @@ def test_a_table_that_was_replaced_has_no_lines_any_more():
 
 def test_the_file_is_still_named_for_what_it_says():
     with pytest.raises(ConfigError) as error:
-        parse(TEXT + "rate_hz = 0\n", "a.toml", ["agent.seed=x"])
+        parse(TEXT + "rate_hz = -1\n", "a.toml", ["agent.seed=x"])
     assert [fault.where for fault in error.value.faults] == ["a.toml:9", "--set agent.seed=x"]
 
 

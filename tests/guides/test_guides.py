@@ -175,6 +175,7 @@ class Invented(Task):
 
 class InventedSensor(Sensor):
     type = "light"
+    rate = "optional"
 
     class Settings(Said): ...
 

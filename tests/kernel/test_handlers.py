@@ -3,7 +3,7 @@
 import pytest
 
 from pancakes.bodies.devices.types import Battery, Pose
-from pancakes.errors import LocalProtocolError
+from pancakes.errors import ClassError, LocalProtocolError
 from pancakes.runtime.kernel.handlers import Period, Subscription, every, on, period_of, periods_of, subscriptions_of
 from pancakes.runtime.kernel.keep import LATEST, Keep, reliable
 
@@ -49,17 +49,26 @@ def test_time_driven_methods_come_bases_first():
 
 
 def test_a_method_takes_a_rate_or_a_period():
-    with pytest.raises(TypeError, match="either period_s or hz"):
+    with pytest.raises(ClassError, match="either a rate or a period"):
         every()
-    with pytest.raises(TypeError, match="either period_s or hz"):
-        every(1.0, hz=2)
+    with pytest.raises(ClassError, match="either a rate or a period"):
+        every(period_s=1.0, hz=2)
     for bad_s in (0.0, -1.0, 1e-9, float("nan")):
-        with pytest.raises(ValueError, match="a period must be at least 0.0001 s, not"):
+        with pytest.raises(ClassError, match="a period must be at least 0.0001 s, not"):
             every(period_s=bad_s)
-    with pytest.raises(ValueError, match="a rate must lie between 0 and 10,000"):
+    with pytest.raises(ClassError, match="a rate must lie between 0 and 10,000"):
         every(hz=-1)
+    for bad in ("10", True):
+        with pytest.raises(ClassError, match="@every takes a number, not"):
+            every(hz=bad)  # type: ignore[arg-type]
     assert period_of(0) == float("inf")
     assert period_of(4) == 0.25
+
+
+@pytest.mark.parametrize("bare", [10, 0.5, 0])
+def test_a_bare_number_is_no_rate_and_no_period(bare):
+    with pytest.raises(ClassError, match=rf"write @every\(hz={bare}\) for a rate, @every\(period_s={bare}\)"):
+        every(bare)
 
 
 def test_a_body_must_be_a_packet_type():

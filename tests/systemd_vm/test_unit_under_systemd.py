@@ -11,6 +11,7 @@ PANCAKES = "/opt/pancakes/bin/pancakes"
 OTHER_PORT = """
 [device.battery]
 driver = "khepera3.battery"
+rate_hz = 1
 settings = { port = "/dev/ttyS2" }
 """
 WALK = """

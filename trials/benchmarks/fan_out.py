@@ -116,6 +116,7 @@ class Stream(Sensor):
     """
 
     type = "pose"
+    rate = "none"
 
     @dataclass
     class Settings:

@@ -14,14 +14,17 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Protocol, TypeVar
 
 from pancakes.bodies.devices.hardware import Hardware
+from pancakes.errors import ClassError
 from pancakes.mesh.net.transport import Transport
 from pancakes.packet import Packet
 from pancakes.runtime.foundation.own_names import check_made, check_own_names
 from pancakes.runtime.foundation.signatures import check_overrides
+from pancakes.runtime.foundation.source_place import place_of_field
 from pancakes.runtime.supervision.saved_types import check_saved
 
 _T = TypeVar("_T")
-_HOOKS: Final = ("type", "blocking", "networked", "Settings", "hardware", "open", "close", "receive")
+Rate = Literal["needed", "optional", "none"]
+_HOOKS: Final = ("type", "blocking", "networked", "rate", "Settings", "hardware", "open", "close", "receive")
 
 
 class DeviceContext(Protocol):
@@ -105,11 +108,15 @@ class Driver(ABC):
         check_overrides(cls)
         check_made(cls, ("context", "settings"), "a driver", "`def open(self)`")
         check_saved(cls, "Settings")
+        rate: what it does with the device's `rate_hz`. `needed`: without a rate it never does anything, so a
+            configuration without one is refused. `optional`: it works with and without one. `none`: it acts when its
+            hardware does, and a configuration with a rate is refused.
 
     def __init__(self, context: DeviceContext, settings: Any) -> None:
         self.context = context
         self.settings = settings
 
+    rate: ClassVar[Rate] = "optional"
     @classmethod
     def hardware(cls, settings: Any) -> Sequence[Hardware]:
         """Returns what a device with these settings opens of its computer, for the unit of a service of the system.
@@ -122,6 +129,9 @@ class Driver(ABC):
     def open(self) -> None:
         """Prepares the hardware. An error here fails the device, which its service then restarts."""
 
+        if cls.rate not in get_args(Rate):
+            known = ", ".join(map(repr, get_args(Rate)))
+            raise ClassError(f"{place_of_field(cls)}: {cls.__qualname__}.rate is {cls.rate!r}, and none of {known}")
     def close(self) -> None:
         """Lets go of the hardware. Called once, also after a failed `open`."""
 
@@ -130,7 +140,11 @@ class Driver(ABC):
 
 
 class Sensor(Driver):
-    """A driver that brings readings."""
+    """A driver that brings readings: by `sample`, at the device's rate, unless its class says otherwise in `rate`."""
+
+    rate: ClassVar[Rate] = "needed"
+    silent_s: ClassVar[float | None] = None
+    """Without a reading for so long, in mission seconds, it is silent, unless `[device.NAME]` says `silent_s`."""
 
     @abstractmethod
     def sample(self) -> Any | None:

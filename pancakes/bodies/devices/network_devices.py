@@ -25,10 +25,11 @@ _Positive = Annotated[float, msgspec.Meta(gt=0)]
 class NetworkSensor(Sensor):
     """A sensor whose readings come from another agent; a type of one's own needs a subclass that names it.
 
-    A reading is published as soon as it comes, so the device needs no rate.
+    A reading is published as soon as it comes, so the device takes no rate: `max_hz` bounds it.
     """
 
     networked = True
+    rate = "none"
 
     @dataclass
     class Settings:

@@ -14,6 +14,8 @@ from pancakes.bodies.devices.driver import Actuator, Sensor
 class NullSensor(Sensor):
     """A sensor without readings; a type of one's own needs a subclass that names it."""
 
+    rate = "optional"  # it stands in for any other sensor
+
     def sample(self) -> None:
         return None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from math import isfinite
 from typing import Any
 
 from pancakes.errors import MigrationError
@@ -55,6 +54,6 @@ def table_of(snapshot: Snapshot, start: bool) -> dict[str, Any]:
 def _rate_hz(snapshot: Snapshot) -> float | None:
     """Returns the rate of its first timer; None: as its class says."""
     period_s = next(iter(snapshot.periods_s.values()), None)
-    if period_s is None or not isfinite(period_s) or period_s <= 0.0:
+    if period_s is None or not period_s > 0.0:
         return snapshot.rate_hz
     return round(1.0 / period_s, 9)

@@ -4,7 +4,7 @@ need there?"""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pancakes.errors import Fault, PluginError
 from pancakes.mesh.address import parse_address
@@ -15,7 +15,10 @@ from pancakes.runtime.config.scanner import KeyPath
 from pancakes.runtime.config.tables import Config, TaskConfig
 from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.plugins import Plugins, UnknownPlugin
-from pancakes.settings import check_settings
+from pancakes.settings import check_settings, known_keys
+
+if TYPE_CHECKING:
+    from pancakes.bodies.devices.driver import Driver
 
 DRIVERS = "pancakes.drivers"
 SERVICES = "pancakes.services"
@@ -188,10 +191,29 @@ class _Check:
                 device_types = None
             elif device_types is not None:
                 device_types.append(device_type)
+            if found is not None:
+                self._check_rate(table, device.driver, found)
             hold_key = (*table, "hold_after_s")
             if found is not None and not issubclass(found, Actuator) and self._places.has(*hold_key):
                 self._fault(hold_key, f"is for actuators, and {device.driver!r} is none")
+            silent_key = (*table, "silent_s")
+            if found is not None and issubclass(found, Actuator) and self._places.has(*silent_key):
+                self._fault(silent_key, f"is for sensors, and {device.driver!r} is none")
         return device_types
+
+    def _check_rate(self, table: KeyPath, driver: str, found: type[Driver]) -> None:
+        """A sensor that waits for a rate for ever, and a rate that nothing asks for, are both mistakes."""
+        from pancakes.bodies.devices.driver import Actuator
+
+        key = (*table, "rate_hz")
+        given = self._places.has(*key)
+        if found.rate == "needed" and not given:
+            self._fault(key, f"is missing: {driver!r} has a reading only at a rate, such as `rate_hz = 1`")
+        elif found.rate == "none" and given:
+            hint = ": `settings.max_hz` bounds them" if "max_hz" in known_keys(found.Settings) else ""
+            self._fault(key, f"is not for {driver!r}, whose readings come when its hardware has them{hint}")
+        elif given and issubclass(found, Actuator) and found.tick is Actuator.tick:
+            self._fault(key, f"is not for {driver!r}, which does nothing at a rate")
 
     def _check_requires(self, task: TaskConfig, cls: Any | None, device_types: list[str] | None) -> None:
         if cls is None or device_types is None:

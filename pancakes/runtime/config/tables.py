@@ -31,8 +31,8 @@ DEFAULT_SERVICES: Final = ("device", "network", "log", "client")
 Positive = Annotated[float, Meta(gt=0, le=1e9)]
 """A number above 0. The upper end keeps out infinity."""
 
-Rate = Annotated[float, Meta(gt=0, le=MOST_HZ)]
-"""How often a timer ticks, in Hz."""
+Rate = Annotated[float, Meta(ge=0, le=MOST_HZ)]
+"""How often a timer ticks, in Hz; 0: not before it is rescheduled."""
 
 
 class AgentConfig(Struct, frozen=True):
@@ -135,7 +135,7 @@ class DeviceConfig(Struct, frozen=True):
         name: the device's name on this agent.
         driver: the name of its driver, such as `sim.ir`.
         service: the device service that looks after it.
-        rate_hz: how often it is sampled; None where the driver itself says when there is a reading.
+        rate_hz: how often it is sampled; 0: not before it is rescheduled. Drivers that speak by themselves take none.
         settings: plain values for the driver's `Settings`.
         restart: what the device service does when it fails.
         hold_after_s: an actuator goes to its safe hold when no command came for so long, in mission seconds.
@@ -174,7 +174,7 @@ class TaskConfig(Struct, frozen=True):
         type: the name of its class, such as `encirclement.ScanTarget`.
         service: the service that looks after it.
         start: whether it runs from the start; otherwise it waits until a packet starts it.
-        rate_hz: replaces the rate of the task's `@every`; None keeps it.
+        rate_hz: replaces the rate of the task's `@every`; 0: no tick before it is rescheduled; None keeps it.
         settings: plain values for the task's `Settings`.
         restart: what its service does when it fails.
         durability: `each` writes the task's state before each acknowledgement, `lazy` now and then.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar
+from numbers import Real
+from typing import Any, Literal, Never, TypeVar
 
 import msgspec
 
@@ -88,24 +89,19 @@ def on(
     return mark
 
 
-def every(period_s: float | None = None, *, hz: float | None = None) -> Callable[[_F], _F]:
+def every(*bare: Never, hz: float | None = None, period_s: float | None = None) -> Callable[[_F], _F]:
     """Makes a method time-driven: it is called with a `Tick` at a rate that can be changed while it runs.
 
     Args:
-        period_s: seconds of mission time from tick to tick.
-        hz: instead, ticks for each second; 0: none before it is rescheduled.
+        bare: nothing: a number without a name could be a rate or a period.
+        hz: ticks for each second of mission time; 0: none before it is rescheduled.
+        period_s: instead, seconds of mission time from tick to tick.
 
     Raises:
-        ClassError: the method is `async def`, or cannot be called with a `Tick`.
+        ClassError: neither a rate nor a period is given, or both, or one that no timer can have; or the method is
+            `async def`, or cannot be called with a `Tick`.
     """
-    if callable(period_s):
-        raise ClassError(f"@every takes a period or a rate, not {period_s!r}: write @every(hz=10)")
-    if hz is not None and period_s is None:
-        period = Period(period_of(hz))
-    elif period_s is not None and hz is None:
-        period = Period(checked_period(period_s))
-    else:
-        raise TypeError("@every takes either period_s or hz")
+    period = _period(bare, hz, period_s)
 
     def mark(method: _F) -> _F:
         wanted = f"def {_name_of(method)}(self, tick: Tick) -> None"
@@ -114,6 +110,23 @@ def every(period_s: float | None = None, *, hz: float | None = None) -> Callable
         return method
 
     return mark
+
+
+def _period(bare: tuple[Any, ...], hz: float | None, period_s: float | None) -> Period:
+    if bare and not isinstance(bare[0], Real):
+        raise ClassError(f"@every takes a rate or a period, not {bare[0]!r}: write @every(hz=10)")
+    if bare:
+        ways = f"@every(hz={bare[0]:g}) for a rate, @every(period_s={bare[0]:g}) for a period"
+        raise ClassError(f"@every({bare[0]:g}) does not say whether that is a rate or a period: write {ways}")
+    given = period_s if hz is None else hz
+    if given is None or (hz is not None and period_s is not None):
+        raise ClassError("@every takes either a rate or a period: write @every(hz=10), or @every(period_s=0.1)")
+    if not isinstance(given, Real) or isinstance(given, bool):
+        raise ClassError(f"@every takes a number, not {given!r}: write @every(hz=10), or @every(period_s=0.1)")
+    try:
+        return Period(period_of(given) if hz is not None else checked_period(given))
+    except ValueError as error:
+        raise ClassError(f"@every: {error}") from None
 
 
 def period_of(rate_hz: float) -> float:

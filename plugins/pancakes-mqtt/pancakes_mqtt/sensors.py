@@ -35,6 +35,7 @@ class MqttSensor(Sensor):
         kind: what a form calls its readings; empty: no form has such.
     """
 
+    rate = "none"
     kind: ClassVar[str] = ""
 
     @dataclass(kw_only=True)

@@ -18,6 +18,7 @@ class GpsPose(Sensor):
     """Where a receiver is: x metres east and y metres north of an origin, heading where it moves to (`pi.gps`)."""
 
     type = "pose"
+    rate = "none"
 
     @dataclass
     class Settings:

@@ -47,6 +47,7 @@ class PinMotion(Sensor):
     """A motion sensor on a pin, such as a PIR (`pi.motion`). It speaks by itself, and at its rate where it has one."""
 
     type = "motion"
+    rate = "optional"
 
     @dataclass
     class Settings:

@@ -26,7 +26,7 @@ from pancakes.tools.cli.verbs.task_completion import types
     help="Its class, such as encirclement.ScanTarget.",
 )
 @set_option("Give it this setting. Repeatable.")
-@click.option("--rate", "rate_hz", metavar="HZ", type=FiniteRange(min=0.0, min_open=True), help="How often it ticks.")
+@click.option("--rate", "rate_hz", metavar="HZ", type=FiniteRange(min=0.0), help="How often it ticks; 0: not yet.")
 @click.option("--guard", type=click.Choice(["3", "5"]), help="Have so many agents guard it.")
 @click.option("--lease", "lease_s", metavar="SECONDS", type=FiniteRange(min=0.0), help="How long its leases are.")
 @click.option(
