@@ -345,7 +345,7 @@ def test_init_that_cannot_be_called_is_refused(module_of, base, signature, inste
 
 def test_a_driver_says_what_it_does_with_a_rate_in_one_of_three_words(module_of):
     text = "class Gauge(Sensor):\n    type = 'x'\n    rate = 5\n"
-    said = f":{line_of(text, 'class')}: Gauge.rate is 5, and none of 'needed', 'optional', 'none'"
+    said = f":{line_of(text, 'class Gauge')}: Gauge.rate is 5, and none of 'needed', 'optional', 'none'"
     assert said in refusal(module_of, text)
 
 
