@@ -149,7 +149,15 @@ class Composition:
             self._skip(f"the device {config.name}", error)
             return None
         return DeviceSpec(
-            config.name, cls, config.driver, config.settings, config.rate_hz, config.hold_after_s, config.restart
+            config.name,
+            cls,
+            config.driver,
+            config.settings,
+            config.rate_hz,
+            config.hold_after_s,
+            config.restart,
+            config.missed,
+            config.silent_s,
         )
 
     def _task(self, config: TaskConfig) -> TaskSpec | None:

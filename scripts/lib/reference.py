@@ -17,6 +17,7 @@ from msgspec import NODEFAULT
 from msgspec.inspect import Field
 
 from pancakes.bodies.devices.driver import Driver
+from pancakes.bodies.devices.readings import MissRule
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.packet import has_fields, known_types
 from pancakes.runtime.config import tables
@@ -42,6 +43,7 @@ SECTIONS = {
     "[task.NAME]": tables.TaskConfig,
     "restart = { ... }": RestartSpec,
     "[device.NAME] restart = { ... }": DeviceRestartSpec,
+    "[device.NAME] missed = { ... }": MissRule,
     "migrate = { ... }": MigrationRule,
 }
 IN_THE_HEADER = ("name",)

@@ -31,6 +31,8 @@ class DriverContext:
     Attributes:
         readings: the bodies that the driver delivered.
         lines: (level, text) of each line that it logged.
+        misses: why each reading was missed that the driver told of.
+        alive_s: mission times at which it told that its hardware speaks.
         sent: (channel, body, destination) of each packet that it sent.
         later: (mission time, function) of each call that is still to come.
         packets: how many mission packets the agent has sent.
@@ -51,6 +53,8 @@ class DriverContext:
         self.time_s = 0.0
         self.readings: list[Any] = []
         self.lines: list[tuple[str, str]] = []
+        self.misses: list[str] = []
+        self.alive_s: list[float] = []
         self.sent: list[tuple[str, Any, str]] = []
         self.later: list[tuple[float, Callable[[], None]]] = []
         self.packets = 0
@@ -64,6 +68,12 @@ class DriverContext:
 
     def deliver(self, body: Any) -> None:
         self.readings.append(body)
+
+    def missed(self, why: str) -> None:
+        self.misses.append(why)
+
+    def alive(self) -> None:
+        self.alive_s.append(self.time_s)
 
     def send(self, channel: str, body: Any, to: str) -> None:
         self.sent.append((channel, body, to))

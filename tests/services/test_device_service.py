@@ -181,7 +181,8 @@ def test_a_sensor_without_a_rate_is_not_sampled(fleet):
 
 
 def test_a_driver_that_fails_is_opened_anew_and_goes_on(fleet):
-    agent = fleet.start("a", devices={"cpu": {"type": Thermometer, "rate_hz": 4.0, "settings": {"fail_after": 6}}})
+    device = {"type": Thermometer, "rate_hz": 4.0, "settings": {"fail_after": 6}, "missed": {"in_a_row": 1}}
+    agent = fleet.start("a", devices={"cpu": device})
     fleet.run_for(5.0)
     assert [event["then"] for event in agent.events("task_failed", task="cpu")] == ["restart", "restart"]
     assert "OSError: unplugged" in agent.events("task_failed")[0]["error"]
@@ -197,7 +198,7 @@ def test_a_driver_that_fails_again_while_it_is_closed_for_that_says_both(fleet):
         def close(self):
             raise OSError("gone")
 
-    agent = fleet.start("a", devices={"cpu": {"type": Broken, "rate_hz": 4.0}})
+    agent = fleet.start("a", devices={"cpu": {"type": Broken, "rate_hz": 4.0, "missed": {"in_a_row": 1}}})
     fleet.run_for(0.3)
     assert agent.events("task_failed")[0]["error"].startswith("OSError: unplugged at test_device_service.py:")
     (told,) = agent.lines("error")

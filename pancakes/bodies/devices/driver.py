@@ -11,7 +11,7 @@ import random
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Protocol, TypeVar
+from typing import Any, ClassVar, Final, Literal, Protocol, TypeVar, get_args
 
 from pancakes.bodies.devices.hardware import Hardware
 from pancakes.errors import ClassError
@@ -49,7 +49,24 @@ class DeviceContext(Protocol):
         ...
 
     def deliver(self, body: Any) -> None:
-        """Publishes a reading of this device on `system`. May be called from any thread."""
+        """Publishes a reading of this device on `system`. May be called from any thread.
+
+        One with a number that is not finite, or that its field does not allow, is missed instead.
+        """
+        ...
+
+    def missed(self, why: str) -> None:
+        """Counts a reading that failed, and tells the log how many did. May be called from any thread.
+
+        A driver that is sampled raises an error instead.
+
+        Args:
+            why: why there is none, as a sentence.
+        """
+        ...
+
+    def alive(self) -> None:
+        """The hardware has said something that is no reading: it is not silent. May be called from any thread."""
         ...
 
     def send(self, channel: str, body: Any, to: str) -> None:
@@ -91,11 +108,15 @@ class Driver(ABC):
         type: the type of the device, which is also the type of its packets (`pose`, `motors`, ...).
         blocking: whether its methods may wait for the hardware.
         networked: whether its readings come from another agent; then the network may not sleep while a task needs them.
+        rate: what it does with the device's `rate_hz`. `needed`: without a rate it never does anything, so a
+            configuration without one is refused. `optional`: it works with and without one. `none`: it acts when its
+            hardware does, and a configuration with a rate is refused.
     """
 
     type: ClassVar[str]
     blocking: ClassVar[bool] = False
     networked: ClassVar[bool] = False
+    rate: ClassVar[Rate] = "optional"
 
     @dataclass
     class Settings:
@@ -108,15 +129,14 @@ class Driver(ABC):
         check_overrides(cls)
         check_made(cls, ("context", "settings"), "a driver", "`def open(self)`")
         check_saved(cls, "Settings")
-        rate: what it does with the device's `rate_hz`. `needed`: without a rate it never does anything, so a
-            configuration without one is refused. `optional`: it works with and without one. `none`: it acts when its
-            hardware does, and a configuration with a rate is refused.
+        if cls.rate not in get_args(Rate):
+            known = ", ".join(map(repr, get_args(Rate)))
+            raise ClassError(f"{place_of_field(cls)}: {cls.__qualname__}.rate is {cls.rate!r}, and none of {known}")
 
     def __init__(self, context: DeviceContext, settings: Any) -> None:
         self.context = context
         self.settings = settings
 
-    rate: ClassVar[Rate] = "optional"
     @classmethod
     def hardware(cls, settings: Any) -> Sequence[Hardware]:
         """Returns what a device with these settings opens of its computer, for the unit of a service of the system.
@@ -129,9 +149,6 @@ class Driver(ABC):
     def open(self) -> None:
         """Prepares the hardware. An error here fails the device, which its service then restarts."""
 
-        if cls.rate not in get_args(Rate):
-            known = ", ".join(map(repr, get_args(Rate)))
-            raise ClassError(f"{place_of_field(cls)}: {cls.__qualname__}.rate is {cls.rate!r}, and none of {known}")
     def close(self) -> None:
         """Lets go of the hardware. Called once, also after a failed `open`."""
 
@@ -151,9 +168,15 @@ class Sensor(Driver):
         """Returns a reading, at each tick of the device's rate.
 
         Returns:
-            The body of a packet of the driver's type. None where the reading comes later, by
-            `context.deliver`, or where there is none.
+            The body of a packet of the driver's type. None if the reading comes later, by `context.deliver`, or if
+            there is no reading now.
+
+        Raises:
+            Exception: the reading failed. It is missed and counted; too many of them fail the device.
         """
+
+    def silent(self) -> None:
+        """Called each `silent_s` in which no reading has come; for a driver whose connection may be dead."""
 
 
 class Actuator(Driver):

@@ -7,8 +7,11 @@ Lengths are metres, angles radians counter-clockwise, times seconds.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
 
+from pancakes.bodies.devices.numbers import MaybeNan
 from pancakes.packet import packet_type
 
 
@@ -45,12 +48,12 @@ class Battery(msgspec.Struct, frozen=True):
     """The state of a battery.
 
     Attributes:
-        voltage_v: voltage at the terminals.
+        voltage_v: voltage at the terminals; NaN: it is not known.
         level: what is left of its range, from 0 (empty) to 1 (full).
     """
 
-    voltage_v: float
-    level: float
+    voltage_v: MaybeNan
+    level: Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 
 @packet_type("ir")

@@ -67,7 +67,7 @@ def _device(device: DeviceConfig, plain: dict[str, Any], plugins: Plugins) -> di
     except PluginError:
         return plain
     if not issubclass(driver, Actuator):
-        del plain["hold_after_s"]  # which is for actuators alone, and may not be said of others
+        del plain["hold_after_s"]  # which is for actuators only, and may not be said of others
     return plain
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta, Struct, field
 
+from pancakes.bodies.devices.readings import MissRule
 from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
 from pancakes.mesh.migration.birth import DEFAULT_WAIT_S
 from pancakes.mesh.migration.guard_rule import LONGEST_LEASE_S, SHORTEST_LEASE_S, GuardRule
@@ -139,6 +140,9 @@ class DeviceConfig(Struct, frozen=True):
         settings: plain values for the driver's `Settings`.
         restart: what the device service does when it fails.
         hold_after_s: an actuator goes to its safe hold when no command came for so long, in mission seconds.
+        missed: when readings, or commands of an actuator, that fail are too many, so that the device fails.
+        silent_s: a sensor without a reading for so long, in mission seconds, is told as silent, and a connection that
+            it hears is dialled again; None: as its driver says.
     """
 
     name: str
@@ -148,6 +152,8 @@ class DeviceConfig(Struct, frozen=True):
     settings: Mapping[str, Any] = {}
     restart: DeviceRestartSpec = field(default_factory=DeviceRestartSpec)
     hold_after_s: Positive = 0.5
+    missed: MissRule = field(default_factory=MissRule)
+    silent_s: Positive | None = None
 
 
 class ServiceConfig(Struct, frozen=True):

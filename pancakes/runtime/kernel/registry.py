@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from typing import Any, Protocol
 
 import msgspec
 
@@ -30,6 +31,18 @@ class DeviceEntry(msgspec.Struct, frozen=True):
     holds_by_itself_s: float | None = None
 
 
+class Described(Protocol):
+    """Tells how a device fares."""
+
+    def describe(self, now_s: float) -> dict[str, Any]:
+        """Returns that as plain values.
+
+        Args:
+            now_s: mission time.
+        """
+        ...
+
+
 class Registry:
     """The components that run on this agent. All methods may be called from any thread.
 
@@ -46,6 +59,7 @@ class Registry:
         ] = {}  # of all devices that ever ran: one may be down, and is to hold all the same
         self._holders: dict[str, str] = {}
         self._reserved: dict[str, str] = {}
+        self._readings: dict[str, Described] = {}
 
     def add(self, component: Reference) -> None:
         """Enters an actor.
@@ -72,6 +86,16 @@ class Registry:
         """Returns all actors, in the order in which they started."""
         with self._lock:
             return list(self._components.values())
+
+    def set_readings(self, device: str, readings: Described) -> None:
+        """Enters what tells how a device fares; it stays when the device stops."""
+        with self._lock:
+            self._readings[device] = readings
+
+    def readings(self, device: str) -> Described | None:
+        """Returns what tells how a device fares; None: it was never opened."""
+        with self._lock:
+            return self._readings.get(device)
 
     def add_device(self, device: DeviceEntry) -> None:
         """Enters a device that has come to run."""

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from pancakes.bodies.devices.driver import Actuator, Driver, Sensor
+from pancakes.bodies.devices.numbers import fault_of_command, fault_of_reading
+from pancakes.bodies.devices.readings import Line, MissRule, Readings
 from pancakes.control import Hold, SetFence
-from pancakes.errors import MailboxFull, NoPermit
+from pancakes.errors import MailboxFull, NoPermit, PancakesError, describe
 from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.mesh.net.transport import Transport
 from pancakes.packet import CTRL, NETWORK, SYSTEM, Packet, agent_of
@@ -44,6 +46,8 @@ class DeviceSpec(msgspec.Struct, frozen=True):
         rate_hz: how often it is sampled; None: whenever the driver has something.
         hold_after_s: an actuator goes to its safe hold after this mission time without a fresh command.
         restart: what happens when the driver fails.
+        missed: when readings or commands that fail are too many, so that the device fails.
+        silent_s: a sensor without a reading for so long, in mission seconds, is silent; None: as its driver says.
     """
 
     name: str
@@ -53,6 +57,8 @@ class DeviceSpec(msgspec.Struct, frozen=True):
     rate_hz: float | None
     hold_after_s: float
     restart: RestartSpec
+    missed: MissRule = MissRule()
+    silent_s: float | None = None
 
 
 class SharedThings:
@@ -108,6 +114,12 @@ class TaskContext:
     def deliver(self, body: Any) -> None:
         self._task.deliver(body)
 
+    def missed(self, why: str) -> None:
+        self._task.missed(why)
+
+    def alive(self) -> None:
+        self._task.alive()
+
     def send(self, channel: str, body: Any, to: str) -> None:
         self._task.publish(channel, body, to)
 
@@ -132,6 +144,9 @@ class TaskContext:
 
 class DeviceTask(Task):
     """One device: samples a sensor at its rate, or carries out what an actuator's holder commands.
+
+    A reading that fails, or whose numbers are none, is missed and counted; so is a command that the hardware does not
+    take. Too many of them fail the device.
 
     An actuator obeys the task that holds it (the kernel's registry says which) and, of that task, no epoch lower than
     the highest it has seen. A new epoch is on disk before it is obeyed; the newest command waits that long. Without a
@@ -165,6 +180,7 @@ class DeviceTask(Task):
         self._holding = True
         self._crowded = False
         self._refused: dict[str, str] = {}
+        self.readings = Readings(device.missed, "reading", None, 0.0)
 
     @property
     def author_class(self) -> type:
@@ -197,7 +213,25 @@ class DeviceTask(Task):
         # Which of the two it is, is asked for each reading and each command.
         self._sensor = driver if isinstance(driver, Sensor) else None
         self._actuator = driver if isinstance(driver, Actuator) else None
+        silent_s = self.device.silent_s
+        if silent_s is None and self._sensor is not None:
+            silent_s = self._sensor.silent_s
+        noun = "command" if self._actuator is not None else "reading"
+        self.readings = readings = Readings(self.device.missed, noun, silent_s, self.now())
+        self.kernel.registry.set_readings(self.name, readings)
         driver.open()
+        self._look_for_silence(readings)
+
+    def _look_for_silence(self, readings: Readings) -> None:
+        """Looks whether readings still come, each time that the newest may have grown too old."""
+        if readings is not self.readings or self._sensor is None:
+            return  # the driver was opened again since, or closed
+        left_s, silent, lines = readings.look(self.now())
+        self._say(lines)
+        if silent:
+            self._sensor.silent()
+        if left_s < math.inf:
+            self.after(left_s, lambda: self._look_for_silence(readings))
 
     def _close_driver(self) -> None:
         driver, self.driver, self._sensor, self._actuator = self.driver, None, None, None
@@ -215,17 +249,49 @@ class DeviceTask(Task):
     @every(hz=0)
     def sample(self, tick: Tick) -> None:
         """Takes a reading and publishes it."""
-        if self._sensor is not None:
-            reading = self._sensor.sample()
-            if reading is not None:
-                self.deliver(reading)
-        elif self._actuator is not None:
-            self._actuator.tick()
+        sensor = self._sensor
+        try:
+            if sensor is None:
+                if self._actuator is not None:
+                    self._actuator.tick()
+                return
+            reading = sensor.sample()
+            if reading is not None and (fault := fault_of_reading(reading)):
+                raise PancakesError(fault)
+        except Exception as error:
+            if self.missed(describe(error, self.device.cls)):
+                raise
+            return
+        if reading is not None:
+            self._publish(reading)
 
     def deliver(self, reading: Any) -> None:
-        """Publishes a reading on `system`. Any thread."""
+        """Publishes a reading on `system`; one whose numbers are none is missed. Any thread."""
         if self.actor_stopped.is_set():
             return
+        if fault := fault_of_reading(reading):
+            self.missed(fault)
+        else:
+            self._publish(reading)
+
+    def missed(self, why: str) -> bool:
+        """A reading, or a command, has failed; returns whether that was one too many. Any thread."""
+        if self.actor_stopped.is_set():
+            return False
+        lines, too_many = self.readings.missed(why, self.now())
+        self._say(lines)
+        return too_many
+
+    def alive(self) -> None:
+        """The hardware has said something that is no reading. Any thread."""
+        self._say(self.readings.alive(self.now()))
+
+    def _say(self, lines: Sequence[Line]) -> None:
+        for level, text in lines:
+            self.log(level, f"{self.name}: {text}")
+
+    def _publish(self, reading: Any) -> None:
+        self._say(self.readings.came(self.now()))
         try:
             self.publish(SYSTEM, reading)
         except MailboxFull as error:
@@ -248,6 +314,9 @@ class DeviceTask(Task):
         if refusal:
             self._refuse(packet, refusal)
             return
+        if fault := fault_of_command(packet.body):
+            self._refuse(packet, fault, "a number that is none")
+            return
         if not self._fence.stands(packet):
             return
         fence, ttl_s, speed = packet.fence, self.device.hold_after_s, self.kernel.mission.speed
@@ -264,7 +333,8 @@ class DeviceTask(Task):
         driver = self._actuator
         assert driver is not None
         self._refused.pop(packet.source, None)
-        self._good_until_s = self.now() + ttl_s
+        now_s = self.now()
+        before_s, self._good_until_s = self._good_until_s, now_s + ttl_s
         self._holding = False
         # What a virtual actuator sends on is said under the right of the task that commands it.
         self.fence = fence
@@ -273,6 +343,13 @@ class DeviceTask(Task):
         except NoPermit:  # it was over before a virtual actuator had sent it on
             self._come_late(packet)
             return
+        except Exception as error:
+            if self.missed(describe(error, self.device.cls)):
+                raise
+            if before_s > now_s:  # the hardware still has the command before, which is good for no longer than it was
+                self._good_until_s = before_s
+        else:
+            self._say(self.readings.came(now_s))
         finally:
             self.fence = None
         if self._good_until_s < self._guard_s:
@@ -286,10 +363,10 @@ class DeviceTask(Task):
             self._hold("its task may not act")
         self._refuse(packet, f"{packet.fence.task_id} may not act until its guardians answer")
 
-    def _refuse(self, packet: Packet, refusal: str) -> None:
+    def _refuse(self, packet: Packet, refusal: str, kind: str = "") -> None:
         # Said once for each source and reason: at 10 commands a second it would drown everything else.
-        if self._refused.get(packet.source) != refusal:
-            self._refused[packet.source] = refusal
+        if self._refused.get(packet.source) != (kind or refusal):
+            self._refused[packet.source] = kind or refusal
             self.event("command_refused", device=self.name, by=packet.source, reason=refusal)
             self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
 

@@ -18,6 +18,9 @@ from pancakes.settings import SettingsError, make_settings, plain_settings
 STANDS_STILL: Final = "stands still"
 """How a guarded task rests that has no permit, and that goes on once it has one."""
 
+SILENT: Final = "silent"
+"""How a device is that runs, and has had no reading for too long."""
+
 
 def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
     """Returns what is to be known about each task. Any thread.
@@ -54,6 +57,10 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
     if not entry.device:
         return told
     holder = kernel.registry.holder(entry.name)
+    if (readings := kernel.registry.readings(entry.name)) is not None:
+        told["readings"] = readings.describe(kernel.mission.now())
+        if told["readings"]["silent_s"] is not None and life.state is State.RUNNING:
+            told["rest"] = SILENT
     return {**told, "device": entry.device, **({"holder": holder} if holder else {})}
 
 

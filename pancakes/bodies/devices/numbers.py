@@ -1,0 +1,195 @@
+"""Which numbers a device may say, or be told: the one place that looks at them, above all drivers.
+
+A number of a reading or a command must be finite, and within the bounds of its field: `Annotated[float, Meta(ge=0,
+le=1)]`. A field whose number may be missing is a `MaybeNan`. The numbers of arrays are looked at in commands only: in a
+depth image, NaN is what was not measured.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Annotated, Any, Final, TypeAlias
+
+import msgspec
+from msgspec import inspect
+
+from pancakes.packet import body_to_plain, has_fields
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.arrays import is_array
+
+MaybeNan: TypeAlias = Annotated[float, msgspec.Meta(extra={"nan": True})]
+"""A number that is NaN if it is not known."""
+
+_Check = Callable[[Any], str]
+"""Says what is wrong with a value, as what follows its name: ` is nan`; empty: nothing."""
+_BOUNDS: Final = (
+    ("ge", operator.ge, "below"),
+    ("gt", operator.gt, "not above"),
+    ("le", operator.le, "above"),
+    ("lt", operator.lt, "not below"),
+)
+
+
+def fault_of_reading(body: Any) -> str:
+    """Says which number in the body of a packet is no reading: `level is 1.2, above 1`; empty: all are sound."""
+    return _fault(body, arrays=False)
+
+
+def fault_of_command(body: Any) -> str:
+    """Says why the body of a packet is no command that an actuator can carry out; empty: it is one.
+
+    A body that a task of this agent has made was never decoded, so what its fields are is looked at as well.
+    """
+    if fault := _fault(body, arrays=True):
+        return fault
+    if _has_arrays(type(body)):
+        return ""
+    try:
+        codecs.convert(body_to_plain(body), type(body))
+    except (msgspec.ValidationError, TypeError, ValueError, RecursionError) as error:
+        return str(error)
+    return ""
+
+
+def _fault(body: Any, arrays: bool) -> str:
+    check = _check_of_class(type(body), arrays)
+    return check(body).lstrip(".") if check is not None else ""
+
+
+@cache
+def _has_arrays(cls: type) -> bool:
+    return "CustomType" in repr(codecs.type_info(cls))
+
+
+@cache
+def _check_of_class(cls: type, arrays: bool) -> _Check | None:
+    if not has_fields(cls):
+        return _checks_any(arrays)
+    try:
+        info = codecs.type_info(cls)
+    except (TypeError, NameError):  # a class that msgspec cannot decode is not for other agents
+        return _checks_any(arrays)
+    return _check_of(info, arrays, ())
+
+
+def _check_of(info: inspect.Type, arrays: bool, within: tuple[type, ...]) -> _Check | None:
+    """Returns what checks values of a type; None: there is no number in them.
+
+    Args:
+        info: the type.
+        arrays: whether the numbers in arrays are looked at.
+        within: the classes of which it is a part.
+    """
+    match info:
+        case inspect.Metadata():
+            if (info.extra or {}).get("nan"):
+                return _check_maybe_nan
+            return _check_of(info.type, arrays, within)
+        case inspect.FloatType() | inspect.IntType():
+            return _checks_number(info)
+        case inspect.UnionType():
+            return _checks_union(info, arrays, within)
+        case inspect.StructType() | inspect.DataclassType():
+            return _checks_fields(info, arrays, within)
+        case inspect.ListType() | inspect.VarTupleType() | inspect.SetType() | inspect.FrozenSetType():
+            return _checks_items(_check_of(info.item_type, arrays, within))
+        case inspect.TupleType() | inspect.DictType() | inspect.AnyType() | inspect.CustomType():
+            return _checks_any(arrays)
+    return None
+
+
+def _checks_union(info: inspect.UnionType, arrays: bool, within: tuple[type, ...]) -> _Check | None:
+    checks = [check for it in info.types if (check := _check_of(it, arrays, within)) is not None]
+    if not checks:
+        return None
+    others = [it for it in info.types if not isinstance(it, inspect.NoneType)]
+    if len(others) > 1:
+        return _checks_any(arrays)
+    return lambda value: "" if value is None else checks[0](value)
+
+
+def _checks_fields(
+    info: inspect.StructType | inspect.DataclassType, arrays: bool, within: tuple[type, ...]
+) -> _Check | None:
+    if info.cls in within:  # a class that has itself as a part
+        return _checks_any(arrays)
+    made = [(field.name, _check_of(field.type, arrays, (*within, info.cls))) for field in info.fields]
+    checks = [(name, operator.attrgetter(name), check) for name, check in made if check is not None]
+    if not checks:
+        return None
+
+    def check_fields(value: Any) -> str:
+        for name, get, check in checks:
+            if fault := check(get(value)):
+                return f".{name}{fault}"
+        return ""
+
+    return check_fields
+
+
+def _checks_items(check: _Check | None) -> _Check | None:
+    if check is None:
+        return None
+
+    def check_items(value: Any) -> str:
+        for number, item in enumerate(value):
+            if fault := check(item):
+                return f"[{number}]{fault}"
+        return ""
+
+    return check_items
+
+
+def _checks_number(info: inspect.FloatType | inspect.IntType) -> _Check:
+    bounds = [(holds, getattr(info, key), word) for key, holds, word in _BOUNDS if getattr(info, key) is not None]
+
+    def check_number(value: Any) -> str:
+        try:
+            if not math.isfinite(value):
+                return f" is {value}"
+        except (TypeError, OverflowError):
+            return f" is {value!r}, which is no number"
+        for holds, bound, word in bounds:
+            if not holds(value, bound):
+                return f" is {value:g}, {word} {bound:g}"
+        return ""
+
+    return check_number
+
+
+def _check_maybe_nan(value: Any) -> str:
+    return f" is {value}" if value in (math.inf, -math.inf) else ""
+
+
+def _checks_any(arrays: bool) -> _Check:
+    def check_any(value: Any) -> str:
+        if isinstance(value, float):
+            return "" if math.isfinite(value) else f" is {value}"
+        if isinstance(value, Mapping):
+            parts: Any = ((f"[{key!r}]", item) for key, item in value.items())
+        elif isinstance(value, (list, tuple)):
+            parts = ((f"[{number}]", item) for number, item in enumerate(value))
+        elif is_array(value):
+            return _fault_of_array(value) if arrays else ""
+        elif has_fields(type(value)):
+            check = _check_of_class(type(value), arrays)
+            return check(value) if check is not None else ""
+        else:
+            return ""
+        for where, item in parts:
+            if fault := check_any(item):
+                return f"{where}{fault}"
+        return ""
+
+    return check_any
+
+
+def _fault_of_array(array: Any) -> str:
+    import numpy
+
+    if array.dtype.kind in "fc" and not numpy.isfinite(array).all():
+        return " has a number in it that is not finite"
+    return ""
