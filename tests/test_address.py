@@ -3,6 +3,7 @@
 import pytest
 from seeded import for_each
 
+from pancakes.mesh.address import spelt
 from pancakes.runtime.config import Address, parse_address
 
 
@@ -19,6 +20,10 @@ def test_address_parts():
             ("tcp://127.8.0.1:1", Address("tcp", "127.8.0.1", 1), True),
             ("tcp://[::1]:65535", Address("tcp", "::1", 65535), True),
             ("tcp://[fe80::1%eth0]:1", Address("tcp", "fe80::1%eth0", 1), False),
+            ("tcp://[::ffff:127.0.0.1]:1", Address("tcp", "127.0.0.1", 1), True),
+            ("tcp://[::FFFF:7f00:1]:1", Address("tcp", "127.0.0.1", 1), True),
+            ("tcp://[0:0:0:0:0:0:0:1]:1", Address("tcp", "::1", 1), True),
+            ("tcp://[2001:DB8::0:1]:07401", Address("tcp", "2001:db8::1", 7401), False),
             ("tcp://0.0.0.0:1", Address("tcp", "0.0.0.0", 1), False),
             ("tcp://robot-1.lab.example:1", Address("tcp", "robot-1.lab.example", 1), False),
             ("unix:///run/robot-1.sock", Address("unix", path="/run/robot-1.sock"), True),
@@ -26,6 +31,19 @@ def test_address_parts():
         ],
         check,
     )
+
+
+def test_one_place_has_one_spelling():
+    for text in ("tcp://[::ffff:10.0.0.7]:7401", "tcp://[::ffff:a00:7]:7401", "tcp://10.0.0.7:07401"):
+        assert spelt(text) == "tcp://10.0.0.7:7401"
+    assert spelt("tcp://[fe80:0::1%eth0]:1") == "tcp://[fe80::1%eth0]:1"
+    assert spelt("local://lab/robot1") == "local://lab/robot1"
+    assert spelt("no address") == "no address"
+
+
+def test_every_interface_has_two_spellings():
+    assert parse_address("tcp://0.0.0.0:1").everywhere and parse_address("tcp://[0::0]:1").everywhere
+    assert parse_address("tcp://[::ffff:0.0.0.0]:1").everywhere and not parse_address("tcp://[::1]:1").everywhere
 
 
 def test_address_that_is_none_says_why():

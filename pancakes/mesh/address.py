@@ -26,7 +26,8 @@ class Address(msgspec.Struct, frozen=True):
 
     Attributes:
         scheme: the name of the transport.
-        host: a name or number; an IPv6 number without its brackets.
+        host: a name or number; an IPv6 number without its brackets. Each number has one spelling: an IPv4 number that
+            is mapped into an IPv6 one (`::ffff:127.0.0.1`) is that IPv4 number.
         port: 0 to 65535; 0 asks for a free one.
         path: a path on this computer, in the place of host and port; one that does not begin with `/` is a name
             below the directory where this user's agents are found.
@@ -47,6 +48,16 @@ class Address(msgspec.Struct, frozen=True):
             return f"{self.scheme}://{self.path}"
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}"
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether it stands for all interfaces of a computer."""
+        return self.host in ("0.0.0.0", "::")
+
+    @property
+    def link_local(self) -> bool:
+        """Whether it is for one network of one computer, which its interface names (`fe80::1%eth0`)."""
+        return ":" in self.host and self.host[:3] in ("fe8", "fe9", "fea", "feb")
 
     @property
     def loopback(self) -> bool:
@@ -84,7 +95,7 @@ def parse_address(text: str) -> Address:
     if not host:
         raise ValueError(f"{text!r} has no host: write 127.0.0.1 for this computer alone, 0.0.0.0 for every interface")
     if found["six"] is not None:
-        _check_six(text, host)
+        host = _six(text, host)
     elif not _HOST.fullmatch(host):
         raise ValueError(f"{text!r} has a bad host, {host!r}")
     elif re.fullmatch(r"[0-9.]+", host):
@@ -94,6 +105,14 @@ def parse_address(text: str) -> Address:
     if not re.fullmatch(r"[0-9]{1,5}", found["port"]) or int(found["port"]) > 65535:
         raise ValueError(f"{text!r} has a bad port, {found['port']!r}: a port is a number from 0 to 65535")
     return Address(found["scheme"], host, int(found["port"]))
+
+
+def spelt(text: str) -> str:
+    """Returns an address in the one spelling that it has, so that two can be compared; what is none stays as it is."""
+    try:
+        return str(parse_address(text))
+    except ValueError:
+        return text
 
 
 def dialled(text: str) -> str:
@@ -116,7 +135,7 @@ def local_address(fleet: str, name: str) -> str:
 def in_fleet(address: str, fleet: str) -> str:
     """Returns what an address means to an agent of a fleet: `local://NAME` is a neighbour, not one of another fleet."""
     name = address.removeprefix(f"{LOCAL}://")
-    return local_address(fleet, name) if is_local(address) and "/" not in name else address
+    return local_address(fleet, name) if is_local(address) and "/" not in name else spelt(address)
 
 
 def fleet_in(address: str) -> str:
@@ -141,11 +160,16 @@ def is_loopback(address: str) -> bool:
         return False
 
 
-def _check_six(text: str, host: str) -> None:
+def _six(text: str, host: str) -> str:
+    """Returns the one spelling of an IPv6 number.
+
+    A socket at `[::]` sees its IPv4 peers as `::ffff:10.0.0.7`, and everybody else as `10.0.0.7`.
+    """
     from ipaddress import IPv6Address
 
     try:
-        IPv6Address(host)
+        six = IPv6Address(host)
+        return str(six.ipv4_mapped or six)
     except ValueError:
         raise ValueError(f"{text!r} has a bad IPv6 host, {host!r}") from None
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from pancakes.mesh.address import LOCAL, is_local, is_loopback
+from pancakes.mesh.address import LOCAL, is_local, is_loopback, parse_address
 
 
 class Reach(IntEnum):
@@ -61,7 +61,8 @@ def reachable_from(remote: str, addresses: Iterable[str], reach: ReachOf = reach
     """Returns those addresses that can be dialled at the other end of a connection.
 
     That are those which reach as far as the way by which it came: what is local is for peers that came by a local way,
-    the loopback is for this machine, and an address in this network is for peers in it, not behind routers.
+    the loopback is for this machine, and an address in this network is for peers in it, not behind routers. What is
+    known within one network by the name of an interface of this machine (`fe80::1%eth0`) means nothing elsewhere.
 
     Args:
         remote: the address of the other end, as this one sees it.
@@ -69,7 +70,23 @@ def reachable_from(remote: str, addresses: Iterable[str], reach: ReachOf = reach
         reach: says from how far an address can be dialled.
     """
     far = reach(remote)
-    return tuple(it for it in addresses if reach(it) >= far)
+    return tuple(it for it in addresses if reach(it) >= far and (far <= Reach.MACHINE or is_understood(it, remote)))
+
+
+def is_understood(address: str, remote: str) -> bool:
+    """Returns whether an address means on another machine what it means here.
+
+    That of the other end itself does, by which it is seen here.
+
+    Args:
+        address: the address.
+        remote: the address of the other end, as this one sees it.
+    """
+    try:
+        there = parse_address(address)
+        return not there.link_local or there.host == parse_address(remote).host
+    except ValueError:
+        return True
 
 
 def nameable_from(remote: str, addresses: Iterable[str], reach: ReachOf) -> tuple[str, ...]:

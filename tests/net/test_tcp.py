@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import socket
@@ -14,6 +15,7 @@ from net.conftest import TcpRig
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.stream_transport import StreamTransport
+from pancakes.mesh.way_facts import reachable_from
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.plugins import Plugins
 
@@ -43,6 +45,50 @@ def test_names_are_looked_up_beside_the_loop(tcp_rig):
     address = tcp_rig.transport("b").listen(tcp_rig.listen_at, lambda: there)
     tcp_rig.transport("a").dial(address.replace("127.0.0.1", "localhost"), here)
     tcp_rig.until(lambda: there.connection)
+
+
+def _has_six() -> bool:
+    try:
+        with socket.socket(socket.AF_INET6) as probe:
+            probe.bind(("::1", 0))
+    except OSError:
+        return False
+    return True
+
+
+def _link_local() -> str:
+    """Returns an address of this machine that is known within one network only, with its interface; empty: none."""
+    with contextlib.suppress(OSError), open("/proc/net/if_inet6", encoding="ascii") as file:
+        for digits, _, _, _, _, interface in map(str.split, file):
+            if digits.startswith("fe80"):
+                six = socket.inet_ntop(socket.AF_INET6, bytes.fromhex(digits))
+                return f"{six}%{interface}"
+    return ""
+
+
+@pytest.mark.skipif(not _has_six(), reason="this machine has no IPv6")
+def test_agents_meet_over_a_seed_that_listens_at_every_interface_of_both_kinds(tcp_rig):
+    seed = tcp_rig.agent("seed", listen="tcp://[::]:0")
+    port = seed.mesh.listen[0].rpartition(":")[2]
+    a = tcp_rig.agent("a", [f"tcp://127.0.0.1:{port}"])
+    b = tcp_rig.agent("b", [f"tcp://[::ffff:127.0.0.1]:{port}"])
+    tcp_rig.until(lambda: a.knows("b", "seed") and b.knows("a", "seed"))
+    assert all(link["remote"].startswith("tcp://127.0.0.1:") for link in seed.mesh.links())
+
+
+@pytest.mark.skipif(not _link_local(), reason="no interface of this machine has a link-local address")
+def test_an_address_of_one_network_is_known_with_its_interface(tcp_rig):
+    seed = tcp_rig.agent("seed", listen="tcp://[::]:0")
+    port, here = seed.mesh.listen[0].rpartition(":")[2], _link_local()
+    a = tcp_rig.agent("a", [f"tcp://[{here}]:{port}"], listen="tcp://[::]:0")
+    tcp_rig.until(lambda: seed.knows("a") and a.knows("seed"))
+    (link,) = seed.mesh.links()
+    assert link["remote"].startswith(f"tcp://[{here}]:")
+    # It can be dialled at what is known of it, but means nothing to a machine that is elsewhere.
+    learnt = [it["address"] for it in seed.mesh.describe()["addresses"]]
+    assert learnt == [a.mesh.listen[0].replace("[::]", f"[{here}]")]
+    assert reachable_from("tcp://192.0.2.1:7401", learnt) == ()
+    assert reachable_from("tcp://127.0.0.1:7401", learnt) == tuple(learnt)
 
 
 def test_a_name_that_does_not_exist_is_said(tcp_rig):

@@ -7,7 +7,6 @@ one up, and some places are kept for the operator at the agent's own machine.
 
 from __future__ import annotations
 
-import ipaddress
 from collections import Counter
 from collections.abc import Sequence
 from typing import Final
@@ -47,12 +46,7 @@ def machine_of(remote: str) -> str:
         return remote
     if there.loopback:
         return THIS_MACHINE
-    try:
-        address = ipaddress.ip_address(there.host)
-    except ValueError:
-        return there.host
-    mapped = getattr(address, "ipv4_mapped", None)
-    return THIS_MACHINE if (mapped or address).is_loopback else str(mapped or address)
+    return there.host
 
 
 def who_makes_room(machine: str, places: Sequence[ClientPlace]) -> int | None:

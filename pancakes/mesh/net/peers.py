@@ -19,7 +19,7 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.mesh.address import is_local
+from pancakes.mesh.address import is_local, parse_address, spelt
 from pancakes.mesh.net.address_book import MAX_LEARNT, AddressBook, KnownAddress
 from pancakes.mesh.net.client_places import THIS_MACHINE, ClientPlace, machine_of, who_makes_room
 from pancakes.mesh.net.few_links import EndLink, FewDecision, FewLinks, LinkUse, MakeLink, Sighting
@@ -89,6 +89,7 @@ class Peers:
         self._met_at: dict[str, int] = {}  # of the candidates that we dialled
         self._candidates: dict[int, _Candidate] = {}
         self._up: dict[str, _Candidate] = {}
+        static = tuple(map(spelt, static))
         self._book = AddressBook(own.listen, static, source, times, now_s, self._up.__contains__, may_be_named)
         self._asleep: dict[str, float] = {}
         self._last_link = 0
@@ -373,6 +374,7 @@ class Peers:
             now_s: host time.
             peer: the peer that did; empty: a person.
         """
+        addresses = [spelt(address) for address in addresses]
         # Beacons name what is known already, from each peer and all the time.
         unknown = [address for address in addresses if address not in self._book]
         new = [address for address in unknown if self._book.learn(address, now_s, by=peer)]
@@ -479,18 +481,32 @@ def is_namesake(link: int, decisions: Sequence[Decision]) -> bool:
 
 
 def reachable(listen: str, remote: str) -> str:
-    """Returns the address at which an agent can be dialled: where it listens on all interfaces, the one we see.
+    """Returns the address at which an agent can be dialled, in its one spelling; empty where there is none.
+
+    Of one that listens on all interfaces it is the one that we see. So it is where it listens at an address of one
+    network: the name of the interface that leads there is another one on each machine.
 
     Args:
         listen: where it listens.
         remote: the address of the peer that says so, which is itself or on the same machine.
     """
-    scheme, _, place = listen.partition("://")
-    host, _, port = place.rpartition(":")
-    if host not in ("0.0.0.0", "[::]"):
-        return listen
-    seen = "127.0.0.1" if is_local(remote) else remote.partition("://")[2].rpartition(":")[0]
-    return f"{scheme}://{seen}:{port}" if seen else ""
+    try:
+        there = parse_address(listen)
+    except ValueError:
+        return ""
+    if there.path or not (there.everywhere or there.link_local):
+        return str(there)
+    try:
+        seen = parse_address(remote)
+    except ValueError:
+        return ""
+    if there.everywhere:
+        host = "127.0.0.1" if is_local(remote) else seen.host
+    elif seen.loopback:
+        host = there.host
+    else:  # of another one than it is seen at, it is not known which interface leads there from here
+        host = seen.host if there.host.partition("%")[0] == seen.host.partition("%")[0] else ""
+    return str(replace(there, host=host)) if host else ""
 
 
 def _taken(name: str) -> str:

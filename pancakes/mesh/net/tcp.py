@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import socket
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from pancakes.mesh.address import parse_address
+from pancakes.mesh.address import parse_address, spelt
 from pancakes.mesh.net.buffers import bound_buffers
 from pancakes.mesh.net.handshakes import Handshakes
 from pancakes.mesh.net.loop import Loop
@@ -114,5 +115,12 @@ def needs_keys(address: str, name: str = "NAME") -> str:
 
 
 def _address(place: Any) -> str:
-    host, port = place[0], place[1]
-    return f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"
+    """Returns the address of a place.
+
+    What is known within one network only bears the interface that leads there: without, it could not be dialled.
+    """
+    host, port, interface = place[0], place[1], place[3] if len(place) > 3 else 0
+    if interface and "%" not in host:
+        with suppress(OSError):  # it has gone meanwhile
+            host += f"%{socket.if_indextoname(interface)}"
+    return spelt(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}")
