@@ -22,6 +22,7 @@ from pancakes.mesh.migration.rest import resting
 from pancakes.mesh.net.gate import Gate
 from pancakes.mesh.net.link_log import DROPS_REPORTED_EVERY_S
 from pancakes.mesh.net.mesh import Mesh
+from pancakes.mesh.net.rosters import UNCHECKED, can_check
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import Transport
 from pancakes.mesh.security.access import Access
@@ -498,6 +499,8 @@ class Agent:
         self._keys = keys = keys_for(self.config, network, self._plugins)
         if keys is not None and (fault := keys.fault_of(keys.own)):
             self.skipped.append(f"no agent of {agent.fleet} believes this one any more: {fault}")
+        if keys is not None and not can_check():
+            self.skipped.append(f"this agent goes on to believe members that are revoked: {UNCHECKED}")
         self.insecure_over = insecure_over(agent, keys is not None, self._plugins)
         settings = transport_settings(agent, network)
         return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys, network.insecure)

@@ -131,11 +131,11 @@ class Held:
         self.may = threading.Event()
         self.begun: list[bytes] = []
 
-    def __call__(self, keys: Keys, text: bytes) -> tuple[str, bool]:
+    def __call__(self, keys: Keys, text: bytes) -> tuple[str, int]:
         self.begun.append(text)
         self._rig.note()
         assert self.may.wait(20.0)
-        return "it was held", False
+        return "it was held", 1
 
 
 def test_of_each_peer_one_roster_is_checked_at_a_time_and_of_all_so_many(rig, monkeypatch):
@@ -184,7 +184,7 @@ def test_of_two_rosters_that_are_checked_at_once_the_later_one_stays(rig):
     folder = rig.enrol("a")
     keys, old = Keys(folder), signed(rig.directory / "authority", number=90)
     new = signed(rig.directory / "authority", number=91)
-    assert keep(keys, new) == keep(keys, old) == ("", False)
+    assert keep(keys, new) == keep(keys, old) == ("", 0)
     assert read_signed((folder / "roster.json").read_bytes())[1].number == 91
     assert keys.learn(read_signed(new)[1], new)
     assert not keys.learn(read_signed(old)[1], old)

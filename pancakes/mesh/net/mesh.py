@@ -54,6 +54,7 @@ from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock
 
 if TYPE_CHECKING:
+    from pancakes.mesh.net.rosters import RosterFault
     from pancakes.mesh.security.access import Access
     from pancakes.mesh.security.keys import Keys
 
@@ -213,6 +214,11 @@ class Mesh:
     def reload_keys(self) -> bool:
         """See `Rekeying.reload`."""
         return self._trust.rekeying.reload()
+
+    @property
+    def roster_fault(self) -> RosterFault | None:
+        """See `Rosters.fault`."""
+        return self._trust.rosters.fault
 
     def stop(self) -> None:
         """Says goodbye for good, and closes all links. Close the transport afterwards."""

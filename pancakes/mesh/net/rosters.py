@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.session import Session
 from pancakes.mesh.net.transport import Scheduled
-from pancakes.mesh.security.roster import FALSE, Roster, read_signed
+from pancakes.mesh.security.roster import FALSE, UNKEPT, Roster, read_signed
 from pancakes.mesh.wire.link_messages import Refusal, RosterNumber, RosterText
 
 if TYPE_CHECKING:
@@ -22,6 +23,21 @@ CHECK_S: Final = 30.0
 """So long the check of a signature may take."""
 MOST_CHECKS: Final = 4
 """So many rosters are checked at a time; of each peer one."""
+
+UNCHECKED: Final = "a roster cannot be checked without cryptography: pip install 'pancakes-agents[keys]'"
+
+
+class RosterFault(NamedTuple):
+    """Why an agent does not go by a roster, or cannot keep it.
+
+    Attributes:
+        number: the number of the roster; 0: the same is true of each that will come.
+        text: why, as a sentence.
+    """
+
+    number: int
+    text: str
+
 
 LookAgain = Callable[[float, Callable[[], None]], Scheduled]
 
@@ -36,6 +52,9 @@ class Rosters:
         refuse: ends a link, for a reason that the peer is told.
         call_later: as `Transport.call_later`.
         log: takes (level, text).
+
+    Attributes:
+        fault: why the roster that was given last is not taken, or is not kept; None: all is well.
     """
 
     def __init__(
@@ -54,10 +73,14 @@ class Rosters:
         self._call_later = call_later
         self._log = log
         self._checking: set[str] = set()
+        self._unkept = False
+        self.fault: RosterFault | None = None
 
     def begin(self) -> None:
         """The mesh has begun."""
         if self._keys is not None:
+            if not can_check():
+                self.fault = RosterFault(0, UNCHECKED)
             self._call_later(LOOK_S, self._look)
 
     def stood_up(self, session: Session) -> None:
@@ -88,25 +111,35 @@ class Rosters:
         if keys.roster is not None and roster.number <= keys.roster.number:
             return  # another peer was faster
         if fault := keys.fault_of_roster(roster):
-            self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
+            self._not_taken(session, roster, fault)
             return
         if session.peer in self._checking or len(self._checking) >= MOST_CHECKS:
             return  # it is told the number again, and gives the roster again
         self._checking.add(session.peer)
 
         def check() -> None:
-            fault, is_false = keep(keys, text)
-            self._call_later(0.0, lambda: self._checked(keys, session, roster, text, fault, is_false))
+            fault, code = keep(keys, text)
+            self._call_later(0.0, lambda: self._checked(keys, session, roster, text, fault, code))
 
         threading.Thread(target=check, name="roster", daemon=True).start()
 
-    def _checked(self, keys: Keys, session: Session, roster: Roster, text: bytes, fault: str, is_false: bool) -> None:
+    def _not_taken(self, session: Session, roster: Roster, fault: str) -> None:
+        self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
+        self.fault = RosterFault(roster.number, fault)
+
+    def _checked(self, keys: Keys, session: Session, roster: Roster, text: bytes, fault: str, code: int) -> None:
         self._checking.discard(session.peer)
-        if fault:
+        if code == FALSE:
             self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
-            if is_false:
-                self._refuse(session, "name", fault)
+            self._refuse(session, "name", fault)
+        elif code not in (0, UNKEPT):
+            self._not_taken(session, roster, fault)
         elif keys.learn(roster, text):
+            # A disk that is full must not let a revoked peer stay: it is obeyed now, and written later.
+            self._unkept = code == UNKEPT
+            self.fault = RosterFault(roster.number, fault) if fault else None
+            if fault:
+                self._log("error", f"{fault}. This agent goes by it until it ends")
             revoked = len(roster.revoked)
             self._log("info", f"{session.peer} gave the roster {roster.number} of {roster.fleet}: {revoked} revoked")
             if own := keys.fault_of(keys.own):
@@ -118,7 +151,23 @@ class Rosters:
         if self._keys is not None:
             self._end_those_revoked(self._keys)
             self._tell_all()
+            if self._unkept:
+                self._keep_again(self._keys)
             self._call_later(LOOK_S, self._look)
+
+    def _keep_again(self, keys: Keys) -> None:
+        """Tries again to write down the roster that this agent goes by."""
+        text = keys.roster_text
+
+        def again() -> None:
+            _, code = keep(keys, text)
+            self._call_later(0.0, lambda: self._kept(keys, text, code))
+
+        threading.Thread(target=again, name="roster", daemon=True).start()
+
+    def _kept(self, keys: Keys, text: bytes, code: int) -> None:
+        if code == 0 and text == keys.roster_text:
+            self._unkept, self.fault = False, None
 
     def _tell_all(self) -> None:
         for session in self._links:
@@ -130,12 +179,19 @@ class Rosters:
                 self._refuse(session, "name", f"{session.peer} is not believed any more: {fault}")
 
 
-def keep(keys: Keys, text: bytes) -> tuple[str, bool]:
+def can_check() -> bool:
+    """Returns whether the library is installed that checks the signature of a roster."""
+    try:
+        return importlib.util.find_spec("cryptography") is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def keep(keys: Keys, text: bytes) -> tuple[str, int]:
     """Checks the signature of a roster, and keeps it beside the keys. Waits for a process, in a thread of its own.
 
     Returns:
-        Why it is not taken, as a sentence, and whether that is because the authority has not signed it; empty: it is
-        kept.
+        What is wrong, as a sentence (empty: nothing, it is kept), and the exit code of `check_roster`.
     """
     import subprocess
 
@@ -143,8 +199,8 @@ def keep(keys: Keys, text: bytes) -> tuple[str, bool]:
     try:
         ended = subprocess.run(command, input=text, capture_output=True, timeout=CHECK_S)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return f"its signature cannot be checked: {error}", False
+        return f"its signature cannot be checked: {error}", 1
     if ended.returncode == 0:
-        return "", False
+        return "", 0
     said = ended.stderr.decode(errors="replace").strip().splitlines()
-    return said[-1] if said else f"its check ended with {ended.returncode}", ended.returncode == FALSE
+    return said[-1] if said else f"its check ended with {ended.returncode}", ended.returncode

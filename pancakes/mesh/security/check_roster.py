@@ -2,8 +2,9 @@
 
     python -m pancakes.mesh.security.check_roster FOLDER < roster
 
-It ends with 0 where the folder with keys has the roster now, with `FALSE` where the authority has not signed it, and
-with 1 where that cannot be said, or it cannot be kept. Each but the first comes with a sentence on standard error.
+It ends with 0 if the folder with keys has the roster now, with `FALSE` if the authority has not signed it, with
+`UNKEPT` if the authority has signed it and the folder cannot take it, and with 1 if the signature cannot be checked.
+Each but the first comes with a sentence on standard error.
 """
 
 from __future__ import annotations
@@ -13,11 +14,15 @@ from pathlib import Path
 
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.mesh.security.key_files import FLEET, ROSTER, write_private
-from pancakes.mesh.security.roster import FALSE, MOST_BYTES, read_signed
+from pancakes.mesh.security.roster import FALSE, MOST_BYTES, UNKEPT, read_signed
 
 
 class FalseRoster(PancakesError):
     """A roster that the authority of the fleet has not signed."""
+
+
+class UnkeptRoster(PancakesError):
+    """A roster that the authority of the fleet has signed, and that cannot be written beside the keys."""
 
 
 def check(folder: Path, text: bytes) -> None:
@@ -25,7 +30,8 @@ def check(folder: Path, text: bytes) -> None:
 
     Raises:
         FalseRoster: it is none, or was not signed by the authority of the folder's fleet.
-        PancakesError: it cannot be checked, or not be kept.
+        UnkeptRoster: it was signed, and cannot be written.
+        PancakesError: it cannot be checked.
     """
     with needing_extra("a roster cannot be checked"):
         from pancakes.mesh.security.authority import signed_by
@@ -41,7 +47,8 @@ def check(folder: Path, text: bytes) -> None:
         if kept < roster.number:
             write_private(path, text)
     except (OSError, ValueError) as error:
-        raise PancakesError(f"the roster {roster.number} cannot be kept in {folder}: {error}") from None
+        why = (error.strerror if isinstance(error, OSError) else "") or str(error)
+        raise UnkeptRoster(f"the roster {roster.number} cannot be kept in {folder}: {why}") from None
 
 
 def main() -> None:
@@ -50,7 +57,8 @@ def main() -> None:
         check(Path(sys.argv[1]), sys.stdin.buffer.read(MOST_BYTES + 1))
     except PancakesError as error:
         print(error, file=sys.stderr)
-        sys.exit(FALSE if isinstance(error, FalseRoster) else 1)
+        codes = {FalseRoster: FALSE, UnkeptRoster: UNKEPT}
+        sys.exit(codes.get(type(error), 1))
 
 
 if __name__ == "__main__":

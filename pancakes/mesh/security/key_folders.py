@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from pancakes.mesh.security.key_files import KEY
+from pancakes.mesh.security.key_files import KEY, ROSTER, number_of
 
 _OF_SERVICES: Final = Path("/etc/pancakes/keys")
 
@@ -49,3 +49,12 @@ def fleets_of_person() -> list[str]:
         return sorted(it.name for it in fleets().iterdir() if keys_of_person(it.name))
     except OSError:
         return []
+
+
+def rosters_here() -> dict[str, int]:
+    """Returns the number of the last roster that this person's folders have of each fleet."""
+    try:
+        folders = sorted(it for it in fleets().iterdir() if it.is_dir())
+    except OSError:
+        return {}
+    return {it.name: max(number_of(it / ROSTER), number_of(it / "me" / ROSTER)) for it in folders}

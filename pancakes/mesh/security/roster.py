@@ -14,7 +14,9 @@ from pancakes.runtime.foundation.malformed import MALFORMED
 MOST_BYTES: Final = 128 * 1024
 """A roster is no larger: it travels as one message, and each agent keeps it."""
 FALSE: Final = 3
-"""The exit code of the process that checks a roster, where the authority has not signed it."""
+"""The exit code of the process that checks a roster, if the authority has not signed it."""
+UNKEPT: Final = 4
+"""Its exit code if the authority has signed the roster, and the roster cannot be written beside the keys."""
 LATEST_S: Final = 30 * 86_400.0
 """A roster that is dated so much later than the last one, and than the own clock, is not believed: a signer whose clock
 is wrong would end each person's certificate for good.

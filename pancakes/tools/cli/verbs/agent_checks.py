@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from pancakes import __version__
@@ -13,6 +13,8 @@ from pancakes.tools.cli.verbs.finding import Finding
 
 MISSED_SHARE: Final = 0.01
 """A task that misses more than this share of its ticks is named."""
+
+_NO_ROSTERS: Final[Mapping[str, int]] = {}
 
 Ask = Callable[[str, str], Any]
 """Returns the detailed description of a task (an agent's name, `service/task`); None where there is none."""
@@ -47,7 +49,11 @@ def is_suspended(pid: int) -> bool:
 
 
 def check_fleet(
-    agents: Sequence[dict[str, Any]], silent: Sequence[str], ask: Ask, asleep: Sequence[str] = ()
+    agents: Sequence[dict[str, Any]],
+    silent: Sequence[str],
+    ask: Ask,
+    asleep: Sequence[str] = (),
+    rosters: Mapping[str, int] = _NO_ROSTERS,
 ) -> Iterator[Finding]:
     """Looks at what agents say of themselves.
 
@@ -56,6 +62,7 @@ def check_fleet(
         silent: a sentence for each that said nothing.
         ask: asks for more.
         asleep: those of the sentences whose agent had said that its network would sleep, which is as it should be.
+        rosters: the number of the last roster that this machine has of each fleet.
     """
     for sentence in silent:
         if sentence in asleep:
@@ -63,19 +70,18 @@ def check_fleet(
             continue
         advice = "see whether it runs, and whether its process is suspended or its computer is away"
         yield Finding("error", "agents", sentence, advice)
-    newest = max((agent["roster"] or 0 for agent in agents), default=0)
     versions = {agent["process"]["version"] for agent in agents if agent["process"] is not None}
     if versions - {__version__}:
         text = f"agents run the versions {', '.join(sorted(versions))}, and this command is {__version__}"
         yield Finding("warning", "agents", text, "update them: tasks move between equal versions only")
     yield from _check_builds(agents)
     for agent in agents:
-        if agent["roster"] is not None and agent["roster"] < newest:
-            text = f"goes by the roster {agent['roster']} of its fleet, and others know the roster {newest}"
-            yield Finding(
-                "warning", agent["agent"], text, "link it to one that knows: it believes what was revoked since"
-            )
-        findings = [*_check_agent(agent), *_check_peers(agent), *_check_tasks(agent, ask)]
+        findings = [
+            *_check_roster(agent, agents, rosters.get(agent["fleet"], 0)),
+            *_check_agent(agent),
+            *_check_peers(agent),
+            *_check_tasks(agent, ask),
+        ]
         yield from findings
         if not findings:
             running = sum(task["state"] == "running" for task in agent["tasks"])
@@ -86,6 +92,28 @@ def check_fleet(
             if routed := sum(peer["reach"] == "routers" for peer in agent["mesh"]["peers"]):
                 text += f"; {_count(routed, 'link')} through routers"
             yield Finding("ok", agent["agent"], text)
+
+
+def _check_roster(agent: dict[str, Any], agents: Sequence[dict[str, Any]], here: int) -> Iterator[Finding]:
+    """Compares the roster of an agent with those of its fleet, and with that of this machine."""
+    own, fault = agent["roster"], agent.get("roster_fault")
+    if own is None:
+        return
+    others = max((it["roster"] or 0 for it in agents if it["fleet"] == agent["fleet"]), default=0)
+    if fault is not None and fault["number"] in (0, own):
+        advice = "make room, or give its user the right to write there; it tries again each minute"
+        if fault["number"] == 0:
+            advice = "pancakes deploy brings it; until then this agent goes on to believe whom you revoke"
+        yield Finding("error", agent["agent"], fault["text"], advice)
+    elif fault is not None and fault["number"] > own:
+        yield Finding("error", agent["agent"], fault["text"], "mend that: it believes what was revoked since")
+    if own < others:
+        text = f"goes by the roster {own} of its fleet, and others know the roster {others}"
+        yield Finding("warning", agent["agent"], text, "link it to one that knows: it believes what was revoked since")
+    elif own < here:
+        text = f"goes by the roster {own} of its fleet, and this machine has the roster {here}"
+        advice = "look again in a minute; if it stays so, pancakes fleet sign --tell HOST:PORT"
+        yield Finding("warning", agent["agent"], text, advice)
 
 
 def _check_builds(agents: Sequence[dict[str, Any]]) -> Iterator[Finding]:

@@ -72,6 +72,7 @@ def _look(machine: bool, ask: Ask) -> Iterator[Finding]:
 def _look_at_agents(ask: Ask) -> Iterator[Finding]:
     from pancakes.control import Describe, Guarding
     from pancakes.errors import PancakesError
+    from pancakes.mesh.security.key_folders import rosters_here
     from pancakes.runtime.clock import wall_ns
     from pancakes.runtime.runtime_dir import entries
     from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
@@ -106,7 +107,7 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
                 return None
 
         yield from check_clocks(found.agents, asked_s)
-        yield from check_fleet(found.agents, found.silent, told, found.asleep)
+        yield from check_fleet(found.agents, found.silent, told, found.asleep, rosters_here())
         guarded = client.ask_each(Guarding(), *(agent["agent"] for agent in found.agents))
         yield from check_guards([row for _, reply in guarded.replies if reply.ok for row in reply.result])
         for agent in found.agents:

@@ -229,7 +229,8 @@ def revoke(who: str, why: str, fleet_name: str, addresses: tuple[str, ...], forc
     """Revoke all certificates of a machine or a person: a robot or a laptop is lost, or a person has left.
 
     Agents end its links within a second of hearing of it, and tell each other. An agent that is away hears of it when
-    it is linked again.
+    it is linked again. The exit code is 1 if no agent has heard of it, or if one that was reached does not go by it;
+    standard error says why.
 
     \b
     Example:
@@ -244,7 +245,7 @@ def revoke(who: str, why: str, fleet_name: str, addresses: tuple[str, ...], forc
         return
     office = opened(fleet_name)
     _show_entries(office.revoke(who, why, force), "revoked")
-    spread(office, addresses)
+    spread(office, addresses, must_be_heard=True)
 
 
 @fleet.command()
@@ -252,7 +253,9 @@ def revoke(who: str, why: str, fleet_name: str, addresses: tuple[str, ...], forc
 @told_at
 @forced
 def sign(fleet_name: str, addresses: tuple[str, ...], force: bool) -> None:
-    """Sign the roster of the fleet anew, and tell the agents.
+    """Sign the roster of the fleet again, and tell the agents.
+
+    The exit code is 1 if an agent that was reached does not go by it; standard error says why.
 
     \b
     Example:

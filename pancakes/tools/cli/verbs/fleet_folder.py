@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from pancakes.client import Client
     from pancakes.mesh.security.fleet_office import FleetOffice
 
-TOLD_S: Final = 5.0
-"""So long a command waits for agents to hear of a roster."""
+TOLD_S: Final = 15.0
+"""A command waits at most this long for agents to hear of a roster; a small computer takes seconds to check one."""
 LOOK_S: Final = 0.2
 
 
@@ -56,37 +56,87 @@ def opened(name: str) -> FleetOffice:
     return FleetOffice.opened(folder, password.encode() if password else None)
 
 
-def spread(office: FleetOffice, addresses: Sequence[str]) -> None:
-    """Tells agents of the last roster, and says which know it now."""
+def spread(office: FleetOffice, addresses: Sequence[str], must_be_heard: bool = False) -> None:
+    """Tells agents of the last roster, and says which know it now.
+
+    Args:
+        office: the fleet.
+        addresses: where to find agents; none: on this machine.
+        must_be_heard: whether it is an error if no agent runs that could hear of it.
+
+    Raises:
+        PancakesError: an agent does not go by it, or none could be told; the sentences say why.
+    """
     from pancakes.client import Client, Where
     from pancakes.mesh.security.roster import read_signed
 
     number = read_signed((office.folder / "roster.json").read_bytes())[1].number
-    if key_folders.keys_of_person(office.fleet) is None:
-        show_text(f"You have no keys of the fleet {office.fleet}, so no agent can be told from here.", err=True)
-        return
     try:
+        if key_folders.keys_of_person(office.fleet) is None:
+            raise PancakesError(f"you have no keys of the fleet {office.fleet}, so no agent can be told from here")
         with Client(Where.of(Where(tuple(addresses), office.fleet)), TOLD_S) as client:
-            know = _told(client, number)
+            know, problems, silent = _told(client, number)
+        if not know and not problems:
+            raise PancakesError("\n".join(silent) or "no agent that answers has keys of the fleet")
     except PancakesError as error:
-        show_text(f"No agent has heard of the roster {number} yet: {error}", err=True)
+        sentence = f"no agent has heard of the roster {number} yet: {error}"
         if not addresses:
-            show_text("Agents elsewhere hear of it with: pancakes fleet sign --tell HOST:PORT", err=True)
+            sentence += "\nAgents elsewhere hear of it with: pancakes fleet sign --tell HOST:PORT"
+        if must_be_heard or addresses or _runs_here(office.fleet):
+            raise PancakesError(sentence) from None
+        show_text(sentence, err=True)
         return
     show_text(f"The roster {number} is known to {', '.join(know) or 'no agent yet'}.")
+    for sentence in silent:
+        show_text(f"{sentence}. It hears of the roster when it is linked again", err=True)
+    if problems:
+        raise PancakesError("\n".join(problems))
 
 
-def _told(client: Client, number: int) -> list[str]:
-    """Waits until all agents know a roster, which this terminal gives to them; returns those that do."""
+def _runs_here(fleet: str) -> bool:
+    """Returns whether an agent of a fleet runs on this machine, so that it should have heard."""
+    from pancakes.runtime.runtime_dir import entries
+
+    return any(it.fleet == fleet and it.role != "client" for it in entries())
+
+
+def _told(client: Client, number: int) -> tuple[list[str], list[str], list[str]]:
+    """Waits until all agents know a roster, which this terminal gives to them.
+
+    Returns:
+        Those that go by it, a sentence for each that does not or cannot keep it, and one for each that did not answer
+        although it is a member.
+    """
     until_s = client.now() + TOLD_S
     while True:
-        found = client.survey().agents
-        if later := [agent for agent in found if (agent["roster"] or 0) > number]:
+        survey = client.survey()
+        found = [agent for agent in survey.agents if agent["roster"] is not None]  # the others have no keys
+        if later := [agent for agent in found if agent["roster"] > number]:
             raise PancakesError(
                 f"{later[0]['agent']} knows the roster {later[0]['roster']} already, and takes none with a lower"
                 " number: this folder is an old copy (docs/security.md, Backup)"
             )
         know = [agent["agent"] for agent in found if agent["roster"] == number]
-        if len(know) == len(found) or client.now() > until_s:
-            return know
+        waiting = [agent for agent in found if agent["roster"] != number and not _fault(agent, 0, number)]
+        if not waiting or client.now() > until_s:
+            silent = [sentence for sentence in survey.silent if "certificate was revoked" not in sentence]
+            return know, [problem for agent in found if (problem := _problem(agent, number))], silent
         time.sleep(LOOK_S)
+
+
+def _fault(agent: dict[str, Any], *numbers: int) -> str:
+    """Returns what an agent says of a roster that it does not take or keep; empty: nothing of these numbers."""
+    told = agent.get("roster_fault")
+    return str(told["text"]) if told is not None and told["number"] in numbers else ""
+
+
+def _problem(agent: dict[str, Any], number: int) -> str:
+    name = agent["agent"]
+    if agent["roster"] == number:
+        fault = _fault(agent, number)
+        return f"{name} goes by the roster {number} until it ends, and would forget it: {fault}" if fault else ""
+    why = (
+        _fault(agent, 0, number)
+        or f"it does not say why within {TOLD_S:g} s (pancakes log --from {name} --level warning)"
+    )
+    return f"{name} does not go by the roster {number}: {why}"

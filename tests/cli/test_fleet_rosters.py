@@ -1,0 +1,100 @@
+"""What becomes of a roster that agents cannot check or keep: `revoke` and `sign` fail, and `doctor` names the agent."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from cli.processes import READY, Rig, Running
+
+from pancakes.mesh.security.key_files import ROSTER, write_private
+
+MISSING = "import sys\nsys.modules['cryptography'] = None\n"
+
+
+def without_cryptography(rig: Rig, name: str) -> Running:
+    """Starts an agent on whose machine the extra `keys` is not installed."""
+    folder = rig.directory / "missing"
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(MISSING)
+    ours = rig.environment
+    rig.environment = {**ours, "PYTHONPATH": f"{folder}:{ours['PYTHONPATH']}"}
+    agent = rig.agent(rig.config(name), true_start=True)
+    rig.environment = ours
+    agent.hear(READY)
+    agent.hear("this agent goes on to believe members that are revoked")
+    rig.entry(agent.pid)
+    return agent
+
+
+def findings(rig: Rig) -> dict[str, tuple[str, str]]:
+    rows = json.loads(rig.pancakes("doctor", "--no-machine", "--format", "json").stdout)
+    return {row["about"]: (row["level"], row["text"]) for row in rows if "roster" in row["text"]}
+
+
+@pytest.mark.parametrize("words", [("revoke", "bob", "laptop stolen"), ("sign",), ("allow", "b", "command")])
+def test_roster_that_an_agent_cannot_check_fails_and_is_told(rig: Rig, words: tuple[str, ...]):
+    rig.keys.office("test").enrol_with_key("operator", "bob")
+    agent = without_cryptography(rig, "a")
+    rig.ready("b", agent=f'peers = ["{rig.address(agent)}"]').hear("a (agent, ")
+    assert findings(rig)["a"][0] == "error"
+    assert "a roster cannot be checked without cryptography" in findings(rig)["a"][1]
+
+    done = rig.pancakes("fleet", *words)
+
+    assert done.returncode == 1, done.stdout
+    assert "known to b" in done.stdout and "a does not go by the roster" in done.stderr
+    assert "cannot be checked without cryptography: pip install 'pancakes-agents[keys]'" in done.stderr
+    assert "b" not in findings(rig)
+
+
+def test_roster_that_only_the_operator_has_is_told_by_doctor(rig: Rig):
+    rig.ready("a")
+    assert findings(rig) == {}
+    office = rig.keys.office("test")
+    number = office.sign().number
+    (office.folder / "me" / ROSTER).unlink()  # so that the terminal has nothing to give
+    level, text = findings(rig)["a"]
+    assert level == "warning" and f"the roster {number}" in text
+
+
+def test_revoke_that_no_agent_hears_fails(rig: Rig):
+    rig.keys.office("test").enrol_with_key("operator", "bob")
+    done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen")
+    assert done.returncode == 1 and "no agent has heard of the roster" in done.stderr
+    signed = rig.pancakes("fleet", "sign")
+    assert signed.returncode == 0 and "no agent has heard of the roster" in signed.stderr
+    named = rig.pancakes("fleet", "sign", "--tell", "127.0.0.1:1")
+    assert named.returncode == 1 and "127.0.0.1:1" in named.stderr
+
+
+def full_disk(folder: Path) -> bool:
+    """Puts a folder onto a disk without room."""
+    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20k,mode=700", "tmpfs", str(folder)]).returncode:
+        return False
+    for name, data in files.items():
+        write_private(folder / name, data)
+    with suppress(OSError), open(folder / "rest", "wb", 0) as rest:
+        while rest.write(bytes(512)):
+            pass
+    return True
+
+
+def test_roster_that_cannot_be_kept_is_obeyed_and_told(rig: Rig):
+    rig.keys.office("test").enrol_with_key("operator", "bob")
+    folder = rig.keys.of_agent("test", "a")
+    if not full_disk(folder):
+        pytest.skip("a small disk can be had by root only")
+    try:
+        rig.ready("a")
+        done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen")
+        assert done.returncode == 1, done.stdout
+        assert "a goes by the roster 2 until it ends" in done.stderr and "cannot be kept" in done.stderr
+        assert "No space left on device" in findings(rig)["a"][1] and findings(rig)["a"][0] == "error"
+        assert rig.listed("agent", "info", "a")[0]["roster"] == 2
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
