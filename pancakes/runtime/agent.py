@@ -19,6 +19,7 @@ from pancakes.events import Event
 from pancakes.mesh.migration.boots import Boot
 from pancakes.mesh.migration.outbox import Outbox
 from pancakes.mesh.migration.rest import resting
+from pancakes.mesh.near_only import ADVICE
 from pancakes.mesh.net.gate import Gate
 from pancakes.mesh.net.link_log import DROPS_REPORTED_EVERY_S
 from pancakes.mesh.net.mesh import Mesh
@@ -339,6 +340,8 @@ class Agent:
             self.kernel.log("warning", sentence)
         for task, why in self.resting.items():
             self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
+        for why in self.mesh.near_only:
+            self.kernel.log("warning", f"{self.name} is not reached from other machines: {why}. {ADVICE.capitalize()}")
         if over := self.insecure_over:
             text = f"{self.name} speaks over {over} without keys: nothing is encrypted, and no peer is checked"
             self.kernel.log("warning", text)

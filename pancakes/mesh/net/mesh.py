@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.near_only import why_near_only
 from pancakes.mesh.net.address_book import RESTS_S
 from pancakes.mesh.net.alarm import Alarm
 from pancakes.mesh.net.few_links import DropWaiting, FewLinks
@@ -90,6 +91,7 @@ class Mesh:
 
     Attributes:
         clocks: the clocks of its peers.
+        near_only: why only this machine reaches it at addresses that were to reach further, each a clause.
     """
 
     def __init__(
@@ -117,6 +119,7 @@ class Mesh:
         self._gate = gate
         self._transport = transport
         self._listen_at, self._static = tuple(listen), tuple(peers)
+        self.near_only: tuple[str, ...] = ()
         self._random = source
         self._now = host_clock.now
         self._on_peer_up, self._on_peer_down = on_peer_up, on_peer_down
@@ -154,7 +157,9 @@ class Mesh:
         """
         if self._state != "new":
             raise PancakesError(f"the mesh of {self.identity.name} was started before")
-        self._own = self.identity.hello([self._transport.listen(at, self._accept) for at in self._listen_at])
+        found = [self._transport.listen(at, self._accept) for at in self._listen_at]
+        self._own = self.identity.hello(found)
+        self.near_only = tuple(filter(None, map(why_near_only, self._listen_at, found)))
         self._transport.call_later(0.0, self._begin)
 
     def send(self, packet: Packet, retry: bool = False) -> int:
@@ -249,6 +254,7 @@ class Mesh:
             "role": self.identity.role,
             "fleet": self.identity.fleet,
             "listen": self.listen,
+            "near_only": self.near_only,
             "ways": [{"address": it, **self._transport.facts(it).plain()} for it in self.listen],
             "state": self._state,
             "peers": self.links(),

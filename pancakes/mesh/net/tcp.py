@@ -7,7 +7,7 @@ import socket
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from pancakes.mesh.address import parse_address, spelt
+from pancakes.mesh.address import is_loopback, parse_address, spelt
 from pancakes.mesh.net.buffers import bound_buffers
 from pancakes.mesh.net.handshakes import Handshakes
 from pancakes.mesh.net.loop import Loop
@@ -68,7 +68,9 @@ class TcpTransport(StreamTransport):
         return made
 
     def bind(self, address: str) -> Bound:
-        family, place = self.places(address, look_up=True)[0]
+        places = self.places(address, look_up=True)
+        # Of a name's addresses the first that others reach: the name of a machine may lead to its loopback as well.
+        family, place = min(places, key=lambda it: is_loopback(_address(it[1])))
         sock = socket.socket(family, socket.SOCK_STREAM)
         try:
             if os.name == "posix":

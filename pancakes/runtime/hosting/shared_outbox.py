@@ -68,8 +68,8 @@ class SharedOutbox:
             data = self._encoder.packet(packet)
             if len(data) > MAX_MESSAGE_BYTES - ENVELOPE_BYTES:
                 raise LocalProtocolError(
-                    f"the packet {packet.number} of the type {packet.type!r} from {packet.source} takes {len(data)} bytes,"
-                    f" and {MAX_MESSAGE_BYTES - ENVELOPE_BYTES} may be sent to a task"
+                    f"the packet {packet.number} of the type {packet.type!r} from {packet.source} takes {len(data)}"
+                    f" bytes, and {MAX_MESSAGE_BYTES - ENVELOPE_BYTES} may be sent to a task"
                 )
             host = self._outbox.host_of(sender, task_id) or host
             self._unsent += self._outbox.post(sender, task_id, data, host, now_s)

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from pancakes import __version__
 from pancakes.mesh.migration.rest import DISK_LOST, OLD_COPY, WAITS
+from pancakes.mesh.near_only import ADVICE
 from pancakes.runtime.life.restart import tries
 from pancakes.runtime.runtime_dir import RunningAgent
 from pancakes.tools.cli.verbs.finding import Finding
@@ -139,6 +140,8 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
     if agent["insecure"]:
         text = f"speaks over {agent['insecure']} without keys: all that reach it can read what it says, and command it"
         yield Finding("warning", name, text, "pancakes fleet join, and take insecure = true out of its file")
+    for why in agent["mesh"].get("near_only", ()):
+        yield Finding("warning", name, f"is not reached from other machines: {why}", ADVICE)
     for service in agent["services"]:
         yield from _check_tries(f"{name}/{service['service']}", "service", service)
     if agent["dead_letters"]:

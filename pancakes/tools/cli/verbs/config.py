@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from pancakes.control import Describe
-from pancakes.errors import ConfigError, ControlRefused, Unreachable
+from pancakes.errors import ConfigError, ControlRefused, Fault, Unreachable
 from pancakes.runtime.foundation.printable import printable_data
 from pancakes.tools.cli.asking import order
 from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
@@ -60,6 +60,7 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
         pancakes config check configs/encirclement robot.toml
         pancakes config check robot.toml --format json
     """
+    from pancakes.runtime.config.doubts import doubts_of
     from pancakes.runtime.plugins import Plugins
     from pancakes.tools.launch.fleet_plan import make_fleet
 
@@ -69,10 +70,13 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
         try:
             for member in make_fleet([path], (), None, plugins, must_load=True):
                 fleet = member.config.agent.fleet
-                rows.append({"file": str(member.path), "agent": member.name, "fleet": fleet, "faults": []})
+                # What names lead to on another machine is not known here.
+                doubts = [] if member.host else [fault._asdict() for fault in doubts_of(member.config)]
+                row = {"file": str(member.path), "agent": member.name, "fleet": fleet, "faults": []}
+                rows.append({**row, "warnings": doubts})
         except ConfigError as error:
             faults = [fault._asdict() for fault in error.faults]
-            rows.append({"file": str(path), "agent": None, "fleet": None, "faults": faults})
+            rows.append({"file": str(path), "agent": None, "fleet": None, "faults": faults, "warnings": []})
             if format_ == "table":
                 show_text(str(error), err=True)
     told = {fault["problem"] for row in rows for fault in row["faults"]}
@@ -83,6 +87,8 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
         show_json(rows)
     else:
         for row in rows:
+            for doubt in row["warnings"]:
+                show_text(f"warning: {Fault(**doubt)}", err=True)
             if not row["faults"]:
                 show_text(f"{row['file']} is sound: the agent {row['agent']} of the fleet {row['fleet']}")
     sys.exit(BAD_CONFIGURATION if any(row["faults"] for row in rows) else OK)
