@@ -68,6 +68,25 @@ def test_a_port_in_use_is_an_error_that_names_it(rig, ear):
         rig.transport("b").listen(address, lambda: ear())
 
 
+def test_an_address_at_which_nothing_listens_any_more_is_free_at_once(rig, ear):
+    first, second, here = ear(), ear(), ear()
+    transport = rig.transport("b")
+    address = transport.listen(rig.listen_at, lambda: first)
+    for _ in range(3):
+        transport.stop_listening(address)
+        assert transport.listen(address, lambda: second) == address
+    rig.transport("a").dial(address, here)
+    rig.until(lambda: here.connection and second.connection)
+    assert first.connection is None
+    transport.stop_listening(address)
+    second.connection.send(b"it stays")
+    rig.until(lambda: here.data == b"it stays")
+    refused = ear()
+    rig.transport("a").dial(address, refused)
+    rig.until(lambda: refused.closed_for)
+    assert refused.closed_for == [f"{address} cannot be reached: connection refused"]
+
+
 def test_listen_at_what_is_no_address_is_refused(rig, ear):
     transport = rig.transport("a")
     for address in ("", "7401", "tcp://", "tcp://host", "tcp://:1", "tcp://127.0.0.1:x"):

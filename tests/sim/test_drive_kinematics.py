@@ -56,7 +56,7 @@ def test_the_full_course_limits_together_are_more_than_the_wheels_can():
 
 
 def test_a_command_that_is_no_number_moves_nothing():
-    for twist in (Twist(math.nan, 0.0), Twist(0.1, math.inf)):
+    for twist in (Twist(math.nan, 0.0), Twist(0.1, math.nan), Twist(0.1, math.inf), Twist(1e308, 1e308)):
         assert KHEPERA.wheels(twist) == Wheels(0.0, 0.0)
 
 

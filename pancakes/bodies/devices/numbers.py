@@ -65,7 +65,7 @@ def _has_arrays(cls: type) -> bool:
 
 
 @cache
-def _check_of_class(cls: type, arrays: bool) -> _Check | None:
+def _check_of_class(cls: Any, arrays: bool) -> _Check | None:
     if not has_fields(cls):
         return _checks_any(arrays)
     try:

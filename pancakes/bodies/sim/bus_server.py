@@ -29,6 +29,7 @@ class BusServer:
         self.serve: Serve | None = serve
         self.log = log
         self.clients: dict[_BusConnection, None] = {}
+        self._address = ""
 
     def listen(self, address: str) -> str:
         """Takes connections at `address` from now on; returns the address that was really taken.
@@ -36,11 +37,18 @@ class BusServer:
         Raises:
             PancakesError: the address is in use, or is no address.
         """
-        return self._transport.listen(address, lambda: _BusConnection(self))
+        self._address = self._transport.listen(address, lambda: _BusConnection(self))
+        return self._address
 
     def close(self) -> None:
-        """Answers nothing more, and closes the connections: so the devices learn that the world is gone."""
+        """Answers nothing more, frees its address, and closes the connections: so the devices learn of it.
+
+        A world that is started again can listen there.
+        """
         self.serve = None
+        if self._address:
+            self._transport.stop_listening(self._address)
+            self._address = ""
         for client in tuple(self.clients):
             client.close("the world has ended")
 

@@ -45,6 +45,9 @@ class DriveKinematics:
         Where a limit is in the way, the whole command is scaled down, so that the robot is slower on the same
         path: its curvature is kept.
         """
+        # Before all comparisons: `max` loses a NaN that does not come first.
+        if not (math.isfinite(twist.v_mps) and math.isfinite(twist.omega_radps)):
+            return STILL
         half_turn_mps = 0.5 * self.wheel_base_m * twist.omega_radps
         left_mps, right_mps = twist.v_mps - half_turn_mps, twist.v_mps + half_turn_mps
         excess = max(
@@ -53,7 +56,7 @@ class DriveKinematics:
             abs(left_mps) / self.max_wheel_mps,
             abs(right_mps) / self.max_wheel_mps,
         )
-        if not math.isfinite(excess):  # a command that is no number moves nothing
+        if not math.isfinite(excess):  # they are numbers, and too large to reckon with
             return STILL
         if excess > 1.0:
             left_mps, right_mps = left_mps / excess, right_mps / excess

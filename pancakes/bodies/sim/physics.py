@@ -177,8 +177,11 @@ class Physics:
             source: address of the task that gave the command.
 
         Raises:
-            PancakesError: there is no such robot.
+            PancakesError: there is no such robot, or one of the numbers is none.
         """
+        told = (wheels.left_mps, wheels.right_mps, ttl_s)
+        if not all(map(math.isfinite, told)):  # the whole world would stand still for one of them
+            raise PancakesError(f"the wheels of {name} cannot run at {told[0]:g} and {told[1]:g} m/s for {ttl_s:g} s")
         self._robot(name).drive(wheels, self.time_s + ttl_s, source)
 
     def hold(self, name: str) -> None:

@@ -216,10 +216,10 @@ class MemoryNetwork:
         owner.dials[handler] = None
         self.call_at(self.now() + travel_s, arrive)
 
-    def stop_listening(self, owner: MemoryTransport) -> None:
-        """Frees the addresses of a transport."""
-        for address in [address for address, (other, _) in self._listeners.items() if other is owner]:
-            del self._listeners[address]
+    def stop_listening(self, owner: MemoryTransport, address: str = "") -> None:
+        """Frees an address of a transport, or all of them."""
+        for found in [it for it, (other, _) in self._listeners.items() if other is owner and address in ("", it)]:
+            del self._listeners[found]
 
     def forget(self, owner: MemoryTransport) -> None:
         """Ends all connections of a transport."""
@@ -245,6 +245,9 @@ class MemoryTransport(Transport):
 
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
         return self._network.listen(address, self, accept)
+
+    def stop_listening(self, address: str) -> None:
+        self._network.stop_listening(self, address)
 
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         if not self._closed:

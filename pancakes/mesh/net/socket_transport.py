@@ -52,6 +52,11 @@ class SocketTransport(Transport):
         except PluginError as error:
             raise PancakesError(f"cannot listen at {address}: {error}") from None
 
+    def stop_listening(self, address: str) -> None:
+        made = self._made.get(address.partition("://")[0])
+        if made is not None:
+            made.stop_listening(address)
+
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         try:
             transport = self._of(address)

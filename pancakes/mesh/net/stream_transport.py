@@ -69,6 +69,7 @@ class StreamTransport(SchemeTransport):
         self.dial_s = settings.dial_s
         self.loop = loop
         self.open: dict[Disposable, None] = {}
+        self._listeners: dict[str, _Listener] = {}
         self.read_buffer = memoryview(bytearray(_READ_BYTES))
 
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
@@ -82,9 +83,14 @@ class StreamTransport(SchemeTransport):
             reason = error.strerror if isinstance(error, socket.gaierror) else why(error)
             raise PancakesError(f"cannot listen at {address}: {reason}") from None
         bound.sock.setblocking(False)
-        listener = _Listener(self, address, bound, accept)
+        listener = self._listeners[bound.address] = _Listener(self, address, bound, accept)
         self.loop.call_later(0.0, listener.begin)
         return bound.address
+
+    def stop_listening(self, address: str) -> None:
+        listener = self._listeners.pop(address, None)
+        if listener is not None:
+            listener.end()
 
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         self.loop.call_later(0.0, lambda: _Connecting(self, address, handler).begin())
@@ -163,12 +169,21 @@ class _Listener(Disposable):
         self._address = address
         self._bound = bound
         self._make_handler = accept
+        self._ended = False
 
     def begin(self) -> None:
         self._transport.open[self] = None
         self._resume()
         if self._bound.is_there is not None:
             self._transport.loop.call_later(LOOK_S, self._look)
+
+    def end(self) -> None:
+        """Takes no more connections; its place is free at once. Any thread."""
+        self._ended = True
+        # The socket is the loop's, which alone may close it; one that was shut down is in nobody's way.
+        with contextlib.suppress(OSError):
+            self._bound.sock.shutdown(socket.SHUT_RDWR)
+        self._transport.loop.call_later(0.0, lambda: self.dispose("nothing listens any more"))
 
     def dispose(self, reason: str) -> None:
         self._transport.open.pop(self, None)
@@ -180,7 +195,7 @@ class _Listener(Disposable):
         self._bound.ended()
 
     def _look(self) -> None:
-        if self not in self._transport.open:
+        if self not in self._transport.open or self._ended:
             return
         if self._bound.is_there is not None and not self._bound.is_there():
             with contextlib.suppress(OSError, PancakesError):  # its directory may come back later
@@ -196,6 +211,9 @@ class _Listener(Disposable):
             self._transport.loop.watch(self._bound.sock, READ, self._ready)
 
     def _ready(self, _events: int) -> None:
+        if self._ended:
+            self._transport.loop.forget(self._bound.sock)  # it would be ready for ever
+            return
         try:
             sock, place = self._bound.sock.accept()
         except (BlockingIOError, ConnectionAbortedError):

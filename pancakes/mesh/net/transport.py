@@ -117,6 +117,10 @@ class SchemeTransport(ABC):
         """See `Transport.listen`."""
 
     @abstractmethod
+    def stop_listening(self, address: str) -> None:
+        """See `Transport.stop_listening`."""
+
+    @abstractmethod
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         """See `Transport.dial`."""
 
@@ -155,6 +159,14 @@ class Transport(ABC):
 
         Raises:
             PancakesError: the address is in use, or is no address; a sentence that says which.
+        """
+
+    @abstractmethod
+    def stop_listening(self, address: str) -> None:
+        """Takes no more connections at `address`, which is free once this returns; open connections stay.
+
+        Args:
+            address: what `listen` returned. One at which nothing listens is left alone.
         """
 
     @abstractmethod

@@ -169,7 +169,7 @@ class _SimulatedNode:
         self._noise: random.Random = task.random
         self._connection: Connection | None = None
         self._closed = False
-        task.kernel.transport.listen(settings.line, lambda: _End(self))
+        self._address = task.kernel.transport.listen(settings.line, lambda: _End(self))
 
     def feel(self, celsius: float, moving: bool) -> None:
         self._send(self._mote.sense(celsius, moving))
@@ -179,6 +179,7 @@ class _SimulatedNode:
 
     def close(self) -> None:
         self._closed = True
+        self._task.kernel.transport.stop_listening(self._address)
         if self._connection is not None:
             self._connection.close("the tiny node has ended")
 

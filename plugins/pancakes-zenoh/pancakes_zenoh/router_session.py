@@ -84,6 +84,7 @@ class RouterSession:
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._kept: list[Any] = []  # Zenoh ends what nothing refers to
+        self._places: dict[str, Any] = {}
         self._thread = threading.Thread(target=self._run, name=f"zenoh-{self.id[:6]}", daemon=True)
         self._thread.start()
 
@@ -103,6 +104,10 @@ class RouterSession:
             answer("", self.fault)
         else:
             self._calls.put(lambda: self._ask(place, answer))
+
+    def stop_listening(self, place: str) -> None:
+        """Says no more that this session listens at `HOST/PORT`."""
+        self._calls.put(lambda: self._stop_listening(place))
 
     def close(self) -> None:
         """Ends it, once what was posted has gone, if that takes no longer than `CLOSE_S`."""
@@ -228,7 +233,12 @@ class RouterSession:
             with query:
                 query.reply(key, self.id.encode())
 
-        self._keep(self._session.declare_queryable(key, _direct(asked)))
+        self._places[place] = self._session.declare_queryable(key, _direct(asked))
+
+    def _stop_listening(self, place: str) -> None:
+        queryable = self._places.pop(place, None)
+        if queryable is not None:
+            queryable.undeclare()
 
     # In threads of Zenoh's
 

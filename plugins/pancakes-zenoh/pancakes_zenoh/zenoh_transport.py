@@ -110,6 +110,12 @@ class ZenohTransport(SchemeTransport):
         session.listen(place, self.dial_s)
         return f"{SCHEME}://{place.replace('/', ':')}"
 
+    def stop_listening(self, address: str) -> None:
+        name, port = self._place(address)
+        place = f"{name}/{port}"
+        if self._listeners.pop(place, None) is not None:
+            self._session()[0].stop_listening(place)
+
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         self.loop.call_later(0.0, lambda: _Dial(self, address, handler).begin())
 
