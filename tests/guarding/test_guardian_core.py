@@ -26,7 +26,7 @@ from pancakes.mesh.guarding.guardian_core import (
     handle,
     recover,
 )
-from pancakes.mesh.migration.epoch import MOST_STEP, NO_EPOCH, Epoch
+from pancakes.mesh.migration.epoch import MOST_STEP, Epoch
 from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards, forgotten_guards, newest
 from pancakes.mesh.migration.record import TaskId, Wanted
 
@@ -39,7 +39,7 @@ BODY = CheckpointBody(b"state", Wanted.RUNNING)
 KEPT = CheckpointId(OLD, 4)
 HELD = GuardRegister(TASK, "scan", OLD, KEPT, BODY, GUARDS, 2.0)
 KEEP = KeepLease(TASK, "scan", OLD, 7, 2.0, KEPT, GUARDS)
-SEIZE = SeizeTask(TASK, "scan", NEW, NO_EPOCH, GUARDS)
+SEIZE = SeizeTask(TASK, "scan", NEW, GUARDS)
 RUNS, OVER = Lease(OLD, 5), Lease(None, 5)
 
 
@@ -96,12 +96,26 @@ def test_it_pledges_itself_once_its_lease_is_over_and_the_promise_is_on_disk_fir
     ]
 
 
-def test_while_a_lease_runs_it_pledges_itself_to_none_but_with_the_consent_of_its_owner():
+def test_guardian_pledges_itself_to_none_while_a_lease_runs():
     assert isinstance(answer(*handle(ME, HELD, RUNS, SEIZE)), DenyLease)
-    assert isinstance(answer(*handle(ME, HELD, RUNS, replace(SEIZE, yields=OLD))), Pledge)
-    later = replace(HELD, promised=NEW)
-    seize = replace(SEIZE, epoch=NEWEST, yields=OLD)
-    assert isinstance(answer(*handle(ME, later, Lease(NEW, 6), seize)), DenyLease), "the consent is of another owner"
+
+
+def test_guardian_takes_no_keep_of_another_epoch_while_a_lease_runs():
+    """A liar's would shorten the owner's lease, or end its memory."""
+    for keep in (replace(KEEP, epoch=NEW, lease_s=0.5), replace(KEEP, epoch=NEW, body=None)):
+        denied = answer(*handle(ME, HELD, RUNS, keep))
+        assert isinstance(denied, DenyLease) and denied.reason == f"the lease of the epoch {OLD} runs"
+    assert isinstance(answer(*handle(ME, HELD, OVER, replace(KEEP, epoch=NEW))), LeaseKept)
+    pledged = replace(HELD, promised=NEW)
+    assert isinstance(answer(*handle(ME, pledged, OVER, replace(KEEP, epoch=NEW))), LeaseKept)
+
+
+def test_only_the_owner_has_its_memory_forgotten_while_its_lease_runs():
+    removed = replace(KEEP, epoch=NEW, guards=forgotten_guards(NEW))
+    assert handle(ME, HELD, RUNS, removed) == []
+    assert handle(ME, HELD, RUNS, replace(KEEP, guards=forgotten_guards(NEW))) == [], "it is of another epoch"
+    (write,) = handle(ME, HELD, RUNS, replace(KEEP, guards=forgotten_guards(OLD)))
+    assert isinstance(write, WriteRegister) and write.register.body is None
 
 
 def test_a_pledge_that_was_lost_is_said_again_and_to_no_other_agent():

@@ -229,7 +229,7 @@ class TestTaking:
         assert seizing(pledge(A, 9, b"old"), pledge(B, 0, b"new", of=E2)).result().snapshot == b"new"
 
     def test_what_was_given_counts_where_it_is_the_newest(self):
-        given = Seizing(TASK, "scan", E2, THREE, CheckpointId(E1, 6), CheckpointBody(b"given"), E1, "a", E1)
+        given = Seizing(TASK, "scan", E2, THREE, CheckpointId(E1, 6), CheckpointBody(b"given"), "a", E1)
         result = seizing(pledge(B, 5, b"old"), pledge(C, 5, b"old"), start=given).result()
         assert (result.snapshot, result.source, result.offer) == (b"given", "a", E1)
 

@@ -11,6 +11,7 @@ from pancakes.mesh.guarding.guard_messages import (
     KeepLease,
     LeaseKept,
     Pledge,
+    SeizeTask,
     YieldLease,
 )
 from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen, TakeTask
@@ -99,6 +100,25 @@ def test_a_lease_is_given_up_by_its_owner_alone(fleet):
             say(fleet, "d", YieldLease(COUNT, FIRST, 2**62, boot), f"{name}/{GUARDIAN}")
             say(fleet, "d", YieldLease(COUNT, HIGH, 2**62, boot), f"{name}/{GUARDIAN}")
     assert goes_on(fleet)
+
+
+def test_lease_that_runs_is_ended_by_no_claim_of_another(fleet):
+    """It asks for pledges, or for a lease of half a second under an epoch of its own, and is silent then."""
+    guards = record(fleet).guards
+    ours = Guards(HIGH, 0, guards.sets)
+    claims = [
+        SeizeTask(COUNT, "test.Count", HIGH, guards),
+        KeepLease(COUNT, "test.Count", HIGH, 1, 0.5, CheckpointId(HIGH, 1), guards, CheckpointBody(b"a lie")),
+        KeepLease(COUNT, "test.Count", HIGH, 1, 0.5, CheckpointId(HIGH, 1), ours, CheckpointBody(b"a lie")),
+        KeepLease(COUNT, "test.Count", HIGH, 1, 0.5, CheckpointId(HIGH, 1), forgotten_guards(HIGH)),
+    ]
+    for claim in claims:
+        for name in "abc":
+            say(fleet, "d", claim, f"{name}/{GUARDIAN}")
+        fleet.run_for(0.5)
+    assert not fleet.agents["d"].probe.packets(Pledge) and not fleet.agents["d"].probe.packets(LeaseKept)
+    assert goes_on(fleet)
+    assert [fleet.agents[name].ask(Guarding()).result[0]["epoch"] for name in "bc"] == [str(FIRST)] * 2
 
 
 def test_what_another_says_of_a_guardian_has_no_task_taken_over(fleet):

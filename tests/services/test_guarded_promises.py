@@ -164,7 +164,7 @@ def test_where_the_guardians_follow_an_agent_that_never_came_the_owner_gives_it_
         fleet.faults.cut("a")
         fleet.run_for(4.0)
         for name in "bc":
-            seize = SeizeTask(before.task_id, a.slot("Count").spec.type, Epoch(1, "d"), Epoch(0, ""), before.guards)
+            seize = SeizeTask(before.task_id, a.slot("Count").spec.type, Epoch(1, "d"), before.guards)
             journal = fleet.agents[name].agent.mesh.identity.journal
             d.publish("network", addressed(seize, journal), to=f"{name}/{GUARDIAN}")
         fleet.run_for(0.5)

@@ -18,7 +18,7 @@ from pancakes.mesh.guarding.guard_messages import (
     SeizeTask,
     YieldLease,
 )
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.guards import GuardianId, Guards
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.security.access import Access
@@ -61,7 +61,7 @@ def keep(fleet, beat=1, no=0, body=b"state", **changes):
 
 
 def seize(fleet, n=2, by="c", **changes):
-    message = SeizeTask(TASK, "scan", Epoch(n, by), NO_EPOCH, guards(fleet), journal(fleet, "b"))
+    message = SeizeTask(TASK, "scan", Epoch(n, by), guards(fleet), journal(fleet, "b"))
     return replace(message, **changes)
 
 

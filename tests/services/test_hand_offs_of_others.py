@@ -86,6 +86,39 @@ def test_a_third_that_asks_for_a_place_for_a_task_on_its_way_takes_it_from_none(
     assert [answer.reason for answer in answers if isinstance(answer, Nak)]
 
 
+@pytest.mark.parametrize("moved", [False, True], ids=["from its birthplace", "from where it has moved"])
+def test_task_is_taken_only_from_an_agent_that_has_it(fleet, moved):
+    """C has the code of the task, makes up an epoch, a snapshot and the rest, and gives what it never had."""
+    owner = "a"
+    if moved:
+        fleet.start("d")
+        fleet.connect()
+        assert fleet.agents["a"].ask(Migrate("Count", to="d")).ok
+        owner = "d"
+    answers = answers_to(fleet, "c")
+    request = Solicit(COUNT, 1, "test.Count", place_for(fleet, "Count").request.version, "client")
+    say(fleet, "c", Reserve(COUNT, Epoch(9, "c"), request), "b")
+    fleet.run_for(1.0)
+    (refused,) = [answer for answer in answers if isinstance(answer, Nak | Reserved)]
+    assert isinstance(refused, Nak) and refused.reason.startswith(f"{owner} has a/Count, under the epoch ")
+    assert "c has no right to it" in refused.reason
+    assert fleet.agents[owner].running() == ["Count"]
+
+
+@pytest.mark.parametrize("lost", ["a", "d", "ad"])
+def test_task_goes_on_from_agents_that_are_gone(fleet, lost):
+    """It was born on a, went to d, and is on c: whom b would ask is not there, and that is no reason to refuse."""
+    fleet.start("d")
+    fleet.connect()
+    assert fleet.agents["a"].ask(Migrate("Count", to="d")).ok
+    assert fleet.agents["d"].ask(Migrate("Count", to="c")).ok
+    for name in lost:
+        fleet.crash(name)
+    fleet.run_for(3.0)
+    assert fleet.agents["c"].ask(Migrate("Count", to="b")).ok
+    assert fleet.agents["b"].running() == ["Count"]
+
+
 def test_of_made_up_tasks_nothing_is_kept(fleet):
     b = fleet.agents["b"]
     before = dict(b.component("client").places)

@@ -202,8 +202,12 @@ def test_where_the_other_owner_has_given_it_on_the_new_one_and_the_old_one_know_
     a, b = restored(fleet)
     c = fleet.start("c", classes={"Sink": Sink})
     fleet.connect()
+    assert "a has a/Sink, under the epoch 0@a" in b.ask(Migrate("Sink", to="c")).reason, "a person must decide first"
+    fleet.network.partition(["a"], ["c"])
+    fleet.run_for(5.0)
     assert b.ask(Migrate("Sink", to="c")).ok
-    fleet.run_for(2.0)
+    fleet.network.heal()
+    fleet.run_for(10.0)
     assert state(c)[0] == "running" and state(a)[1] == "disputed"
     assert c.events("task_disputed")[0]["peer"] == "a"
     assert a.ask(Adopt("Sink", force=True)).ok

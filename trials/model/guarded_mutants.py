@@ -87,15 +87,8 @@ MUTANTS: Final = (
     _mutant(
         "a guardian pledges itself while its lease runs",
         guardian_core,
-        "if lease.epoch is not None and lease.epoch > seize.yields:",
+        "if lease.epoch is not None:",
         "if False:",
-    ),
-    _mutant(
-        "a consent ends the leases of all",
-        guardian_core,
-        "lease.epoch > seize.yields:",
-        "not seize.yields.minter:",
-        LOWER_TAKER,
     ),
     _mutant("a guardian gives no lease for what it keeps", guardian_core, _KEPT, "return [*write, AnswerAsker(kept)]"),
     _mutant(
@@ -233,13 +226,6 @@ MUTANTS: Final = (
         "guards=newest(seizing.guards, answer.guards)",
         "guards=seizing.guards",
         SWAPPED,
-    ),
-    _mutant(
-        "a destination takes the offer for what its giver yields",
-        seizing,
-        "return Seizing(*parts, commit.yields, source, commit.offer)",
-        "return Seizing(*parts, commit.offer, source, commit.offer)",
-        LOWER_TAKER,
     ),
     # The record of the task.
     _mutant(

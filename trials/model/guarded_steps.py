@@ -185,6 +185,8 @@ class GuardedSteps:
                 case Persist(record):
                     if record.seen < party.record.seen:
                         raise Violation("S2: the highest epoch seen went down on a disk")
+                    if party.owns and record.phase is Phase.COMMITTED:
+                        sent |= self._farewells(record, max(party.asked, default=0))
                     party = _written(party, record)
                 case Remember(volatile):
                     party = party._replace(volatile=volatile)
@@ -452,15 +454,19 @@ class GuardedSteps:
         """The agent is shut down in order: it takes leave of its guardians."""
 
         def make() -> list[tuple[Party, int, int]]:
-            party, rules = self.parties[number], self.rules.tenure
-            sent = 0
-            for guardian in party.record.guards.members():
-                last = rules.LastAnswer(guardian, boot=BOOT)
-                word = rules.yield_lease(rules.Tenure(party.record.epoch, top, answers=(last,)), party.record, guardian)
-                sent |= self.bit(Farewell(guardian, word))
-            return [(_crashed(party), sent, 0)]
+            party = self.parties[number]
+            return [(_crashed(party), self._farewells(party.record, top), 0)]
 
         return self._outcome((number, i, "goodbye", top), i, make)
+
+    def _farewells(self, record: Record, beat: int) -> int:
+        """Returns what an owner says to its guardians that acts no more; `beat`: its newest asking."""
+        rules, sent = self.rules.tenure, 0
+        for guardian in record.guards.members():
+            last = rules.LastAnswer(guardian, boot=BOOT)
+            word = rules.yield_lease(rules.Tenure(record.epoch, beat, answers=(last,)), record, guardian)
+            sent |= self.bit(Farewell(guardian, word))
+        return sent
 
 
 def _written(party: Party, record: Record) -> Party:

@@ -29,8 +29,7 @@ def _shown(what: Any) -> str:
                 f"{'' if what.body is not None else ' without its body'}, guards {sets})"
             )
         case SeizeTask():
-            consent = f" with the consent of {short(what.yields)}" if what.yields.minter else ""
-            return f"gets SEIZE {short(what.epoch)}{consent}"
+            return f"gets SEIZE {short(what.epoch)}"
         case Farewell(_, word):
             return f"gets YIELD {short(word.epoch)} (asking {word.beat}{'' if word.boot else ', to a former life'})"
         case Word(source, _, message):

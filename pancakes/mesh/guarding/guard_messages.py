@@ -112,14 +112,12 @@ class SeizeTask(msgspec.Struct, frozen=True):
     Attributes:
         type: entry point name of the task's class.
         epoch: the epoch under which the sender is to own it; it has minted it itself.
-        yields: the owner of this epoch never acts under it again, as the sender knows; its lease need not end.
         guards: the guardians, as far as the sender knows them.
     """
 
     task_id: TaskId
     type: str
     epoch: Epoch
-    yields: Epoch
     guards: Guards
     journal: str = ""
 
@@ -166,7 +164,7 @@ class DenyLease(msgspec.Struct, frozen=True):
 
 @packet_type("guard.yield")
 class YieldLease(msgspec.Struct, frozen=True):
-    """The owner does nothing more until it has asked for a lease anew: its lease may end now.
+    """The owner does nothing more until it has asked for a lease again, or has given the task away: its lease may end.
 
     Attributes:
         epoch: the epoch under which it owned the task.

@@ -172,7 +172,8 @@ def _forget(register: GuardRegister, guards: Guards) -> list[GuardEffect]:
 
 def _keep(me: GuardianId, register: GuardRegister, lease: Lease, keep: KeepLease) -> list[GuardEffect]:
     if keep.guards.forgotten:
-        return _forget(register, keep.guards)
+        theirs = keep.guards.epoch == keep.epoch and lease.epoch in (None, keep.epoch)
+        return _forget(register, keep.guards) if theirs else []
     if register.guards.forgotten and keep.epoch <= register.guards.epoch:
         return [_deny(me, register, keep.epoch, "it was removed")]
     if me not in keep.guards.members():
@@ -181,6 +182,8 @@ def _keep(me: GuardianId, register: GuardRegister, lease: Lease, keep: KeepLease
         return [_deny(me, register, keep.epoch, f"{me.agent} follows the epoch {register.promised}")]
     if fault := _too_far(register, keep.epoch):
         return [_deny(me, register, keep.epoch, fault)]
+    if lease.epoch not in (None, keep.epoch):
+        return [_deny(me, register, keep.epoch, _runs(lease))]  # whoever was pledged to is met without a lease
     new = replace(
         register,
         type=register.type or keep.type,
@@ -211,8 +214,8 @@ def _seize(me: GuardianId, register: GuardRegister, lease: Lease, seize: SeizeTa
         return [_deny(me, register, seize.epoch, f"{me.agent} follows the epoch {register.promised}")]
     if fault := _too_far(register, seize.epoch):
         return [_deny(me, register, seize.epoch, fault)]
-    if lease.epoch is not None and lease.epoch > seize.yields:
-        return [_deny(me, register, seize.epoch, f"the lease of the epoch {lease.epoch} runs")]
+    if lease.epoch is not None:
+        return [_deny(me, register, seize.epoch, _runs(lease))]  # only its owner can end it early, by its own word
     new = replace(register, type=register.type or seize.type, promised=seize.epoch)
     return [WriteRegister(new), SetLease(replace(lease, epoch=None), 0.0), _pledge(me, new, seize.epoch)]
 
@@ -225,6 +228,10 @@ def _is_yielded(lease: Lease, said: YieldLease) -> bool:
 def _nothing_kept(register: GuardRegister) -> bool:
     """Returns whether the agent that the guardian has promised itself to has not been heard of as the owner."""
     return max(register.guards.epoch, register.checkpoint.epoch) < register.promised
+
+
+def _runs(lease: Lease) -> str:
+    return f"the lease of the epoch {lease.epoch} runs"
 
 
 def _too_far(register: GuardRegister, epoch: Epoch) -> str:

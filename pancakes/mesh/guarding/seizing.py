@@ -35,7 +35,6 @@ class Seizing(msgspec.Struct, frozen=True):
         type: entry point name of its class.
         epoch: the epoch that it has minted for itself.
         guards: the newest guards that it knows of.
-        yields: the owner of this epoch has stopped for good; `NO_EPOCH`: none has, as far as is known.
         source: the agent that gives the task away; empty: it is taken over.
         offer: of that hand-off.
         checkpoint: the newest checkpoint that it knows of.
@@ -50,7 +49,6 @@ class Seizing(msgspec.Struct, frozen=True):
     guards: Guards
     checkpoint: CheckpointId
     body: CheckpointBody | None
-    yields: Epoch = NO_EPOCH
     source: str = ""
     offer: Epoch = NO_EPOCH
     pledged: tuple[GuardianId, ...] = ()
@@ -58,7 +56,7 @@ class Seizing(msgspec.Struct, frozen=True):
 
     def ask(self) -> SeizeTask:
         """Returns what the guardians are asked."""
-        return SeizeTask(self.task_id, self.type, self.epoch, self.yields, self.guards)
+        return SeizeTask(self.task_id, self.type, self.epoch, self.guards)
 
     def unasked(self) -> list[GuardianId]:
         """Returns the guardians that have not pledged themselves yet."""
@@ -107,7 +105,7 @@ def given_away(me: str, record: Record, type: str, source: str, commit: Commit) 
     checkpoint = CheckpointId(commit.yields, commit.no)
     epoch, body = Epoch(record.seen.n + 1, me), CheckpointBody(record.snapshot)
     parts = record.task_id, type, epoch, commit.guards, checkpoint, body
-    return Seizing(*parts, commit.yields, source, commit.offer)
+    return Seizing(*parts, source, commit.offer)
 
 
 def called(me: str, record: Record, volatile: Volatile, call: TakeTask) -> Seizing | None:

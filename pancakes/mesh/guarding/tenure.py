@@ -207,5 +207,5 @@ def kept_packets(tenure: Tenure, record: Record, owed: Iterable[Owed]) -> tuple[
 
 
 def yield_lease(tenure: Tenure, record: Record, guardian: GuardianId) -> YieldLease:
-    """Returns what an owner that stops tells a guardian."""
+    """Returns what an owner tells a guardian that stops, or has given the task away."""
     return YieldLease(record.task_id, record.epoch, tenure.beat, tenure.of(guardian).boot)

@@ -102,8 +102,13 @@ class Arrivals:
         lost = self._records.lost(record.task_id) if record.phase is Phase.ABSENT else None
         return lost.undecided(self._host.agent) if lost is not None else ""
 
-    def receive(self, packet: Packet, place: Place) -> Received | None:
+    def receive(self, packet: Packet, place: Place, refusal: str = "") -> Received | None:
         """Takes a hand-off message of a peer.
+
+        Args:
+            packet: the message.
+            place: the place of its task.
+            refusal: why a reservation is refused already; empty: it is not.
 
         Returns:
             What to feed to the place of the task; None: the rest of its snapshot is still to come, it was meant for
@@ -114,7 +119,7 @@ class Arrivals:
         if message is None:
             return None
         if isinstance(message, Reserve):
-            refusal = self._state.reserve(peer, message)
+            refusal = refusal or self._state.reserve(peer, message)
             if not refusal:
                 place.promised = (peer, message.offer)
             return Received(peer, message, refusal)

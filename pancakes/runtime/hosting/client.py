@@ -22,6 +22,7 @@ from pancakes.mesh.migration import messages
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.rest import rest_of
 from pancakes.mesh.migration.snapshot import Posted, Snapshot
+from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, join
 from pancakes.runtime.foundation.names import fault_of_name
@@ -44,6 +45,7 @@ from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.machine import AnyEvent, handle
 from pancakes.runtime.hosting.mover import Mover
 from pancakes.runtime.hosting.now import Now
+from pancakes.runtime.hosting.origins import Origins
 from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import SURE, Place
 from pancakes.runtime.hosting.places import Places
@@ -54,7 +56,7 @@ from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.hosting.waiters import Waiters
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.kernel.handlers import on
-from pancakes.runtime.kernel.keep import reliable
+from pancakes.runtime.kernel.keep import queue, reliable
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.life.life import RESTS
@@ -142,6 +144,7 @@ class ClientService(Service):
         self._mover = Mover(self)
         self._disputes = Disputes(self, records, mesh, births)
         self._arrivals = Arrivals(self, catalogue, records, state, self._disputes, self._talk)
+        self._origins = Origins(self, records, self._take_in)
         self._departures = Departures(self)
         self._guarded = GuardedTasks(self, records, self._talk, self._checkpointing, self._deliveries, self._disputes)
         self.first_guardian = self._guarded.first_guardian
@@ -437,6 +440,15 @@ class ClientService(Service):
         return None
 
     @on(NETWORK, messages.Reserve, keep=KEEP, addressed=True)
+    def on_reserve(self, packet: Packet) -> None:
+        """An agent asks for a place for a task."""
+        self._origins.judge(packet)
+
+    @on(NETWORK, TaskAt, keep=queue(64), addressed=True)
+    def on_task_at(self, packet: Packet) -> None:
+        """An agent that was asked says which one has a task."""
+        self._origins.told(packet)
+
     @on(NETWORK, messages.Reserved, keep=KEEP, addressed=True)
     @on(NETWORK, messages.Piece, keep=KEEP, addressed=True)
     @on(NETWORK, messages.Nak, keep=KEEP, addressed=True)
@@ -447,11 +459,14 @@ class ClientService(Service):
     @on(NETWORK, messages.Unknown, keep=KEEP, addressed=True)
     def on_hand_off(self, packet: Packet) -> None:
         """Takes a hand-off message in."""
+        self._take_in(packet)
+
+    def _take_in(self, packet: Packet, refusal: str = "") -> None:
         task_id = packet.body.task_id
         # Of a task that no agent has asked a place for nothing is kept: a peer may make up as many as it likes.
         known = self.places.get(task_id)
         place = known or Place(task_id, Standing(Record(task_id)))
-        received = self._arrivals.receive(packet, place)
+        received = self._arrivals.receive(packet, place, refusal)
         if known is None and place.promised is not None:
             self.places.keep(place)
         if received is not None:

@@ -19,6 +19,7 @@ from pancakes.mesh.guarding.guard_messages import (
     LeaseKept,
 )
 from pancakes.mesh.guarding.tenure import (
+    Tenure,
     answered,
     asked_again,
     begun,
@@ -32,7 +33,7 @@ from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId, PermitGiven
 from pancakes.mesh.migration.guard_rule import PERMIT_SHARE, RENEWED, GuardRule
 from pancakes.mesh.migration.guards import GuardianId, forgotten_guards
-from pancakes.mesh.migration.record import Phase
+from pancakes.mesh.migration.record import Phase, Record
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
 from pancakes.runtime.hosting.deadlines import Deadlines
@@ -117,9 +118,12 @@ class Leases:
                 self._renew(place)
             return
         if place.tenancy is not None:
+            tenure = place.tenancy.tenure
             if record.removed:
                 self._dismiss(place, place.tenancy)
             self._end(place)
+            if record.phase is Phase.COMMITTED:
+                self._yield(record, tenure)
         if record.phase is Phase.OWNER:
             permits.free(str(place.task_id))
             slot = place.slot
@@ -135,8 +139,12 @@ class Leases:
             tenure = place.tenancy.tenure
             self._end(place)
             if self._host.kernel.stopping:
-                for guardian in record.guards.members():
-                    self._talk.to_guardian(guardian, yield_lease(tenure, record, guardian))
+                self._yield(record, tenure)
+
+    def _yield(self, record: Record, tenure: Tenure) -> None:
+        """Tells the guardians that the task acts no more here: they believe only its owner."""
+        for guardian in record.guards.members():
+            self._talk.to_guardian(guardian, yield_lease(tenure, record, guardian))
 
     def _begin(self, place: Place) -> None:
         now_s, original = self._host.kernel.host.now(), self._records.original_epoch(place.task_id)
