@@ -19,7 +19,8 @@ from pancakes.errors import PancakesError
 from pancakes.mesh.address import DEFAULT_FLEET, LOCAL, parse_address
 from pancakes.mesh.net.buffers import NOT_SENT_BYTES
 from pancakes.mesh.net.loop import Loop
-from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
+from pancakes.mesh.net.stream_transport import Bound, StreamTransport
+from pancakes.mesh.side_by_side import Place
 from pancakes.mesh.way_facts import Reach, WayFacts
 from pancakes.runtime.runtime_dir import is_at, make_directory, open_to, runtime_dir, usable
 

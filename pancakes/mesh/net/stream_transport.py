@@ -14,9 +14,10 @@ import msgspec
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.kept_connection import Disposable
-from pancakes.mesh.net.loop import READ, WRITE, Loop
+from pancakes.mesh.net.loop import READ, WRITE, Loop, TimerHandle
 from pancakes.mesh.net.stream_connection import StreamConnection, why
 from pancakes.mesh.net.transport import ConnectionHandler, SchemeTransport
+from pancakes.mesh.side_by_side import Place, by_turns, pace_s
 from pancakes.runtime.runtime_dir import LOOK_S
 
 if TYPE_CHECKING:
@@ -26,8 +27,8 @@ _READ_BYTES: Final = 64 * 1024
 """So much is read at a time: its packets are handled before they have left the processor's cache."""
 _ACCEPT_PAUSE_S: Final = 0.5  # when the process is out of file descriptors
 
-Place = tuple[socket.AddressFamily, Any]
-"""Where a socket may be bound or connected, as the operating system has it."""
+LOOK_UP_S: Final = 30.0
+"""So long a name may be looked up: the resolver asks one server after the other, each for some seconds."""
 
 
 class Bound(NamedTuple):
@@ -59,7 +60,8 @@ class StreamTransport(SchemeTransport):
         """How it connects.
 
         Attributes:
-            dial_s: so long a dial may take, in seconds of host time.
+            dial_s: so long a dial may take, in seconds of host time, for all addresses of a name together; that begins
+                once the name was looked up.
         """
 
         dial_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 5.0
@@ -226,31 +228,31 @@ class _Listener(Disposable):
 
 
 class _Connecting(Disposable):
-    """Opens a connection: finds out where a name leads, then tries one place after the other."""
+    """Opens a connection: finds out where a name leads, then tries its places side by side."""
 
     def __init__(self, transport: StreamTransport, address: str, handler: ConnectionHandler) -> None:
         self._transport = transport
         self._address = address
         self._handler = handler
-        self._sock: socket.socket | None = None
+        self._tries: dict[socket.socket, None] = {}
         self._places: list[Place] = []
-        late = f"{address} did not answer within {transport.dial_s:g} s"
-        self._timer = transport.loop.call_later(transport.dial_s, lambda: self.dispose(late))
+        self._pace_s = 0.0
+        self._timers: list[TimerHandle] = []
 
     def begin(self) -> None:
         self._transport.open[self] = None
         try:
-            self._try(self._transport.places(self._address, look_up=False))
+            self._start(self._transport.places(self._address, look_up=False))
         except ValueError as error:
             self.dispose(str(error))
         except socket.gaierror:  # a name: asking for it may take seconds, so not in this thread
+            self._end_in(LOOK_UP_S, f"{self._address} was not found within {LOOK_UP_S:g} s")
             threading.Thread(target=self._ask, name="resolve", daemon=True).start()
         except OSError as error:
-            self._next(why(error))
+            self.dispose(f"{self._address} cannot be reached: {why(error)}")
 
     def dispose(self, reason: str) -> None:
         if self in self._transport.open:
-            self._drop_socket()
             self._finish()
             self._handler.closed(reason)
 
@@ -262,67 +264,92 @@ class _Connecting(Disposable):
             reason = f"{self._address} cannot be found: {error.strerror or error}"
             loop.call_later(0.0, lambda: self.dispose(reason))
         else:
-            loop.call_later(0.0, lambda: self._try(places))
+            loop.call_later(0.0, lambda: self._start(places))
+
+    def _end_in(self, delay_s: float, late: str) -> None:
+        for timer in self._timers:
+            timer.cancel()
+        self._timers = [self._transport.loop.call_later(delay_s, lambda: self.dispose(late))]
+
+    def _start(self, places: list[Place]) -> None:
+        if self not in self._transport.open:
+            return  # too late
+        dial_s = self._transport.dial_s
+        # From now on: a slow look-up must leave the places their time.
+        self._end_in(dial_s, f"{self._address} did not answer within {dial_s:g} s")
+        self._places, self._pace_s = by_turns(places), pace_s(len(places), dial_s)
+        self._try()
 
     def _finish(self) -> None:
         del self._transport.open[self]
-        self._timer.cancel()
+        for timer in self._timers:
+            timer.cancel()
+        for sock in list(self._tries):
+            self._drop(sock)
 
-    def _drop_socket(self) -> None:
-        if self._sock is not None:
-            self._transport.loop.forget(self._sock)
-            self._sock.close()
-            self._sock = None
+    def _drop(self, sock: socket.socket) -> None:
+        self._tries.pop(sock, None)
+        self._transport.loop.forget(sock)
+        sock.close()
 
-    def _try(self, places: list[Place]) -> None:
-        if self not in self._transport.open:
-            return  # too late
-        self._places = places
+    def _later(self, left: int) -> None:
+        """Tries the next place, unless a failure has had it tried meanwhile."""
+        if self in self._transport.open and len(self._places) == left:
+            self._try()
+
+    def _try(self) -> None:
+        """Tries one more place, beside those that have not answered yet."""
         family, place = self._places.pop(0)
+        if left := len(self._places):
+            self._timers.append(self._transport.loop.call_later(self._pace_s, lambda: self._later(left)))
         try:
-            self._sock = socket.socket(family, socket.SOCK_STREAM)
-            self._sock.setblocking(False)
-            self._transport.connect(self._sock, place)
-        except BlockingIOError as error:
-            assert self._sock is not None
-            if error.errno == errno.EAGAIN:  # within one machine a connection stands at once, or not at all
-                self._next("it has no room for one more that waits")
-                return
-            self._transport.loop.watch(self._sock, WRITE, self._ready)
-        except PancakesError as error:
-            self._next(str(error))
-        except OSError as error:
-            self._next(why(error))
-        else:
-            self._ready(WRITE)
-
-    def _ready(self, _events: int) -> None:
-        sock = self._sock
-        assert sock is not None
-        error = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        if error:
-            self._next(why(error))
+            sock = socket.socket(family, socket.SOCK_STREAM)
+        except OSError as error:  # this machine does not know the family
+            self._failed(why(error))
             return
+        self._tries[sock] = None
+        try:
+            sock.setblocking(False)
+            self._transport.connect(sock, place)
+        except BlockingIOError as error:
+            if error.errno == errno.EAGAIN:  # within one machine a connection stands at once, or not at all
+                self._drop(sock)
+                self._failed("it has no room for one more that waits")
+                return
+            self._transport.loop.watch(sock, WRITE, lambda _events: self._ready(sock))
+        except PancakesError as error:
+            self._drop(sock)
+            self._failed(str(error))
+        except OSError as error:
+            self._drop(sock)
+            self._failed(why(error))
+        else:
+            self._ready(sock)
+
+    def _ready(self, sock: socket.socket) -> None:
+        error = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        failure = why(error) if error else ""
         try:
             # The kernel may give a dial to a free local port that very port, and join the socket to itself.
-            is_its_own_peer = sock.getsockname() == sock.getpeername()
+            if not error and sock.getsockname() == sock.getpeername():
+                failure = "connection refused"
         except OSError as gone:  # it was there, and has gone again
-            self._next(why(gone))
+            failure = why(gone)
+        if failure:
+            self._drop(sock)
+            self._failed(failure)
             return
-        if is_its_own_peer:
-            self._next("connection refused")
-            return
-        self._sock = None
+        del self._tries[sock]
         self._transport.loop.forget(sock)
         self._finish()
         _begin(self._transport, sock, self._address, self._address, self._handler)
 
-    def _next(self, why: str) -> None:
-        self._drop_socket()
+    def _failed(self, failure: str) -> None:
+        """A place is none: tries the next one at once, or waits for those that have not answered yet."""
         if self._places:
-            self._try(self._places)
-        else:
-            self.dispose(f"{self._address} cannot be reached: {why}")
+            self._try()
+        elif not self._tries:
+            self.dispose(f"{self._address} cannot be reached: {failure}")
 
 
 def _begin(

@@ -12,8 +12,9 @@ from pancakes.mesh.net.buffers import bound_buffers
 from pancakes.mesh.net.handshakes import Handshakes
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_connection import StreamConnection
-from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
+from pancakes.mesh.net.stream_transport import Bound, StreamTransport
 from pancakes.mesh.net.transport import ConnectionHandler
+from pancakes.mesh.side_by_side import Place
 from pancakes.mesh.way_facts import WayFacts, reach_of
 
 if TYPE_CHECKING:

@@ -30,6 +30,7 @@ from cryptography.x509.oid import NameOID
 from pancakes.errors import PancakesError
 from pancakes.mesh.security.authority import new_key, pem_of_key
 from pancakes.mesh.security.key_files import KeyFiles, write_private
+from pancakes.mesh.side_by_side import connect
 from pancakes.runtime.clock import MonotonicClock, wall_ns
 
 OPEN_S: Final = 600.0
@@ -213,7 +214,7 @@ def join(text: str) -> KeyFiles:
     request = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([])).sign(key, hashes.SHA256())
     asked = {"secret": code.secret.hex(), "request": request.public_bytes(_PEM).decode()}
     try:
-        with socket.create_connection((code.host, code.port), PATIENCE_S) as raw, context.wrap_socket(raw) as tls:
+        with connect(code.host, code.port, PATIENCE_S) as raw, context.wrap_socket(raw) as tls:
             shown = tls.getpeercert(binary_form=True) or b""
             if not hmac.compare_digest(hashlib.sha256(shown).digest()[:_HASH_BYTES], code.pin):
                 raise PancakesError(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
+from pancakes.mesh.side_by_side import connect
 from pancakes.runtime.clock import MonotonicClock
 from pancakes_mqtt.broker_settings import BrokerSettings, check_files, password_of
 from pancakes_mqtt.message import Message
@@ -172,7 +173,14 @@ class BrokerConnection:
 
         settings = self._settings
         five = settings.protocol == "5"
-        client = paho.Client(
+
+        class SideBySide(paho.Client):
+            """Connects to what has several addresses; paho tries one after the other, each with the whole time."""
+
+            def _create_socket_connection(self) -> socket.socket:
+                return connect(settings.host, settings.port, CONNECT_S)
+
+        client = SideBySide(
             paho.CallbackAPIVersion.VERSION2,
             self._client_id,
             protocol=paho.MQTTv5 if five else paho.MQTTv311,

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol
 
+from pancakes.mesh.side_by_side import connect
 from pancakes_pi.gps_reports import WATCH, report_in
 
 FIRST_PAUSE_S: Final = 0.2
@@ -56,7 +57,7 @@ class GpsFeed:
         while not self._ended.is_set():
             connected = False
             try:
-                with socket.create_connection(self._at, CONNECT_S) as gpsd:
+                with connect(*self._at, CONNECT_S) as gpsd:
                     gpsd.settimeout(LOOK_S)
                     gpsd.sendall(WATCH)
                     connected = True
