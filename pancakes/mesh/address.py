@@ -107,6 +107,18 @@ def parse_address(text: str) -> Address:
     return Address(found["scheme"], host, int(found["port"]))
 
 
+def fault_of_interface(text: str) -> str:
+    """Returns what an address of one network lacks so that it leads anywhere, as a phrase; empty: nothing.
+
+    Raises:
+        ValueError: it is no address.
+    """
+    there = parse_address(text)
+    if not there.link_local or "%" in there.host:
+        return ""
+    return f"{text!r} needs the interface that leads there: write [{there.host}%eth0], with a name that ip link shows"
+
+
 def spelt(text: str) -> str:
     """Returns an address in the one spelling that it has, so that two can be compared; what is none stays as it is."""
     try:
@@ -124,6 +136,8 @@ def dialled(text: str) -> str:
     address = text if "://" in text else f"tcp://{text}"
     if parse_address(address).any_port:
         raise ValueError(f"{text!r} has the port 0, at which no agent can be reached")
+    if fault := fault_of_interface(address):
+        raise ValueError(fault)
     return address
 
 

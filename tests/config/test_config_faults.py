@@ -231,6 +231,13 @@ class TestAddresses:
             "a.toml:8: [agent] peers[3]: 'tcp://10.0.0.1:7401' stands in the list for the second time",
         ]
 
+    def test_an_address_of_one_network_needs_its_interface(self):
+        text = HEAD + 'listen = "tcp://[fe80::1]:7401"\npeers = ["tcp://[fe80::2]:7401", "tcp://[fe80::2%eth0]:7401"]\n'
+        with pytest.raises(ConfigError) as error:
+            parse(text, "a.toml")
+        assert [fault.key for fault in error.value.faults] == ["[agent] listen", "[agent] peers[0]"]
+        assert "write [fe80::2%eth0], with a name that ip link shows" in error.value.faults[1].problem
+
     def test_its_own_address_may_stand_among_the_peers_so_that_a_fleet_shares_one_list(self):
         text = HEAD + 'listen = "tcp://127.0.0.1:7401"\npeers = ["tcp://127.0.0.1:7401", "tcp://127.0.0.1:7402"]\n'
         assert parse(text, "a.toml").agent.peers == ("tcp://127.0.0.1:7401", "tcp://127.0.0.1:7402")

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 from msgspec.structs import replace
 
 from pancakes.errors import ConfigError, Fault
-from pancakes.mesh.address import in_fleet, parse_address
+from pancakes.mesh.address import fault_of_interface, in_fleet, parse_address
 from pancakes.packet import CORE_CHANNELS
 from pancakes.runtime.config.key_places import NAMED_TABLES, KeyPlaces
 from pancakes.runtime.config.override import apply_set
@@ -247,6 +247,8 @@ class _ConfigReader:
             try:
                 if parse_address(peer).any_port:
                     self._fault(key, f"{peer!r} has the port 0, at which no agent can be reached")
+                if fault := fault_of_interface(peer):
+                    self._fault(key, fault)
             except ValueError as error:
                 self._fault(key, str(error))
             if peer in agent.peers[:index]:
@@ -259,7 +261,8 @@ class _ConfigReader:
         if text in config.agent.listen[:index]:
             self._fault(key, f"{text!r} stands in the list for the second time")
         try:
-            parse_address(text)
+            if fault := fault_of_interface(text):
+                self._fault(key, fault)
         except ValueError as error:
             self._fault(key, str(error))
 

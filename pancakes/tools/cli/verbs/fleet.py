@@ -366,9 +366,12 @@ def _give(
         show_text(f"Copy {out} to {name} by a way that others cannot read; there: pancakes fleet join {out.name}")
         show_text("It has the private key: remove it here afterwards.")
         return
+    from pancakes.mesh.address import is_loopback
     from pancakes.mesh.security.joining import Desk, own_address
 
-    desk = Desk(host or own_address(), port, for_s)
+    if not host and is_loopback(f"tcp://{(host := own_address())}:{port}"):
+        show_text("This machine has no way to others, so only a program here can use the code (--host names another).")
+    desk = Desk(host, port, for_s)
     show_text(f"On {name}, within {for_s / 60:.3g} minutes:  pancakes fleet join {desk.code}")
     came_from = desk.serve(lambda key, place: office.enrol(key, role, name, groups, came_from=place))
     show_text(f"{name} has joined from {came_from}.")
