@@ -472,6 +472,7 @@ class Agent:
             self.kernel.log("warning", f"a packet of {peer} was dropped: {reason}")
 
     def _on_peer_up(self, hello: Hello) -> None:
+        self.kernel.unheard.met(hello.name)
         if hello.role == "client":
             # Each command at a terminal is one: what it asks for is news, that it comes and goes is not.
             self._clients.add(hello.name)

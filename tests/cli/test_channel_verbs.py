@@ -271,6 +271,54 @@ def test_channel_pub_goes_on_at_a_rate(shared: tuple[Rig, Running]):
     assert row["packets"] >= 1
 
 
+ACTUATORS = """
+from pancakes.bodies.devices.driver import Actuator
+from pancakes.bodies.devices.types import Twist
+from pancakes.errors import PancakesError
+from pancakes.task import Task, every
+
+class Stuck(Actuator):
+    type = "motors"
+
+    def apply(self, command, ttl_s, source):
+        if command.v_mps > 1.0:
+            raise PancakesError("the wheels are blocked")
+
+    def hold(self):
+        pass
+
+class Drive(Task):
+    requires = ("motors",)
+
+    @every(hz=10)
+    def drive(self, tick):
+        self.publish("ctrl", Twist(0.1, 0.0))
+"""
+OF_ACTUATORS = (
+    "[pancakes.drivers]\nstuck.Stuck = plugin_stuck:Stuck\n[pancakes.tasks]\nstuck.Drive = plugin_stuck:Drive\n"
+)
+
+
+def test_channel_pub_says_which_actuator_refused_and_why(rig: Rig):
+    rig.install("stuck", OF_ACTUATORS, ACTUATORS)
+    wheels = '[device.wheels]\ndriver = "stuck.Stuck"\n'
+    rig.ready("a", wheels)
+    rig.ready("b", wheels + '[task.Drive]\ntype = "stuck.Drive"\n')
+
+    def pub(agent: str, v_mps: float, *options: str) -> tuple[int, list[str], str]:
+        body = json.dumps({"v_mps": v_mps, "omega_radps": 0.0})
+        done = rig.pancakes("channel", "pub", f"{agent}/ctrl", "motors", body, "--format", "json", *options)
+        (row,) = json.loads(done.stdout)
+        return done.returncode, row["refused"], done.stderr
+
+    assert pub("a", 0.5) == (0, [], "")
+    code, refused, said = pub("a", 2.0, "--count", "2", "--rate", "20")
+    assert (code, len(refused)) == (1, 1) and "the wheels are blocked" in refused[0]
+    assert said.startswith("refused by a/device/wheels: ") and said.count("\n") == 1
+    held = "b/device/wheels: it is held by b/client/Drive"
+    assert pub("b", 0.5, "--to", "device/wheels") == (1, [held], f"refused by {held}\n")
+
+
 def test_channel_pub_of_control_packet_is_answered(rig: Rig, agent: Running):
     asked = ("channel", "pub", "a/sysctrl", "stop", '{"target": "Walk"}')
     assert rig.listed(*asked)[0]["packets"] == 1

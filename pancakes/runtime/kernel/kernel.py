@@ -41,6 +41,7 @@ from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.timer import Timer, VirtualTimer
 from pancakes.runtime.kernel.timer_table import TimerTable
 from pancakes.runtime.kernel.turn_meter import TurnMeter
+from pancakes.runtime.kernel.unheard import Unheard
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 _Made = TypeVar("_Made", bound=Component)
@@ -68,6 +69,7 @@ class Kernel:
         tasks: the tasks of all services, at rest or not.
         task_timers: what ticks here.
         dead_letters: packets whose handlers failed.
+        unheard: tells of packets that were for somebody, and that nobody got.
         timer: the timer actor.
         transport: how this agent reaches other processes (a `pancakes.mesh.net.transport.Transport`).
         access: what peers may do here; the agent sets it.
@@ -109,6 +111,15 @@ class Kernel:
         self.tasks = TaskTable()
         self.task_timers = TimerTable()
         self.dead_letters = DeadLetters(self.log)
+        self.unheard = Unheard(
+            agent,
+            self.log,
+            lambda: [it.address for it in self.registry.components()],
+            lambda: [it.address for it in self.tasks.all()],
+            self.registry.device_types,
+            self.host.now,
+        )
+        self.stream.unheard = self.unheard.here
         self.transport: Any = None
         self.folders = Folders(agent)
         self.access = Access(agent)

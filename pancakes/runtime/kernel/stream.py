@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from pancakes.errors import MailboxFull, PancakesError, UnknownChannel
-from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, covers
+from pancakes.packet import CORE_CHANNELS, CTRL, NEIGHBOURS, TO_TASK, Packet, agent_of, covers
 from pancakes.runtime.foundation.names import fault_of_name
 from pancakes.runtime.foundation.signatures import check_called
 from pancakes.runtime.kernel.handlers import Subscription
@@ -34,12 +34,14 @@ class InformationStream:
     Attributes:
         gateway: takes packets whose destination is another agent; the Network Service sets it.
         courier: takes packets whose destination is a task, wherever it is.
+        unheard: takes packets for a component of this agent, and commands, that none got; the kernel sets it.
     """
 
     def __init__(self, agent: str) -> None:
         self.agent = agent
         self.gateway: Gateway | None = None
         self.courier: Gateway | None = None
+        self.unheard: Gateway = lambda packet: None
         self._lock = threading.Lock()
         self._readers: dict[str, dict[str, Listener]] = {name: {} for name in CORE_CHANNELS}
         # And the types that each wants to see, and the follower elsewhere for which it does.
@@ -304,8 +306,11 @@ class InformationStream:
     def _give(self, packet: Packet, destination: str) -> int:
         route = self._route_of(packet, destination)
         route.give(packet, weight_of(packet.body) if route.queues else 0)
-        if destination and not route.queues and not route.taps:
-            self.undelivered += 1
+        if not route.queues:
+            if destination and not route.taps:
+                self.undelivered += 1
+            if destination or packet.channel == CTRL:
+                self.unheard(packet)
         return len(route.queues)
 
     def _unknown(self, packet: Packet) -> UnknownChannel:

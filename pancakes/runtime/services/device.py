@@ -332,7 +332,7 @@ class DeviceTask(Task):
             return
         driver = self._actuator
         assert driver is not None
-        self._refused.pop(packet.source, None)
+        refused = self._refused.pop(packet.source, "")
         now_s = self.now()
         before_s, self._good_until_s = self._good_until_s, now_s + ttl_s
         self._holding = False
@@ -344,7 +344,10 @@ class DeviceTask(Task):
             self._come_late(packet)
             return
         except Exception as error:
-            if self.missed(describe(error, self.device.cls)):
+            self._refused[packet.source] = why = describe(error, self.device.cls)
+            if refused != why:
+                self.event("command_refused", device=self.name, by=packet.source, reason=why)
+            if self.missed(why):
                 raise
             if before_s > now_s:  # the hardware still has the command before, which is good for no longer than it was
                 self._good_until_s = before_s

@@ -54,7 +54,8 @@ class NetworkClient(Task):
     def send(self, packet: Packet) -> None:
         """Sends a packet. In the publisher's thread.
 
-        A packet for an agent that is away is dropped and counted, as a packet without a subscriber is on any channel.
+        A packet for an agent that is away is dropped and counted, as a packet without a subscriber is on any channel. One
+        for an agent that was never linked is told, too: its name may be wrong.
 
         Raises:
             LocalProtocolError: it cannot travel.
@@ -64,6 +65,7 @@ class NetworkClient(Task):
             self._mesh.send(packet)
         except PeerLost:
             self.kernel.stream.undelivered += 1
+            self.kernel.unheard.elsewhere(packet, self._mesh.connected())
 
 
 class Discovery(Task):

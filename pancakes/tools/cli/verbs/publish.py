@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from itertools import count
 from typing import Any, Final
 
 import click
 
-from pancakes.client import Client
+from pancakes.client import Client, HeardPacket, Subscriber
 from pancakes.control import CONTROLS, Channels
-from pancakes.packet import NEIGHBOURS, SYSCTRL, TO_TASK, agent_of, covers, join, type_name
+from pancakes.events import Event
+from pancakes.packet import CTRL, LOG, NEIGHBOURS, SYSCTRL, TO_TASK, agent_of, covers, join, type_name
 from pancakes.tools.cli.asking import order
+from pancakes.tools.cli.exit_codes import REFUSED
 from pancakes.tools.cli.json_bodies import BadBody, body_of
 from pancakes.tools.cli.name_types import ChannelName, a_channel
 from pancakes.tools.cli.options import Ask, FiniteRange, dry_run_option, orders_agents
 from pancakes.tools.cli.streaming import say, until_ended
 
-COLUMNS: Final = ("agent", "channel", "type", "to", "packets", "subscribers")
+COLUMNS: Final = ("agent", "channel", "type", "to", "packets", "subscribers", "refused")
 RATE_HZ: Final = 1.0
-"""How often packets are published where their number is said and their rate is not."""
+"""How often packets are published if their number is said and their rate is not."""
+REFUSAL_S: Final = 0.5
+"""After the last command, an actuator that has not refused it for so long has taken it."""
 
 
 @click.command()
@@ -45,8 +51,9 @@ def pub(
 
     BODY is a JSON object with the type's fields, which are checked before anything is sent; a field that has a default
     may be left out. A packet without a subscriber on the agent is sent all the same, and a line says so.
-    An actuator takes commands from the task that holds it, so not from here. A control packet on sysctrl, such as stop
-    or reschedule, is answered as it is to a task, and refused likewise.
+    An actuator that a task holds takes commands from that task only. What an actuator or its driver refuses is shown,
+    and the exit code is then 1. A control packet on sysctrl, such as stop or reschedule, is answered as it is to a
+    task, and refused likewise.
 
     \b
     Example:
@@ -66,15 +73,22 @@ def pub(
         sender = Sender(client, name, made, destination)
         if not sender.subscribers:
             say(f"no component of {name.agent} subscribes to {kind} on {name.channel}" + (f" at {to}" if to else ""))
-        row = {**name._asdict(), "type": kind, "to": destination, "packets": 0, "subscribers": sender.subscribers}
+        row: dict[str, Any] = {**name._asdict(), "type": kind, "to": destination, "packets": 0}
+        row |= {"subscribers": sender.subscribers, "refused": []}
         if not dry_run:
             packets = most if most is not None or rate_hz is not None else 1
-            try:
-                for _ in sender.send(packets, rate_hz or RATE_HZ):
-                    row["packets"] += 1
-            except KeyboardInterrupt:
-                sender.settle()
+            with Refusals(client, name) as refusals:
+                try:
+                    for _ in sender.send(packets, rate_hz or RATE_HZ):
+                        row["packets"] += 1
+                except KeyboardInterrupt:
+                    sender.settle()
+                row["refused"] = refusals.of(sender.subscribers)
         ask.show([row], COLUMNS)
+    for refusal in row["refused"]:
+        say(f"refused by {refusal}")
+    if row["refused"]:
+        sys.exit(REFUSED)
 
 
 def _destination(agent: str, to: str) -> str:
@@ -151,6 +165,42 @@ class Sender:
             if covers(self._destination, reader["address"])
             and _takes(reader["types"] if named else reader["open_types"], kind)
         ]
+
+
+class Refusals:
+    """Hears which actuators refuse the commands of this program, and why. On other channels nothing is refused.
+
+    Args:
+        client: reaches the agent.
+        name: the channel.
+    """
+
+    def __init__(self, client: Client, name: ChannelName) -> None:
+        self._client = client
+        self._agent = name.agent
+        self._stack = ExitStack()
+        self._log: Subscriber[HeardPacket[Event]] | None = None
+        if name.channel == CTRL:
+            self._log = self._stack.enter_context(client.subscribe(join(name.agent, LOG), Event))
+
+    def __enter__(self) -> Refusals:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def of(self, actuators: list[str]) -> list[str]:
+        """Returns a sentence for each of these actuators that has refused, or does so soon after the last command."""
+        found: dict[str, str] = {}
+        until_s = self._client.now() + REFUSAL_S
+        while self._log is not None and len(found) < len(actuators):
+            heard = self._log.take(max(0.0, until_s - self._client.now()))
+            if heard is None:
+                break
+            event = heard.body
+            if event.kind == "command_refused" and self._client.is_own(agent_of(event.fields["by"])):
+                found[heard.source] = f"{heard.source}: {event.fields['reason']}"
+        return list(found.values())
 
 
 def _takes(types: list[str] | None, kind: str) -> bool:
