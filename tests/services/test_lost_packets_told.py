@@ -5,7 +5,7 @@ import pytest
 from pancakes.bodies.devices.null import NullMotors
 from pancakes.bodies.devices.types import Pose, Twist
 from pancakes.control import Describe, Stop
-from pancakes.packet import CTRL, SYSCTRL, SYSTEM
+from pancakes.packet import CTRL, SYSCTRL, SYSTEM, task_address
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
 
@@ -81,3 +81,19 @@ def test_what_is_lost_without_a_mistake_is_not_told(fleet):
     reader.publish(SYSTEM, POSE, to="agent2/client/Reader")  # away
     fleet.run_for(0.1)
     assert lost(fleet) == []
+
+
+@pytest.mark.parametrize(
+    ("to", "said"),
+    [
+        ("agnt2/Reader", "no agent that is linked has that task, did you mean 'agent2/Reader'?"),
+        ("agent2/Ghost", "no agent that is linked has that task"),
+        ("agent1/Raeder", "no agent that is linked has that task, did you mean 'agent1/Reader'?"),
+    ],
+)
+def test_a_packet_for_a_task_that_no_agent_has_is_told_once(fleet, to, said):
+    agent = fleet.agents["agent1"]
+    agent.task("Steer").publish(SYSTEM, POSE, to=task_address(to))
+    agent.task("Steer").publish(SYSTEM, POSE, to=task_address("agent2/Reader"))
+    fleet.run_for(60.0)
+    assert [line for line in agent.lines("warning") if " wait: " in line] == [f"packets for {to} wait: {said}"]

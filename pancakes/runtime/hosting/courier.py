@@ -21,6 +21,7 @@ from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs, whereabouts
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.codec import packet_from_row, rows_from_payload
 from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.runtime.foundation.suggestion import did_you_mean
 from pancakes.runtime.hosting.courier_messages import COURIER, AskedBegan, CameFor, OwnerHeard, Say, SendUnsent
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.shared_outbox import SharedOutbox, receiver_of
@@ -32,6 +33,8 @@ from pancakes.runtime.kernel.tell import tell
 
 KEEP: Final = queue(4096)
 """What falls out comes again."""
+SOUGHT_IN_VAIN: Final = 3
+"""A task that was asked for so often, and that no agent has, is doubted: its name may be wrong."""
 _ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 
 
@@ -53,6 +56,7 @@ class Courier(Component):
         self._mesh = mesh
         self._looking = False
         self._asked: set[tuple[str, str]] = set()
+        self._sought: dict[str, int] = {}  # how often a task was asked for that no agent has
 
     def on_start(self) -> None:
         self.kernel.stream.courier = self.take
@@ -205,6 +209,7 @@ class Courier(Component):
 
     def _found(self, at: TaskAt, peer: str) -> None:
         if at.peer:
+            self._sought.pop(at.task_id, None)
             self._forwarded(ForwardTo(at.task_id, at.peer, at.epoch.n), peer)
 
     # Sending ---------------------------------------------------------------------------------------------------
@@ -223,6 +228,13 @@ class Courier(Component):
         self._found(whereabouts(self.agent, task_id, self._records.get(TaskId.parse(task_id))), self.agent)
         for peer in asked_now(self._mesh.neighbours(), self.kernel.host.now()):
             self._say(peer, WhereIs(task_id))
+        self._sought = {it: times for it, times in self._sought.items() if it in self._outbox.waiting()}
+        self._sought[task_id] = times = self._sought.get(task_id, 0) + 1
+        if times == SOUGHT_IN_VAIN:
+            _, _, name = task_id.rpartition("/")
+            known = {*map(str, self._records.all()), *(join(peer, name) for peer in self._mesh.connected())}
+            near = did_you_mean(task_id, known - {task_id})
+            self.log("warning", f"packets for {task_id} wait: no agent that is linked has that task{near}")
 
     def _look_later(self) -> None:
         self._looking = True
