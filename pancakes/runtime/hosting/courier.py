@@ -231,10 +231,17 @@ class Courier(Component):
         self._sought = {it: times for it, times in self._sought.items() if it in self._outbox.waiting()}
         self._sought[task_id] = times = self._sought.get(task_id, 0) + 1
         if times == SOUGHT_IN_VAIN:
-            _, _, name = task_id.rpartition("/")
-            known = {*map(str, self._records.all()), *(join(peer, name) for peer in self._mesh.connected())}
-            near = did_you_mean(task_id, known - {task_id})
-            self.log("warning", f"packets for {task_id} wait: no agent that is linked has that task{near}")
+            self.log(
+                "warning", f"packets for {task_id} wait: no agent that is linked has that task{self._near(task_id)}"
+            )
+
+    def _near(self, task_id: str) -> str:
+        """Returns which task may be meant by one that no agent has, as the end of a sentence."""
+        birthplace, _, name = task_id.partition("/")
+        agents = [self.agent, *self._mesh.connected()]
+        if birthplace in agents:
+            return did_you_mean(task_id, [str(it) for it in self._records.all() if it.birthplace == birthplace])
+        return did_you_mean(task_id, [join(agent, name) for agent in agents])
 
     def _look_later(self) -> None:
         self._looking = True
