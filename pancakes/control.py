@@ -143,19 +143,22 @@ class Forget(msgspec.Struct, frozen=True):
 
     Either this agent has lost its record of it, and neither starts it nor asks about it from then on; `Adopt` takes
     that back. Or another agent owns the task too: what is here of it, its state among it, is given up, and packets for
-    it go to the other agent. In both cases it may be handed over to this agent like any other.
+    it go to the other agent. Or another agent has brought it and is gone, and does not say whether it was given away:
+    what is here of it is dropped. In all cases it may be handed over to this agent like any other.
 
     Attributes:
         target: the task.
         birthplace: the agent that the task was born on, where two tasks of its name are undecided here.
         owner: the agent that is to have it, where two own it; empty: the record of it was lost.
         dry_run: only says whether it would be done, and changes nothing.
+        force: drop what was never handed over, although it may be nowhere else.
     """
 
     target: str
     birthplace: str = ""
     owner: str = ""
     dry_run: bool = False
+    force: bool = False
 
 
 class HeldCheckpoint(msgspec.Struct, frozen=True):
@@ -253,11 +256,11 @@ class Checkpoints(msgspec.Struct, frozen=True):
 
     The reply's `result` is a list of plain mappings: `task_id`, `agent`, `held` (`guardian` or `in doubt`), `type`,
     `service`, `wanted`, `epoch` (number and minter) and `no` of the checkpoint, `age_s` (None: unknown), `at_least` (it
-    may be older), `seen` (the highest number of an epoch that is known), `guardians` (one or two lists of agents), and
-    `snapshot` where it was asked for.
+    may be older), `seen` (the highest number of an epoch that is known), `guardians` (one or two lists of agents),
+    `peer` (the other agent of a hand-off that is in doubt), and `snapshot` if it was asked for.
 
     Attributes:
-        task: its name.
+        task: its name; empty: all tasks.
         birthplace: the agent that it was born on; empty: any.
         body: whether the snapshots are wanted too.
     """

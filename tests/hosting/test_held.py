@@ -36,7 +36,7 @@ def test_a_task_is_meant_by_its_name_and_where_several_have_that_by_its_birthpla
 
 def test_a_guardian_tells_what_it_has_on_disk() -> None:
     held = {"held": "guardian", "wanted": "stopped", "age_s": 1.5, "at_least": True, "epoch": [3, "b"], "no": 7}
-    row = {**ROW, **held, "seen": 4, "guardians": [["b", "c"], ["d"]]}
+    row = {**ROW, **held, "seen": 4, "guardians": [["b", "c"], ["d"]], "peer": ""}
     assert list(of_register(REGISTER, 1.5, True, ASKED)) == [row]
     (with_body,) = of_register(REGISTER, 1.5, True, Checkpoints("Scan", body=True))
     assert with_body == {**row, "snapshot": SNAPSHOT}
@@ -56,7 +56,7 @@ def test_a_guardian_without_a_checkpoint_tells_nothing() -> None:
 @pytest.mark.parametrize("phase", [Phase.COMMITTED, Phase.PREPARED])
 def test_an_agent_tells_of_a_task_whose_hand_off_is_in_doubt(phase: Phase) -> None:
     held = {"held": "in doubt", "wanted": "running", "age_s": None, "at_least": True, "epoch": [4, "b"], "no": 0}
-    row = {**ROW, **held, "seen": 5, "guardians": []}
+    row = {**ROW, **held, "seen": 5, "guardians": [], "peer": "c"}
     assert list(of_records([replace(IN_DOUBT, phase=phase)], ASKED)) == [row]
     (later,) = of_records([replace(IN_DOUBT, phase=phase, offer=Epoch(6, "b"))], ASKED)
     assert (later["seen"], later["epoch"]) == (6, [6, "b"])

@@ -14,6 +14,7 @@ from pancakes.mesh.migration.event import (
     Arrived,
     Born,
     Event,
+    ForgettingAsked,
     PersistFailed,
     Received,
     RemovalAsked,
@@ -104,3 +105,12 @@ def test_what_its_agent_says_of_it_is_that_it_was_removed() -> None:
     assert newest_fact([later, fact]) == later
     assert REMOVED.may_begin and not REMOVED.unborn and rest_of(REMOVED) == ""
     assert not RELEASED.may_begin and not RELEASED.removed
+
+
+def test_what_was_brought_is_dropped_only_for_its_own_hand_off():
+    """A person who forgets a lost record does not mean the task that is being handed over just then."""
+    (declined,) = at(PREPARED, ForgettingAsked(NEXT))
+    assert isinstance(declined, Decline)
+    dropped = [it.record for it in at(PREPARED, ForgettingAsked(NEXT, offer=PREPARED.offer)) if isinstance(it, Persist)]
+    assert [(it.phase, it.snapshot) for it in dropped] == [(Phase.ABSENT, b"")]
+    assert dropped[0].seen >= PREPARED.offer

@@ -4,7 +4,7 @@ import pytest
 from msgspec.structs import replace
 from services.counting import Count
 
-from pancakes.control import Migrate, Stop
+from pancakes.control import Checkpoints, Forget, Migrate, Stop
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import (
     Bid,
@@ -21,6 +21,7 @@ from pancakes.mesh.migration.pieces import cut
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Packet
+from pancakes.runtime.hosting.arrivals import MOST_IN_DOUBT
 from pancakes.runtime.hosting.host_state import MOST_SLOTS
 from pancakes.testing import FleetInTest
 
@@ -182,6 +183,45 @@ def test_an_agent_keeps_so_many_places_for_a_peer(fleet):
     fleet.run_for(1.0)
     assert [type(answer) for answer in answers].count(Reserved) == MOST_SLOTS
     assert answers[-1].reason == "keeps 64 places for tasks of c already"
+
+
+def bring(fleet, name):
+    """C brings a task to b, and never gives it away."""
+    asked = place_for(fleet, name)
+    say(fleet, "c", asked, "b")
+    fleet.run_for(0.1)
+    snapshot = Snapshot(asked.task_id, "test.Count", asked.request.version, "client")
+    for piece in cut(Transfer(asked.task_id, asked.offer, snapshot.encode())):
+        say(fleet, "c", piece, "b")
+    fleet.run_for(0.1)
+
+
+def kept(fleet):
+    return [it.task_id.name for it in fleet.agents["b"].agent.records.all().values() if it.phase is Phase.PREPARED]
+
+
+def test_what_a_peer_brings_and_never_gives_away_is_bounded(fleet):
+    answers = answers_to(fleet, "c")
+    for number in range(MOST_IN_DOUBT + 3):
+        bring(fleet, f"T{number}")
+    assert len(kept(fleet)) == MOST_IN_DOUBT
+    reasons = [answer.reason for answer in answers if isinstance(answer, Nak)]
+    assert reasons and "keeps 64 tasks that c has brought and not handed over" in reasons[0]
+    assert fleet.agents["a"].ask(Migrate("Count", to="b")).ok, "that of others has its place"
+
+
+def test_what_a_lost_peer_has_brought_can_be_dropped(fleet):
+    b = fleet.agents["b"]
+    bring(fleet, "T1")
+    assert "c is connected" in b.ask(Forget("T1", force=True)).reason
+    (row,) = b.ask(Checkpoints("")).result
+    assert (row["task_id"], row["held"], row["peer"]) == ("c/T1", "in doubt", "c")
+    fleet.crash("c")
+    fleet.run_for(3.0)
+    assert "Forgotten by force, it is nowhere if c has given it away" in b.ask(Forget("T1")).reason
+    assert kept(fleet) == ["T1"]
+    assert b.ask(Forget("T1", force=True)).ok
+    assert kept(fleet) == [] and b.ask(Checkpoints("")).result == []
 
 
 def test_a_snapshot_of_another_task_than_a_place_was_promised_for_is_declined(fleet):

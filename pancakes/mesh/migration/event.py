@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.guards import GuardianId, Guards
 from pancakes.mesh.migration.messages import HandOffMessage, Solicit
 from pancakes.mesh.migration.record import Phase, Record, Wanted
@@ -101,15 +101,19 @@ class AdoptionAsked(msgspec.Struct, frozen=True):
 
 
 class ForgettingAsked(msgspec.Struct, frozen=True):
-    """A person says that the task is not to run here: this agent has lost its record, or another owns it too.
+    """A person says that the task is not to run here.
+
+    This agent has lost its record, another owns it too, or another has brought it and is gone.
 
     Attributes:
         seen: the highest epoch that is known of it.
         owner: the agent that is to have it; empty: that is not known.
+        offer: of the hand-off in doubt that is to be dropped; `NO_EPOCH`: none is.
     """
 
     seen: Epoch
     owner: str = ""
+    offer: Epoch = NO_EPOCH
 
 
 class RemovalAsked(msgspec.Struct, frozen=True):

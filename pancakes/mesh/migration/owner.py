@@ -148,6 +148,8 @@ def forget(me: str, record: Record, volatile: Volatile, event: ForgettingAsked) 
     if event.owner and record.phase is Phase.OWNER and record.wanted is not Wanted.RUNNING and not volatile.running:
         tombstone = Record(record.task_id, Phase.RELEASED, record.epoch, seen, peer=event.owner)
         return [Remember(Volatile()), Persist(tombstone), Discard()]
+    if record.phase is Phase.PREPARED and record.offer == event.offer:  # and no later one, that is on its way
+        return [Remember(Volatile()), Persist(Record(record.task_id, seen=max(seen, record.offer))), Discard()]
     if record.phase is not Phase.ABSENT:
         return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to forget")]
     return [Remember(Volatile()), Persist(Record(record.task_id, seen=seen))]

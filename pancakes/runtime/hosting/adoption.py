@@ -32,7 +32,8 @@ def chosen(
         birthplace: the agent that it was born on; empty: any.
         records: what the service has of tasks of this name.
         lost: those of this name whose records were lost.
-        verb: what is to be done: `adopt`, or `forget`, which is for the latter alone.
+        verb: what is to be done: `adopt`, or `forget`, which is for the latter, and for what another agent has brought
+            and not handed over.
 
     Raises:
         ControlRefused: none of them can be meant, or several can.
@@ -42,6 +43,8 @@ def chosen(
     if verb == "adopt":
         found += [record for record in meant if record.in_doubt]
         found += [record for record in meant if was_forgotten(record) or is_disputed(record)]
+    else:
+        found += [record for record in meant if record.phase is Phase.PREPARED]
     known = {one.task_id for one in found}
     meant = [record for record in meant if record.task_id in known or not record.unborn]
     if len(found) == 1:
@@ -74,6 +77,15 @@ def meaning(record: Record, me: str) -> str:
         f" So only where {peer} is gone for good: see that the task runs nowhere, switch {peer} off, adopt by force,"
         f" and only after that set {peer} up anew, with an empty state_dir."
         f" Otherwise wait: the hand-off goes on by itself once {peer} answers. Nothing was done"
+    )
+
+
+def cost_of_forgetting(record: Record, me: str) -> str:
+    """Returns what dropping a task that was never handed over means, for a person who has not yet said `force`."""
+    return (
+        f"{record.task_id} rests on {me} (offer {record.offer}), and {record.peer} does not say whether it was given"
+        f" away. Forgotten by force, it is nowhere if {record.peer} has given it away and is gone for good. Nothing was"
+        f" done"
     )
 
 

@@ -37,6 +37,10 @@ from pancakes.runtime.weight import in_brief
 from pancakes.settings import SettingsError, make_settings, plain_settings
 from pancakes.task import Task, TaskSpec
 
+MOST_IN_DOUBT: Final = 64
+"""So many tasks of one peer are kept that it has brought and not handed over, ..."""
+MOST_IN_DOUBT_BYTES: Final = 64 * 1024 * 1024
+"""... and so many bytes of them; one may always be kept."""
 SETTLE_S: Final = 10.0
 """How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
 
@@ -119,7 +123,7 @@ class Arrivals:
         if message is None:
             return None
         if isinstance(message, Reserve):
-            refusal = refusal or self._state.reserve(peer, message)
+            refusal = refusal or self._full_of(peer, place, 0) or self._state.reserve(peer, message)
             if not refusal:
                 place.promised = (peer, message.offer)
             return Received(peer, message, refusal)
@@ -127,12 +131,25 @@ class Arrivals:
             self._state.free(message.task_id)
             if not would_take(record, message.offer):
                 return Received(peer, message)
-            refusal = self.cannot_build(peer, place, message.snapshot)
+            size = len(message.snapshot)
+            refusal = self._full_of(peer, place, size) or self.cannot_build(peer, place, message.snapshot)
             place.came_from = "" if refusal else peer
             return Received(peer, message, refusal)
         if record.unborn and self._records.service_of(message.task_id) not in ("", self._host.name):
             return None
         return Received(peer, message)
+
+    def _full_of(self, peer: str, place: Place, more_bytes: int) -> str:
+        """Says why no more is kept of what a peer has brought and not handed over; empty: there is room."""
+        records = self._records.all().values()
+        kept = [it for it in records if it.phase is Phase.PREPARED and it.peer == peer and it.task_id != place.task_id]
+        size = sum(len(it.snapshot) for it in kept) + more_bytes
+        if len(kept) < MOST_IN_DOUBT and (not kept or size <= MOST_IN_DOUBT_BYTES):
+            return ""
+        return (
+            f"keeps {len(kept)} tasks that {peer} has brought and not handed over, and no more:"
+            f" `pancakes task forget-peer {self._host.agent} {peer}` drops them"
+        )
 
     def _whole(self, peer: str, message: HandOffMessage | Piece, place: Place) -> HandOffMessage | None:
         """Returns a message as it is; of a piece of a snapshot, the whole once all pieces are there."""

@@ -233,10 +233,11 @@ class Decisions:
         host.reply(adopted.request, why_not, done if not why_not else None)
 
     def forget(self, body: Forget, request: Request) -> None:
-        """Lets a task rest here, on a person's word that it runs elsewhere.
+        """Lets a task rest here, on a person's word that it runs elsewhere, or drops what was never handed over.
 
         Raises:
-            ControlRefused: its record was not lost and no other agent owns it, it runs, or several can be meant.
+            ControlRefused: its record was not lost and no other agent owns it, it runs, several can be meant, or the
+                agent that has brought it is there, or the request does not say `force`.
         """
         if body.owner:
             self._give_up(body, request)
@@ -246,6 +247,12 @@ class Decisions:
         lost_ones += self._disputes.births.undecided(body.target)
         lost = adoption.chosen(host.address, body.target, body.birthplace, known, lost_ones, "forget")
         task_id = lost.task_id
+        if isinstance(lost, Record):
+            if host.connected(lost.peer):
+                why = f"{lost.peer} is connected, and says what becomes of it"
+                raise ControlRefused(f"{task_id} is not forgotten: {why}")
+            if not body.force:
+                raise ControlRefused(adoption.cost_of_forgetting(lost, host.agent))
         if body.dry_run:
             host.reply(request, result={"task_id": str(task_id)})
             return
@@ -253,7 +260,8 @@ class Decisions:
         self._tell_asked("forget", task_id, request)
         place.forgetting = (request,)
         host.look_after(place, request)
-        host.feed_place(place, ForgettingAsked(lost.seen if isinstance(lost, Lost) else NO_EPOCH))
+        offer = lost.offer if isinstance(lost, Record) else NO_EPOCH
+        host.feed_place(place, ForgettingAsked(lost.seen if isinstance(lost, Lost) else NO_EPOCH, offer=offer))
 
     def _give_up(self, body: Forget, request: Request) -> None:
         host = self._host

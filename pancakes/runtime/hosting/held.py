@@ -19,7 +19,7 @@ _KEPT: Final = (Phase.COMMITTED, Phase.PREPARED)
 
 def is_meant(asked: Checkpoints, task_id: TaskId) -> bool:
     """Returns whether a task is asked for."""
-    return task_id.name == asked.task and asked.birthplace in ("", task_id.birthplace)
+    return asked.task in ("", task_id.name) and asked.birthplace in ("", task_id.birthplace)
 
 
 def of_register(register: GuardRegister, age_s: float, at_least: bool, asked: Checkpoints) -> Iterator[dict[str, Any]]:
@@ -38,7 +38,7 @@ def of_register(register: GuardRegister, age_s: float, at_least: bool, asked: Ch
     known = {"held": GUARDIAN, "wanted": register.body.wanted.value, "age_s": age_s, "at_least": at_least}
     sets = [[member.agent for member in members] for members in register.guards.sets]
     seen = max(register.promised, checkpoint.epoch).n
-    yield from ({**it, **known, "seen": seen, "guardians": sets} for it in row)
+    yield from ({**it, **known, "seen": seen, "guardians": sets, "peer": ""} for it in row)
 
 
 def of_records(records: Iterable[Record], asked: Checkpoints) -> Iterator[dict[str, Any]]:
@@ -52,7 +52,7 @@ def of_records(records: Iterable[Record], asked: Checkpoints) -> Iterator[dict[s
         known = {"held": IN_DOUBT, "wanted": record.wanted.value, "age_s": None, "at_least": True}
         row = _row(record.task_id, record.snapshot, record.offer, 0, asked)
         seen = max(record.seen, record.offer).n
-        yield from ({**it, **known, "seen": seen, "guardians": []} for it in row)
+        yield from ({**it, **known, "seen": seen, "guardians": [], "peer": record.peer} for it in row)
 
 
 def _row(task_id: TaskId, encoded: bytes, epoch: Epoch, no: int, asked: Checkpoints) -> Iterator[dict[str, Any]]:

@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 
 import click
 
-from pancakes.control import Adopt, Forget, Migrate, Migrations, Reply
-from pancakes.errors import ControlRefused, NoAnswer
+from pancakes.control import Adopt, Checkpoints, Forget, Migrate, Migrations, Reply
+from pancakes.errors import ControlRefused, NoAnswer, PancakesError
 from pancakes.tools.cli.asking import accepted, ask_each, meant
-from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task, agents
+from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task, agents, the_agent
 from pancakes.tools.cli.options import Ask, asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
 from pancakes.tools.cli.verbs.task_completion import costs, tasks_beside
@@ -158,6 +158,43 @@ def forget(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
     with ask.client() as client:
         reply = accepted(client, name.agent, Forget(name.target, birthplace, dry_run=dry_run))
     _show_decided(ask, name, reply, DRY_RUN if dry_run else "forgotten")
+
+
+@click.command("forget-peer")
+@the_agent
+@click.argument("peer", metavar="PEER", type=AGENT_NAME)
+@click.option("--force", is_flag=True, help="Drop them, although each may be nowhere else.")
+@dry_run_option
+@orders_agents
+def forget_peer(agent: str, peer: str, force: bool, dry_run: bool, ask: Ask) -> None:
+    """Drop the tasks that PEER has brought to AGENT and never handed over, once PEER is gone.
+
+    A robot that is lost, or was revoked, may leave tasks behind whose hand-off is in doubt. AGENT keeps them, for PEER
+    may have given them away. If PEER is gone for good, `pancakes task adopt` runs one of them on AGENT, and this drops
+    those that are left.
+
+    \b
+    Example:
+        pancakes task forget-peer agent1 stolen --dry-run
+        pancakes task forget-peer agent1 stolen --force
+    """
+    with ask.client() as client:
+        held = accepted(client, agent, Checkpoints("")).result
+        left = sorted(row["task_id"] for row in held if row["held"] == "in doubt" and row["peer"] == peer)
+        if not left:
+            raise PancakesError(f"{agent} keeps no task that {peer} has brought and not handed over")
+        if not (force or dry_run):
+            raise PancakesError(
+                f"{agent} would drop {', '.join(left)}. Each is nowhere else if {peer} had given it away. With --force"
+                " it is done, with --dry-run only shown. Nothing was done"
+            )
+        rows = []
+        for birthplace, name in (task_id.split("/") for task_id in left):
+            body = Forget(name, birthplace, dry_run=dry_run, force=True)
+            reply = accepted(client, agent, body)
+            done = DRY_RUN if dry_run else "forgotten"
+            rows.append({"agent": agent, "task_id": reply.result["task_id"], "done": done, "number": reply.number})
+    ask.show(rows, tuple(rows[0]))
 
 
 def _show_decided(ask: Ask, name: TaskName, reply: Reply, done: str, **others: Any) -> None:

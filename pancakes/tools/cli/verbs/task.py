@@ -18,7 +18,7 @@ from pancakes.tools.cli.output import show, show_json, show_sections
 from pancakes.tools.cli.verbs.create import create, remove
 from pancakes.tools.cli.verbs.fence import fence
 from pancakes.tools.cli.verbs.guards import guards, take
-from pancakes.tools.cli.verbs.migration import adopt, forget, migrate, migrations
+from pancakes.tools.cli.verbs.migration import adopt, forget, forget_peer, migrate, migrations
 from pancakes.tools.cli.verbs.param_names import Changes, set_option
 from pancakes.tools.cli.verbs.resolve import resolve
 from pancakes.tools.cli.verbs.revive import revive
@@ -46,6 +46,7 @@ task.add_command(migrate)
 task.add_command(migrations)
 task.add_command(adopt)
 task.add_command(forget)
+task.add_command(forget_peer)
 task.add_command(resolve)
 task.add_command(revive)
 task.add_command(fence)
