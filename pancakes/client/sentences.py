@@ -25,7 +25,7 @@ def is_quiet(record: Mapping[str, Any]) -> bool:
     """Returns whether a person need not see a record of a log (`pancakes.runtime.services.log_record.record_of`)."""
     kind = record["kind"]
     if kind == "line":
-        return record["level"] not in ("warning", "error")
+        return record.get("level") not in ("warning", "error")
     return kind in QUIET or kind in SAID_IN_A_LINE or record.get("service") in ("device", "network", "log")
 
 

@@ -122,6 +122,46 @@ def test_log_comes_in_pages_when_it_is_long(rig: Rig):
     assert [int(text.partition(" ")[0]) for text in said] == list(range(1800))
 
 
+LIAR = """
+from pancakes.events import Event, LogLine
+from pancakes.task import Task, every
+
+class Liar(Task):
+    n = 0
+
+    @every(hz=5)
+    def lie(self, tick):
+        self.n += 1
+        self.publish("log", LogLine("loud", f"lie {self.n}"), to="*")
+        fields = {"agent": "b", "source": "b/kernel", "t_s": "late", "entry": "none", "kind": 7, "n": self.n}
+        self.publish("log", Event("line", fields), to="*")
+        self.publish("log", Event("command_refused", {}), to="*")
+"""
+
+
+def test_log_goes_on_when_an_agent_that_was_not_asked_speaks_on_log(rig: Rig, start: Start):
+    rig.install("talk", ENTRY_POINTS, SOURCE)
+    rig.install("liar", "[pancakes.tasks]\nliar.Liar = plugin_liar:Liar\n", LIAR)
+    heard = rig.ready("b", TALK)
+    rig.ready("a", '[task.Liar]\ntype = "liar.Liar"\n', agent=f'peers = ["{rig.address(heard)}"]')
+    heard.hear("lie 2")  # it is remembered by b before the command asks
+
+    log = start("log", "-f", "b", "--format", "json")
+    first = log.record("lie 2")
+    assert (first["agent"], first["source"], first["level"]) == ("a", "a/client/Liar", "loud")
+    claimed = log.record('"kind":"line","agent_"')
+    assert (claimed["source"], claimed["source_"], claimed["kind_"]) == ("a/client/Liar", "b/kernel", 7)
+    word = int(log.record("word")["text"].partition(" ")[2])
+    log.line(f"word {word + 20}")
+    assert log.interrupt() == 0
+    heard.hear("lie 8")
+
+    found = [record for record in records(rig, "b", "--level", "debug") if "lie " in record.get("text", "")]
+    numbers = [int(record["text"].split()[1]) for record in found]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    assert "lie 8" in rig.pancakes("log", "b").stdout
+
+
 def test_log_takes_in_agents_that_start_later_or_again(rig: Rig, start: Start):
     rig.install("talk", ENTRY_POINTS, SOURCE)
     rig.ready("a", TALK).hear("word 3")

@@ -223,7 +223,7 @@ class LogService(Service):
             if page and size > PAGE:
                 break
             # By way of its line: so it has nothing that cannot travel.
-            page.append({"entry": entry, **json.loads(line)})
+            page.append({**json.loads(line), "entry": entry})
         return page
 
     def own_tasks(self) -> Sequence[TaskSpec]:

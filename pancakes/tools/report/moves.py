@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+import msgspec
+
 from pancakes.events import Event
 from pancakes.packet import LOG, Packet, agent_of
 from pancakes.runtime.foundation import codecs
@@ -123,7 +125,10 @@ class Moves:
         if len(self.moves) >= MOST_MOVES:
             self.left_out += 1
             return
-        move = codecs.convert({**fields, "at_s": t_s, "answers": fields.get("lines", ())}, TaskMove)
+        try:
+            move = codecs.convert({**fields, "at_s": t_s, "answers": fields.get("lines", ())}, TaskMove)
+        except msgspec.ValidationError:
+            return  # an event of a user's own that bears the same name
         self.moves.append(move)
         if move.outcome != "moved":
             return

@@ -80,8 +80,8 @@ class Explaining:
 
         Returns:
             `agent`, `type`, `source`, `seq`, `t`, `mission_s`; `place` among the `count` commands that are known, from
-            1; `actuators`; `steps`, the first cause first, each with `source`, `seq`, `number`, `channel`, `type`, `body`,
-            `at_ms` (since the first), `travel_ms` (to the agent of the next step) and `handling_ms` (until the next was
+            1; `actuators`; `steps`, the first cause first, each with `source`, `seq`, `number`, `channel`, `type`,
+            `body`, `at_ms` (since the first), `travel_ms` (to the next agent) and `handling_ms` (until the next was
             published); and `alike`: of the commands whose chain has the same shape `count`, `p50_ms`, `p90_ms`,
             `p99_ms`, `max_ms` from end to end, and `bars` of a histogram from `from_ms` to `to_ms`, the last with
             all that took longer. It is None where the command answers no packet that is known.

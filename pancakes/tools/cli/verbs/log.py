@@ -106,14 +106,14 @@ def wants(record: Record, level: str, sources: Sequence[str], grep: re.Pattern[s
 
 def level_of(record: Record) -> str:
     """Returns the level of a record; an event counts as `info`, or as `debug` where a line says the same."""
-    if record["kind"] == "line":
+    if "level" in record and record["kind"] == "line":
         return str(record["level"])
     return "debug" if record["kind"] in SAID_IN_A_LINE else "info"
 
 
 def words_of(record: Record) -> str:
     """Returns what a record says, in one line."""
-    if record["kind"] == "line":
+    if "text" in record and record["kind"] == "line":
         return str(record["text"])
     fields = [(key, value) for key, value in record.items() if key not in ("t_s", "agent", "source", "kind")]
     return " ".join([record["kind"], *(f"{key}={value}" for key, value in fields if value not in (None, ""))])
@@ -140,15 +140,16 @@ def with_traceback(record: Record) -> str:
 
 def _history(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
     """Yields what was said until now, in its order."""
-    yield from _merged(client, surveyed(client, *agents), since_s)
+    yield from (record for _, record in _merged(client, surveyed(client, *agents), since_s))
 
 
-def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: float | None) -> list[Record]:
-    """Returns what agents remember, by the time at which it was said.
+def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: float | None) -> list[tuple[str, Record]]:
+    """Returns what agents remember, each with the agent that does, by the time at which it was said.
 
-    The clocks of two agents differ, so it counts how long ago something was said, on the clock of its own agent.
+    That is not always the agent that has said it: who publishes on `log` to another is remembered there. The clocks of
+    two agents differ, so it counts how long ago something was said, on the clock of its own agent.
     """
-    dated: list[tuple[float, Record]] = []
+    dated: list[tuple[float, str, Record]] = []
     refusals = []
     for agent in described:
         try:
@@ -157,12 +158,13 @@ def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: flo
             refusals.append(f"{agent['agent']} does not tell what was said: {error}")
         else:
             # Its mission time is of about now: all agents have just been asked.
-            dated.extend(((record["t_s"] - agent["mission_s"]) / agent["speed"], record) for record in records)
+            now_s, speed, name = agent["mission_s"], agent["speed"], agent["agent"]
+            dated.extend(((record["t_s"] - now_s) / speed, name, record) for record in records)
     if refusals and len(refusals) == len(described):
         raise ControlRefused("\n".join(refusals))
     for refusal in refusals:
         say(refusal)
-    return [record for _, record in sorted(dated, key=lambda it: it[0])]
+    return [(name, record) for _, name, record in sorted(dated, key=lambda it: it[0])]
 
 
 def _remembered(client: Client, agent: str, since_s: float | None) -> list[Record]:
@@ -194,9 +196,9 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
             back_s = None if since_s is None else since_s + (client.now() - began_s) * speed
             records = _merged(client, described, back_s)
             for agent in described:
-                of_agent = [record for record in records if record["agent"] == agent["agent"]]
+                of_agent = [record for name, record in records if name == agent["agent"]]
                 known.setdefault(agent["agent"], Known()).ask(of_agent)
-            return (record for record in records if known[record["agent"]].is_new(record))
+            return (record for name, record in records if known[name].is_new(record))
 
         yield from remembered(client.survey(*agents).agents)
         for heard in listen(client, subscriber):

@@ -198,8 +198,9 @@ class Refusals:
             if heard is None:
                 break
             event = heard.body
-            if event.kind == "command_refused" and self._client.is_own(agent_of(event.fields["by"])):
-                found[heard.source] = f"{heard.source}: {event.fields['reason']}"
+            asked_by = agent_of(str(event.fields.get("by", "")))
+            if event.kind == "command_refused" and self._client.is_own(asked_by):
+                found[heard.source] = f"{heard.source}: {event.fields.get('reason', '')}"
         return list(found.values())
 
 
