@@ -191,6 +191,12 @@ WRONG: list[tuple[dict[str, Any], str, str, str]] = [
         f"the versions 0.0.1, and this command is {__version__}",
     ),
     ({"tasks": [task(state="failed", reason="ValueError")]}, "error", "a/Scan", "was given up: ValueError"),
+    (
+        {"tasks": [task(state="stopped", rest="failed")]},
+        "error",
+        "a/Scan",
+        "does not run: it was given up before its agent was last started",
+    ),
     ({"tasks": [task(state="stuck")]}, "error", "a/Scan", "does not come back"),
     ({"tasks": [task(rest="disputed", reason="why")]}, "error", "a/Scan", "is owned by another agent too, and rests"),
     ({"tasks": [task(rest="waits → b, tcp://c:7400", reason="why")]}, "warning", "a/Scan", "is not born yet: why"),

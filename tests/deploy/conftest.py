@@ -7,7 +7,20 @@ from pathlib import Path
 
 import pytest
 from cli.processes import Rig
+from deploy.plugin_wheels import clone_wheel
 from deploy.ssh_hosts import SshHosts
+
+
+@pytest.fixture(scope="session")
+def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of this clone."""
+    return clone_wheel(tmp_path_factory.mktemp("wheels"))
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where libraries are kept that were fetched."""
+    return tmp_path_factory.mktemp("cache")
 
 
 @pytest.fixture

@@ -14,14 +14,14 @@ from typing import Any
 import psutil
 import pytest
 from cli.processes import INSECURE, Rig
-from deploy.plugin_wheels import clone_wheel, plugin_wheel
+from deploy.deploying import deploy
+from deploy.plugin_wheels import plugin_wheel
 from deploy.ssh_hosts import BARE, SshHost, SshHosts, free_port, with_sshd
 from deploy.user_systemd import RUNTIME, UserSystemd
 
 from pancakes.tools.launch.host_link import HostError, HostLink
 
 pytestmark = with_sshd
-DEPLOY_S = 280.0
 PYENV = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv") / "versions"
 
 
@@ -44,17 +44,6 @@ OTHER = other_python()
 WALK = '[task.Walk]\ntype = "yard.Walk"\nrestart = { policy = "temporary" }\n'
 
 
-@pytest.fixture(scope="session")
-def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return clone_wheel(tmp_path_factory.mktemp("wheels"))
-
-
-@pytest.fixture(scope="session")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where libraries are kept that were fetched."""
-    return tmp_path_factory.mktemp("cache")
-
-
 @pytest.fixture
 def fleet(rig: Rig, cache: Path) -> Path:
     """A fleet file of three agents, each with its host; the first has a task."""
@@ -71,16 +60,6 @@ def fleet(rig: Rig, cache: Path) -> Path:
     path.write_text(text)
     (rig.directory / "part.toml").write_text('schema = 1\n[fleet]\nname = "yard"\n[agent.b]\nhost = "robot2"\n')
     return path
-
-
-def deploy(rig: Rig, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """Runs the verb."""
-    command = [sys.executable, "-m", "pancakes.tools.cli.main", "deploy", *map(str, arguments)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=DEPLOY_S, env=rig.environment, cwd=rig.directory
-    )
-    assert "Traceback" not in done.stderr
-    return done
 
 
 def disturbed(rig: Rig, trouble: str, *arguments: str | Path) -> tuple[int, str]:

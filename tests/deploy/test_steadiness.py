@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from pancakes.client import TaskRow
 from pancakes.tools.deploy.steadiness import Steadiness
 
 
-def row(state: str = "running", incarnation: int = 1, task: str = "T", reason: str = "") -> TaskRow:
-    return TaskRow(
-        agent="a", service="client", task=task, type="x", state=state, reason=reason, incarnation=incarnation
-    )
+def row(state: str = "running", incarnation: int = 1, task: str = "T", reason: str = "", rest: str = "") -> TaskRow:
+    who = TaskRow(agent="a", service="client", task=task, type="x", state=state)
+    return replace(who, reason=reason, rest=rest, incarnation=incarnation)
 
 
 def test_tasks_have_to_run_for_a_while():
@@ -39,3 +40,8 @@ def test_what_does_not_run_is_told_unless_it_did_not_before():
     assert Steadiness(before, 1.0).is_hopeless(tasks)
     assert not Steadiness(before, 1.0).is_hopeless(tasks[1:])
     assert not Steadiness({"client/T": "failed"}, 1.0).is_hopeless(tasks)
+
+
+def test_one_that_was_given_up_in_an_earlier_life_of_its_agent_does_not_run():
+    tasks = [row("stopped", rest="failed")]
+    assert Steadiness({}, 1.0).faults(tasks) == ["client/T is failed"] and Steadiness({}, 1.0).is_hopeless(tasks)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from pancakes.errors import PancakesError, describe
 from pancakes.tools.deploy.change import AgentChange
-from pancakes.tools.deploy.task_moves import TaskMoves
+from pancakes.tools.deploy.task_moves import AgentBefore, TaskMoves
 from pancakes.tools.deploy.wheels import Wheel, digests
 from pancakes.tools.launch.host_link import HostLink
 from pancakes.tools.launch.hosts import Host
@@ -68,6 +68,7 @@ class _Done:
     """How far one agent was taken, and what is to be undone of it."""
 
     change: AgentChange
+    before: AgentBefore = field(default_factory=AgentBefore)
     stopped: bool = False
     runs: bool = False
 
@@ -128,6 +129,9 @@ class Deployment:
             for change in self._changes:
                 if change.what == "nothing":
                     self._tell(change.name, f"has the version {change.version} and runs")
+                    for clause in self._moves[change.fleet].given_up(change.name):
+                        task = clause.partition(" ")[0]
+                        self._tell(change.name, f"does not run {clause} (pancakes task start {change.name}/{task})")
                     continue
                 done.append(_Done(change))
                 self._exchange(done[-1])
@@ -206,7 +210,8 @@ class Deployment:
     def _exchange(self, done: _Done) -> None:
         change = done.change
         moves = self._moves[change.fleet]
-        before = self._states(change) if change.ran else {}
+        if change.ran:
+            done.before = moves.look(change.name)
         self._go_on()
         if change.ran:
             moves.away(change.name)
@@ -214,8 +219,9 @@ class Deployment:
         done.stopped = True
         self._restart(change)
         done.runs = True
+        moves.run_again(change.name, done.before, only_those=False)
         moves.back(change.name)
-        fault = moves.settle(change.name, before, self._calm_s, self._called_off)
+        fault = moves.settle(change.name, done.before.states, self._calm_s, self._called_off)
         self._go_on()
         if fault:
             raise PancakesError(f"{change.name} does not run on {change.host} as it should: {fault}")
@@ -231,13 +237,6 @@ class Deployment:
     def _use(self, change: AgentChange, version: str, last: str) -> None:
         self._links[change.host].obtain("switch", fleet=change.fleet, name=change.name, version=version, last=last)
 
-    def _states(self, change: AgentChange) -> dict[str, str]:
-        try:
-            tasks = self._moves[change.fleet].tasks(change.name)
-        except PancakesError:
-            return {}
-        return {f"{row.service}/{row.task}": row.state for row in tasks}
-
     def _undo(self, done: Iterable[_Done]) -> list[str]:
         """Takes agents back to where they were, the last one first; returns a sentence for each that could not be."""
         problems = []
@@ -250,6 +249,8 @@ class Deployment:
                     if it.runs and change.ran:
                         moves.away(change.name)
                     self._take_back(change)
+                    if change.ran:
+                        moves.run_again(change.name, it.before, only_those=True)
                 if change.ran:
                     moves.back(change.name)
                 where = f"the version {change.was}" if change.was else "what it was: not there"

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 from pancakes.errors import PancakesError
 from pancakes.runtime.foundation.suggestion import hint_of
+from pancakes.runtime.plugins import Plugins
 from pancakes.tools.deploy.change import AgentChange, change_of
 from pancakes.tools.deploy.deployment import Supply
+from pancakes.tools.deploy.needed_extras import needed_extras
 from pancakes.tools.deploy.wheels import (
     CORE,
     PIP,
@@ -47,7 +49,7 @@ def plan_of(
         members: the agents that have a host.
         hosts: their hosts.
         own: the wheels of Pancakes and its plug-ins.
-        extras: those of Pancakes that are installed with it.
+        extras: those of Pancakes that are installed with it, beside those that the configurations need.
         anew: whether newer libraries are looked for than those that were fetched before.
 
     Raises:
@@ -55,6 +57,9 @@ def plan_of(
     """
     _check_extras(own, extras)
     _check_running(members, hosts)
+    plugins = Plugins()
+    needed = [it for member in members for it in needed_extras(member.config, has_keys(member, hosts), plugins)]
+    extras = sorted({*extras, *needed})
     by_platform: dict[Platform, list[Wheel]] = {}
     supplies: dict[str, Supply] = {}
     for name, host in hosts.items():
@@ -71,6 +76,11 @@ def plan_of(
         if it.host
     ]
     return DeploymentPlan(supplies, changes)
+
+
+def has_keys(member: Member, hosts: Mapping[str, Host]) -> bool:
+    """Returns whether there are keys of an agent on its host."""
+    return bool(hosts[member.host].agent(member.name)["keys"])
 
 
 def _supply(host: Host, own: Sequence[Wheel], others: Sequence[Wheel], platform: Platform) -> Supply:

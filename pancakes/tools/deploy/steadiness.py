@@ -11,6 +11,8 @@ from pancakes.client import TaskRow
 GOOD: Final = frozenset({"running", "stopped"})
 """A task that is stopped was told so, or is elsewhere: that is for its agent to know."""
 HOPELESS: Final = frozenset({"failed", "stuck"})
+GIVEN_UP: Final = "failed"
+"""Why a task rests that was given up in an earlier life of its agent; its state is `stopped` then."""
 
 
 @dataclass
@@ -40,14 +42,23 @@ class Steadiness:
     def faults(self, tasks: Sequence[TaskRow]) -> list[str]:
         """Returns a clause for each task that does not run, and did before, or is new."""
         return [
-            f"{row.service}/{row.task} is {row.state}" + (f": {row.reason}" if row.reason else "")
+            f"{row.service}/{row.task} is {_state(row)}" + (f": {row.reason}" if row.reason else "")
             for row in tasks
-            if row.state not in GOOD and self._ran(row)
+            if _state(row) not in GOOD and self._ran(row)
         ]
 
     def is_hopeless(self, tasks: Sequence[TaskRow]) -> bool:
         """Returns whether one of them has been given up."""
-        return any(row.state in HOPELESS and self._ran(row) for row in tasks)
+        return any(_state(row) in HOPELESS and self._ran(row) for row in tasks)
 
     def _ran(self, row: TaskRow) -> bool:
         return self.before.get(f"{row.service}/{row.task}", "running") in GOOD
+
+
+def is_given_up(row: TaskRow) -> bool:
+    """Returns whether a task was given up, now or in an earlier life of its agent."""
+    return _state(row) == GIVEN_UP
+
+
+def _state(row: TaskRow) -> str:
+    return GIVEN_UP if row.rest == GIVEN_UP else row.state

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, field
+from typing import Any, Final
 
 from pancakes.client import Client, TaskRow, Where
+from pancakes.control import Describe, Start
 from pancakes.errors import PancakesError
 from pancakes.runtime.clock import MonotonicClock
-from pancakes.tools.deploy.steadiness import Steadiness
+from pancakes.tools.deploy.steadiness import Steadiness, is_given_up
 
 ANSWER_S: Final = 10.0
 SOON_S: Final = 5.0
@@ -21,6 +22,10 @@ SETTLE_S: Final = 60.0
 LOOK_S: Final = 0.5
 HOSTED: Final = "client"
 """The service that has the tasks which can move."""
+RECORDER: Final = "log/Recorder"
+RUNNING: Final = ("running", "starting", "restarting")
+AWAY: Final = ("moved", "forgotten", "disputed")
+"""How the reasons begin for which a task rests that is not for this agent to start."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,23 @@ class MovedTask:
     task: str
     home: str
     at: str
+
+
+@dataclass(frozen=True)
+class AgentBefore:
+    """How an agent was before it was restarted.
+
+    Attributes:
+        states: the states of its tasks, as `SERVICE/TASK`.
+        recorder: the settings of its recording; None: it recorded nothing.
+    """
+
+    states: Mapping[str, str] = field(default_factory=dict)
+    recorder: Mapping[str, Any] | None = None
+
+    def ran(self, row: TaskRow) -> bool:
+        """Returns whether a task ran, or was about to."""
+        return self.states.get(_name(row)) in RUNNING
 
 
 class TaskMoves:
@@ -62,6 +84,67 @@ class TaskMoves:
         """
         with self._client(agent) as client:
             return client.tasks(agent)
+
+    def look(self, agent: str) -> AgentBefore:
+        """Returns how an agent is, so that `run_again` can make it so once more; empty if it does not answer."""
+        try:
+            with self._client(agent) as client:
+                states = {_name(row): row.state for row in client.tasks(agent)}
+                told = client.request(agent, Describe(RECORDER)) if states.get(RECORDER) == "running" else None
+        except PancakesError as error:
+            self._tell(agent, f"does not say what runs on it: {error}")
+            return AgentBefore()
+        return AgentBefore(states, told.result["settings"] if told is not None and told.ok else None)
+
+    def given_up(self, agent: str) -> list[str]:
+        """Returns a clause for each task of an agent that was given up; none if it does not answer."""
+        try:
+            rows = self.tasks(agent)
+        except PancakesError:
+            return []
+        return [
+            f"{_name(row)} was given up" + (f": {row.reason}" if row.reason else "")
+            for row in filter(is_given_up, rows)
+        ]
+
+    def run_again(self, agent: str, before: AgentBefore, only_those: bool) -> None:
+        """Starts tasks that an agent does not start by itself; says which do not start.
+
+        Args:
+            agent: the agent, which has been restarted.
+            before: how it was.
+            only_those: whether only what ran then is started, and that however it ended; otherwise what was given up,
+                because it has another version now.
+        """
+        for row in self._answering(agent):
+            if row.state in RUNNING or row.rest.startswith(AWAY):
+                continue
+            if not (before.ran(row) if only_those else is_given_up(row)):
+                continue
+            settings = before.recorder if _name(row) == RECORDER else None
+            try:
+                with self._client(agent) as client:
+                    reply = client.request(agent, Start(_name(row), settings))
+            except PancakesError as error:
+                self._tell(agent, f"does not start {row.task}: {error}")
+                continue
+            if reply.ok:
+                self._tell(agent, f"runs {row.task} again")
+            else:
+                self._tell(agent, f"does not start {row.task}: {reply.reason}")
+
+    def _answering(self, agent: str) -> list[TaskRow]:
+        """Returns the tasks of an agent that has just been started, as soon as it answers."""
+        until_s = self._now() + ANSWER_S
+        with self._client(agent) as client:
+            while True:
+                try:
+                    return client.tasks(agent)
+                except PancakesError as error:
+                    if self._now() >= until_s:
+                        self._tell(agent, f"does not say what runs on it: {error}")
+                        return []
+                client.wait(lambda: False, LOOK_S)
 
     def movable(self, agent: str) -> list[tuple[str, str]]:
         """Returns the running tasks that could move, each with the agent that would take it now; empty: none would."""
@@ -165,3 +248,7 @@ class TaskMoves:
 
     def _client(self, agent: str) -> Client:
         return Client(Where((self._ways[agent],), self._fleet), ANSWER_S, lambda text: None)
+
+
+def _name(row: TaskRow) -> str:
+    return f"{row.service}/{row.task}"

@@ -220,6 +220,10 @@ def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding
     if row["state"] == "failed":
         text = f"was given up: {row['reason']}" + (f" ({when})" if when else "")
         yield Finding("error", about, text, f"mend that, then: pancakes {noun} start {about}")
+    elif row.get("rest") == "failed":
+        text = "does not run: it was given up before its agent was last started"
+        advice = f"the agent's log from then says why (pancakes log); then: pancakes {noun} start {about}"
+        yield Finding("error", about, text, advice)
     elif row["state"] == "restarting":
         advice = f"mend that; to try at once: pancakes {noun} start {about}"
         yield Finding("warning", about, f"{when or 'is started again'}: {row['reason']}", advice)
