@@ -259,6 +259,24 @@ def test_a_full_disk_ends_the_recording_with_a_warning_and_never_the_agent(fleet
     assert "system" in untapped
 
 
+def test_a_recording_whose_file_is_moved_goes_on_in_a_further_file_and_says_so(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Count": Count})
+    record(agent, tmp_path / "r.mcap")
+    fleet.run_for(2.0)
+    (tmp_path / "away").mkdir()
+    (tmp_path / "r.mcap").rename(tmp_path / "away" / "r.mcap")
+    fleet.run_for(2.0)
+    (tmp_path / "r.002.mcap").unlink()
+    fleet.run_for(2.0)
+    assert agent.ask(Stop(RECORDER)).ok
+    told = [line for line in agent.lines("warning") if "moved or removed" in line]
+    assert len(told) == 2 and str(tmp_path / "r.002.mcap") in told[0] and str(tmp_path / "r.003.mcap") in told[1]
+    before, after = RecordingReader(tmp_path / "away"), RecordingReader(tmp_path / "r.003.mcap")
+    moved = [entry.packet.body.cpu for entry in before.entries() if entry.topic == "/a/system/load"]
+    assert moved[-1] >= 20 and all(reading.whole for reading in before.readings)
+    assert len([entry for entry in after.entries() if entry.topic == "/a/system/load"]) >= 15
+
+
 def test_a_disk_too_slow_for_large_packets_costs_packets_and_not_the_memory(fleet, tmp_path, monkeypatch):
     agent = fleet.start("a")
     record(agent, tmp_path / "r.mcap", types=["test_recorder.picture"])

@@ -174,6 +174,19 @@ def test_a_log_file_that_cannot_be_opened_is_told_once_and_written_as_soon_as_it
     assert "the wheel is loose at 27" in texts(path, "a/client/Careful")
 
 
+def test_a_log_file_that_another_program_moves_is_begun_again_and_told(fleet, tmp_path):
+    path = tmp_path / "a.jsonl"
+    agent = fleet.start("a", tasks={"Careful": Careful}, services=log_of(file=str(path)))
+    fleet.run_for(3.5)
+    path.rename(tmp_path / "a.jsonl-20261129")
+    fleet.run_for(3.0)
+    agent.stop()
+    told = f"the log file {path} was moved or removed by another program: a new one begins"
+    assert agent.lines("warning").count(told) == 1
+    assert texts(path, "a/client/Careful")[0] == "the wheel is loose at 4"
+    assert texts(tmp_path / "a.jsonl-20261129", "a/client/Careful")[-1] == "the wheel is loose at 3"
+
+
 def test_a_full_disk_is_told_once_and_the_agent_goes_on():
     with threaded_agent("a", tasks={"Chatty": Chatty}, services=log_of(file="/dev/full"), speed=20.0) as agent:
         told = agent.wait_for_event("task_started", task="Chatty")

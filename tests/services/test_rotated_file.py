@@ -38,6 +38,25 @@ def test_it_never_takes_more_than_its_files_times_their_size(path):
     assert len(newest) > 18
 
 
+def test_a_file_that_was_moved_or_removed_meanwhile_is_begun_again_and_told(path):
+    moved = []
+    file = RotatedFile(str(path), 1000, 3, moved=lambda: moved.append(path.exists()))
+    file.write("before")
+    path.rename(path.with_name("elsewhere"))
+    file.write("after")
+    assert (lines(path.with_name("elsewhere")), lines(path), moved) == (["before"], ["after"], [False])
+    path.unlink()
+    file.write("again")
+    path.rename(path.with_name("a"))
+    path.write_text("of another program\n")
+    file.write("beside it")
+    assert (lines(path), len(moved)) == (["of another program", "beside it"], 3)
+    for number in range(50):
+        file.write(f"{number:03} {LINE}")
+    file.close()
+    assert len(moved) == 3, "what it puts aside itself is no news"
+
+
 def test_the_folders_above_it_are_made(path):
     deep = path.parent / "of" / "today" / "a.jsonl"
     file = RotatedFile(str(deep), 1000, 2)

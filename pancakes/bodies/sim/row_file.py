@@ -9,6 +9,7 @@ from typing import ClassVar, TextIO
 
 from pancakes.bodies.devices.pace import Pace
 from pancakes.bodies.sim.quantities import Positive
+from pancakes.runtime.foundation.same_file import is_still_at
 from pancakes.settings import FilePath
 from pancakes.task import Task, Tick, every
 
@@ -60,8 +61,14 @@ class RowFile(Task):
     @every(hz=1)
     def flush(self, tick: Tick) -> None:
         """Brings the rows to the disk, so that a mission that breaks off leaves its record."""
-        if self._file is not None:
-            self._file.flush()
+        if self._file is None:
+            return
+        self._file.flush()
+        if not is_still_at(self._file.fileno(), self._file.name):
+            path = self.settings.path
+            self.log("warning", f"{path} was moved or removed by another program: a new file begins")
+            self._close()
+            self._open()
 
     def _open(self) -> None:
         path = Path(self.settings.path)

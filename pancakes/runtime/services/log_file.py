@@ -43,7 +43,11 @@ class LogFile(LogWriter):
 
     def _open(self) -> RotatedFile:
         settings = self.settings
-        return RotatedFile(settings.path, max(1, int(settings.limit_mib * MIB)), settings.files)
+        return RotatedFile(settings.path, max(1, int(settings.limit_mib * MIB)), settings.files, self._was_moved)
+
+    def _was_moved(self) -> None:
+        path = self.settings.path
+        self.log("warning", f"the log file {path} was moved or removed by another program: a new one begins")
 
     @on(LOG, None, keep=queue(4096))
     def write(self, packet: Packet) -> None:

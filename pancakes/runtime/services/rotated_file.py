@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Callable
 from contextlib import suppress
 from io import TextIOWrapper
 from logging import LogRecord, makeLogRecord
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
+from pancakes.runtime.foundation.same_file import is_still_at
+
 
 class RotatedFile:
     """Lines are appended to `path`; once it is full, it becomes `path.1`, that one `path.2`, and so on.
 
     Each line is handed to the operating system at once, and a file is put aside by its name alone, so a process that is
-    killed loses nothing. A file is opened when the first line is written, and again after an error.
+    killed loses nothing. A file is opened when the first line is written, and again after an error, and where another
+    program has moved or removed it meanwhile, as logrotate does.
 
     Args:
         path: the file; its directory is made.
         limit_bytes: so large it becomes, at most; a single line that is larger is written whole.
         files: so many are kept, the one that is written among them; at least 2.
+        moved: called before a new file begins in the place of one that has been moved or removed.
     """
 
-    def __init__(self, path: str, limit_bytes: int, files: int) -> None:
+    def __init__(self, path: str, limit_bytes: int, files: int, moved: Callable[[], None] = lambda: None) -> None:
+        self._moved = moved
         self._handler = _Handler(
             path, "a", limit_bytes, files - 1, encoding="utf-8", delay=True, errors="backslashreplace"
         )
@@ -35,6 +41,9 @@ class RotatedFile:
             OSError: it cannot be written; the line is lost.
         """
         try:
+            if self._handler.is_elsewhere():
+                self._handler.close()
+                self._moved()
             self._handler.emit(makeLogRecord({"msg": line}))
         except OSError:
             with suppress(OSError):
@@ -59,6 +68,10 @@ class _Handler(RotatingFileHandler):
         if self._is_torn():
             file.write(self.terminator)
         return file
+
+    def is_elsewhere(self) -> bool:
+        """Returns whether what is written is no longer the file of this name."""
+        return self.stream is not None and not is_still_at(self.stream.fileno(), self.baseFilename)
 
     def _is_torn(self) -> bool:
         with suppress(OSError):  # it is empty, say

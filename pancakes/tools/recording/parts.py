@@ -31,6 +31,7 @@ class RecordingParts:
 
     Attributes:
         first: the path of the first file.
+        moved: a sentence on each file that another program has moved or removed while it was written.
 
     Raises:
         RecordingError: nothing can be written there, or too little is free on the disk.
@@ -53,6 +54,7 @@ class RecordingParts:
         self._drop_oldest = drop_oldest
         self._free_bytes = free_mib * MIB
         self._synced_bytes = 0
+        self.moved: list[str] = []
         self.first = path
         try:
             if not goes_on:
@@ -91,7 +93,12 @@ class RecordingParts:
         """
         self._writer.flush()
         is_large = self._writer.size_bytes() >= self._split_bytes
-        if is_large:
+        if not self._writer.is_there():
+            path = self._writer.path
+            self._split()
+            now = self._writer.path
+            self.moved.append(f"{path} was moved or removed by another program: the recording goes on in {now}")
+        elif is_large:
             self._split()
         if is_large or self._writer.size_bytes() - self._synced_bytes >= SYNC_BYTES:
             lacking = self.sync()
@@ -140,9 +147,11 @@ class RecordingParts:
         return sum(size for _, size in self._done) + self._writer.size_bytes()
 
     def _split(self) -> None:
-        number = part_number(self._writer.path) + 1
+        number, is_there = part_number(self._writer.path) + 1, self._writer.is_there()
         self._writer.close()
-        self._done.append((self._writer.path, self._writer.path.stat().st_size))
+        if is_there:
+            self._done.append((self._writer.path, self._writer.path.stat().st_size))
+        self.first.parent.mkdir(parents=True, exist_ok=True)  # it may have been moved as well
         self._writer = RecordingWriter(part_path(self.first, number), self._about)
 
 

@@ -200,6 +200,8 @@ class Recording:
                 self._clocks_due_s = now_s + CLOCKS_S
                 self._note_clocks()
             reason = self._parts.flush()
+            while self._parts.moved:
+                self._say("warning", self._parts.moved.pop(0))
             if not reason and now_s - self._synced_s >= SYNC_S:
                 self._synced_s = now_s
                 reason = self._parts.sync()

@@ -14,6 +14,7 @@ from typing import Final
 from mcap.writer import CompressionType, Writer
 
 from pancakes import __version__
+from pancakes.runtime.foundation.same_file import is_still_at
 from pancakes.tools.recording.message import data_of
 from pancakes.tools.recording.recorded_packet import RecordedPacket
 from pancakes.tools.recording.schemas import SCHEMAS, schema_for
@@ -94,6 +95,10 @@ class RecordingWriter:
             OSError: the disk is full, ...
         """
         self._mcap.add_metadata(name, dict(row))
+
+    def is_there(self) -> bool:
+        """Returns whether what is written still is the file of its name."""
+        return is_still_at(self._file.fileno(), self.path)
 
     def size_bytes(self) -> int:
         """Returns how large the file was after the last `flush`."""
