@@ -11,7 +11,7 @@ Nothing is imported until it is asked for, and one bad plug-in is named and harm
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from importlib.metadata import Distribution, distributions
 from itertools import islice
 from typing import Any, Final, NamedTuple
@@ -32,6 +32,35 @@ GROUPS: Final = {
     "pancakes.commands": "command",
 }
 """The entry point groups, and what a person calls one of their entries."""
+
+BROUGHT_BY: Final = {
+    "pancakes.tasks": {
+        "encirclement": "pancakes-encirclement",
+        "ros2": "pancakes-ros2",
+        "sensor_field": "pancakes-sensor-field",
+    },
+    "pancakes.services": {"mqtt": "pancakes-mqtt", "ros2": "pancakes-ros2"},
+    "pancakes.drivers": {
+        "khepera3": "pancakes-pi",
+        "mqtt": "pancakes-mqtt",
+        "pi": "pancakes-pi",
+        "ros2": "pancakes-ros2",
+        "sensor_field": "pancakes-sensor-field",
+    },
+    "pancakes.costs": {"encirclement": "pancakes-encirclement"},
+    "pancakes.transports": {"zenoh": "pancakes-zenoh"},
+    "pancakes.demos": {
+        "encirclement": "pancakes-encirclement",
+        "energy": "pancakes-encirclement",
+        "intruder": "pancakes-encirclement",
+        "pioneer": "pancakes-encirclement",
+        "rescue": "pancakes-encirclement",
+        "ros2": "pancakes-ros2",
+        "sensor-field": "pancakes-sensor-field",
+    },
+    "pancakes.commands": {"zenoh": "pancakes-zenoh"},
+}
+"""The distributions beside the core that come with Pancakes, by group and by what stands before the dot of a name."""
 
 
 class UnknownPlugin(PluginError):
@@ -202,8 +231,24 @@ def _load(group: str, name: str, offer: _Offer) -> Any:
         raise PluginError(f"the {GROUPS[group]} {name!r} of {source} cannot be loaded: {_line(error)}") from None
 
 
+def to_install(group: str, name: str, known: Collection[str]) -> str:
+    """Returns the command that brings a plug-in whose distribution is not installed; empty: none is known.
+
+    Args:
+        group: its group.
+        name: its name.
+        known: the names of the group that are installed.
+    """
+    family = name.partition(".")[0]
+    distribution = BROUGHT_BY.get(group, {}).get(family, "")
+    is_there = any(other.partition(".")[0] == family for other in known)
+    return f"pip install {distribution}" if distribution and not is_there else ""
+
+
 def _unknown(group: str, name: str, known: list[str]) -> UnknownPlugin:
     problem = f"unknown {GROUPS[group]} {name!r}"
+    if command := to_install(group, name, known):
+        return UnknownPlugin(f"{problem}: {command}", "")
     family = f"{name.partition('.')[0]}."
     if "." in name and not any(other.startswith(family) for other in known):
         problem += f": no installed distribution provides {group.removeprefix('pancakes.')} under {family!r}"

@@ -19,7 +19,7 @@ def test_suggestion_is_the_nearest_word():
             ("encirclement.scantarget", "encirclement.ScanTarget"),
             ("GoHome", "encirclement.GoHome"),
             ("encirclment.GoHom", "encirclement.GoHome"),
-            ("pioneer.GoHome", "encirclement.GoHome"),
+            ("pioneer.GoHome", ""),
             ("encirclement.Foo", ""),
             ("encirclement.Scanner", ""),
             ("foo.ScanTargets", ""),
@@ -28,6 +28,36 @@ def test_suggestion_is_the_nearest_word():
             ("sim.pose", "pose"),
             ("temperature", ""),
             ("", ""),
+        ],
+        check,
+    )
+
+
+def test_common_letters_do_not_lead_to_another_meaning():
+    def check(case):
+        word, known, meant = case
+        assert suggestion(word, known) == meant
+
+    levels = ["debug", "info", "warning", "error"]
+    drivers = ["host.temperature", "host.load", "sim.ir"]
+    for_each(
+        [
+            ("always", ["lazy", "each"], "each"),
+            ("laz", ["lazy", "each"], "lazy"),
+            ("eech", ["lazy", "each"], "each"),
+            ("eager", ["lazy", "each"], ""),
+            ("warn", levels, "warning"),
+            ("critical", levels, "error"),
+            ("infos", levels, "info"),
+            ("verbose", levels, ""),
+            ("never", ["no", "on-failure", "always"], "no"),
+            ("on_failure", ["no", "on-failure", "always"], "on-failure"),
+            ("transient", ["no", "on-failure", "always"], "on-failure"),
+            ("mqtt.temperature", drivers, ""),
+            ("arduino.load", drivers, ""),
+            ("hosts.load", drivers, "host.load"),
+            ("host.laod", drivers, "host.load"),
+            ("temperature", drivers, "host.temperature"),
         ],
         check,
     )

@@ -14,7 +14,7 @@ from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.config.scanner import KeyPath
 from pancakes.runtime.config.tables import Config, TaskConfig
 from pancakes.runtime.foundation.suggestion import suggestion
-from pancakes.runtime.plugins import Plugins, UnknownPlugin
+from pancakes.runtime.plugins import Plugins, UnknownPlugin, to_install
 from pancakes.settings import check_settings, known_keys
 
 if TYPE_CHECKING:
@@ -144,7 +144,9 @@ class _Check:
             except ValueError:
                 continue
             if scheme not in known:
-                self._fault(key, f"unknown transport {scheme!r} in {text!r}", suggestion(scheme, known))
+                command = to_install(TRANSPORTS, scheme, known)
+                problem = f"unknown transport {scheme!r} in {text!r}" + (f": {command}" if command else "")
+                self._fault(key, problem, "" if command else suggestion(scheme, known))
             elif self._must_load:
                 self._get(TRANSPORTS, scheme, key)
         self._check_transport_settings()

@@ -3,44 +3,113 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from typing import Final
+
+SAME_AS: Final = {
+    "always": "each",
+    "async": "lazy",
+    "automatic": "auto",
+    "critical": "error",
+    "err": "error",
+    "every": "each",
+    "exception": "error",
+    "fatal": "error",
+    "immediate": "each",
+    "manual": "ask",
+    "never": "no",
+    "none": "no",
+    "notice": "info",
+    "onfailure": "on-failure",
+    "permanent": "always",
+    "sync": "each",
+    "temporary": "no",
+    "trace": "debug",
+    "transient": "on-failure",
+    "unless-stopped": "always",
+    "warn": "warning",
+}
+"""Words that others use, and what that is called here: common letters would lead to another, even to the opposite."""
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """Returns the known word that is nearest to `word`, or an empty string where none is near.
+    """Returns the known word that is nearest to `word`, or an empty string if none is near.
 
     Upper and lower case are one. `ScanTarget` also finds `encirclement.ScanTarget`: leaving out what stands before the
-    last dot is the commonest mistake with the names of plug-ins. A word with a dot is near where it is on both sides of
-    it, or the very same after it: `encirclement.Foo` means no other of its family.
+    last dot is the commonest mistake with the names of plug-ins. A word with a dot is near another if both of its parts
+    are: what is called alike in another family is something else, such as the temperature of another thing.
     """
-    from difflib import get_close_matches  # only where something went wrong
-
     folded = {name.lower(): name for name in sorted(known, reverse=True)}
+    meant = SAME_AS.get(word.lower(), "")
+    if meant in folded:
+        return folded[meant]
     family, dot, tail = word.lower().rpartition(".")
     if not dot:
-        near = get_close_matches(tail, sorted(folded), n=1, cutoff=0.6)
+        near = _near(tail, folded)
         if near:
-            return folded[near[0]]
+            return folded[near]
         tails = {name.rpartition(".")[2]: name for name in folded}
-        near = get_close_matches(tail, sorted(tails), n=1, cutoff=0.75)
-        return folded[tails[near[0]]] if near else ""
+        near = _near(tail, tails, 0.75)
+        return folded[tails[near]] if near else ""
     families: dict[str, dict[str, str]] = {}
     for name in sorted(folded, reverse=True):
         before, _, after = name.rpartition(".")
         families.setdefault(before, {})[after] = folded[name]
-    for near_family in get_close_matches(family, sorted(families), n=3, cutoff=0.75):
-        near = get_close_matches(tail, sorted(families[near_family]), n=1, cutoff=0.6)
+    for near_family in _all_near(family, families, 0.75):
+        near = _near(tail, families[near_family])
         if near:
-            return families[near_family][near[0]]
-    same = sorted(name for name in folded.values() if name.rpartition(".")[2] == word.rpartition(".")[2])
-    return same[0] if same else ""
+            return families[near_family][near]
+    return families.get("", {}).get(tail, "")
+
+
+def _near(word: str, known: Iterable[str], alike: float = 0.6) -> str:
+    return next(iter(_all_near(word, known, alike)), "")
+
+
+def _all_near(word: str, known: Iterable[str], alike: float) -> list[str]:
+    """Returns the words that are near, the nearest first.
+
+    Args:
+        word: the word.
+        known: the words that there are.
+        alike: which share of the letters must be the same.
+    """
+    from difflib import get_close_matches  # only if something went wrong
+
+    found = get_close_matches(word, sorted(known), n=3, cutoff=alike)
+    return [it for it in found if _is_mistyped(word, it)]
+
+
+def _is_mistyped(word: str, other: str) -> bool:
+    """Returns whether a few slips of the fingers lead from one word to the other, or one of them was cut short.
+
+    Common letters are not enough: `always` has four of its six in `lazy`, and means the opposite.
+    """
+    short, long = sorted((word, other), key=len)
+    if len(short) >= 3 and (long.startswith(short) or long.endswith(short)):
+        return True
+    return _slips(word, other) <= len(long) // 2
+
+
+def _slips(word: str, other: str) -> int:
+    """Returns how many letters are to be put in, left out, changed or swapped with the next one."""
+    before: list[int] = []
+    row = list(range(len(other) + 1))
+    for i, letter in enumerate(word):
+        above, before, row = before, row, [i + 1]
+        for j, wanted in enumerate(other):
+            slips = min(before[j + 1] + 1, row[j] + 1, before[j] + (letter != wanted))
+            if i and j and letter == other[j - 1] and word[i - 1] == wanted:
+                slips = min(slips, above[j - 1] + 1)
+            row.append(slips)
+    return row[-1]
 
 
 def did_you_mean(word: str, known: Iterable[str], otherwise: str = "") -> str:
-    """Returns the end of a sentence that refuses a word: `, did you mean 'x'?`; `otherwise` where no word is near."""
+    """Returns the end of a sentence that refuses a word: `, did you mean 'x'?`; `otherwise` if no word is near."""
     near = suggestion(word, known)
     return f", did you mean {near!r}?" if near else otherwise
 
 
 def hint_of(word: str, known: Collection[str]) -> str:
-    """As `did_you_mean`; where no word is near, it lists all: `, only a, b`."""
+    """As `did_you_mean`; if no word is near, it lists all: `, only a, b`."""
     return did_you_mean(word, known, f", only {', '.join(known)}" if known else "")

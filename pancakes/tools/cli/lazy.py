@@ -74,7 +74,11 @@ class LazyGroup(Guarded, click.Group):
         name = args[0]
         known = name in self._own or name in self._later
         if not known and not name.startswith("-") and not ctx.resilient_parsing:
+            from pancakes.runtime.plugins import to_install
+
             meant = suggestion(name, self._later)
+            if command := to_install(GROUP, name, self._later):
+                ctx.fail(f"No such command {name!r}: {command}")
             ctx.fail(f"No such command {name!r}." + (f" Did you mean {meant!r}?" if meant else ""))
         return super().resolve_command(ctx, args)
 
