@@ -139,9 +139,10 @@ def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask)
 @click.command()
 @a_task
 @_birthplace_option("Where it was born, if the records of two of its name were lost.")
+@click.option("--force", is_flag=True, help="Drop a task that was brought and never handed over, too.")
 @dry_run_option
 @orders_agents
-def forget(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
+def forget(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask) -> None:
     """Let a task rest on AGENT for good, because it runs elsewhere, and AGENT has lost its record of it.
 
     An agent whose record of a task is damaged cannot know whether it gave the task away. It does not start it, however
@@ -150,13 +151,16 @@ def forget(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
 
     What was forgotten can still be moved to AGENT, and `pancakes task adopt` takes the decision back.
 
+    A task that another agent has brought, which is gone now and does not say whether it gave the task away, is dropped
+    with --force; see also `pancakes task forget-peer`.
+
     \b
     Example:
         pancakes task forget agent1/ScanTarget --dry-run
         pancakes task forget agent1/ScanTarget
     """
     with ask.client() as client:
-        reply = accepted(client, name.agent, Forget(name.target, birthplace, dry_run=dry_run))
+        reply = accepted(client, name.agent, Forget(name.target, birthplace, dry_run=dry_run, force=force))
     _show_decided(ask, name, reply, DRY_RUN if dry_run else "forgotten")
 
 
