@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from pancakes.errors import PancakesError
+from pancakes.runtime.foundation.user_folders import user_folder
 from pancakes.runtime.plugins import GROUPS
 
 PIP: Final = "pip"
@@ -195,8 +195,7 @@ def _download(own: Sequence[Wheel], extras: Sequence[str], platform: Platform, f
 
 
 def _cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "pancakes" / "libraries"
+    return user_folder("XDG_CACHE_HOME", ".cache", "what pip brings") / "pancakes" / "libraries"
 
 
 def build_of(own: Sequence[Wheel]) -> str:

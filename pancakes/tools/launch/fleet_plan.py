@@ -15,6 +15,7 @@ from pancakes.runtime.config.key_places import set_text
 from pancakes.runtime.config.override import apply_set
 from pancakes.runtime.config.toml_source import tables_of, text_of
 from pancakes.runtime.config.toml_text import value_text
+from pancakes.runtime.foundation.user_folders import NoHome
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.runtime_dir import entries
 from pancakes.runtime.state_dir import state_dir_of
@@ -235,10 +236,18 @@ def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
                 if _same_port(one, another):
                     problem = f"{other.name} ({other.path}) listens at this port already"
                     yield places.fault(("agent", "listen"), problem)
-            directory, taken = state_dir_of(member.config), state_dir_of(other.config)
+            directory, taken = _state_dir(member), _state_dir(other)
             if directory is not None and taken is not None and directory.absolute() == taken.absolute():
                 key = ("agent", "state_dir")
                 yield places.fault(key, f"is the state directory of {other.name} ({other.path}) as well")
+
+
+def _state_dir(member: Member) -> Path | None:
+    """Returns the state directory of a member; None: it has none, or says when it starts that it knows of none."""
+    try:
+        return state_dir_of(member.config)
+    except NoHome:
+        return None
 
 
 def _places(member: Member) -> list[Address]:

@@ -23,7 +23,8 @@ class HostFault(Exception):
 
 def prepare_environment() -> None:
     """Sees to it that this session has the folders of a login: SSH does not bring all of its variables."""
-    os.chdir(home())
+    with contextlib.suppress(HostFault, OSError):  # without a home it stays where it is
+        os.chdir(home())
     own = f"/run/user/{os.getuid()}"
     if "XDG_RUNTIME_DIR" not in os.environ and os.path.isdir(own):
         os.environ["XDG_RUNTIME_DIR"] = own
@@ -31,7 +32,10 @@ def prepare_environment() -> None:
 
 def home() -> Path:
     """Returns the home directory of the user."""
-    return Path.home()
+    try:
+        return Path.home()
+    except RuntimeError:
+        raise HostFault(f"has no home folder for the user {os.getuid()}: set HOME there") from None
 
 
 def data_folder() -> Path:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import queue
 import random
 import re
 import secrets
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, Final, Protocol
 
 import zenoh
@@ -276,7 +276,7 @@ def session_config(mode: str, routers: Sequence[str], file: str, session: str, s
         PancakesError: the file is of no use, or a router's address is none; the sentence says why.
     """
     try:
-        config = zenoh.Config.from_file(Path(file).expanduser()) if file else zenoh.Config()
+        config = zenoh.Config.from_file(os.path.expanduser(file)) if file else zenoh.Config()
         values: dict[str, Any] = {
             "mode": mode,
             # An agent speaks to the routers that it was told of, and to no other.

@@ -20,6 +20,7 @@ from pancakes.mesh.net.local import DIRECTORY
 from pancakes.mesh.security.key_folders import fleets_of_person, folder_of_person
 from pancakes.runtime.clock import wall_ns
 from pancakes.runtime.foundation.printable import printable
+from pancakes.runtime.foundation.user_folders import NoHome
 from pancakes.runtime.plugins import GROUPS, Plugins
 from pancakes.runtime.runtime_dir import is_locked, look, runtime_dir, usable
 from pancakes.tools.cli.verbs.finding import Finding, Level
@@ -47,7 +48,7 @@ def check_machine(plugins: Plugins) -> Iterator[Finding]:
     yield from check_plugins(plugins)
     yield from check_runtime_dir()
     yield from check_sockets()
-    yield from check_state_dirs(state_base())
+    yield from check_own_state()
     yield from check_own_keys()
     yield check_files(*resource.getrlimit(resource.RLIMIT_NOFILE))
     yield check_clock()
@@ -161,8 +162,22 @@ def check_sockets() -> Iterator[Finding]:
     yield from found or [Finding("ok", about, f"{base} is for its user, or one group, alone")]
 
 
+def check_own_state() -> Iterator[Finding]:
+    """Looks at what agents of this user keep on disk, where their configuration does not say another place."""
+    try:
+        base = state_base()
+    except NoHome as error:
+        yield Finding("ok", "state", f"agents of this user need a state_dir: {error}")
+    else:
+        yield from check_state_dirs(base)
+
+
 def state_base() -> Path:
-    """Returns the directory below which agents have their state, where their configuration does not say another."""
+    """Returns the directory below which agents have their state, where their configuration does not say another.
+
+    Raises:
+        NoHome: nothing says where it is.
+    """
     from pancakes.runtime.state_dir import default_state_dir
 
     return default_state_dir("fleet", "agent").parents[1]

@@ -1,0 +1,40 @@
+"""The folders of a user, as the XDG base directory specification has them.
+
+A container's user may have neither HOME nor an entry in the passwd file. Only what needs such a folder is refused then.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pancakes.errors import PancakesError
+
+
+class NoHome(PancakesError):
+    """A folder of the user is needed, and nothing says where it is; the sentence names what to set."""
+
+
+def user_folder(variable: str, below_home: str, what_for: str, instead: str = "") -> Path:
+    """Returns the folder that a variable of the environment names, else one below the home of this user.
+
+    Args:
+        variable: its name, such as `XDG_STATE_HOME`.
+        below_home: where the folder is in a home.
+        what_for: what belongs there, for the sentence.
+        instead: what else would say where that belongs, for the sentence.
+
+    Raises:
+        NoHome: there is neither.
+    """
+    base = os.environ.get(variable)
+    if base:
+        return Path(base)
+    try:
+        return Path.home() / below_home
+    except RuntimeError:
+        other = f", or {instead}" if instead else ""
+        raise NoHome(
+            f"nothing says where {what_for} belongs: the user {os.getuid()} has no home folder."
+            f" Set HOME or {variable}{other}"
+        ) from None
