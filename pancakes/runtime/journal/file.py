@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -18,6 +19,12 @@ from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead, seal_b
 _LOCK: Final = "lock"
 _MARK: Final = "mark"
 _TEMPORARY: Final = ".tmp"
+_RESERVE: Final = "reserve"
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+RESERVE_BYTES: Final = 128 * 2**10
+"""Room that is kept for a disk that is full: to start, and to give what is written ahead files of its own."""
+_BLOCK_BYTES: Final = 4096
+"""A file takes so many bytes, and up to so many more."""
 CHECK_S: Final = 0.8
 """How often, in seconds, it is looked whether the directory is still there."""
 MOST_AHEAD_BYTES: Final = 16 * 2**20
@@ -37,8 +44,8 @@ class FileJournal(Journal):
     file of its own: it is written to a temporary file, fsynced, renamed over the old one, and the directory is fsynced,
     so a reader finds the old entry or the new one, never a part of either. As that costs several rounds of the disk for
     each entry, a batch is first appended to one file, with one fsync. What is in that gets files of its own once it is
-    long, when the journal is closed, where that takes no time, and else at the next opening. All of that is done in the
-    directory that was opened, never in another one that has its name since.
+    long, when the disk has little room left, when the journal is closed, where that takes no time, and else at the next
+    opening. All of that is done in the directory that was opened, never in another one that has its name since.
 
     Args:
         directory: the state directory.
@@ -60,13 +67,14 @@ class FileJournal(Journal):
         self._ahead: dict[str, JournalEntry] = {}  # what is in the write-ahead file and has no file of its own, by name
         self._ahead_bytes = 0
         self._ahead_torn = False  # whether more is in it, which could not be written whole
+        self._reserved = False  # whether the room is kept
         try:
             self._opened = StateDirectory(directory)
             self.remarks = self._opened.remarks
             self._lock = _locked(self._opened)
             self._clear_up()
             doubt = self._recover()
-            self._open(lambda: new_uuid or str(uuid.uuid4()), agent, doubt)
+            self._with_reserve(lambda: self._open(lambda: new_uuid or str(uuid.uuid4()), agent, doubt))
             if self.copied:
                 self.remarks += (
                     f"the state directory {directory} is a copy, as a restored backup is: what was written to the"
@@ -74,9 +82,11 @@ class FileJournal(Journal):
                 )
             if doubt:
                 self._rename(WRITE_AHEAD, WRITE_AHEAD + BAD)
+            self._reserve()
         except OSError as error:
             self.close()
-            raise JournalError(f"the state directory {directory} cannot be used: {error.strerror}") from None
+            room = "; make room on its disk, or name another one as state_dir" if error.errno in _FULL else ""
+            raise JournalError(f"the state directory {directory} cannot be used: {error.strerror}{room}") from None
         except BaseException:
             self.close()
             raise
@@ -84,6 +94,8 @@ class FileJournal(Journal):
     def check(self) -> None:
         if self._opened is not None and self._lock is not None:
             self._opened.check(_LOCK, self._lock)
+            if not self._reserved:
+                self._reserve()
 
     def close(self) -> None:
         if 0 < len(self._ahead) <= MOST_AT_END:
@@ -108,7 +120,8 @@ class FileJournal(Journal):
             batches, damaged = read_ahead(self._load(WRITE_AHEAD))
         except FileNotFoundError:
             return ""
-        self._replace({name_of(it.kind, it.key): seal(batch.journal, it) for batch in batches for it in batch.entries})
+        newest = {name_of(it.kind, it.key): (batch.journal, it) for batch in batches for it in batch.entries}
+        self._with_reserve(lambda: self._replace({name: seal(*found) for name, found in newest.items()}))
         if damaged:
             return f"is not believed: {WRITE_AHEAD} beside it is damaged, so later entries are lost"
         of_others = [journal for journal in {batch.journal for batch in batches} if not self._is_of(journal)]
@@ -121,15 +134,21 @@ class FileJournal(Journal):
         data = seal_batch(self.uuid, list(newest.values()))
         large = len(data) >= LARGE_BYTES * len(newest)
         full = self._ahead_bytes + len(data) > MOST_AHEAD_BYTES or len(self._ahead) + len(newest) > MOST_AHEAD
+        full = full or (self._ahead_bytes > 0 and self._is_tight(len(data)))
         if self._ahead_torn or full or (large and not self._ahead.keys().isdisjoint(newest)):
             self._put_in_place()  # else an older entry would take the place of a newer one at the next opening
         if large:
-            super()._store(newest)
+            try:
+                super()._store(newest)
+            except OSError as error:
+                raise self._cannot_write(error) from None
             return
         self._ahead_torn = True  # until it is known that it is not
         try:
             length = self._append(data)
         except OSError as error:
+            if error.errno in _FULL:
+                self._cut_back()
             raise self._cannot_write(error) from None
         self._ahead.update(newest)
         self._ahead_bytes += len(data)
@@ -149,9 +168,43 @@ class FileJournal(Journal):
             self._sync(self._handle)  # it is new, and so is its name
         return length
 
+    def _cut_back(self) -> None:
+        """Takes what could not be written whole off the end of the write-ahead file, so that its room is free again."""
+        with suppress(OSError), os.fdopen(self._open_file(WRITE_AHEAD, os.O_WRONLY), "wb") as file:
+            os.ftruncate(file.fileno(), self._ahead_bytes)
+            self._ahead_torn = False
+
+    def _is_tight(self, more_bytes: int) -> bool:
+        """Whether the disk has little more room than what is written ahead takes in files of its own."""
+        entries = self._ahead.values()
+        needed = sum(len(entry.data) + 2 * _BLOCK_BYTES for entry in entries) + more_bytes + _BLOCK_BYTES
+        return needed < self._ahead_bytes and _room(self._handle) < 2 * needed
+
+    def _reserve(self) -> None:
+        """Keeps some room, as far as there is any."""
+        with suppress(OSError), os.fdopen(self._open_file(_RESERVE, os.O_RDWR | os.O_CREAT), "wb") as file:
+            os.posix_fallocate(file.fileno(), 0, RESERVE_BYTES)
+            self._reserved = True
+
+    def _with_reserve(self, write: Callable[[], None]) -> None:
+        """Writes what must be on disk; if that is full, in the room that is kept for this."""
+        try:
+            write()
+        except OSError as error:
+            if error.errno not in _FULL:
+                raise
+            with suppress(FileNotFoundError):
+                os.unlink(_RESERVE, dir_fd=self._handle)
+            self._reserved = False
+            write()
+
     def _put_in_place(self) -> None:
         """Gives each entry that is written ahead a file of its own."""
-        super()._store(self._ahead)
+        contents = {name: seal(self.uuid, entry) for name, entry in self._ahead.items()}
+        try:
+            self._with_reserve(lambda: self._replace(contents))
+        except OSError as error:
+            raise self._cannot_write(error) from None
         try:
             self._remove_ahead()
         except OSError as error:
@@ -200,11 +253,14 @@ class FileJournal(Journal):
         try:
             for name, data in contents.items():
                 self._write_temporary(name, data)
-            for name in contents:
-                os.replace(name + _TEMPORARY, name, src_dir_fd=handle, dst_dir_fd=handle)
-            self._sync(handle)
-        except OSError as error:
-            raise self._cannot_write(error) from None
+        except OSError:
+            for name in contents:  # what is there of them takes room
+                with suppress(OSError):
+                    os.unlink(name + _TEMPORARY, dir_fd=handle)
+            raise
+        for name in contents:
+            os.replace(name + _TEMPORARY, name, src_dir_fd=handle, dst_dir_fd=handle)
+        self._sync(handle)
         # What is on disk where the next start does not look for it is not on disk.
         self.check()
 
@@ -225,6 +281,12 @@ class FileJournal(Journal):
         self.use = DiskUse(self.use.syncs + 1, self.use.written_bytes + written_bytes)
 
 
+def _room(handle: int) -> int:
+    """How many bytes can be written to the disk of an open directory."""
+    found = os.fstatvfs(handle)
+    return found.f_bavail * found.f_frsize
+
+
 def empty(directory: Path) -> bool:
     """Removes the journal in a state directory, and nothing else that lies there.
 
@@ -242,7 +304,8 @@ def empty(directory: Path) -> bool:
             lock = _locked(opened)
             try:
                 # Without an identity the rest is not believed: what a kill leaves is not taken for a whole journal.
-                found = [it for it in os.listdir(opened.handle) if SUFFIX in it or it.startswith(WRITE_AHEAD)]
+                names = os.listdir(opened.handle)
+                found = [it for it in names if SUFFIX in it or it.startswith(WRITE_AHEAD) or it == _RESERVE]
                 for name in sorted(found, key=lambda name: not name.startswith("identity.")):
                     os.unlink(name, dir_fd=opened.handle)
                 os.fsync(opened.handle)
