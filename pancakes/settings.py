@@ -27,6 +27,7 @@ from pancakes.packet import field_names, has_fields
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import array_of, check_items, is_array, is_array_type, is_number
 from pancakes.runtime.foundation.suggestion import suggestion
+from pancakes.runtime.foundation.units import key_for, written_for
 
 _T = TypeVar("_T")
 
@@ -345,7 +346,11 @@ def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Proble
     try:
         _convert(value, kind)
     except msgspec.ValidationError as error:
-        yield Problem(path, _phrase(str(error), value))
+        text = _phrase(str(error), value)
+        if isinstance(value, str) and path and text.startswith(("expected a number", "expected an integer")):
+            line = written_for(str(path[-1]), value)
+            text += f": write {line}" if line else ""
+        yield Problem(path, text)
     except (TypeError, NameError, RecursionError):
         raise
     except (Exception, SystemExit) as error:  # what its author wrote in __post_init__ may raise anything
@@ -376,7 +381,9 @@ def _fields(cls: type, value: Mapping[Any, Any], path: tuple[str | int, ...]) ->
         if key in known:
             yield from _walk(hints[key], item, (*path, key))
         else:
-            yield Problem((*path, str(key)), UNKNOWN_KEY, suggestion(str(key), [k for k in known if k not in value]))
+            free = [name for name in known if name not in value]
+            near = key_for(str(key), item, free) if isinstance(item, str) else ""
+            yield Problem((*path, str(key)), UNKNOWN_KEY, near or suggestion(str(key), free))
     for key in required_keys(cls):
         if key not in value:
             yield Problem((*path, key), "is missing")

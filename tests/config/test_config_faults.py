@@ -302,18 +302,69 @@ class TestMigrationRules:
 
 
 class TestSyntax:
-    """TOML that cannot be parsed hides all else, so its fault comes alone."""
+    """A line that is no TOML hides nothing that does not depend on it."""
 
     @pytest.mark.parametrize(
         ("text", "expected"),
         [
             ("schema = 1\n[agent\n", "a.toml:2: TOML: expected ']' at the end of a table declaration"),
-            ("schema = 1\nx = \n", "a.toml:2: TOML: invalid value"),
-            ("schema = 1\nx = [1,\n", "a.toml:2: TOML: invalid value"),
-            ("[task.X]\n\n[task.X]\n", "a.toml:3: [task.X]: the table stands here for the second time"),
-            ("schema = 1\nschema = 1\n", "a.toml:2: TOML: a key stands here for the second time"),
+            ("schema = 1\nx = [1,\n2 3]", "a.toml:3: TOML: unclosed array"),
+            ("schema = 1\nx = [1,\n[clock]\n", "a.toml:3: TOML: invalid value"),
             ("x = " + "[" * 100_000, "a.toml: TOML: is nested too deeply"),
         ],
     )
-    def test_it_names_the_line(self, text: str, expected: str):
+    def test_what_depends_on_the_line_is_not_judged(self, text: str, expected: str):
         assert faults(text) == [expected]
+
+    @pytest.mark.parametrize(
+        ("line", "expected"),
+        [
+            ("x = \n", "[clock] x: invalid value"),
+            ("[task.X]\n\n[task.X]\nfoo = 1\n", "[task.X]: the table stands here for the second time"),
+            ("speed = 2\nspeed = 3\n", "TOML: a key stands here for the second time"),
+            ("x = True\n", "[clock] x: True is no TOML: write true"),
+            ("x = yes  # it is\n", "[clock] x: yes is no TOML: write true, or the word in quotes"),
+            ("x = None\n", "[clock] x: None is no TOML: leave the key out"),
+            ("x = NaN\n", "[clock] x: is not a number (NaN)"),
+            ("period_s = 500ms\n", "[clock] period_s: 500ms is no TOML: write period_s = 0.5"),
+            ("x = tcp://a:1\n", '[clock] x: tcp://a:1 is no TOML: text stands in quotes, as in x = "tcp://a:1"'),
+            ('x = "a\n', "[clock] x: illegal character '\\n'"),
+        ],
+    )
+    def test_a_value_that_is_no_toml_is_told_with_the_rest(self, line: str, expected: str):
+        found = faults(f"{HEAD}[clock]\n{line}[task.Y]\ntyp = 'x'\n")
+        assert [it.partition(" ")[2] for it in found if ": unknown" not in it and "is missing" not in it] == [expected]
+        assert any("[task.Y] typ: unknown key, did you mean 'type'?" in it for it in found)
+
+    def test_all_of_them_come_at_once(self):
+        text = (
+            HEAD
+            + """rolle = "agent"
+[clock]
+speed = 2 x
+hold = True
+[device.load]
+driver = host.load
+rate_hz = 2 Hz
+[task.X]
+type = "x"
+rate_hz = "500ms"
+settings = { radius_m = NaN }
+[task.X]
+type = "y"
+[task.Y]
+type = "y"
+period = "0.5 s"
+"""
+        )
+        assert faults(text) == [
+            "a.toml:4: [agent] rolle: unknown key, did you mean 'role'?",
+            "a.toml:6: [clock] speed: expected newline or end of document after a statement",
+            "a.toml:7: [clock] hold: True is no TOML: write true",
+            'a.toml:9: [device.load] driver: host.load is no TOML: text stands in quotes, as in driver = "host.load"',
+            "a.toml:10: [device.load] rate_hz: 2 Hz is no TOML: write rate_hz = 2",
+            "a.toml:13: [task.X] rate_hz: expected a number or nothing, got a string: write rate_hz = 2",
+            "a.toml:14: [task.X] settings: invalid value",
+            "a.toml:15: [task.X]: the table stands here for the second time",
+            "a.toml:19: [task.Y] period: unknown key, did you mean 'rate_hz = 2'?",
+        ]

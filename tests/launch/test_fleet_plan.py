@@ -243,3 +243,29 @@ def test_a_port_that_is_in_use_or_claimed(tmp_path: Path, entry: Registration) -
         check_free(members)
     claim.release()
     check_free(members).release()
+
+
+def test_a_fault_of_one_agent_hides_none_of_another(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('schema = 1\n[agent\nname = "a"\n')
+    write(tmp_path / "b.toml", rest="seed = 1 x\n[clock]\nspeed = 0")
+    write(tmp_path / "d.toml", rest="[clock]\nspede = 1")
+    text = "[fleet]\n[agent.a]\n[agent.b]\n[agent.c]\n[agent.d]\n"
+
+    assert sorted(faults(tmp_path, text)) == [
+        "a.toml:2: TOML: expected ']' at the end of a table declaration",
+        "b.toml:4: [agent] seed: expected newline or end of document after a statement",
+        "b.toml:6: [clock] speed: expected a number > 0, not 0",
+        "d.toml:5: [clock] spede: unknown key, did you mean 'speed'?",
+        f"fleet.toml:5: [agent.c] config: there is no file {tmp_path}/c.toml",
+    ]
+
+
+def test_a_fleet_file_is_read_past_a_value_that_is_none(tmp_path: Path) -> None:
+    write(tmp_path / "a.toml")
+    text = "[fleet]\nset = { x = }\n[agent.a]\naftr = 1\nrestart.at_most = 1s\n"
+
+    assert faults(tmp_path, text) == [
+        "fleet.toml:3: [fleet] set: invalid value",
+        "fleet.toml:5: [agent.a] aftr: unknown key, did you mean 'after'?",
+        "fleet.toml:6: [agent.a] restart.at_most: expected newline or end of document after a statement",
+    ]

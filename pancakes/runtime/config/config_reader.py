@@ -29,7 +29,7 @@ from pancakes.runtime.config.tables import (
     ServiceConfig,
     TaskConfig,
 )
-from pancakes.runtime.config.toml_source import fault_of_schema, tables_of, text_of
+from pancakes.runtime.config.toml_source import fault_of_schema, read_tables, text_of
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.names import fault_of_name, nearest_name
 from pancakes.runtime.foundation.suggestion import suggestion
@@ -76,13 +76,15 @@ def parse(
     Raises:
         ConfigError: the text is not sound; it carries every fault.
     """
-    values, places = tables_of(text, where)
+    tables = read_tables(text, where)
+    values, places, _ = tables
     faults = [fault for item in sets if (fault := apply_set(item, values, places))]
     reader = _ConfigReader(values, places)
     config = reader.config()
     faults += reader.faults
     if plugins is not None:
         faults += check_plugins(config, plugins, must_load)
+    faults = tables.with_faults(faults)
     if faults:
         raise ConfigError(places.in_order(faults))
     return config

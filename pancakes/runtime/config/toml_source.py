@@ -7,37 +7,103 @@ import tomllib
 from codecs import BOM_UTF8
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 from pancakes.errors import ConfigError, Fault
 from pancakes.runtime.config.key_places import NAMED_TABLES, KeyPlaces, key_text
-from pancakes.runtime.config.scanner import lines_of_keys
+from pancakes.runtime.config.scanner import key_at, lines_of_keys
 from pancakes.runtime.config.tables import SCHEMA
 from pancakes.runtime.foundation.suggestion import suggestion
+from pancakes.runtime.foundation.units import written_for
 
 _POSITION = r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$"
+MOST_FAULTS: Final = 100
+"""So many lines that cannot be read are named; a file with more is no TOML at all."""
+AGAIN: Final = "a table for the second time"
+
+
+class Tables(NamedTuple):
+    """What TOML says, even if parts of it cannot be read.
+
+    Attributes:
+        values: its plain values; a value that cannot be read is an empty string.
+        places: where each key stands.
+        faults: what cannot be read.
+    """
+
+    values: dict[str, Any]
+    places: KeyPlaces
+    faults: list[Fault]
+
+    def with_faults(self, found: Sequence[Fault]) -> list[Fault]:
+        """Returns these faults and those that were found in the values, without what only follows from these."""
+        broken = {fault.where for fault in self.faults}
+        return self.faults + [fault for fault in found if fault.where not in broken]
 
 
 def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tuple[dict[str, Any], KeyPlaces]:
-    """Reads TOML.
+    """Reads TOML that must be sound; see `read_tables`.
+
+    Raises:
+        ConfigError: it is not; it carries each fault.
+    """
+    values, places, faults = read_tables(text, where, named)
+    if faults:
+        raise ConfigError(faults)
+    return values, places
+
+
+def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> Tables:
+    """Reads TOML. A line that cannot be read is a fault, and what follows is read all the same.
 
     Args:
         text: the TOML text.
         where: its name in messages.
         named: the tables whose keys are names.
 
-    Returns:
-        Its plain values, and where each key stands.
-
     Raises:
-        ConfigError: it is no TOML.
+        ConfigError: what follows depends on a line that cannot be read; it carries the faults until there.
     """
-    try:
-        return tomllib.loads(text), KeyPlaces(where, lines_of_keys(text), named)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError([_syntax_fault(error, text, where)]) from None
-    except RecursionError:
-        raise ConfigError([Fault(where, "TOML", "is nested too deeply")]) from None
+    lines = text.splitlines(keepends=True)
+    broken: dict[int, _Broken] = {}
+    while True:
+        try:
+            values = tomllib.loads("".join(lines))
+        except tomllib.TOMLDecodeError as error:
+            number, found = _broken_line(error, lines)
+            again = number in broken
+            broken.setdefault(number, found)
+            if again or not found.mended or len(broken) >= MOST_FAULTS:
+                faults = [Fault(f"{where}:{it}", broken[it].key, broken[it].problem) for it in sorted(broken)]
+                raise ConfigError(faults) from None
+            lines[number - 1] = found.mended
+        except RecursionError:
+            raise ConfigError([Fault(where, "TOML", "is nested too deeply")]) from None
+        else:
+            break
+    keys = lines_of_keys("".join(lines))
+    paths = {line: key_text(key, named) for key, line in keys.items()}  # of several on one line the innermost
+    faults = []
+    for number, line in sorted(broken.items()):
+        key = paths.get(number, line.key) if line.is_value else line.key
+        faults.append(Fault(f"{where}:{number}", key, line.problem))
+    return Tables(values, KeyPlaces(where, keys, named), faults)
+
+
+class _Broken(NamedTuple):
+    """A line that cannot be read.
+
+    Attributes:
+        key: what it is about, as messages name it.
+        problem: what is wrong with it.
+        mended: the line in its place, so that the rest can be read; empty: the rest depends on it.
+        is_value: whether only the value of its key is wrong.
+    """
+
+    key: str
+    problem: str
+    mended: str
+    is_value: bool = False
 
 
 def text_of(path: str) -> str:
@@ -72,20 +138,51 @@ def _neighbour(path: str) -> str:
     return str(missing.with_name(near)) if near else ""
 
 
-def _syntax_fault(error: tomllib.TOMLDecodeError, text: str, where: str) -> Fault:
-    message = str(error)
-    found = re.search(_POSITION, message)
-    line = text.rstrip("\n").count("\n") + 1
-    if found:
-        line = int(found["line"]) if found["line"] else line
+def _broken_line(error: tomllib.TOMLDecodeError, lines: Sequence[str]) -> tuple[int, _Broken]:
+    """Returns the number of the line of which TOML's parser says what is wrong, from 1, and what it is."""
+    message, number = str(error), max(1, len(lines))
+    if found := re.search(_POSITION, message):
+        number = int(found["line"]) if found["line"] else number
         message = message[: found.start()]
-    twice = re.fullmatch(r"Cannot declare \((.*)\) twice", message)
-    if twice:
-        table = tuple(re.findall(r"'([^']*)'", twice[1]))
-        return Fault(f"{where}:{line}", key_text(table), "the table stands here for the second time")
+    line = lines[number - 1] if number <= len(lines) else ""
+    end = line[len(line.rstrip("\r\n")) :] or "\n"
+    if twice := re.fullmatch(r"Cannot declare \((.*)\) twice", message):
+        key = key_text(tuple(re.findall(r"'([^']*)'", twice[1])))
+        # What is in it is read as another table's, of which nothing is said.
+        return number, _Broken(key, "the table stands here for the second time", f'["{number}: {AGAIN}"]{end}')
     if message == "Cannot overwrite a value":
-        message = "a key stands here for the second time"
-    return Fault(f"{where}:{line}", "TOML", message[:1].lower() + message[1:])
+        return number, _Broken("TOML", "a key stands here for the second time", end)
+    problem = message[:1].lower() + message[1:]
+    try:
+        key_found = key_at(line.strip())
+    except tomllib.TOMLDecodeError:
+        key_found = None
+    rest = line.strip()[key_found[1] :].lstrip() if key_found else ""
+    if key_found is None or not rest.startswith("="):
+        return number, _Broken("TOML", problem, "")
+    head = line.strip()[: key_found[1]]
+    problem = _problem_of_value(key_found[0][-1], rest[1:].strip()) or problem
+    return number, _Broken("TOML", problem, f'{head} = ""{end}', is_value=True)
+
+
+def _problem_of_value(key: str, value: str) -> str:
+    """Says what a value that is no TOML may be meant for, and how to write that; empty: nothing is known."""
+    if not any(mark in value for mark in "\"'[{"):
+        value = value.partition("#")[0].strip()
+    word = value.lower()
+    if word in ("true", "false"):
+        return f"{value} is no TOML: write {word}"
+    if word in ("yes", "no", "on", "off"):
+        return f"{value} is no TOML: write {'true' if word in ('yes', 'on') else 'false'}, or the word in quotes"
+    if word in ("none", "null", "nil"):
+        return f"{value} is no TOML: leave the key out"
+    if word in ("nan", "inf", "infinity"):
+        return f"is not a number ({value})"
+    if line := written_for(key, value):
+        return f"{value} is no TOML: write {line}"
+    if re.fullmatch(r"[A-Za-z_./~*$][^\"'\[\]{},\\]*", value):
+        return f'{value} is no TOML: text stands in quotes, as in {key} = "{value}"'
+    return ""
 
 
 def fault_of_schema(values: Mapping[str, Any]) -> str:

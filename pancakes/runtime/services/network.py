@@ -54,8 +54,8 @@ class NetworkClient(Task):
     def send(self, packet: Packet) -> None:
         """Sends a packet. In the publisher's thread.
 
-        A packet for an agent that is away is dropped and counted, as a packet without a subscriber is on any channel. One
-        for an agent that was never linked is told, too: its name may be wrong.
+        A packet for an agent that is away is dropped and counted, as a packet without a subscriber is on any channel.
+        One for an agent that was never linked is also told: its name may be wrong.
 
         Raises:
             LocalProtocolError: it cannot travel.

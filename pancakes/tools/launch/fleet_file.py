@@ -10,7 +10,7 @@ from pancakes.errors import ConfigError
 from pancakes.runtime.config.config_schema import closed, named_tables, schema_document
 from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.config.scanner import KeyPath
-from pancakes.runtime.config.toml_source import fault_of_schema, tables_of, text_of
+from pancakes.runtime.config.toml_source import fault_of_schema, read_tables, text_of
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.schema import schema_of
 from pancakes.runtime.foundation.suggestion import suggestion
@@ -85,10 +85,11 @@ def load_fleet(path: str) -> FleetFile:
     Raises:
         ConfigError: it cannot be read, or is not sound; it carries every fault.
     """
-    reader = _FleetReader(*tables_of(text_of(path), path, named=("agent",)))
+    tables = read_tables(text_of(path), path, named=("agent",))
+    reader = _FleetReader(tables.values, tables.places)
     found = reader.read()
-    if reader.faults:
-        raise ConfigError(reader.places.in_order(reader.faults))
+    if faults := tables.with_faults(reader.faults):
+        raise ConfigError(reader.places.in_order(faults))
     return found
 
 

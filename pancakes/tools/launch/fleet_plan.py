@@ -13,7 +13,7 @@ from pancakes.mesh.address import DEFAULT_FLEET
 from pancakes.runtime.config import Address, load, parse_address
 from pancakes.runtime.config.key_places import set_text
 from pancakes.runtime.config.override import apply_set
-from pancakes.runtime.config.toml_source import tables_of, text_of
+from pancakes.runtime.config.toml_source import read_tables, tables_of, text_of
 from pancakes.runtime.config.toml_text import value_text
 from pancakes.runtime.foundation.user_folders import NoHome
 from pancakes.runtime.plugins import Plugins
@@ -163,10 +163,15 @@ def _drafts(paths: Sequence[Path]) -> tuple[list[_Draft], list[Fault]]:
     faults: list[Fault] = []
     for path in paths:
         try:
-            for file in _files(path):
-                drafts.extend(_of_file(file))
+            files = _files(path)
         except ConfigError as error:
             faults += error.faults
+            continue
+        for file in files:
+            try:
+                drafts.extend(_of_file(file, faults))
+            except ConfigError as error:
+                faults += error.faults
     for index, draft in enumerate(drafts):
         earlier = next((other for other in drafts[:index] if other.name == draft.name), None)
         if earlier is not None:
@@ -186,8 +191,9 @@ def _files(path: Path) -> list[Path]:
     return files
 
 
-def _of_file(path: Path) -> Iterator[_Draft]:
-    values, _ = tables_of(text_of(str(path)), str(path))
+def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
+    """Yields the agents of a file; a fault of one of them goes to `faults`, and hides no other."""
+    values = read_tables(text_of(str(path)), str(path)).values  # its faults are told when it is read as a whole
     if path.name != FLEET_FILE and not is_fleet(values):
         yield _Draft(_name_in(values) or path.stem, path)
         return
@@ -195,8 +201,13 @@ def _of_file(path: Path) -> Iterator[_Draft]:
     for name, table in found.agents.items():
         file = path.parent / (table.config or f"{name}.toml")
         if not file.is_file():
-            raise ConfigError([found.places.fault(("agent", name, "config"), f"there is no file {file}")])
-        own, _ = tables_of(text_of(str(file)), str(file))
+            faults.append(found.places.fault(("agent", name, "config"), f"there is no file {file}"))
+            continue
+        try:
+            own = read_tables(text_of(str(file)), str(file)).values
+        except ConfigError as error:
+            faults += error.faults
+            continue
         said_at: dict[str, str] = {}
         if found.fleet.name:
             said_at[f"agent.fleet={value_text(found.fleet.name)}"] = found.places.where("fleet", "name")
