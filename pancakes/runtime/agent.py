@@ -431,6 +431,7 @@ class Agent:
             "insecure": self.insecure_over,
             "roster": self._roster_number(),
             "roster_fault": fault._asdict() if (fault := self.mesh.roster_fault) is not None else None,
+            "journal_fault": self.store.fault(),
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.

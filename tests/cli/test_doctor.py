@@ -170,6 +170,13 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "r
 WRONG: list[tuple[dict[str, Any], str, str, str]] = [
     ({"ready": False}, "warning", "a", "is not ready"),
     ({"held": True}, "warning", "a", "waits at 0"),
+    ({"journal_fault": "No space left"}, "error", "a", "keeps nothing that its tasks do: No space left"),
+    (
+        {"tasks": [task(state="stopped", rest="", reason="motors is held by a/client/B")]},
+        "warning",
+        "a/Scan",
+        "does not run: motors is held by a/client/B",
+    ),
     (
         {"mesh": {"peers": [{**ROUTED, "encrypted": False}], "few": None, "asleep": [], "addresses": []}},
         "warning",

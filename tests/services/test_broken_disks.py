@@ -14,7 +14,7 @@ from pancakes.control import Configure, Describe, Start, Stop
 from pancakes.packet import SYSCTRL
 from pancakes.runtime.journal.write_ahead import WRITE_AHEAD
 from pancakes.task import Task, every
-from pancakes.testing import threaded_agent
+from pancakes.testing import FleetInTest, threaded_agent
 
 
 class Count(Task):
@@ -155,3 +155,14 @@ def test_a_symbolic_link_is_followed_and_told(tmp_path):
         (told,) = [line for line in agent.lines("warning") if "symbolic link" in line]
         assert told.endswith(f"{link} is a symbolic link: what lies in {tmp_path / 'elsewhere'} is used")
     assert (tmp_path / "elsewhere" / "record.a%2FCount.rec").exists()
+
+
+def test_agent_says_that_its_journal_cannot_write():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Count": Count})
+        fleet.faults.fill_disk("a")
+        fleet.run_for(3.0)
+        assert "No space left" in agent.ask(Describe()).result["journal_fault"]
+        fleet.faults.calm()
+        fleet.run_for(10.0)
+        assert agent.ask(Describe()).result["journal_fault"] == ""

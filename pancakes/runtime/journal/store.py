@@ -89,6 +89,10 @@ class RecordStore(ABC):
     def trouble(self, kind: str, key: str) -> str:
         """Says what keeps an entry from being written; empty: nothing that is known of. From any thread."""
 
+    def fault(self) -> str:
+        """Says why the journal cannot write now; empty: it can, as far as is known. From any thread."""
+        return self._troubles.newest()
+
     @abstractmethod
     def close(self) -> None:
         """Writes what waits, makes the calls that are due, and closes the journal. Waits for that."""
@@ -182,6 +186,18 @@ class ThreadedStore(RecordStore):
         else:
             self._defer(self._wake)
 
+    def fault(self) -> str:
+        with self._news:
+            if self._gone:
+                return self._gone
+            since_s = min((job.since_s for job in self._at_work), default=None)
+            newest = super().fault()
+        waits_s = self._now() - since_s if since_s is not None else 0.0
+        return newest or (self._waits(waits_s) if waits_s >= SLOW_S else "")
+
+    def _waits(self, waits_s: float) -> str:
+        return f"the journal has been waiting for the disk for {waits_s:.0f} s ({self._journal.place})"
+
     def _wake(self) -> None:
         with self._news:
             self._news.notify()
@@ -197,7 +213,7 @@ class ThreadedStore(RecordStore):
         waits_s = self._now() - since_s if since_s is not None else 0.0
         if reason or waits_s < SLOW_S:
             return reason
-        return f"the journal has been waiting for the disk for {waits_s:.0f} s ({self._journal.place})"
+        return self._waits(waits_s)
 
     def close(self) -> None:
         with self._news:

@@ -48,6 +48,10 @@ class Troubles:
         trouble = self._troubles.get(key)
         return trouble.reason if trouble is not None else ""
 
+    def newest(self) -> str:
+        """Returns why an entry could not be written, of all that could not the newest; empty: all could."""
+        return next((it.reason for it in reversed(list(self._troubles.values()))), "")
+
     def worked(self, key: Key) -> None:
         """An entry is on disk."""
         self._troubles.pop(key, None)

@@ -134,6 +134,9 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
     name = agent["agent"]
     if not agent["ready"]:
         yield Finding("warning", name, "is not ready: its tasks are still starting", f"pancakes task list {name}")
+    if fault := agent.get("journal_fault"):
+        advice = "make room on that disk, or give its user the right to write there; it goes on by itself then"
+        yield Finding("error", name, f"keeps nothing that its tasks do: {fault}", advice)
     if agent["held"]:
         text = "its mission waits at 0, so nothing of it moves"
         yield Finding("warning", name, text, "it begins when its launcher says so, as pancakes launch does")
@@ -224,6 +227,9 @@ def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding
         text = "does not run: it was given up before its agent was last started"
         advice = f"the agent's log from then says why (pancakes log); then: pancakes {noun} start {about}"
         yield Finding("error", about, text, advice)
+    elif row["state"] == "stopped" and row.get("rest") == "" and row["reason"]:
+        text, advice = f"does not run: {row['reason']}", f"mend that: it starts once it can; pancakes {noun} info {about}"
+        yield Finding("warning", about, text, advice)
     elif row["state"] == "restarting":
         advice = f"mend that; to try at once: pancakes {noun} start {about}"
         yield Finding("warning", about, f"{when or 'is started again'}: {row['reason']}", advice)
