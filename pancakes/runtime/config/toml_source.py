@@ -15,6 +15,7 @@ from pancakes.runtime.config.scanner import key_at, lines_of_keys
 from pancakes.runtime.config.tables import SCHEMA
 from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.foundation.units import written_for
+from pancakes.settings import dotted
 
 _POSITION = r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$"
 MOST_FAULTS: Final = 100
@@ -82,7 +83,8 @@ def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> T
         else:
             break
     keys = lines_of_keys("".join(lines))
-    paths = {line: key_text(key, named) for key, line in keys.items()}  # of several on one line the innermost
+    # Of several keys on one line the innermost. One without a table is no table itself.
+    paths = {line: key_text(key, named) if len(key) > 1 else dotted(key) for key, line in keys.items()}
     faults = []
     for number, line in sorted(broken.items()):
         key = paths.get(number, line.key) if line.is_value else line.key
