@@ -53,7 +53,12 @@ def test_keys_of_another_agent_or_none_are_not_taken(rig: Rig):
     )
     checked = rig.agent(config, "--check")
     assert checked.ended() == 0
-    assert "warning: on this machine it does not start: " in checked.everything()
+    said = f"warning: {config}:6: [agent] listen: on this machine it does not start: "
+    assert said in checked.everything()
+    by_verb = rig.pancakes("config", "check", str(config))
+    assert by_verb.returncode == 0 and by_verb.stderr.startswith(said) and "is sound" in by_verb.stdout
+    (row,) = rig.listed("config", "check", str(config))
+    assert row["faults"] == [] and row["warnings"][0]["problem"].startswith("on this machine it does not start")
 
 
 def test_keys_that_were_revoked_let_an_agent_run_and_warn(rig: Rig):

@@ -161,6 +161,7 @@ def _check(config: Config, plugins: Plugins) -> None:
     """Says that a configuration is sound, and which plug-ins of this environment are not."""
     from pancakes.errors import PluginError
     from pancakes.runtime.plugins import GROUPS
+    from pancakes.tools.cli.machine_doubts import machine_doubts
 
     for group in GROUPS:
         for name in plugins.names(group):
@@ -170,19 +171,9 @@ def _check(config: Config, plugins: Plugins) -> None:
                 continue  # `problems` has it
     for problem in plugins.problems():
         _warn(f"warning: {problem}")
-    _check_keys(config, plugins)
+    for doubt in machine_doubts(config, plugins):
+        _warn(f"warning: {doubt}")
     show_text(f"{config.path} is sound: the agent {config.agent.name} of the fleet {config.agent.fleet}")
-
-
-def _check_keys(config: Config, plugins: Plugins) -> None:
-    """Warns of keys that this machine lacks, or that are of no use: the configuration may be for another machine."""
-    from pancakes.errors import ConfigError
-    from pancakes.runtime.transport_settings import keys_for, network_settings
-
-    try:
-        keys_for(config, network_settings(config), plugins)
-    except ConfigError as error:
-        _warn(f"warning: on this machine it does not start: {error}")
 
 
 def _register(running: Agent) -> Registration | None:

@@ -53,15 +53,16 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
     """Check configuration files of agents, fleet files, and folders as `pancakes launch` takes them.
 
     Everything that is wrong is named, with file, line and key; the exit code is then 4. A plug-in that a file names and
-    that cannot be imported is wrong too, though an agent would run without it.
+    that cannot be imported is wrong too, though an agent would run without it. What keeps an agent from running on
+    this machine, such as missing keys, is a warning: the file may be for another one.
 
     \b
     Example:
         pancakes config check configs/encirclement robot.toml
         pancakes config check robot.toml --format json
     """
-    from pancakes.runtime.config.doubts import doubts_of
     from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.cli.machine_doubts import machine_doubts
     from pancakes.tools.launch.fleet_plan import make_fleet
 
     plugins = Plugins()
@@ -71,9 +72,9 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
             for member in make_fleet([path], (), None, plugins, must_load=True):
                 fleet = member.config.agent.fleet
                 # What names lead to on another machine is not known here.
-                doubts = [] if member.host else [fault._asdict() for fault in doubts_of(member.config)]
-                row = {"file": str(member.path), "agent": member.name, "fleet": fleet, "faults": []}
-                rows.append({**row, "warnings": doubts})
+                doubts = [] if member.host else [it._asdict() for it in machine_doubts(member.config, plugins)]
+                row: dict[str, Any] = {"file": str(member.path), "agent": member.name, "fleet": fleet}
+                rows.append({**row, "faults": [], "warnings": doubts})
         except ConfigError as error:
             faults = [fault._asdict() for fault in error.faults]
             rows.append({"file": str(path), "agent": None, "fleet": None, "faults": faults, "warnings": []})
