@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
+from pancakes import __version__
 from pancakes.mesh.migration.boots import Boot
 from pancakes.runtime.hosting.boot_memory import MOST_AGENTS, BootMemory
-from pancakes.runtime.journal import Disk, FileJournal, MemoryJournal, VirtualStore
+from pancakes.runtime.journal import Disk, FileJournal, JournalEntry, JournalError, MemoryJournal, VirtualStore
 from pancakes.runtime.journal.journal import MOST_NAMES
 
 
@@ -61,3 +65,29 @@ def test_so_many_agents_are_remembered_and_no_more() -> None:
         known.met(f"a{number}", Boot("disk", 5, "fifth"))
     copy = Boot("disk", 4, "fourth")
     assert known.met("a0", copy) is not None and known.met(f"a{MOST_AGENTS}", copy) is None
+
+
+def test_journal_of_a_later_format_is_left_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both versions are named; nothing is put aside, so that the later one finds all of it."""
+    with monkeypatch.context() as later:
+        later.setattr("pancakes.runtime.journal.journal.FORMAT", 2)
+        later.setattr("pancakes.runtime.journal.journal.__version__", "0.9.0")
+        journal = FileJournal(tmp_path)
+        journal.write([JournalEntry("task", "a/Count", b"x")])
+        journal.close()
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name != "lock"}
+    with pytest.raises(JournalError) as refused:
+        FileJournal(tmp_path)
+    assert str(refused.value) == (
+        f"{tmp_path} is of the format 2, which Pancakes 0.9.0 has written, and this is Pancakes {__version__}, which"
+        " reads formats up to 1: start it with that version"
+    )
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name != "lock"} == before
+
+
+def test_journal_knows_the_version_that_wrote_it(tmp_path: Path) -> None:
+    assert [FileJournal(tmp_path / "a").written_by, reopened(tmp_path / "a").written_by] == ["", __version__]
+
+
+def reopened(folder: Path) -> FileJournal:
+    return FileJournal(shutil.copytree(folder, folder.with_name("copy")))

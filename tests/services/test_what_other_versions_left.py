@@ -19,7 +19,7 @@ from pancakes.task import Task
 from pancakes.testing import AgentInTest, FleetInTest
 
 WHY = "what is on disk of it cannot be read: these 1 bytes are no snapshot of a task"
-HOW = "`pancakes task restart --drop-state a/Count` begins it as its configuration says"
+HOW = "`pancakes task restart --drop-state a/Count` begins it as its configuration says, without its state"
 
 
 def change_record(

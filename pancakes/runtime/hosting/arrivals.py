@@ -251,8 +251,9 @@ class Arrivals:
 
     def _unreadable(self, slot: Slot, error: MigrationError) -> str:
         return (
-            f"what is on disk of it cannot be read: {error}; `pancakes task restart --drop-state"
-            f" {self._host.agent}/{slot.name}` begins it as its configuration says"
+            f"what is on disk of it cannot be read: {error}; if another version of Pancakes has written it, start that,"
+            f" or `pancakes task restart --drop-state {self._host.agent}/{slot.name}` begins it"
+            f" as its configuration says, without its state"
         )
 
     def open(self, place: Place, start: StartTask) -> PlaceFree | NoPlace | None:

@@ -6,13 +6,16 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain, count
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 from urllib.parse import quote, unquote
 
+from pancakes import __version__
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
 from pancakes.runtime.journal.seal import JournalEntry, JournalError, SetAside, Unbelievable, seal, unseal
 
+FORMAT: Final = 1
+"""Of what a journal keeps: a later version of Pancakes that keeps it otherwise has a higher one, and reads this."""
 SUFFIX: Final = ".rec"
 """What names of stored entries end with."""
 BAD: Final = ".bad"
@@ -52,6 +55,7 @@ class Journal(ABC):
         former: the names of the agents that have opened it before, other than the one that does now.
         set_aside: what was found at opening and could not be believed; to be reported by name.
         missing: what was set aside at this opening or an earlier one, and has no entry in its place since then.
+        written_by: the version of Pancakes that opened it last before; empty: it is new, or that was not written down.
         place: where it is kept, for people.
         remarks: what people should know about that place, each a sentence.
         check_s: how often, in seconds, `check` should be called; None: there is nothing to check.
@@ -66,6 +70,7 @@ class Journal(ABC):
     former: tuple[str, ...]
     set_aside: tuple[SetAside, ...]
     missing: tuple[SetAside, ...]
+    written_by: str
     place: str
     remarks: tuple[str, ...] = ()
     check_s: float | None = None
@@ -120,6 +125,9 @@ class Journal(ABC):
             new_uuid: makes the id of a new journal.
             agent: the name of the agent that opens it.
             doubt: why this is not believed to be the journal that it says it is; empty: it is.
+
+        Raises:
+            JournalError: a later version of Pancakes has written it, in another format. Nothing of it was changed.
         """
         self._entries: dict[tuple[str, str], JournalEntry] = {}
         aside: list[SetAside] = []
@@ -133,6 +141,12 @@ class Journal(ABC):
                 found = _read_identity(self._load(identity))
             except Unbelievable as error:
                 aside.append(self._put_aside(identity, str(error)))
+        if found.format > FORMAT:
+            raise JournalError(
+                f"{self.place} is of the format {found.format}, which Pancakes {found.version} has written, and this is"
+                f" Pancakes {__version__}, which reads formats up to {FORMAT}: start it with that version"
+            )
+        self.written_by = found.version
         # Without an identity of its own, entries that are there belong to another journal, and are put aside.
         self.uuid, mark = found.uuid or self.life, self._mark()
         self.copied = bool(found.uuid) and found.mark != mark
@@ -153,7 +167,8 @@ class Journal(ABC):
         self.boot = found.boot + 1
         self.former = tuple(name for name in found.agents if name != agent)
         names_now = ((*self.former, agent) if agent else self.former)[-MOST_NAMES:]
-        contents = codecs.encode_small(_JournalIdentity(self.uuid, self.boot, names_now, mark, self.copy))
+        now = _JournalIdentity(self.uuid, self.boot, names_now, mark, self.copy, FORMAT, __version__)
+        contents = codecs.encode_small(now)
         self._replace({identity: seal(self.uuid, JournalEntry(_IDENTITY, _IDENTITY, contents))})
 
     def _is_of(self, journal: str) -> bool:
@@ -226,15 +241,19 @@ class _JournalIdentity(NamedTuple):
     agents: tuple[str, ...] = ()
     mark: str = ""
     copy: str = ""
+    format: int = 1
+    version: str = ""
 
 
+_DECODE_LIST: Final = codecs.decoder(list[Any])
 _DECODE_IDENTITY: Final = codecs.decoder(_JournalIdentity)
 
 
 def _read_identity(sealed: bytes) -> _JournalIdentity:
     entry = unseal("", sealed)
     try:
-        return _DECODE_IDENTITY(entry.data)
+        known = _DECODE_LIST(entry.data)[: len(_JournalIdentity._fields)]  # a later version may have more to say
+        return _DECODE_IDENTITY(codecs.encode_small(known))
     except MALFORMED as error:
         raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
+from pancakes import __version__
 from pancakes.errors import PancakesError
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
@@ -44,7 +45,7 @@ class RecordTable(Generic[_T]):
             try:
                 self._on_disk[entry.key] = decode(entry.data)
             except (PancakesError, *MALFORMED) as error:
-                malformed(entry.key, why_malformed(error))
+                malformed(entry.key, why_malformed(error) + _of_another(disk.journal.written_by))
         self._newest = dict(self._on_disk)
         self.newest = self._newest
 
@@ -74,3 +75,11 @@ class RecordTable(Generic[_T]):
     def trouble(self, key: str) -> str:
         """Says what keeps a record from being written; empty: nothing that is known of."""
         return self._store.trouble(self._kind, key)
+
+
+def _of_another(version: str) -> str:
+    """Returns what else is to be said of a record that cannot be read."""
+    if version == __version__:
+        return ""
+    written_by = f"Pancakes {version}" if version else "a version of Pancakes before 0.1.0"
+    return f"; {written_by} has written it, and this is {__version__}"
