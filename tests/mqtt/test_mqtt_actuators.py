@@ -72,7 +72,7 @@ def is_connected(agent: AgentInTest, count: int = 1) -> None:
             '{"state": "ON", "brightness": 127}',
             '{"state": "OFF"}',
         ),
-        (MqttLight, Dimmer, {"form": "tasmota", "device": "lamp"}, Light(2.0), "cmnd/lamp/Dimmer", "100", "0"),
+        (MqttLight, Dimmer, {"form": "tasmota", "device": "lamp"}, Light(1.0), "cmnd/lamp/Dimmer", "100", "0"),
         (
             MqttLight,
             Dimmer,
@@ -153,3 +153,11 @@ def test_it_says_whether_the_hardware_holds_by_itself(
 def test_a_topic_of_commands_has_no_wildcard() -> None:
     problems = check_settings(MqttSwitch.Settings, {"topic": "plugs/+"})
     assert "+ stands only in what is subscribed to" in str(problems[0])
+
+
+def test_a_light_is_not_told_to_be_brighter_than_it_can_be(broker: Mosquitto) -> None:
+    with threaded_agent("a", devices=device(MqttLight, broker, topic="lamp"), tasks={"Dimmer": Dimmer}) as agent:
+        is_connected(agent)
+        agent.task("Dimmer").publish(CTRL, Light(1.5))
+        refused = agent.wait_for_event("command_refused", device="device")
+        assert (refused["by"], refused["reason"]) == ("a/client/Dimmer", "brightness is 1.5, above 1")

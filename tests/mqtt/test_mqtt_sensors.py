@@ -11,7 +11,7 @@ from pancakes_mqtt.packets import Number
 from pancakes_mqtt.sensors import MqttBattery, MqttDistance, MqttMotion, MqttNumber, MqttPose, MqttTemperature
 
 from pancakes.bodies.devices.types import Battery, Motion, Pose, Sonar, Temperature
-from pancakes.control import Stop
+from pancakes.control import Describe, Stop
 from pancakes.settings import check_settings
 from pancakes.testing import AgentInTest, threaded_agent
 
@@ -111,9 +111,10 @@ def test_what_is_no_reading_is_named_once_and_the_next_reading_counts(broker: Mo
         assert [packet.body.celsius for packet in agent.probe.packets(Temperature)] == [20.5]
         warnings = [line for line in agent.lines("warning") if "is no reading" in line]
         assert warnings == [
-            "device: what zigbee2mqtt/shed says is no reading: it has no key 'temperature' of the path 'temperature',"
-            " only none"
+            "device: a reading is missed: what zigbee2mqtt/shed says is no reading: it has no key 'temperature' of the"
+            " path 'temperature', only none"
         ]
+        assert agent.ask(Describe("device")).result["readings"]["missed"] == 5
 
 
 @pytest.mark.parametrize("word", ["nan", "inf", "-inf", "NaN"])
@@ -150,7 +151,8 @@ def test_a_device_that_says_that_it_is_offline_is_named(broker: Mosquitto) -> No
 
 
 def test_a_sensor_that_falls_silent_is_named_until_it_speaks(broker: Mosquitto) -> None:
-    with threaded_agent("a", devices=device(MqttTemperature, broker, topic="t", stale_after_s=0.3)) as agent:
+    air = device(MqttTemperature, broker, topic="t")["device"]
+    with threaded_agent("a", devices={"device": {**air, "silent_s": 0.3}}) as agent:
         agent.wait_until(lambda: any("no reading has come for" in line for line in agent.lines("warning")))
         broker.pub("t", "3")
         agent.wait_until(lambda: "device: readings come again" in agent.lines("info"))
@@ -203,3 +205,105 @@ def test_nothing_but_finite_readings_are_made_of_a_battery_without_a_voltage(bro
         broker.pub("b", "2.1")
         body = agent.wait_for(Battery).body
         assert body.level == 0.5 and math.isnan(body.voltage_v)
+
+
+# What is wrong in part, or beyond its bounds -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "payload", "reason"),
+    [
+        ({}, "120", "a level of 120 is not between 0 and full = 100"),
+        ({}, "-1", "a level of -1 is not between 0 and full = 100"),
+        ({"full": 1.0}, "85", "a level of 85 is not between 0 and full = 1"),
+    ],
+)
+def test_a_level_out_of_its_range_is_no_reading(
+    broker: Mosquitto, settings: dict[str, Any], payload: str, reason: str
+) -> None:
+    with threaded_agent("a", devices=device(MqttBattery, broker, topic="b", **settings)) as agent:
+        is_heard(agent, broker)
+        broker.pub("b", payload)
+        agent.wait_until(lambda: any(reason in line for line in agent.lines("warning")))
+        assert not agent.probe.packets(Battery)
+
+
+def test_what_is_sound_in_a_message_is_read_and_the_rest_is_named_once(broker: Mosquitto) -> None:
+    said = '{"temperature":21.5,"humidity":NaN}'
+    devices = {
+        "air": device(MqttTemperature, broker, topic="t", field="temperature")["device"],
+        "damp": device(MqttNumber, broker, topic="t", field="humidity")["device"],
+    }
+    with threaded_agent("a", devices=devices) as agent:
+        is_heard(agent, broker)
+        for _ in range(3):
+            broker.pub("t", said)
+        agent.wait_until(lambda: len(agent.probe.packets(Temperature)) == 3)
+        agent.wait_until(lambda: agent.ask(Describe("damp")).result["readings"]["missed"] == 3)
+        warnings = [line for line in agent.lines("warning") if line.startswith("air: ")]
+        assert warnings == ["air: what t says is no JSON in part (humidity is nan): the rest of it is read"]
+        assert any("what t says is no reading: nan is no finite number" in line for line in agent.lines("warning"))
+
+
+def test_a_voltage_that_cannot_be_read_costs_no_level(broker: Mosquitto) -> None:
+    settings = {"topic": "b", "field": "level", "voltage": "volts"}
+    with threaded_agent("a", devices=device(MqttBattery, broker, **settings)) as agent:
+        is_heard(agent, broker)
+        broker.pub("b", '{"level": 50, "volts": "n/a"}')
+        body = agent.wait_for(Battery).body
+        assert body.level == 0.5 and math.isnan(body.voltage_v)
+        agent.wait_until(lambda: any("its voltage cannot be read" in line for line in agent.lines("warning")))
+
+
+@pytest.mark.parametrize(
+    ("settings", "payload", "detected"),
+    [
+        ({"field": "contact", "invert": True}, '{"contact": true}', False),
+        ({"field": "contact", "invert": True}, '{"contact": false}', True),
+        ({"true_values": ["Ajar"]}, "ajar", True),
+        ({"false_values": ["open"]}, "OPEN", False),
+        ({"true_values": ["closed"], "invert": True}, "closed", False),
+    ],
+)
+def test_a_contact_is_told_as_its_settings_say(
+    broker: Mosquitto, settings: dict[str, Any], payload: str, detected: bool
+) -> None:
+    with threaded_agent("a", devices=device(MqttMotion, broker, topic="door", **settings)) as agent:
+        is_heard(agent, broker)
+        broker.pub("door", payload)
+        assert agent.wait_for(Motion).body == Motion(detected)
+
+
+def test_a_shared_subscription_shares_its_messages(broker: Mosquitto) -> None:
+    devices = {"device": device(MqttNumber, broker, topic="$share/crew/jobs/#")["device"]}
+    with threaded_agent("a", devices=devices) as one, threaded_agent("b", devices=devices) as other:
+        is_heard(one, broker, 2)
+        for number in range(20):
+            broker.pub("jobs/1", str(number), "-q", "1")
+        one.wait_until(lambda: len(one.probe.packets(Number)) + len(other.probe.packets(Number)) == 20)
+        assert one.probe.packets(Number) and other.probe.packets(Number)
+
+
+@pytest.mark.parametrize("protocol", ["5", "3.1.1"])
+def test_a_payload_that_is_too_large_is_not_taken(broker: Mosquitto, protocol: str) -> None:
+    settings = {"topic": "t/#", "largest_bytes": 1000, "protocol": protocol, "retained": True}
+    with threaded_agent("a", devices=device(MqttNumber, broker, **settings)) as agent:
+        is_heard(agent, broker)
+        broker.pub("t/much", " " * 100_000 + "1")
+        broker.pub("t/more", " " * 2000 + "2")
+        broker.pub("t/well", "3")
+        assert agent.wait_for(Number).body == Number(3.0)
+        agent.wait_until(lambda: any("t/more is not taken: it has 2001 bytes" in line for line in agent.lines()))
+
+
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [
+        ({"topic": "$share/crew"}, "a shared subscription reads $share/GROUP/FILTER"),
+        ({"topic": "$share/crew/a", "retained": True}, "a broker sends what it has kept to no shared subscription"),
+        ({"topic": "t", "true_values": ["Shut"], "false_values": ["shut"]}, "true_values and false_values both have"),
+        ({"topic": "t", "largest_bytes": 0}, "largest_bytes"),
+    ],
+)
+def test_settings_of_a_contact_that_make_no_sense_are_named(settings: dict[str, Any], problem: str) -> None:
+    assert problem in "; ".join(map(str, check_settings(MqttMotion.Settings, settings)))

@@ -5,8 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from pancakes_mqtt.payloads import BadPayload, celsius_of, number_of, truth_of, value_at
+from pancakes_mqtt.packet_bodies import body_in
+from pancakes_mqtt.packets import Number
+from pancakes_mqtt.payloads import BadPayload, celsius_of, number_of, oddities, truth_of, value_at
 from pancakes_mqtt.topics import fault_of_filter, fault_of_topic, filled, means
+
+from pancakes.bodies.devices.types import Memory, Motion, Temperature
 
 
 @pytest.mark.parametrize(
@@ -28,23 +32,44 @@ from pancakes_mqtt.topics import fault_of_filter, fault_of_topic, filled, means
         ("a/b", "A/b", False),
         ("/+", "/a", True),
         ("+", "/a", False),
+        ("$share/crew/jobs/#", "jobs/1", True),
+        ("$share/crew/jobs/+", "other/1", False),
+        ("$share/crew/#", "$SYS/load", False),
+        ("$share/crew//a", "/a", True),
     ],
 )
 def test_a_filter_means_what_the_standard_says(filter_: str, topic: str, is_meant: bool) -> None:
     assert means(filter_, topic) is is_meant
 
 
-@pytest.mark.parametrize("filter_", ["a/#/b", "a#", "a/b#", "a+/b", "+a", "", "a\0"])
+@pytest.mark.parametrize(
+    "filter_",
+    [
+        "a/#/b",
+        "a#",
+        "a/b#",
+        "a+/b",
+        "+a",
+        "",
+        "a\0",
+        "$share",
+        "$share/crew",
+        "$share/crew/",
+        "$share//a",
+        "$share/c+w/a",
+        "$share/crew/a#",
+    ],
+)
 def test_what_is_no_filter_is_named(filter_: str) -> None:
     assert fault_of_filter(filter_)
 
 
-@pytest.mark.parametrize("filter_", ["#", "+", "a/+/#", "+/+", "/", "ä/ö"])
+@pytest.mark.parametrize("filter_", ["#", "+", "a/+/#", "+/+", "/", "ä/ö", "$share/crew/jobs/#", "$SYS/#", "$shared/a"])
 def test_what_is_a_filter_is_none_the_less(filter_: str) -> None:
     assert fault_of_filter(filter_) == ""
 
 
-@pytest.mark.parametrize("topic", ["", "a/+", "#", "a\0", "x" * 65536])
+@pytest.mark.parametrize("topic", ["", "a/+", "#", "a\0", "x" * 65536, "$share/crew/jobs", "$SYS/load"])
 def test_what_is_no_topic_is_named(topic: str) -> None:
     assert fault_of_topic(topic)
 
@@ -116,3 +141,72 @@ def test_what_is_neither_yes_nor_no_is_named(value: Any) -> None:
 
 def test_temperatures_are_celsius() -> None:
     assert [celsius_of(68.0, "F"), celsius_of(273.15, "K"), celsius_of(1.0, "C")] == [20.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("payload", "path", "value", "odd"),
+    [
+        (b'{"temperature":21.5,"humidity":NaN}', "temperature", 21.5, "humidity is nan"),
+        (b'{"temperature":21.5,"humidity":-nan}', "temperature", 21.5, "humidity is nan"),
+        (b'{"temperature":21.5,"far":[1,inf]}', "temperature", 21.5, "far.1 is inf"),
+        (b'{"temperature":21.5,"far":-Infinity}', "temperature", 21.5, "far is -inf"),
+        (b'{"temperature":21.5,"id":' + b"9" * 5000 + b"}", "temperature", 21.5, "id is inf"),
+        (b'{"room":"K\xfcche","temperature":21.5}', "temperature", 21.5, "room is 'K\ufffdche'"),
+        (b'{"room":"a nan b","n":NaN}', "room", "a nan b", "n is nan"),
+        (b'{"room":"a \\" nan b","n":NaN}', "room", 'a " nan b', "n is nan"),
+        (b'\xef\xbb\xbf{"temperature":21.5}', "temperature", 21.5, ""),
+        (b'{"temperature":21.5}\0\0', "temperature", 21.5, ""),
+        (b"21.5\0", "", 21.5, ""),
+    ],
+)
+def test_what_can_be_read_of_a_payload_is_read(payload: bytes, path: str, value: Any, odd: str) -> None:
+    assert value_at(payload, path) == value
+    assert oddities(payload) == odd
+
+
+@pytest.mark.parametrize("payload", [b'{"a": 1', b'{"a" 1}', b"[" * 50_000, b'{"a": "' + b'\\"' * 200_000, b"\xff\xfe"])
+def test_what_cannot_be_read_at_all_is_said_in_a_sentence(payload: bytes) -> None:
+    with pytest.raises(BadPayload) as caught:
+        value_at(payload, "a")
+    assert len(str(caught.value)) < 300
+    assert oddities(payload) == ""
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload", "body", "left_out"),
+    [
+        ("temperature", b'{"celsius":"18.5"}', Temperature(18.5), []),
+        ("temperature", b'"18.5"', Temperature(18.5), []),
+        ("motion", b'{"detected":"ON"}', Motion(True), []),
+        ("motion", b'{"detected":0}', Motion(False), []),
+        ("motion", b'{"detected":true,"range_m":"2"}', Motion(True, None, 2.0), []),
+        ("motion", b'{"detected":true,"range_m":"unknown"}', Motion(True), []),
+        ("motion", b'{"detected":true,"range_m":NaN}', Motion(True), ["range_m: nan is no finite number"]),
+        ("motion", b'{"detected":true,"range_m":"far"}', Motion(True), ["range_m: 'far' is no number"]),
+        ("memory", b'{"used_bytes":"10","total_bytes":20}', Memory(10, 20), []),
+        ("mqtt.number", b'{"value":1,"unit":"1"}', Number(1.0, "1"), []),
+    ],
+)
+def test_a_packet_is_made_of_numbers_as_drivers_read_them(kind: str, payload: bytes, body: Any, left_out: Any) -> None:
+    assert body_in(payload, kind, {}) == (body, left_out)
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload", "sentence"),
+    [
+        ("temperature", b'{"celsius":NaN}', "celsius: nan is no finite number"),
+        ("temperature", b'{"celsius":"unknown"}', "celsius: the device cannot tell"),
+        ("temperature", b'{"celsius":null}', "celsius: the device cannot tell"),
+        ("memory", b'{"used_bytes":"1.5","total_bytes":20}', "used_bytes"),
+        ("battery", b'{"voltage_v":7.0,"level":1.2}', "<= 1.0"),
+    ],
+)
+def test_a_packet_that_needs_what_cannot_be_read_is_none(kind: str, payload: bytes, sentence: str) -> None:
+    with pytest.raises(BadPayload, match=sentence):
+        body_in(payload, kind, {})
+
+
+def test_words_of_ones_own_come_before_the_usual_ones() -> None:
+    assert truth_of("Closed", ["closed"], []) is True
+    assert truth_of(True, [], ["true"]) is False
+    assert truth_of("open", ["closed"], []) is True

@@ -426,7 +426,7 @@ def test_a_virtual_sensor_gives_an_agent_what_another_one_measures(fleet):
 
 
 def test_a_virtual_sensor_that_hears_nothing_says_so_once(fleet):
-    agent = fleet.start("a", devices={"pose": {"type": "network.pose", "settings": {"stale_after_s": 1.0}}})
+    agent = fleet.start("a", devices={"pose": {"type": "network.pose", "silent_s": 1.0}})
     fleet.run_for(10.0)
     assert len([line for line in agent.lines("warning") if "no reading has come" in line]) == 1
 

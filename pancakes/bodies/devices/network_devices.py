@@ -16,9 +16,6 @@ from pancakes.bodies.devices.pace import Pace
 from pancakes.control import Hold
 from pancakes.packet import CTRL, Packet
 
-ROUNDING_S = 1e-9
-"""A timer may come earlier than it should by a rounding; waiting for the rest would make virtual time stand still."""
-
 _Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
@@ -30,6 +27,7 @@ class NetworkSensor(Sensor):
 
     networked = True
     rate = "none"
+    silent_s = 2.0
 
     @dataclass
     class Settings:
@@ -37,28 +35,16 @@ class NetworkSensor(Sensor):
 
         Attributes:
             max_hz: how many readings a second are published, where more come; without it, all are.
-            stale_after_s: after so long without a reading the log has a warning.
         """
 
         max_hz: _Positive | None = None
-        stale_after_s: _Positive = 2.0
 
     settings: Settings
 
     def __init__(self, context: DeviceContext, settings: Any) -> None:
         super().__init__(context, settings)
         self._pace = Pace(settings.max_hz) if settings.max_hz is not None else None
-        self._last_s = 0.0
-        self._stale = False
         self._strange_told = False
-        self._closed = False
-
-    def open(self) -> None:
-        self._last_s = self.context.now()
-        self._watch()
-
-    def close(self) -> None:
-        self._closed = True
 
     def sample(self) -> None:
         return None
@@ -73,37 +59,15 @@ class NetworkSensor(Sensor):
                     f"this device takes packets of the type {self.type!r}; {packet.source} sent {packet.type!r}",
                 )
             return
-        self.take(packet.body, packet.source)
+        self.take(packet.body)
 
-    def take(self, body: Any, source: str) -> bool:
-        """Publishes a reading that came from `source`; returns False where it is left out, as too many come."""
-        now_s = self.context.now()
-        self._last_s = now_s
-        if self._stale:
-            self._stale = False
-            self.context.log("info", f"readings come again, from {source}")
-        if self._pace is not None and not self._pace.due(now_s):
+    def take(self, body: Any) -> bool:
+        """Publishes a reading that came; returns False if it is left out, as too many come."""
+        if self._pace is not None and not self._pace.due(self.context.now()):
+            self.context.alive()
             return False
         self.context.deliver(body)
         return True
-
-    def stale(self) -> None:
-        """Called each `stale_after_s` in which no reading has come, after the log was told; for subclasses."""
-
-    def _watch(self) -> None:
-        """Looks whether readings still come, each time that the newest may have grown too old."""
-        if self._closed:
-            return
-        stale_after_s = self.settings.stale_after_s
-        now_s = self.context.now()
-        left_s = self._last_s + stale_after_s - now_s
-        if left_s <= ROUNDING_S:
-            if not self._stale:
-                self._stale = True
-                self.context.log("warning", f"no reading has come for {now_s - self._last_s:.1f} s of mission time")
-            self.stale()
-            left_s = stale_after_s
-        self.context.after(left_s, self._watch)
 
 
 class NetworkPose(NetworkSensor):

@@ -43,24 +43,25 @@ def fault_of_command(body: Any) -> str:
 
     A body that a task of this agent has made was never decoded, so what its fields are is looked at as well.
     """
+    cls: Any = type(body)
     if fault := _fault(body, arrays=True):
         return fault
-    if _has_arrays(type(body)):
-        return ""
     try:
-        codecs.convert(body_to_plain(body), type(body))
+        if not _has_arrays(cls):
+            codecs.convert(body_to_plain(body), cls)
     except (msgspec.ValidationError, TypeError, ValueError, RecursionError) as error:
         return str(error)
     return ""
 
 
 def _fault(body: Any, arrays: bool) -> str:
-    check = _check_of_class(type(body), arrays)
+    cls: Any = type(body)
+    check = _check_of_class(cls, arrays)
     return check(body).lstrip(".") if check is not None else ""
 
 
 @cache
-def _has_arrays(cls: type) -> bool:
+def _has_arrays(cls: Any) -> bool:
     return "CustomType" in repr(codecs.type_info(cls))
 
 
@@ -175,7 +176,8 @@ def _checks_any(arrays: bool) -> _Check:
         elif is_array(value):
             return _fault_of_array(value) if arrays else ""
         elif has_fields(type(value)):
-            check = _check_of_class(type(value), arrays)
+            cls: Any = type(value)
+            check = _check_of_class(cls, arrays)
             return check(value) if check is not None else ""
         else:
             return ""

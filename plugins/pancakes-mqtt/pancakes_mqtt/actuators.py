@@ -159,7 +159,7 @@ class MqttLight(MqttActuator):
         full: Annotated[float, Meta(gt=0)] = 100.0
 
     def command_payload(self, command: Light, ttl_s: float) -> bytes:
-        share = min(1.0, max(0.0, command.brightness))
+        share = command.brightness
         form = self.settings.form
         if form:
             return (light_payload(form, share) if share > 0 else dark_payload(form)).encode()

@@ -192,7 +192,10 @@ class MqttBridge(Service):
         while self._rows_left:
             row = self._rows_left[0]
             try:
-                self.publish(row.channel, body_in(message.payload, row.type, row.fields), row.to)
+                body, left_out = body_in(message.payload, row.type, row.fields)
+                if left_out:
+                    self._complain(f"of what {message.topic} says a part is left out: {'; '.join(left_out)}")
+                self.publish(row.channel, body, row.to)
                 self._taken += 1
             except MailboxFull:
                 return False
@@ -218,7 +221,7 @@ class MqttBridge(Service):
                 counts.waiting,
                 self._taken,
                 overflowed,
-                self._unfit,
+                self._unfit + counts.oversized,
             ),
         )
         self._complained.clear()

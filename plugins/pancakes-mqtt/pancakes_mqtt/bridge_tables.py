@@ -10,7 +10,7 @@ from msgspec import Meta
 from pancakes.packet import LOG, NETWORK, SYSCTRL, SYSTEM
 from pancakes.runtime.foundation.names import fault_of_name
 from pancakes_mqtt.message import Qos
-from pancakes_mqtt.topics import fault_of_filter, fault_of_template
+from pancakes_mqtt.topics import fault_of_filter, fault_of_retained, fault_of_template
 
 Positive = Annotated[float, Meta(gt=0)]
 PLACES: Final = {
@@ -80,6 +80,8 @@ class TakeRow:
 
     def __post_init__(self) -> None:
         if fault := fault_of_name(self.channel) or fault_of_filter(self.topic):
+            raise ValueError(fault)
+        if self.retained and (fault := fault_of_retained(self.topic)):
             raise ValueError(fault)
         if self.channel in NOT_TAKEN:
             raise ValueError(f"no message becomes a packet on {self.channel}: take it on {SYSTEM}, or on another")

@@ -41,6 +41,8 @@ UNSPECIFIED: Final = 0x80
 ONLINE: Final = b"online"
 OFFLINE: Final = b"offline"
 GROUND_S: Final = 0.5
+BESIDE_PAYLOAD_BYTES: Final = 66_000
+"""What a message may have besides its payload: its topic above all."""
 
 Say = Callable[[str, str], None]
 """Says a line on `log`: its level, and its text. Any thread."""
@@ -54,6 +56,7 @@ class Counts(msgspec.Struct, frozen=True):
     published: int = 0
     unsent: int = 0
     waiting: int = 0
+    oversized: int = 0
 
 
 class BrokerConnection:
@@ -214,6 +217,7 @@ class BrokerConnection:
             return {}
         properties = Properties(PacketTypes.CONNECT)
         properties.SessionExpiryInterval = settings.session_s
+        properties.MaximumPacketSize = min(settings.largest_bytes + BESIDE_PAYLOAD_BYTES, 0xFFFFFFFF)
         # Never a clean start: mosquitto 2.0 does not write the session of one that began so to its disk.
         return {"properties": properties, "clean_start": settings.session_s == 0}
 
@@ -436,6 +440,11 @@ class BrokerConnection:
             topic = message.topic
         except UnicodeDecodeError:
             self._say_once("warning", "a message came on a topic that is no UTF-8")
+            return
+        if (size := len(message.payload)) > self._settings.largest_bytes:
+            self._count(oversized=1)
+            most = f"largest_bytes = {self._settings.largest_bytes}"
+            self._say_once("warning", f"a message on {topic} is not taken: it has {size} bytes, and {most}")
             return
         came = Message(topic, message.payload, message.qos, bool(message.retain))
         if not self._subscriptions.give(came):

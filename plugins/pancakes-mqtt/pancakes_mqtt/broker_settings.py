@@ -34,6 +34,7 @@ class BrokerSettings:
         session_s: for how long, in seconds of the host, the broker keeps what comes for this agent (QoS 1 and 2) while
             it is away; 0: not at all; 4294967295: for ever. With 3.1.1 the broker's own configuration says how long.
         queue: so many messages wait at the most, each way.
+        largest_bytes: a message whose payload is larger is not taken. With MQTT 5 the broker does not even send it.
     """
 
     broker: str = "mqtt://127.0.0.1"
@@ -47,6 +48,7 @@ class BrokerSettings:
     keepalive_s: Annotated[int, msgspec.Meta(ge=2, le=3600)] = 15
     session_s: Annotated[int, msgspec.Meta(ge=0, le=0xFFFFFFFF)] = 300
     queue: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1000
+    largest_bytes: Annotated[int, msgspec.Meta(ge=1, le=0x0FFFFFFF)] = 1_048_576
 
     def __post_init__(self) -> None:
         fault = fault_of_broker(self.broker)

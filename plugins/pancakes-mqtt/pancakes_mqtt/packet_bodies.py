@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any
+
+from msgspec import inspect
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.packet import Packet, body_class, body_from_plain, body_to_plain, field_names
+from pancakes.runtime.foundation import codecs
 from pancakes.settings import required_keys
-from pancakes_mqtt.payloads import BadPayload, plain_json, value_at
+from pancakes_mqtt.payloads import BadPayload, number_of, plain_json, truth_of, value_at
 
 
 def payload_of(packet: Packet, whole: bool) -> bytes:
@@ -31,8 +35,11 @@ def payload_of(packet: Packet, whole: bool) -> bytes:
     return plain_json(told)
 
 
-def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> Any:
-    """Returns the body of a packet that a payload tells of.
+def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> tuple[Any, list[str]]:
+    """Returns the body of a packet that a payload tells of, and what of the payload could not be read.
+
+    Numbers, and yes and no, are read as the drivers of sensors read them: as JSON's own, or as texts. A field that has
+    a default keeps it if what the payload says of it cannot be read.
 
     Args:
         payload: JSON.
@@ -40,7 +47,7 @@ def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> Any:
         paths: the path of each field that has another than its own name.
 
     Raises:
-        BadPayload: there is none in it.
+        BadPayload: there is no body in it.
     """
     cls = body_class(kind)
     names = field_names(cls) if cls is not None else ()
@@ -52,7 +59,54 @@ def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> Any:
         plain = {next(iter(needed)): value}
     else:
         raise BadPayload(f"{kind} has the fields {', '.join(names) or 'none'}, and the payload is no JSON object")
+    left_out = list(_read_fields(plain, cls)) if cls is not None else []
     try:
-        return body_from_plain(kind, plain)
+        return body_from_plain(kind, plain), left_out
     except RemoteProtocolError as error:
         raise BadPayload(str(error)) from None
+
+
+def _read_fields(plain: dict[str, Any], cls: type) -> Iterator[str]:
+    """Reads the values of fields as their types want them; yields why a field is left out.
+
+    Raises:
+        BadPayload: a field cannot be read that the body needs.
+    """
+    for field in codecs.type_info(cls).fields:  # type: ignore[attr-defined]
+        name = field.encode_name
+        if name not in plain:
+            continue
+        try:
+            value = _read_value(plain[name], field.type)
+        except BadPayload as error:
+            if field.required:
+                raise BadPayload(f"{name}: {error}") from None
+            yield f"{name}: {error}"
+            del plain[name]
+        else:
+            plain[name] = value
+
+
+def _read_value(value: Any, kind: inspect.Type) -> Any:
+    """Returns a value as a type wants it: what is no number and no yes or no is left to `body_from_plain`."""
+    if isinstance(kind, inspect.Metadata) and (kind.extra or {}).get("nan"):  # NaN says that it is not known
+        return math.nan if value is None else value if isinstance(value, (int, float)) else number_of(value)
+    kinds = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
+    kinds = tuple(it.type if isinstance(it, inspect.Metadata) else it for it in kinds)
+    if any(isinstance(it, inspect.StrType) for it in kinds):
+        return value
+    if isinstance(value, float) and not math.isfinite(value):
+        raise BadPayload(f"{value} is no finite number")
+    if any(isinstance(it, inspect.BoolType) for it in kinds):
+        read: Any = value if isinstance(value, (Mapping, list)) else truth_of(value)
+    elif any(isinstance(it, (inspect.FloatType, inspect.IntType)) for it in kinds) and isinstance(
+        value, (str, type(None))
+    ):
+        read = number_of(value)
+        if read is not None and read.is_integer() and not any(isinstance(it, inspect.FloatType) for it in kinds):
+            read = int(read)
+    else:
+        return value
+    if read is None and not any(isinstance(it, inspect.NoneType) for it in kinds):
+        raise BadPayload("the device cannot tell")
+    return read

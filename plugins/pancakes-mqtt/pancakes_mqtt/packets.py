@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
 
 from pancakes.packet import packet_type
@@ -31,7 +33,7 @@ class Switch(msgspec.Struct, frozen=True):
 class Light(msgspec.Struct, frozen=True):
     """A command to a light: how bright it shall shine, from 0 (off) to 1."""
 
-    brightness: float
+    brightness: Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 
 @packet_type("mqtt.traffic")
@@ -46,7 +48,7 @@ class BrokerTraffic(msgspec.Struct, frozen=True):
         waiting: messages that wait for the broker, or for its word.
         taken: messages that became packets.
         overflowed: messages (QoS 0) that fell out because they came faster than packets could be made of them.
-        unfit: messages that no packet could be made of.
+        unfit: messages that no packet could be made of, or that were too large.
     """
 
     connected: bool

@@ -6,8 +6,10 @@ from 0; `*` is the one key under which the rest of the path leads on.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -21,6 +23,10 @@ UNKNOWN: Final = ("", "unknown", "unavailable", "null")
 """What devices say for: I cannot tell."""
 SHOWN: Final = 60
 _decode: Final = codecs.json_decoder()
+_WORDS: Final = re.compile(r'"(?:[^"\\]|\\.)*(?:"|\Z)|[-+]?\b(?:nan|inf|infinity)\b', re.IGNORECASE | re.DOTALL)
+"""A text in JSON, or what a C program prints for a number that is none."""
+_BROKEN: Final = "\ufffd"
+"""Stands for bytes that are no UTF-8."""
 
 
 class BadPayload(ValueError):
@@ -51,19 +57,71 @@ def value_at(payload: bytes, path: str) -> Any:
 
 
 def decoded(payload: bytes) -> Any:
-    """Returns what a payload says in JSON. Raises BadPayload."""
+    """Returns what a payload says in JSON, as far as it can be read: see `oddities`. Raises BadPayload."""
     try:
         return _decode(payload)
     except MALFORMED as error:
+        found, value = _decoded_leniently(payload)
+        if found:
+            return value
         raise BadPayload(f"{shown(payload)} is no JSON ({why_malformed(error)})") from None
+
+
+def oddities(payload: bytes) -> str:
+    """Returns what in a payload that can be read is no JSON: `humidity is nan`; empty: nothing, or all of it."""
+    try:
+        _decode(payload)
+        return ""
+    except MALFORMED:
+        found, value = _decoded_leniently(payload)
+    return ", ".join(f"{path or 'it'} {fault}" for path, fault in list(_odd_in(value, ""))[:5]) if found else ""
+
+
+def _decoded_leniently(payload: bytes) -> tuple[bool, Any]:
+    """Reads what devices write for JSON: with NaN and inf, bytes of other alphabets, a mark of their order, a zero."""
+    text = payload.decode("utf-8", "replace").removeprefix("\ufeff").rstrip("\0")
+    try:
+        # Python knows these words in one spelling only.
+        text = _WORDS.sub(lambda found: _word(found[0]), text)
+        return True, json.loads(text, strict=False, parse_int=_whole_number)
+    except (ValueError, RecursionError):
+        return False, None
+
+
+def _word(found: str) -> str:
+    if found.startswith('"'):
+        return found
+    if found.lower().endswith("nan"):
+        return "NaN"
+    return "-Infinity" if found.startswith("-") else "Infinity"
+
+
+def _whole_number(digits: str) -> float:
+    try:
+        return int(digits)
+    except ValueError:  # Python reads no number of thousands of digits
+        return math.inf
+
+
+def _odd_in(value: Any, path: str) -> Iterator[tuple[str, str]]:
+    if isinstance(value, float) and not math.isfinite(value):
+        yield path, f"is {value}"
+    elif isinstance(value, str) and (_BROKEN in value or not value.isprintable()):
+        yield path, f"is {shown(value)}"
+    elif isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _odd_in(inner, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, list):
+        for number, inner in enumerate(value):
+            yield from _odd_in(inner, f"{path}.{number}" if path else str(number))
 
 
 def _whole(payload: bytes) -> Any:
     try:
-        return _decode(payload)
-    except MALFORMED:
+        return decoded(payload)
+    except BadPayload:
         try:
-            return payload.decode()
+            return payload.decode("utf-8-sig").rstrip("\0")
         except UnicodeDecodeError:
             raise BadPayload(f"{shown(payload)} is no text") from None
 
@@ -109,11 +167,21 @@ def number_of(value: Any) -> float | None:
     return number
 
 
-def truth_of(value: Any) -> bool | None:
-    """Returns a value as yes or no; None where the device says that it cannot tell. Raises BadPayload."""
+def truth_of(value: Any, yes: Sequence[str] = (), no: Sequence[str] = ()) -> bool | None:
+    """Returns a value as yes or no; None if the device says that it cannot tell. Raises BadPayload.
+
+    Args:
+        value: what the device says.
+        yes: what means yes, in small letters, besides what always does.
+        no: what means no.
+    """
+    text = str(value).strip().lower()
+    if text in yes:
+        return True
+    if text in no:
+        return False
     if value is None or isinstance(value, bool):
         return value
-    text = str(value).strip().lower()
     if text in UNKNOWN:
         return None
     if text in TRUE:

@@ -5,9 +5,10 @@ A message becomes a reading in the thread of the connection, which hands it to t
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
@@ -18,14 +19,15 @@ from pancakes.bodies.devices.types import Battery, Motion, Pose, Sonar, Temperat
 from pancakes.errors import PancakesError
 from pancakes_mqtt.broker_settings import BrokerSettings
 from pancakes_mqtt.forms import FORMS, FormName, Saying, fault_of_device, named
-from pancakes_mqtt.freshness import Freshness
 from pancakes_mqtt.message import Message, Qos
 from pancakes_mqtt.packets import Number
-from pancakes_mqtt.payloads import BadPayload, celsius_of, decoded, number_of, truth_of, value_at
+from pancakes_mqtt.payloads import BadPayload, celsius_of, decoded, number_of, oddities, truth_of, value_at
 from pancakes_mqtt.shared_broker import SharedBroker, shared_broker
-from pancakes_mqtt.topics import fault_of_filter, means
+from pancakes_mqtt.topics import fault_of_filter, fault_of_retained, means
 
 Positive = Annotated[float, Meta(gt=0)]
+MOST_TOLD = 20
+"""A device warns of no more than so many different things that are wrong in part."""
 
 
 class MqttSensor(Sensor):
@@ -51,7 +53,6 @@ class MqttSensor(Sensor):
             qos: the quality of service that the broker is asked for.
             retained: whether a reading that the broker has kept, and that may be old, counts.
             max_hz: how many readings a second are published, where more come; without it, all are.
-            stale_after_s: after so long without a reading, in mission time, the log has a warning; without it, never.
         """
 
         form: FormName = ""
@@ -62,7 +63,6 @@ class MqttSensor(Sensor):
         qos: Qos = 1
         retained: bool = False
         max_hz: Positive | None = None
-        stale_after_s: Positive | None = None
 
         def __post_init__(self) -> None:
             super().__post_init__()
@@ -71,6 +71,8 @@ class MqttSensor(Sensor):
             for topic in filter(None, (self.topic, self.available)):
                 if fault := fault_of_filter(topic):
                     raise ValueError(fault)
+            if self.retained and (fault := fault_of_retained(self.topic)):
+                raise ValueError(fault)
             if not self.form and not self.topic:
                 raise ValueError("topic is missing, or form and device")
 
@@ -81,10 +83,8 @@ class MqttSensor(Sensor):
         self._saying = self._where()
         self._available = self._where_available()
         self._pace = Pace(settings.max_hz) if settings.max_hz is not None else None
-        self._freshness = Freshness()
         self._broker: SharedBroker | None = None
-        self._closed = False
-        self._complained = ""
+        self._told: set[str] = set()
         self._there = True
 
     @abstractmethod
@@ -106,12 +106,8 @@ class MqttSensor(Sensor):
         self._broker.listen(self._saying.topic, self.settings.qos, self._came)
         if self._available.topic:
             self._broker.listen(self._available.topic, 1, self._came)
-        self._freshness.heard(self.context.now())
-        if self.settings.stale_after_s is not None:
-            self._watch()
 
     def close(self) -> None:
-        self._closed = True
         if self._broker is not None:
             self._broker.leave(self.context.device, self._came)
 
@@ -129,15 +125,6 @@ class MqttSensor(Sensor):
         of_form = FORMS[settings.form].available if settings.form else Saying("")
         return Saying(settings.available or named(of_form.topic, settings.device), of_form.field)
 
-    def _watch(self) -> None:
-        """Looks whether readings still come, each time that the newest may have grown too old."""
-        if self._closed:
-            return
-        left_s, silent_s = self._freshness.look(self.context.now(), self.settings.stale_after_s)
-        if silent_s is not None:
-            self.context.log("warning", f"no reading has come for {silent_s:.1f} s of mission time")
-        self.context.after(left_s, self._watch)
-
     # In the connection's thread --------------------------------------------------------------------------------
 
     def _came(self, message: Message) -> None:
@@ -145,19 +132,17 @@ class MqttSensor(Sensor):
             self._heard_whether_there(message)
         if not means(self._saying.topic, message.topic) or (message.retain and not self.settings.retained):
             return
+        if odd := oddities(message.payload):
+            self.tell_once(f"what {message.topic} says is no JSON in part ({odd}): the rest of it is read")
         try:
             body = self.body(message.payload, self._saying.field)
         except BadPayload as error:
-            self._complain(f"what {message.topic} says is no reading: {error}")
+            self.context.missed(f"what {message.topic} says is no reading: {error}")
             return
-        if body is None:
-            return
-        self._complained = ""
-        now_s = self.context.now()
-        if self._freshness.heard(now_s):
-            self.context.log("info", "readings come again")
-        if self._pace is None or self._pace.due(now_s):
+        if body is not None and (self._pace is None or self._pace.due(self.context.now())):
             self.context.deliver(body)
+        else:
+            self.context.alive()
 
     def _heard_whether_there(self, message: Message) -> None:
         try:
@@ -169,12 +154,11 @@ class MqttSensor(Sensor):
             text = "the device is there again" if there else "the device says that it is offline"
             self.context.log("info" if there else "warning", text)
 
-    def _complain(self, text: str) -> None:
-        # Said once, until a reading is sound: a device that is at odds with its settings would drown everything else.
-        if self._complained != text:
-            if not self._complained:
-                self.context.log("warning", text)
-            self._complained = text
+    def tell_once(self, text: str) -> None:
+        """Warns of something in the log, once: a device that is at odds with its settings would drown the rest."""
+        if text not in self._told and len(self._told) < MOST_TOLD:
+            self._told.add(text)
+            self.context.log("warning", text)
 
 
 def _availability(payload: bytes, field: str) -> Any:
@@ -227,9 +211,31 @@ class MqttMotion(MqttSensor):
     type = "motion"
     kind = "motion"
 
+    @dataclass(kw_only=True)
+    class Settings(MqttSensor.Settings):
+        """Where it speaks, and how.
+
+        Attributes:
+            true_values: what it says for yes, such as `closed`, besides what always means yes (`on`, `open`, ...).
+            false_values: what it says for no.
+            invert: whether yes is told as no, and no as yes, as for a contact that says `true` when it is closed.
+        """
+
+        true_values: list[str] = field(default_factory=list)
+        false_values: list[str] = field(default_factory=list)
+        invert: bool = False
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            self.true_values = [it.strip().lower() for it in self.true_values]
+            self.false_values = [it.strip().lower() for it in self.false_values]
+            if both := next((it for it in self.true_values if it in self.false_values), None):
+                raise ValueError(f"true_values and false_values both have {both!r}")
+
     def body(self, payload: bytes, field: str) -> Motion | None:
-        detected = truth_of(value_at(payload, field))
-        return Motion(detected) if detected is not None else None
+        settings = self.settings
+        detected = truth_of(value_at(payload, field), settings.true_values, settings.false_values)
+        return Motion(detected is not settings.invert) if detected is not None else None
 
 
 class MqttBattery(MqttSensor):
@@ -243,7 +249,8 @@ class MqttBattery(MqttSensor):
         """Where it speaks, and how.
 
         Attributes:
-            full: what it says when the battery is full.
+            full: what it says when the battery is full: 100 if it speaks in percent, 1 if in fractions. What lies
+                beyond, or below 0, is no reading.
             voltage: the path of the voltage in its JSON; empty: it tells none.
             voltage_unit: the unit of that; Zigbee2MQTT says mV.
         """
@@ -256,11 +263,22 @@ class MqttBattery(MqttSensor):
         level = number_of(value_at(payload, field))
         if level is None:
             return None
+        full = self.settings.full
+        if not 0.0 <= level <= full:
+            raise BadPayload(f"a level of {level:g} is not between 0 and full = {full:g}")
+        return Battery(self._volts(payload), level / full)
+
+    def _volts(self, payload: bytes) -> float:
+        """Returns the voltage; NaN if it is not told, or is no number: the level is a reading all the same."""
         settings = self.settings
-        volts = number_of(value_at(payload, settings.voltage)) if settings.voltage else None
-        if volts is not None and settings.voltage_unit == "mV":
-            volts /= 1000.0
-        return Battery(float("nan") if volts is None else volts, min(1.0, max(0.0, level / settings.full)))
+        if not settings.voltage:
+            return math.nan
+        try:
+            volts = number_of(value_at(payload, settings.voltage))
+        except BadPayload as error:
+            self.tell_once(f"its voltage cannot be read: {error}")
+            return math.nan
+        return math.nan if volts is None else volts / 1000.0 if settings.voltage_unit == "mV" else volts
 
 
 class MqttDistance(MqttSensor):

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from typing import Final
 
 LONGEST_BYTES: Final = 65535
+SHARE: Final = "$share"
+"""A filter that begins so is for a group of clients, each message for one of them."""
 _PLACE: Final = re.compile(r"\{([^{}]*)\}")
 
 
@@ -14,11 +16,18 @@ def fault_of_topic(topic: str) -> str:
     """Says why no message can be published to a topic; empty: one can."""
     if found := next((sign for sign in "+#" if sign in topic), ""):
         return f"{topic!r} is no topic: {found} stands only in what is subscribed to"
+    if topic.startswith("$"):
+        return f"{topic!r} is no topic to publish to: those that begin with $ are the broker's own"
     return _fault(topic, "topic")
 
 
 def fault_of_filter(filter_: str) -> str:
     """Says why a filter cannot be subscribed to; empty: it can."""
+    if filter_.split("/")[0] == SHARE:
+        group, inner = _shared(filter_)
+        if not group or not inner or any(sign in group for sign in "+#"):
+            return f"{filter_!r} is no filter: a shared subscription reads $share/GROUP/FILTER"
+        filter_ = inner
     levels = filter_.split("/")
     if any("#" in level and (level != "#" or number < len(levels) - 1) for number, level in enumerate(levels)):
         return f"{filter_!r} is no filter: # stands alone, behind the last /"
@@ -37,9 +46,23 @@ def _fault(topic: str, kind: str) -> str:
     return ""
 
 
+def fault_of_retained(filter_: str) -> str:
+    """Says why what a broker has kept never comes for a filter (MQTT 5.0, 4.8.2); empty: it comes."""
+    if filter_.startswith(f"{SHARE}/"):
+        return f"retained = true says nothing of {filter_!r}: a broker sends what it has kept to no shared subscription"
+    return ""
+
+
+def _shared(filter_: str) -> tuple[str, str]:
+    """Returns the group of a shared subscription, `$share/GROUP/FILTER`, and its filter; else none, and the filter."""
+    first, _, rest = filter_.partition("/")
+    group, slash, inner = rest.partition("/")
+    return (group, inner) if first == SHARE and slash else ("", filter_)
+
+
 def means(filter_: str, topic: str) -> bool:
-    """Returns whether a filter means a topic (MQTT 5.0, 4.7)."""
-    wanted, levels = filter_.split("/"), topic.split("/")
+    """Returns whether a filter means a topic (MQTT 5.0, 4.7 and 4.8.2)."""
+    wanted, levels = _shared(filter_)[1].split("/"), topic.split("/")
     if topic.startswith("$") and wanted[0] in ("+", "#"):
         return False
     for number, level in enumerate(wanted):

@@ -97,7 +97,7 @@ class RosSensor(NetworkSensor):
             self._node = None
             NODES.give_back(self.context.agent)
 
-    def stale(self) -> None:
+    def silent(self) -> None:
         for inlet in self._inlets[:1]:
             inlet.explain(self._warn)
 
@@ -105,7 +105,7 @@ class RosSensor(NetworkSensor):
         if self._node is None:
             return
         bodies, lost = self._came.take()
-        left_out = lost + sum(not self.take(body, self.settings.topic) for body in bodies)
+        left_out = lost + sum(not self.take(body) for body in bodies)
         if not left_out or self._flood_told:
             return
         now_s = self.context.now()

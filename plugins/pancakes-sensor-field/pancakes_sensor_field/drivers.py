@@ -266,17 +266,7 @@ class TinySensor(NetworkSensor):
     """A virtual device that stands for what a tiny node measures; what that is, a subclass says."""
 
     networked = False  # the line is this agent's own: that it sleeps on the mesh does no harm
-
-    @dataclass
-    class Settings(NetworkSensor.Settings):
-        """How many readings are wanted.
-
-        Attributes:
-            max_hz: how many readings a second are published, where more come; without it, all are.
-            stale_after_s: after so long without a reading the log has a warning; longer than the report period.
-        """
-
-        stale_after_s: Positive = 30.0
+    silent_s = 30.0
 
 
 class TinyTemperature(TinySensor):
