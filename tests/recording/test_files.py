@@ -256,7 +256,7 @@ def test_a_file_that_was_only_just_made_spoils_no_recording(tmp_path, data):
 def test_a_file_is_one_from_its_making_on(tmp_path):
     writer = RecordingWriter(tmp_path / "r.mcap", {"agent": "a"})
     entries, reader = read(tmp_path / "r.mcap")
-    assert (entries, reader.readings[0].about) == ([], {"agent": "a"})
+    assert (entries, reader.readings[0].about["agent"]) == ([], "a")
     writer.close()
 
 
@@ -490,3 +490,12 @@ def test_viewers_are_shown_no_more_than_they_can_show():
     fast = [RecordedPacket(number * S // 50, "a", pose(number).packet) for number in range(100)]
     shown = [message for entry in fast for message in viewer.messages(entry) if message.topic == "/viewer/a/pose"]
     assert len(shown) == 20
+
+
+def test_recording_of_a_later_format_is_refused(tmp_path, monkeypatch):
+    with monkeypatch.context() as later:
+        later.setattr("pancakes.tools.recording.writer.FORMAT", 2)
+        later.setattr("pancakes.tools.recording.writer.__version__", "0.9.0")
+        RecordingWriter(tmp_path / "a.mcap", {"agent": "a"}).close()
+    with pytest.raises(RecordingError, match=r"a.mcap is of the format 2, which Pancakes 0\.9\.0 has written"):
+        read(tmp_path / "a.mcap")

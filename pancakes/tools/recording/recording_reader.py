@@ -12,7 +12,9 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 from msgspec.structs import replace
 
+from pancakes import __version__
 from pancakes.errors import RemoteProtocolError
+from pancakes.runtime.foundation.printable import printable
 from pancakes.tools.recording.alignment import CLOCKS, Alignment, ClockLife, Shift
 from pancakes.tools.recording.mcap_records import (
     READ_ERRORS,
@@ -27,7 +29,7 @@ from pancakes.tools.recording.mission_time import MissionTime
 from pancakes.tools.recording.parts import SUFFIX, first_name, part_number, parts_of
 from pancakes.tools.recording.recorded_packet import RecordedPacket, RecordingError
 from pancakes.tools.recording.schemas import SCHEMAS
-from pancakes.tools.recording.writer import METADATA
+from pancakes.tools.recording.writer import FORMAT, METADATA
 
 
 @dataclass
@@ -183,6 +185,17 @@ def _recorded(reading: FileReading) -> Iterator[RecordedPacket]:
             yield RecordedPacket(message.log_time, agent, packet)
 
 
+def _check_format(reading: FileReading) -> None:
+    """Raises `RecordingError` if a later version of Pancakes has written the recording in another way."""
+    told = reading.about.get("format", "1")
+    if told.isdecimal() and int(told[:9]) > FORMAT:
+        version = reading.about.get("version", "")
+        raise RecordingError(
+            f"{reading.path} is of the format {told[:9]}, which Pancakes {printable(version)} has written, and this is"
+            f" Pancakes {__version__}, which reads formats up to {FORMAT}: read it with that version"
+        )
+
+
 def messages(reading: FileReading, file: BinaryIO) -> Iterator[tuple[str, Channel, Message]]:
     """Gives all messages of a file as far as it is whole, each with the name of its schema and its channel.
 
@@ -201,6 +214,7 @@ def messages(reading: FileReading, file: BinaryIO) -> Iterator[tuple[str, Channe
                 schemas[record.id] = record.name
             elif isinstance(record, Metadata) and record.name == METADATA:
                 reading.about.update(record.metadata)
+                _check_format(reading)
             elif isinstance(record, Message):
                 channel = channels.get(record.channel_id)
                 if channel is None and reading.damage.chunks:

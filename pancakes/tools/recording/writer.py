@@ -23,6 +23,8 @@ CHUNK_BYTES: Final = 128 * 1024
 """A chunk ends once its messages are larger. Ending one costs as much as ten messages."""
 LIBRARY: Final = f"pancakes {__version__}"
 METADATA: Final = "pancakes"
+FORMAT: Final = 1
+"""Of recordings: a later version of Pancakes that writes them otherwise has a higher one, and reads this."""
 
 
 class RecordingWriter:
@@ -50,7 +52,7 @@ class RecordingWriter:
         self._mcap = Writer(self._file, sys.maxsize, CompressionType.ZSTD)  # only `flush` ends a chunk
         try:
             self._mcap.start(library=LIBRARY)
-            self._mcap.add_metadata(METADATA, dict(about))
+            self._mcap.add_metadata(METADATA, {**about, "format": str(FORMAT), "version": __version__})
             self._file.flush()  # an agent that is killed now leaves a recording that can be read
         except OSError:
             path.unlink()  # it cannot be read
