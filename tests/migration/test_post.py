@@ -94,12 +94,18 @@ class TestWhatIsLost:
         assert out.take_lost() == []
 
     def test_an_answer_says_so_without_an_acknowledgement(self, out):
-        assert out.is_unsure_of("a/Scan", 1) and not out.is_unsure_of("a/Scan", 0) and not out.is_unsure_of("b/X", 1)
+        assert out.is_unsure_of("a/Scan", 1) and out.is_unsure_of("a/Scan", 0) and not out.is_unsure_of("b/X", 1)
         out.began(StreamsBegan("a/Scan", 1, {"another": 0}), "b")
         assert out.take_lost() == []
         out.began(StreamsBegan("a/Scan", 1, {NAME: 0}), "b")
         assert out.take_lost() == [LostLetters("a/Scan", 1, 8, "b")]
-        assert not out.is_unsure_of("a/Scan", 1)
+        assert not out.is_unsure_of("a/Scan", 0)
+
+    def test_a_later_life_under_the_same_epoch_counts(self, out):
+        out.began(StreamsBegan("a/Scan", 0, {NAME: 6}, 1), "a")
+        assert out.take_lost() == [LostLetters("a/Scan", 7, 8, "a")]
+        out.began(StreamsBegan("a/Scan", 0, {NAME: 5}, 1), "a")
+        assert out.take_lost() == []
 
     def test_a_sender_that_moves_takes_along_what_it_knows(self, out):
         moved = Outgoing.of(out.posted(), "you")

@@ -150,3 +150,39 @@ def test_an_agent_that_was_not_asked_is_not_believed(fleet: FleetInTest):
     fleet.agents["c"].publish("network", StreamsBegan("a/Sink", 9, {stream: 0}), to=f"d/{COURIER}")
     fleet.run_for(1.0)
     assert told(fleet) == []
+
+
+@pytest.mark.parametrize("speaks", [False, True], ids=["says nothing more", "goes on"])
+def test_sender_is_told_after_each_crash_of_one_agent(speaks: bool):
+    """The task stays under its epoch, and begins from its last checkpoint: what came since is gone."""
+    with made({"type": "test.Sink"}) as fleet:
+        expected: list[tuple[Any, ...]] = []
+        sent = 0
+        for _ in range(3):
+            send(fleet, *range(sent + 1, sent + 4))
+            fleet.run_for(3.0)
+            fleet.faults.fill_disk("a")
+            send(fleet, *range(sent + 4, sent + 7))
+            assert not waiting(fleet)
+            fleet.crash("a")
+            fleet.faults.calm()
+            fleet.restart("a")
+            fleet.connect()
+            expected.append(("a/Sink", "d", sent + 4, sent + 6))
+            sent += 6
+            if speaks:
+                send(fleet, sent + 1)
+                sent += 1
+            fleet.run_for(5.0)
+            assert told(fleet) == expected
+
+
+def test_sender_is_told_nothing_if_an_agent_ends_in_good_order():
+    with made({"type": "test.Sink"}) as fleet:
+        send(fleet, *upto(5))
+        fleet.stop("a")
+        fleet.restart("a")
+        fleet.connect()
+        send(fleet, 6)
+        fleet.run_for(5.0)
+        assert told(fleet) == [] and numbers(fleet) == upto(6)

@@ -71,6 +71,7 @@ class Receipt(msgspec.Struct, frozen=True):
         epoch_n: how many hand-offs the task has behind it; the task is with the sender of this.
         began_n: the number of the epoch under which the task began there from a snapshot; -1: that is not known.
         began_seq: up to which letter of the stream that snapshot has the effects; -1: that is not known.
+        began_life: tells its beginnings under one epoch apart: each later one, after a crash of its agent, is higher.
     """
 
     task_id: str
@@ -79,6 +80,7 @@ class Receipt(msgspec.Struct, frozen=True):
     epoch_n: int
     began_n: int = -1
     began_seq: int = -1
+    began_life: int = 0
 
 
 @packet_type("post.when")
@@ -102,11 +104,13 @@ class StreamsBegan(msgspec.Struct, frozen=True):
         task_id: the task.
         began_n: as in `Receipt`.
         upto: the `began_seq` of each stream that was asked for, as in `Receipt`.
+        began_life: as in `Receipt`.
     """
 
     task_id: str
     began_n: int
     upto: dict[str, int]
+    began_life: int = 0
 
 
 @packet_type("post.forward_to")
@@ -124,6 +128,9 @@ class ForwardTo(msgspec.Struct, frozen=True):
     epoch_n: int
 
 
+UNKNOWN: Final = (-1, 0)
+
+
 class _Correspondence(msgspec.Struct):
     """All that goes to one task in one stream.
 
@@ -137,7 +144,7 @@ class _Correspondence(msgspec.Struct):
         in_flight: how many of `packets`, from the first on, have been sent.
         due_s: when these are sent again.
         pause_s: how long that is put off the next time.
-        began_n: as in `Receipt`, of the agent that has acknowledged last; -1: none has.
+        began: `began_n` and `began_life` of the agent that has acknowledged last; `UNKNOWN`: none has.
     """
 
     name: str
@@ -149,7 +156,7 @@ class _Correspondence(msgspec.Struct):
     in_flight: int = 0
     due_s: float = 0.0
     pause_s: float = RESEND_S
-    began_n: int = -1
+    began: tuple[int, int] = UNKNOWN
 
     @property
     def acknowledged(self) -> int:
@@ -213,6 +220,8 @@ def name_to(stream: str, task_id: str) -> str:
         task_id: the task, as `birthplace/name`.
     """
     name, _, secret = stream.partition("#")
+    if not secret:
+        return stream  # it comes from a state directory of before, and is known by this name
     return f"{name}#{blake2s(task_id.encode(), key=secret.encode(), digest_size=12).hexdigest()}"
 
 
@@ -248,7 +257,7 @@ class Outgoing:
             size = sum(map(len, to.packets))
             name = name_to(posted.stream, to.task_id)
             stream._to[to.task_id] = _Correspondence(
-                name, to.host, to.epoch_n, packets, size, to.next_seq, began_n=to.began_n
+                name, to.host, to.epoch_n, packets, size, to.next_seq, began=(to.began_n, to.began_life)
             )
         return stream
 
@@ -257,7 +266,7 @@ class Outgoing:
         return Posted(
             self.stream,
             tuple(
-                PostedTo(task_id, to.host, to.epoch_n, to.next_seq, tuple(to.packets.values()), to.began_n)
+                PostedTo(task_id, to.host, to.epoch_n, to.next_seq, tuple(to.packets.values()), *to.began)
                 for task_id, to in self._to.items()
             ),
         )
@@ -313,7 +322,7 @@ class Outgoing:
         to = self._to.get(receipt.task_id)
         if to is None or receipt.stream != to.name or peer != to.host:
             return []
-        self._began(receipt.task_id, to, receipt.began_n, receipt.began_seq, peer)
+        self._began(receipt.task_id, to, (receipt.began_n, receipt.began_life), receipt.began_seq, peer)
         if receipt.epoch_n >= to.epoch_n:
             to.host, to.epoch_n = peer, receipt.epoch_n
         while to.packets and next(iter(to.packets)) <= receipt.seq:
@@ -324,20 +333,23 @@ class Outgoing:
         return self._fill(receipt.task_id, to)
 
     def is_unsure_of(self, task_id: str, epoch_n: int) -> bool:
-        """Returns whether what was acknowledged for a task may be lost, now that it is owned under an epoch."""
+        """Returns whether what was acknowledged for a task may be lost, now that it is owned under an epoch.
+
+        Under one epoch too: its agent may have crashed, and have begun from its last checkpoint.
+        """
         to = self._to.get(task_id)
-        return to is not None and to.acknowledged > 0 and 0 <= to.began_n < epoch_n
+        return to is not None and to.acknowledged > 0 and 0 <= to.began[0] <= epoch_n
 
     def began(self, news: StreamsBegan, peer: str) -> None:
         """Learns from what state a task began where it is now."""
         to = self._to.get(news.task_id)
         if to is not None and to.name in news.upto:
-            self._began(news.task_id, to, news.began_n, news.upto[to.name], peer)
+            self._began(news.task_id, to, (news.began_n, news.began_life), news.upto[to.name], peer)
 
-    def _began(self, task_id: str, to: _Correspondence, began_n: int, upto: int, peer: str) -> None:
-        if began_n <= to.began_n:
+    def _began(self, task_id: str, to: _Correspondence, began: tuple[int, int], upto: int, peer: str) -> None:
+        if began <= to.began:
             return
-        first_time, to.began_n = to.began_n < 0, began_n
+        first_time, to.began = to.began == UNKNOWN, began
         if not first_time and 0 <= upto < to.acknowledged:
             self._lost.append(LostLetters(task_id, upto + 1, to.acknowledged, peer))
 

@@ -35,7 +35,7 @@ class PostedTo(msgspec.Struct, frozen=True):
         epoch_n: how many hand-offs that news knows of.
         next_seq: number of the next packet.
         packets: those that were not acknowledged, as the wire writes them: the last ones before `next_seq`.
-        began_n: as in `post.Receipt`; -1: nothing was acknowledged.
+        began_n, began_life: as in `post.Receipt`; -1: nothing was acknowledged.
     """
 
     task_id: str
@@ -44,6 +44,7 @@ class PostedTo(msgspec.Struct, frozen=True):
     next_seq: int
     packets: tuple[bytes, ...]
     began_n: int
+    began_life: int = 0
 
 
 class Posted(msgspec.Struct, frozen=True):

@@ -81,7 +81,9 @@ class Arrivals:
             return []
         try:
             snapshot = Snapshot.decode(record.snapshot)
-            place.began = began_from(record.epoch, snapshot)
+            # In each start of the agent, and of the service, later than in the one before.
+            life = (self._talk.boot << 40) + int(host.kernel.host.now() * 1000.0)
+            place.began = began_from(record.epoch, snapshot, life)
             specs = [] if task_id.name in host.residents else [self._spec_here(snapshot)]
         except (PancakesError, msgspec.ValidationError) as error:
             if task_id.name not in host.residents:  # else that is said where its start is refused

@@ -128,7 +128,8 @@ class Deliveries:
         place = self._host.places.get(TaskId.parse(message.asked.task_id))
         if place is not None and place.began is not None and place.standing.record.phase is Phase.OWNER:
             upto = {stream: place.began.upto(stream) for stream in message.asked.streams}
-            self._say(message.peer, StreamsBegan(message.asked.task_id, place.began.epoch_n, upto))
+            began = StreamsBegan(message.asked.task_id, place.began.epoch_n, upto, place.began.life)
+            self._say(message.peer, began)
 
     def again(self, place: Place) -> None:
         """Gives a task that has begun anew what was acknowledged and is not in its checkpoint; all else comes after."""
@@ -147,7 +148,8 @@ class Deliveries:
         began, epoch_n = place.began, place.standing.record.epoch.n
         receipt = Receipt(str(place.task_id), packet.stream, packet.seq, epoch_n)
         if began is not None:
-            receipt = replace(receipt, began_n=began.epoch_n, began_seq=began.upto(packet.stream))
+            upto = began.upto(packet.stream)
+            receipt = replace(receipt, began_n=began.epoch_n, began_seq=upto, began_life=began.life)
         self._say(sender, receipt)
 
     def _say(self, peer: str, body: Receipt | ForwardTo | StreamsBegan) -> None:

@@ -101,10 +101,12 @@ class BeganFrom(msgspec.Struct, frozen=True):
     Attributes:
         epoch_n: the number of the epoch under which it began.
         heard: the duplicate filter in the snapshot that it began from.
+        life: as `began_life` of `pancakes.mesh.migration.post.Receipt`.
     """
 
     epoch_n: int
     heard: Mapping[str, int]
+    life: int = 0
 
     def upto(self, stream: str) -> int:
         """Returns up to which letter of a stream it had the effects; -1: that is not known."""
@@ -112,9 +114,9 @@ class BeganFrom(msgspec.Struct, frozen=True):
         return self.heard.get(stream, 0 if len(self.heard) < STREAMS else -1)
 
 
-def began_from(epoch: Epoch, snapshot: Snapshot) -> BeganFrom:
-    """Returns what a task begins from that is owned under an epoch."""
-    return BeganFrom(epoch.n, snapshot.heard)
+def began_from(epoch: Epoch, snapshot: Snapshot, life: int = 0) -> BeganFrom:
+    """Returns what a task begins from that is owned under an epoch; `life`: 0 where it has just come under that."""
+    return BeganFrom(epoch.n, snapshot.heard, life)
 
 
 class Unsure(msgspec.Struct, frozen=True):
