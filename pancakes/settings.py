@@ -202,9 +202,14 @@ def known_keys(cls: type) -> tuple[str, ...]:
     return tuple(field.name for field in dataclasses.fields(cls) if field.init)
 
 
-def required_keys(cls: type) -> list[str]:
+def required_keys(cls: type) -> tuple[str, ...]:
     """Returns the keys of a dataclass that have no default, in their order."""
-    return [field.name for field in codecs.type_info(cls).fields if field.required]  # type: ignore[attr-defined]
+    return _required_keys(cls)
+
+
+@cache
+def _required_keys(cls: type) -> tuple[str, ...]:
+    return tuple(field.name for field in codecs.type_info(cls).fields if field.required)  # type: ignore[attr-defined]
 
 
 def paths_in(kind: Any, plain: Any, key: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:

@@ -49,11 +49,11 @@ def leads_to(monkeypatch):
     asked = socket.getaddrinfo
 
     def set_places(name: str, *places: Any, after_s: float = 0.0) -> None:
-        def found(host: Any, *arguments: Any, flags: int = 0, **more: Any) -> Any:
+        def found(host: Any, port: Any, **more: Any) -> Any:
             host = host.decode() if isinstance(host, bytes) else host
             if host != name:
-                return asked(host, *arguments, flags=flags, **more)
-            if flags & socket.AI_NUMERICHOST:
+                return asked(host, port, **more)
+            if more.get("flags", 0) & socket.AI_NUMERICHOST:
                 raise socket.gaierror(socket.EAI_NONAME, "it is a name")
             threading.Event().wait(after_s)
             return [(FOUR, socket.SOCK_STREAM, 6, "", place) for place in places]

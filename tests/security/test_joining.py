@@ -196,6 +196,51 @@ def test_a_request_that_its_key_has_not_signed_is_given_nothing(office, waiting)
     assert join(there.code).name == "r1", "the code is good still"
 
 
+@pytest.mark.parametrize(
+    "said",
+    [b"[" * 100_000, b"9" * 100_000, b"[]", b'"text"', b'{"secret": 5, "request": 5}'],
+    ids=["deep", "long", "list", "text", "numbers"],
+)
+def test_a_request_that_is_none_says_nothing_at_the_desk(waiting, said, capfd):
+    there = waiting()
+    with link_to(there.desk.code) as tls:
+        tls.sendall(said + b"\n")
+        with contextlib.suppress(OSError):
+            assert tls.makefile("rb").readline() == b""
+    assert join(there.code).name == "r1"
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("answer", "sentence"),
+    [
+        (b"[" * 100_000, "answers cannot be read"),
+        (b'{"a": ' + b"9" * 100_000 + b"}", "answers cannot be read"),
+        (b'["error"]', "has not answered"),
+        (b'"error"', "has not answered"),
+        (b'{"error": "\\u001b[2J"}', r"says: \x1b[2J"),
+        (b"{}", "has not answered"),
+    ],
+    ids=["deep", "long", "list", "text", "terminal", "empty"],
+)
+def test_what_the_operators_machine_answers_is_no_traceback(waiting, answer, sentence):
+    context, pin = shown_by_another()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            link, _ = listener.accept()
+            with context.wrap_socket(link, server_side=True) as tls:
+                tls.makefile("rb").readline()
+                tls.sendall(answer + b"\n")
+
+        serving = threading.Thread(target=serve, daemon=True)
+        serving.start()
+        with pytest.raises(PancakesError) as error:
+            join(str(waiting().desk.code._replace(port=listener.getsockname()[1], pin=pin)))
+        serving.join(PATIENCE_S)
+    assert sentence in str(error.value)
+
+
 def asked(code: JoinCode, request: dict[str, str]) -> Any:
     """Returns what a desk answers to a request."""
     with link_to(code) as tls:

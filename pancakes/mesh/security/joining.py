@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
@@ -32,6 +33,8 @@ from pancakes.mesh.security.authority import new_key, pem_of_key
 from pancakes.mesh.security.key_files import KeyFiles, write_private
 from pancakes.mesh.side_by_side import connect
 from pancakes.runtime.clock import MonotonicClock, wall_ns
+from pancakes.runtime.foundation.json_text import plain_of
+from pancakes.runtime.foundation.printable import printable_line
 
 OPEN_S: Final = 600.0
 TRIES: Final = 5
@@ -39,6 +42,8 @@ PATIENCE_S: Final = 5.0
 LOOK_S: Final = 0.2
 MOST_BYTES: Final = 256 * 1024
 _HASH_BYTES: Final = 15
+_NO_REQUEST: Final = (OSError, ValueError, KeyError, TypeError, AttributeError, UnsupportedAlgorithm)
+"""What reading a stranger's request raises. It ends that connection, and nothing is said at the operator's terminal."""
 _SECRET_BYTES: Final = 10
 _PEM: Final = serialization.Encoding.PEM
 _NO_CODE: Final = "is no join code: copy it whole, from the terminal of the operator that shows it"
@@ -164,9 +169,9 @@ class Desk:
 
     def _meet(self, link: socket.socket, place: str, certify: Certify) -> None:
         link.settimeout(PATIENCE_S)
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError), link:
+        with contextlib.suppress(*_NO_REQUEST), link:
             with self._context.wrap_socket(link, server_side=True) as tls:
-                asked = json.loads(tls.makefile("rb").readline(MOST_BYTES))
+                asked = plain_of(tls.makefile("rb").readline(MOST_BYTES))
                 request = x509.load_pem_x509_csr(asked["request"].encode())
                 answer = self._answer(bytes.fromhex(asked["secret"]), request, place, certify)
                 _say(tls, answer)
@@ -221,14 +226,14 @@ def join(text: str) -> KeyFiles:
                     f"at {place} is not the machine that made this code: another one is in between, or the code is old"
                 )
             _say(tls, asked)
-            answer = json.loads(tls.makefile("rb").readline(MOST_BYTES) or b"{}")
+            answer = plain_of(tls.makefile("rb").readline(MOST_BYTES) or b"{}")
     except OSError as error:
         why = (error.strerror or str(error)).lower()
         raise PancakesError(f"{place} cannot be reached: {why}. Does pancakes fleet enrol still wait there?") from None
     except ValueError:
         raise PancakesError(f"what {place} answers cannot be read") from None
-    if "error" in answer:
-        raise PancakesError(f"{place} says: {answer['error']}")
+    if isinstance(answer, dict) and "error" in answer:
+        raise PancakesError(f"{place} says: {printable_line(str(answer['error']))}")
     try:
         return KeyFiles.of_text(answer, pem_of_key(key))
     except (KeyError, TypeError, AttributeError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Final
 
@@ -13,6 +12,7 @@ from pancakes.mesh.security.key_files import write_private
 from pancakes.mesh.security.rules import DEFAULT, EVERY, AccessRule
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED
+from pancakes.runtime.foundation.toml_values import toml_values
 
 RULES: Final = "rules.toml"
 _HEAD: Final = """\
@@ -37,10 +37,10 @@ def read_rules(folder: Path) -> tuple[AccessRule, ...]:
     """
     path = folder / RULES
     try:
-        return codecs.convert(tomllib.loads(path.read_text(encoding="utf-8")), _File).access.allow
+        return codecs.convert(toml_values(path.read_text(encoding="utf-8")), _File).access.allow
     except OSError as error:
         raise PancakesError(f"the rules {path} cannot be read: {error.strerror or error}") from None
-    except (*MALFORMED, tomllib.TOMLDecodeError) as error:
+    except (*MALFORMED, ValueError) as error:
         raise PancakesError(f"the rules {path} are not sound: {error}") from None
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from typing import Any
 
 from pancakes.errors import Fault
 from pancakes.runtime.config.key_places import KeyPlaces, key_text
 from pancakes.runtime.config.scanner import key_at
+from pancakes.runtime.foundation.toml_values import toml_values
 
 EXAMPLE = "write it as table.key=value, such as clock.speed=5"
 
@@ -45,7 +45,7 @@ def change_of(text: str) -> tuple[tuple[str, ...], Any] | None:
     """Reads `table.key=value`; returns the keys and the value, None where it is no such text."""
     try:
         found = key_at(text.strip())
-    except tomllib.TOMLDecodeError:
+    except ValueError:
         return None
     rest = text.strip()[found[1] :].lstrip() if found else ""
     if found is None or not rest.startswith("="):
@@ -56,7 +56,7 @@ def change_of(text: str) -> tuple[tuple[str, ...], Any] | None:
 def _value_of(text: str) -> Any:
     """Returns the value that a person has typed: text that is TOML is taken as such, anything else as a string."""
     try:
-        parsed = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+        parsed = toml_values(f"value = {text}")
+    except ValueError:
         return text
     return parsed["value"] if len(parsed) == 1 else text

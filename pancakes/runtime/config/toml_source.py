@@ -14,6 +14,7 @@ from pancakes.runtime.config.key_places import NAMED_TABLES, KeyPlaces, key_text
 from pancakes.runtime.config.scanner import key_at, lines_of_keys
 from pancakes.runtime.config.tables import SCHEMA
 from pancakes.runtime.foundation.suggestion import suggestion
+from pancakes.runtime.foundation.toml_values import TomlBoundsError, toml_values
 from pancakes.runtime.foundation.units import written_for
 from pancakes.settings import dotted
 
@@ -69,7 +70,7 @@ def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> T
     broken: dict[int, _Broken] = {}
     while True:
         try:
-            values = tomllib.loads("".join(lines))
+            values = toml_values("".join(lines))
         except tomllib.TOMLDecodeError as error:
             number, found = _broken_line(error, lines)
             again = number in broken
@@ -78,8 +79,9 @@ def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> T
                 faults = [Fault(f"{where}:{it}", broken[it].key, broken[it].problem) for it in sorted(broken)]
                 raise ConfigError(faults) from None
             lines[number - 1] = found.mended
-        except RecursionError:
-            raise ConfigError([Fault(where, "TOML", "is nested too deeply")]) from None
+        except TomlBoundsError as error:
+            place = f"{where}:{error.line}" if error.line else where
+            raise ConfigError([Fault(place, "TOML", str(error))]) from None
         else:
             break
     keys = lines_of_keys("".join(lines))

@@ -21,6 +21,8 @@ from typing import Any, Final, TypeVar, overload
 import msgspec
 from msgspec import inspect
 
+from pancakes.runtime.foundation.json_text import plain_of
+
 UNENCODABLE: Final = (TypeError, ValueError, OverflowError, RuntimeError, MemoryError, msgspec.MsgspecError)
 """All that encoding raises. `RuntimeError`: it is too deep, or a mapping that its owner changes meanwhile."""
 LONG_JSON_BYTES: Final = 64 * 1024
@@ -74,10 +76,8 @@ def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]:
     def decode_any(data: bytes | str) -> Any:
         if len(data) <= LONG_JSON_BYTES:
             return decode(data)
-        import json  # takes 2 ms of a start
-
         try:
-            plain = json.loads(data)
+            plain = plain_of(data)
         except ValueError as error:
             raise msgspec.DecodeError(f"JSON is malformed: {error}") from None
         return msgspec.convert(plain, kind, str_keys=True)

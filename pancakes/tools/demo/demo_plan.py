@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from pancakes.errors import PancakesError
 from pancakes.runtime.config import Config, load
+from pancakes.runtime.foundation.toml_values import toml_values
 from pancakes.runtime.plugins import Plugins
 from pancakes.tools.demo.demo import Demo
 from pancakes.tools.launch.overrides import whose
@@ -132,7 +132,7 @@ def make_plan(
 def _places(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim | None, Mapping[str, list[str]]]:
     """Returns what keeps other demos from the ports of a live one, and what is to be set where it has others."""
     try:
-        tables = {agent: tomllib.loads(path.read_text(encoding="utf-8")) for agent, path in files.items()}
+        tables = {agent: toml_values(path.read_text(encoding="utf-8")) for agent, path in files.items()}
     except (OSError, ValueError):
         return None, {}  # whatever is wrong with it, reading it as a configuration says so better
     if not local:

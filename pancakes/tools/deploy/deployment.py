@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, TypedDict
 
 from pancakes.errors import PancakesError, describe
 from pancakes.tools.deploy.change import AgentChange
@@ -19,6 +19,13 @@ LOCK_S: Final = 120.0
 """So long a host may take to finish what was asked for over a connection that was lost."""
 MARGIN: Final = 1.1
 """What a disk loses beside the bytes of files."""
+
+
+class _Checked(TypedDict):
+    """What a host says of a configuration."""
+
+    sound: bool
+    said: str
 
 
 @dataclass(frozen=True)
@@ -199,7 +206,7 @@ class Deployment:
                 config=change.config,
                 about={"build": supply.build, "libraries": supply.libraries, "wheels": own},
             )
-            found = link.obtain("check", fleet=change.fleet, name=change.name, version=change.version)
+            found = link.obtain("check", kind=_Checked, fleet=change.fleet, name=change.name, version=change.version)
             if not found["sound"]:
                 raise PancakesError(f"{change.name} cannot run on {host}: {found['said']}")
             if found["said"]:

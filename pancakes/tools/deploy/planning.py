@@ -92,7 +92,7 @@ def _supply(host: Host, own: Sequence[Wheel], others: Sequence[Wheel], platform:
     needed = {wheel.name: wheel for wheel in (*own, *(others if libraries not in host.is_["libraries"] else ()))}
     lacks = set()
     if environment not in host.is_["environments"]:
-        lacks = set(host.link.obtain("missing", wheels=digests(needed.values())))
+        lacks = set(host.link.obtain("missing", kind=list[str], wheels=digests(needed.values())))
     missing = [wheel for name, wheel in needed.items() if name in lacks]
     return Supply(host, build, environment, own, libraries, others, missing)
 

@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import tomllib
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from pancakes.errors import PancakesError
+from pancakes.runtime.foundation.toml_values import toml_values
 from pancakes.runtime.foundation.user_folders import user_folder
 from pancakes.runtime.plugins import GROUPS
 
@@ -264,7 +264,7 @@ def _source_of(installed: Distribution) -> Path | None:
 def _is_built_with_what_is_here(source: Path) -> bool:
     """Returns whether all is installed here that builds a source, so that nothing has to be fetched for that."""
     try:
-        table = tomllib.loads((source / "pyproject.toml").read_text())["build-system"]
+        table = toml_values((source / "pyproject.toml").read_text())["build-system"]
         wanted = [Requirement(text) for text in table["requires"]]
         # An older one needs a further library to make wheels.
         wanted += [Requirement("setuptools>=70.1")] if any(it.name == "setuptools" for it in wanted) else []

@@ -206,12 +206,14 @@ class HostAgents:
             self._run.discard(name)
             self._listener.failed_there(name, f"{host} {told['fault']}")
         elif "result" in told:
-            self._listener.started_there(name, host, told["result"]["pid"])
-        elif told["event"] == "line":
-            self._listener.printed_there(name, told["text"])
-        elif told["event"] == "said":
-            self._listener.said_there(name, told["text"])
-        elif told["event"] == "ended":
+            result = told["result"]
+            pid = result.get("pid") if isinstance(result, dict) else None
+            self._listener.started_there(name, host, pid if isinstance(pid, int) else 0)
+        elif told.get("event") == "line":
+            self._listener.printed_there(name, told.get("text", ""))
+        elif told.get("event") == "said":
+            self._listener.said_there(name, told.get("text", ""))
+        elif told.get("event") == "ended":
             self._run.discard(name)
             self._kill_s.pop(name, None)
-            self._listener.ended_there(name, told["code"], "")
+            self._listener.ended_there(name, told.get("code", LOST), "")

@@ -9,10 +9,14 @@ import os
 import select
 import subprocess
 from collections.abc import Callable, Iterator
-from typing import Any, Final
+from typing import Any, Final, TypedDict
+
+import msgspec
 
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.json_text import plain_of
 from pancakes.tools.launch.ssh import no_ssh, open_host, scratch_file, sentence_of, source
 
 OPEN_S: Final = 30.0
@@ -23,6 +27,22 @@ PIECE_BYTES: Final = 192 * 1024
 """Files are sent in pieces of so many bytes."""
 _CHUNK: Final = 1 << 16
 _NOW: Final = MonotonicClock().now
+
+
+LONGEST_LINE: Final = 16 << 20
+"""No answer of a host is longer."""
+
+
+class _Told(TypedDict, total=False):
+    """What a host says in one line: the answer to a request, or an event of an agent."""
+
+    id: int
+    result: Any
+    fault: str
+    agent: str
+    event: str
+    text: str
+    code: int
 
 
 class HostError(PancakesError):
@@ -57,7 +77,7 @@ class HostLink:
         for end in (self._in, self._out):
             os.set_blocking(end, False)
         self._waiting = bytearray(source())
-        self._begun = b""
+        self._begun = bytearray()
         self._number = 0
 
     @property
@@ -103,14 +123,30 @@ class HostLink:
         if not data:
             self._end()
             return []
-        *lines, self._begun = (self._begun + data).split(b"\n")
-        return [found for line in lines for found in _parsed(line)]
+        *lines, begun = data.split(b"\n")
+        if lines:
+            lines[0], self._begun = bytes(self._begun) + lines[0], bytearray()
+        self._begun += begun
+        try:
+            if max(map(len, (*lines, self._begun))) > LONGEST_LINE:
+                raise ValueError(f"a line of more than {LONGEST_LINE >> 20} MiB")
+            return [found for line in lines for found in _parsed(line)]
+        except (ValueError, msgspec.ValidationError) as error:
+            self._end(0.0)
+            self.lost = f"{self.host} answers what Pancakes does not say ({error}): see what runs there"
+            return []
 
-    def obtain(self, do: str, within_s: float = CALL_S, **arguments: Any) -> Any:
+    def obtain(self, do: str, within_s: float = CALL_S, kind: Any = Any, **arguments: Any) -> Any:
         """Asks for something, and waits for the answer; what the host tells meanwhile is passed over.
 
+        Args:
+            do: what is asked for.
+            within_s: how long the answer may take.
+            kind: the type of the answer.
+            arguments: what is said with it.
+
         Raises:
-            HostError: the host cannot do it.
+            HostError: the host cannot do it, or its answer is none of that type.
             Unreachable: the connection has ended, or no answer comes in time.
         """
         number, until_s = self.send(do, **arguments), _NOW() + within_s
@@ -128,7 +164,10 @@ class HostLink:
                     continue
                 if "fault" in answer:
                     raise HostError(f"{self.host} {answer['fault']}")
-                return answer["result"]
+                try:
+                    return codecs.convert(answer.get("result"), kind)
+                except msgspec.ValidationError as error:
+                    raise HostError(f"{self.host} answers {do} with what cannot be read: {error}") from None
         raise Unreachable(self.lost)
 
     def send_file(self, name: str, digest: str, data: bytes, told: Callable[[int], None] = lambda sent: None) -> None:
@@ -167,10 +206,14 @@ class HostLink:
 
 
 def _parsed(line: bytes) -> Iterator[dict[str, Any]]:
-    """Yields what a line says; the user's shell over there may have printed others."""
+    """Yields what a line says; the user's shell over there may have printed others.
+
+    Raises:
+        msgspec.ValidationError: it looks like an answer, and is none.
+    """
     try:
-        found = json.loads(line)
+        found = plain_of(line)
     except ValueError:
         return
     if isinstance(found, dict):
-        yield found
+        yield codecs.convert(found, _Told)

@@ -5,11 +5,58 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 from pancakes.errors import PancakesError
-from pancakes.tools.launch.host_link import OPEN_S, HostLink
+from pancakes.tools.launch.host_link import OPEN_S, HostError, HostLink
 from pancakes.tools.launch.member import Member
+
+
+class HostService(TypedDict):
+    """The service of an agent on a host."""
+
+    manager: str
+    state: str
+    pid: int
+    restarts: int
+
+
+class HostedAgent(TypedDict):
+    """What is on a host of an agent; see `pancakes.tools.there.looking`, as for the others."""
+
+    keys: bool
+    python: str
+    socket: str
+    version: str
+    last: str
+    about: dict[str, Any]
+    service: HostService | None
+
+
+class HostEntry(TypedDict):
+    """An agent that runs on a host."""
+
+    name: str
+    fleet: str
+    role: str
+    pid: int
+
+
+class HostLook(TypedDict):
+    """What a host says of itself."""
+
+    user: str
+    python: list[int]
+    executable: str
+    platform: str
+    libc: list[str]
+    free_bytes: int
+    data: str
+    systemd: bool
+    environments: list[str]
+    libraries: list[str]
+    running: list[HostEntry]
+    agents: dict[str, HostedAgent]
 
 
 @dataclass(frozen=True)
@@ -24,12 +71,11 @@ class Host:
 
     name: str
     link: HostLink
-    is_: Mapping[str, Any]
+    is_: HostLook
 
-    def agent(self, name: str) -> Mapping[str, Any]:
+    def agent(self, name: str) -> HostedAgent:
         """Returns what is there of an agent."""
-        found: Mapping[str, Any] = self.is_["agents"][name]
-        return found
+        return self.is_["agents"][name]
 
     def runs(self, member: Member) -> int:
         """Returns the process of an agent there; 0: it does not run."""
@@ -63,7 +109,10 @@ def _looked(members: Sequence[Member], links: Mapping[str, HostLink]) -> dict[st
     for name, link in links.items():
         fleets = {it.name: it.config.agent.fleet for it in members if it.host == name}
         try:
-            hosts[name] = Host(name, link, link.obtain("look", OPEN_S, fleet_of=fleets))
+            found = link.obtain("look", OPEN_S, HostLook, fleet_of=fleets)
+            if missing := [agent for agent in fleets if agent not in found["agents"]]:
+                raise HostError(f"{name} says nothing of {', '.join(missing)}")
+            hosts[name] = Host(name, link, found)
         except PancakesError as error:
             problems.append(str(error))
     if problems:

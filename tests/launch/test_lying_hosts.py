@@ -1,0 +1,63 @@
+"""What a host may answer that is not Pancakes: each has a sentence, and nothing of it is taken for more than it is."""
+
+import json
+import sys
+
+import pytest
+
+from pancakes.errors import PancakesError
+from pancakes.tools.launch.host_link import LONGEST_LINE, HostLink
+from pancakes.tools.launch.hosts import HostLook
+from pancakes.tools.launch.ssh import VARIABLE
+
+DEEP = "[" * 100_000
+
+SAYS = """
+import json, sys
+sys.stdin.buffer.readline()
+answer = open({answer!r}, "rb").read()
+for line in sys.stdin:
+    sys.stdout.buffer.write(answer.replace(b"NUMBER", str(json.loads(line)["id"]).encode()))
+    sys.stdout.buffer.flush()
+"""
+
+
+@pytest.fixture
+def host(tmp_path, monkeypatch):
+    """Makes a connection to a host that answers so; NUMBER stands for that of the request."""
+    links = []
+
+    def make(answer: str) -> HostLink:
+        (tmp_path / "answer").write_text(answer)
+        (tmp_path / "says.py").write_text(SAYS.format(answer=str(tmp_path / "answer")))
+        monkeypatch.setenv(VARIABLE, f"{sys.executable} {tmp_path / 'says.py'}")
+        links.append(HostLink("robot1"))
+        return links[-1]
+
+    yield make
+    for link in links:
+        link.close(0.0)
+
+
+@pytest.mark.parametrize(
+    ("answer", "sentence"),
+    [
+        ('{"id": "one"}\n', "robot1 answers what Pancakes does not say (Expected `int`, got `str` - at `$.id`)"),
+        ('{"id": NUMBER, "fault": [1]}\n', "robot1 answers what Pancakes does not say"),
+        ('{"id": NUMBER, "result": 5}\n', "robot1 answers look with what cannot be read: Expected `object`, got `int`"),
+        ('{"id": NUMBER}\n', "robot1 answers look with what cannot be read: Expected `object`, got `null`"),
+        ('{"id": NUMBER, "result": {"user": "pi"}}\n', "robot1 answers look with what cannot be read"),
+        ("x" * (LONGEST_LINE + 1), "robot1 answers what Pancakes does not say (a line of more than 16 MiB)"),
+    ],
+    ids=["number", "fault", "result", "none", "part", "line"],
+)
+def test_an_answer_that_is_none_is_a_sentence(host, answer, sentence):
+    with pytest.raises(PancakesError) as error:
+        host(answer).obtain("look", 10.0, HostLook, fleet_of={})
+    assert sentence in str(error.value)
+
+
+def test_what_a_shell_prints_is_passed_by_however_odd_it_is(host):
+    shell = "\n".join(["Welcome", DEEP, "9" * 100_000, '"text"', "[1, 2]", "{broken"])
+    answer = json.dumps({"id": 0, "result": ["wheel"]}).replace('"id": 0', '"id": NUMBER')
+    assert host(f"{shell}\n{answer}\n").obtain("missing", 10.0, list[str]) == ["wheel"]
