@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, TypeVar
 
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.transport import Transport
+from pancakes.runtime.foundation.log import Log
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 _T = TypeVar("_T")
@@ -84,8 +86,9 @@ class DriverContext:
     def after(self, delay_s: float, function: Callable[[], None]) -> None:
         self.later.append((self.time_s + delay_s, function))
 
-    def log(self, level: str, text: str) -> None:
-        self.lines.append((level, text))
+    @cached_property
+    def log(self) -> Log:
+        return Log(lambda level, text, traceback: self.lines.append((level, text)))
 
     def mission_packets_sent(self) -> int:
         return self.packets

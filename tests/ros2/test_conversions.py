@@ -20,6 +20,7 @@ from pancakes_ros2.conversion import (
     Unusable,
     messages_of,
     not_read,
+    read_battery,
     read_range,
 )
 
@@ -119,14 +120,21 @@ def test_each_sensor_of_a_ring_is_a_range_with_its_radiation():
 
 @pytest.mark.parametrize(
     ("distance_m", "read"),
-    [(0.5, (0.5, 2.0)), (math.inf, (2.0, 2.0)), (-math.inf, (0.0, 2.0)), (9.0, (2.0, 2.0)), (math.nan, None)],
+    [
+        (0.5, (0.5, 2.0)),
+        (math.inf, (2.0, 2.0)),
+        (-math.inf, (0.0, 2.0)),
+        (9.0, (2.0, 2.0)),
+        (math.nan, None),
+        (-1.0, None),
+    ],
 )
 def test_a_range_is_read_as_rep_117_says(distance_m, read):
     assert read_range(space(range=distance_m, max_range=2.0)) == read
 
 
 def test_rays_that_measured_nothing_are_left_out_of_a_scan():
-    scan = space(angle_min=0.0, angle_increment=0.5, range_max=4.0, ranges=[1.0, math.nan, math.inf])
+    scan = space(angle_min=0.0, angle_increment=0.5, range_max=4.0, ranges=[1.0, math.nan, math.inf, -1.0])
     assert CONVERSIONS["sonar", SCAN].read(scan) == Sonar((0.0, 1.0), (1.0, 4.0), 4.0)
 
 
@@ -142,6 +150,17 @@ def test_what_a_battery_does_not_know_is_nan_and_one_without_a_level_is_no_readi
     message.percentage = math.nan
     with pytest.raises(Unusable, match="does not say how full it is"):
         CONVERSIONS["battery", BATTERY].read(message)
+
+
+def test_a_battery_that_speaks_in_percent_is_not_full():
+    message = EMPTY[BATTERY]()
+    message.voltage, message.percentage = 12.0, 87.0
+    with pytest.raises(Unusable, match="set full = 100 if it speaks in percent"):
+        CONVERSIONS["battery", BATTERY].read(message)
+    assert read_battery(message, 100.0) == Battery(12.0, 0.87)
+    message.percentage = 1.0
+    message.voltage = math.inf
+    assert math.isnan(read_battery(message).voltage_v)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

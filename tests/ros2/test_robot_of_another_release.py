@@ -77,6 +77,23 @@ def test_all_its_sensors_are_read(start_agent, peer):
     }
 
 
+def test_one_sensor_of_a_ring_that_measures_nothing_costs_no_sweep(start_agent, peer):
+    start_agent("agent1", ROBOT)
+    fields = {"ir_0": {"range": 0.25, "max_range": 0.5}, "ir_1": {"range": float("nan"), "max_range": 0.5}}
+    with Client() as client, client.subscribe("agent1/system", timeout_s=20.0) as packets:
+        for topic, told in fields.items():
+            peer.order("publish", topic=f"/agent1/{topic}", type="sensor_msgs/msg/Range", fields=told, every_s=0.1)
+        peer.order(
+            "publish",
+            topic="/agent1/battery_state",
+            type="sensor_msgs/msg/BatteryState",
+            fields={"percentage": 87.0, "voltage": 12.0},
+            every_s=0.1,
+        )
+        sweeps = [packet.body for _, packet in zip(range(5), packets, strict=False)]
+    assert sweeps == [Infrared((0.0,), (0.25,), 0.5)] * 5, "and no level of 87 is told as full"
+
+
 def drive(peer, client):
     """Lets ScanTarget drive, at a place where it has something to go round; returns its first command."""
     peer.listen("/agent1/cmd_vel", TWIST)

@@ -17,6 +17,7 @@ from pancakes.bodies.devices.hardware import Hardware
 from pancakes.errors import ClassError
 from pancakes.mesh.net.transport import Transport
 from pancakes.packet import Packet
+from pancakes.runtime.foundation.log import Log, check_levels
 from pancakes.runtime.foundation.own_names import check_made, check_own_names
 from pancakes.runtime.foundation.signatures import check_overrides
 from pancakes.runtime.foundation.source_place import place_of_field
@@ -81,8 +82,9 @@ class DeviceContext(Protocol):
         """Runs `function` in the device's actor in `delay_s` seconds of mission time."""
         ...
 
-    def log(self, level: str, text: str) -> None:
-        """Publishes a line on `log`; `level` is `debug`, `info`, `warning` or `error`. From any thread."""
+    @property
+    def log(self) -> Log:
+        """Publishes lines on `log`, behind the device's name: `self.context.log.warning("no echo")`. Any thread."""
         ...
 
     def mission_packets_sent(self) -> int:
@@ -127,6 +129,7 @@ class Driver(ABC):
         check_own_names(cls, Driver, _HOOKS)
         super().__init_subclass__(**others)
         check_overrides(cls)
+        check_levels(cls)
         check_made(cls, ("context", "settings"), "a driver", "`def open(self)`")
         check_saved(cls, "Settings")
         if cls.rate not in get_args(Rate):

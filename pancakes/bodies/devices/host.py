@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.bodies.devices.driver import Sensor
+from pancakes.bodies.devices.levels import level_of
 from pancakes.bodies.devices.types import Battery, Load, Memory, Temperature
 from pancakes.errors import PancakesError
 from pancakes.runtime.foundation.processors import processor_times
 
+MOST_PERCENT: Final = 105.0
 POWER_SUPPLIES: Final = Path("/sys/class/power_supply")
 """Where Linux tells the voltage of batteries, which psutil does not."""
 
@@ -74,11 +76,13 @@ class HostTemperature(Sensor):
                 f"this computer has no temperature sensor {self.settings.chip!r}, only {', '.join(sorted(chips))}"
             )
 
-    def sample(self) -> Temperature | None:
+    def sample(self) -> Temperature:
         chips = _temperatures()
         wanted = [self.settings.chip] if self.settings.chip else list(chips)
         celsius = [value for chip in wanted for value in chips.get(chip, [])]
-        return Temperature(max(celsius)) if celsius else None
+        if not celsius:
+            raise PancakesError("no temperature sensor of this computer answers")
+        return Temperature(max(celsius))
 
 
 class HostBattery(Sensor):
@@ -91,9 +95,11 @@ class HostBattery(Sensor):
         if _battery_share() is None:
             raise PancakesError("this computer has no battery that its operating system tells of")
 
-    def sample(self) -> Battery | None:
+    def sample(self) -> Battery:
         share = _battery_share()
-        return Battery(_battery_voltage_v(), share) if share is not None else None
+        if share is None:
+            raise PancakesError("the operating system tells of no battery any more")
+        return Battery(_battery_voltage_v(), share)
 
 
 def _temperatures() -> dict[str, list[float]]:
@@ -103,7 +109,11 @@ def _temperatures() -> dict[str, list[float]]:
     ask = getattr(psutil, "sensors_temperatures", None)  # not on every system
     if ask is None:
         return {}
-    chips = {chip: [entry.current for entry in entries] for chip, entries in ask().items()}
+    # A sensor without a value says NaN, or nothing at all; `max` would lose a NaN, or return it.
+    chips = {
+        chip: [entry.current for entry in entries if entry.current is not None and math.isfinite(entry.current)]
+        for chip, entries in ask().items()
+    }
     return {chip: values for chip, values in chips.items() if values}
 
 
@@ -112,7 +122,11 @@ def _battery_share() -> float | None:
 
     ask = getattr(psutil, "sensors_battery", None)  # not on every system
     battery = ask() if ask is not None else None
-    return None if battery is None else min(max(battery.percent / 100.0, 0.0), 1.0)
+    if battery is None:
+        return None
+    percent = battery.percent
+    # Linux reckons with the charge that was full last, so a little more may be left: it is full then.
+    return 1.0 if 100.0 < percent <= MOST_PERCENT else level_of(percent, 100.0)
 
 
 def _battery_voltage_v() -> float:

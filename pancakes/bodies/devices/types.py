@@ -58,7 +58,7 @@ class Battery(msgspec.Struct, frozen=True):
 
 @packet_type("ir")
 class Infrared(msgspec.Struct, frozen=True):
-    """One sweep of a ring of infrared proximity sensors.
+    """One sweep of a ring of infrared proximity sensors. One that measures nothing now is left out of it.
 
     Attributes:
         bearings_rad: direction of each sensor, in the frame of the body.
@@ -75,7 +75,7 @@ class Infrared(msgspec.Struct, frozen=True):
 
 @packet_type("sonar")
 class Sonar(msgspec.Struct, frozen=True):
-    """One sweep of a ring of sonars.
+    """One sweep of a ring of sonars. One that measures nothing now is left out of it.
 
     Attributes:
         bearings_rad: direction of each sonar, in the frame of the body.

@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from pancakes.bodies.devices.driver import DeviceContext, Sensor
+from pancakes.bodies.devices.levels import level_of
 from pancakes.bodies.devices.pace import Pace
 from pancakes.bodies.devices.types import Battery, Motion, Pose, Sonar, Temperature
 from pancakes.errors import PancakesError
@@ -263,10 +264,10 @@ class MqttBattery(MqttSensor):
         level = number_of(value_at(payload, field))
         if level is None:
             return None
-        full = self.settings.full
-        if not 0.0 <= level <= full:
-            raise BadPayload(f"a level of {level:g} is not between 0 and full = {full:g}")
-        return Battery(self._volts(payload), level / full)
+        try:
+            return Battery(self._volts(payload), level_of(level, self.settings.full))
+        except PancakesError as error:
+            raise BadPayload(str(error)) from None
 
     def _volts(self, payload: bytes) -> float:
         """Returns the voltage; NaN if it is not told, or is no number: the level is a reading all the same."""

@@ -11,16 +11,19 @@ from msgspec import Meta
 
 from pancakes.bodies.devices.driver import Sensor
 from pancakes.bodies.devices.hardware import Hardware, why_not_opened
+from pancakes.bodies.devices.levels import level_at
 from pancakes.bodies.devices.types import Battery, Temperature
 from pancakes.errors import PancakesError
 from pancakes_pi.real_hardware import refuse_virtual_time
 from pancakes_pi.registers import THERMOMETERS, VOLTMETERS, Chip, word_of
 
 Positive = Annotated[float, Meta(gt=0)]
+TRIES = 3
+"""A chip is asked so often when its device is opened, before it is taken to be missing."""
 
 
 class BusSensor(Sensor):
-    """A chip on an I²C bus. One that does not answer fails its device, which is tried again."""
+    """A chip on an I²C bus. One that does not answer now and then is missed; see `missed` of `[device.NAME]`."""
 
     blocking = True  # the bus is slow, and a chip may stretch its clock
 
@@ -59,7 +62,13 @@ class BusSensor(Sensor):
                 f"the bus /dev/i2c-{self.settings.bus} cannot be opened ({why_not_opened(error)});"
                 " raspi-config switches buses on"
             ) from None
-        self.measured()
+        for left in reversed(range(TRIES)):
+            try:
+                self.measured()
+                return
+            except PancakesError:
+                if not left:
+                    raise
 
     def close(self) -> None:
         if self._bus is not None:
@@ -138,5 +147,4 @@ class BusBattery(BusSensor):
 
     def sample(self) -> Battery:
         settings, voltage_v = self.settings, self.measured()
-        level = (voltage_v - settings.empty_v) / (settings.full_v - settings.empty_v)
-        return Battery(voltage_v, min(1.0, max(0.0, level)))
+        return Battery(voltage_v, level_at(voltage_v, settings.empty_v, settings.full_v))

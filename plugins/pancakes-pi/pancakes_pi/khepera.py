@@ -94,7 +94,6 @@ class KheperaSensor(Sensor):
     settings: Settings
     questions: tuple[str, ...] = ()
     _port: KheperaPort | None = None
-    _misunderstood = False
 
     @classmethod
     def hardware(cls, settings: Any) -> Sequence[Hardware]:
@@ -121,9 +120,7 @@ class KheperaSensor(Sensor):
         try:
             self.context.deliver(self.body(answers))
         except NoAnswer as error:
-            if not self._misunderstood:
-                self._misunderstood = True
-                self.context.log("warning", f"an answer is left out: {error}")
+            self.context.missed(f"an answer is left out: {error}")
 
 
 class KheperaInfrared(KheperaSensor):

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
+from pancakes.bodies.devices.levels import level_of
+from pancakes.errors import PancakesError
+
 END: Final = b"\r"
 VERSION: Final = "B"
 PROXIMITY: Final = "N"
@@ -82,4 +85,7 @@ def share_in(numbers: list[int]) -> float:
     """Returns the charge of the battery, 0 to 1. Raises NoAnswer."""
     if not numbers:
         raise NoAnswer("the robot told no charge")
-    return min(1.0, max(0.0, numbers[0] / 100.0))
+    try:
+        return level_of(numbers[0], 100.0)
+    except PancakesError as error:
+        raise NoAnswer(str(error)) from None

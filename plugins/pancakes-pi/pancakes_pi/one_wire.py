@@ -44,19 +44,15 @@ class OneWireTemperature(Sensor):
         if not wanted and len(chips) > 1:
             raise PancakesError(f"there are several chips in {folder}: set chip to one of {', '.join(chips)}")
         self._path = folder / (wanted or chips[0]) / "w1_slave"
-        self._broken = False
 
-    def sample(self) -> Temperature | None:
+    def sample(self) -> Temperature:
         try:
             celsius = celsius_in(self._path.read_text())
         except OSError as error:
             raise PancakesError(f"{self._path} cannot be read any more: {error.strerror}") from None
-        if celsius is None and not self._broken:
-            self.context.log(
-                "warning", "a reading came with a wrong CRC, or before the chip had measured, and is left out"
-            )
-        self._broken = celsius is None
-        return Temperature(celsius) if celsius is not None else None
+        if celsius is None:
+            raise PancakesError("a reading came with a wrong CRC, or before the chip had measured")
+        return Temperature(celsius)
 
 
 def celsius_in(text: str) -> float | None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+from pancakes.bodies.devices.levels import level_of
 from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Sonar, Temperature, Twist
 from pancakes.errors import PancakesError
 
@@ -106,11 +107,20 @@ def write_twist(twist: Any, body: Twist) -> None:
     twist.linear.x, twist.angular.z = float(body.v_mps), float(body.omega_radps)
 
 
-def read_battery(message: Any) -> Battery:
-    """Reads a sensor_msgs/BatteryState; the voltage is NaN where the robot does not measure it."""
+def read_battery(message: Any, full: float = 1.0) -> Battery:
+    """Reads a sensor_msgs/BatteryState; the voltage is NaN if the robot does not measure it.
+
+    Args:
+        message: the message.
+        full: its percentage when the battery is full: 1 by the definition of the message; many robots say 100.
+    """
     if math.isnan(message.percentage):
         raise Unusable("the battery does not say how full it is (percentage is NaN)")
-    return Battery(message.voltage, min(1.0, max(0.0, message.percentage)))
+    try:
+        level = level_of(message.percentage, full)
+    except PancakesError as error:
+        raise Unusable(str(error)) from None
+    return Battery(message.voltage if math.isfinite(message.voltage) else math.nan, level)
 
 
 def _write_battery(message: Any, body: Battery, moment: Moment, part: int) -> None:
@@ -120,15 +130,19 @@ def _write_battery(message: Any, body: Battery, moment: Moment, part: int) -> No
         setattr(message, unknown, math.nan)
 
 
+def _measured(distance: float) -> bool:
+    return distance >= 0.0 or distance == -math.inf  # the latter says that it is too near to tell
+
+
 def read_range(message: Any) -> tuple[float, float] | None:
     """Reads a sensor_msgs/Range (REP 117).
 
     Returns:
         The distance, `max_range` where nothing is seen and 0 where it is too near to tell; and `max_range`. None: it is
-        no measurement.
+        no measurement: NaN, or a negative number.
     """
     distance, most = message.range, message.max_range
-    if math.isnan(distance) or not (math.isfinite(most) and most > 0):
+    if not _measured(distance) or not (math.isfinite(most) and most > 0):
         return None
     return min(most, max(0.0, distance)), most
 
@@ -150,7 +164,7 @@ def _read_scan(kind: type[Infrared] | type[Sonar]) -> Callable[[Any], Any]:
         rays = [
             (message.angle_min + number * message.angle_increment, min(most, max(0.0, float(distance))))
             for number, distance in enumerate(message.ranges)
-            if not math.isnan(distance)
+            if _measured(distance)
         ]
         if not rays:
             raise Unusable("the scan has no ray that measured anything")

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from pancakes.bodies.devices.driver import DeviceContext
 from pancakes.bodies.devices.network_devices import NetworkSensor
-from pancakes.bodies.devices.types import Infrared, Sonar
+from pancakes.bodies.devices.types import Infrared, Motion, Sonar
 from pancakes_ros2.conversion import (
     BATTERY,
     BOOL,
@@ -19,7 +19,9 @@ from pancakes_ros2.conversion import (
     RANGE,
     SCAN,
     TEMPERATURE,
+    Unusable,
     messages_of,
+    read_battery,
     read_range,
 )
 from pancakes_ros2.installation import checked_type
@@ -27,6 +29,7 @@ from pancakes_ros2.newest import Newest
 from pancakes_ros2.node_table import NODES, fail
 from pancakes_ros2.quality import READING, Quality
 from pancakes_ros2.ros_node import Inlet, RosNode
+from pancakes_ros2.sweeps import Sweeps
 
 MOST_HZ = 100.0
 """No body of a robot needs more readings of one sensor a second, and a topic may be flooded."""
@@ -82,8 +85,18 @@ class RosSensor(NetworkSensor):
     def listen(self, node: RosNode) -> None:
         """Begins to listen."""
         kind = self.settings.message or self.usual
-        read = CONVERSIONS[self.type, kind].read
-        self._inlets = [self.inlet(node, kind, self.settings.topic, lambda message: self._came.put(read(message)))]
+
+        def heard(message: Any) -> None:
+            try:
+                self._came.put(self.read(kind, message))
+            except Unusable as error:
+                self.context.missed(f"a message of {self.settings.topic} is no reading: {error}")
+
+        self._inlets = [self.inlet(node, kind, self.settings.topic, heard)]
+
+    def read(self, kind: str, message: Any) -> Any:
+        """Returns the reading in a message of a type. Raises Unusable."""
+        return CONVERSIONS[self.type, kind].read(message)
 
     def inlet(self, node: RosNode, kind: str, topic: str, heard: Any) -> Inlet:
         """Returns a subscription with the settings of this sensor."""
@@ -158,11 +171,23 @@ class RosBattery(RosSensor):
 
     @dataclass
     class Settings(RosSensor.Settings):
+        """What it listens to.
+
+        Attributes:
+            full: the `percentage` of a full battery: 1 by the definition of the message; many robots say 100.
+        """
+
         topic: str = "battery_state"
+        full: Hz = 1.0
 
         def __post_init__(self) -> None:
             super().__post_init__()
             _refuse_message(self, "battery")
+
+    settings: Settings
+
+    def read(self, kind: str, message: Any) -> Any:
+        return read_battery(message, self.settings.full)
 
 
 class RosMotion(RosSensor):
@@ -173,11 +198,24 @@ class RosMotion(RosSensor):
 
     @dataclass
     class Settings(RosSensor.Settings):
+        """What it listens to.
+
+        Attributes:
+            invert: whether true is told as no motion, and false as motion, as for a contact that is true when closed.
+        """
+
         topic: str = "motion"
+        invert: bool = False
 
         def __post_init__(self) -> None:
             super().__post_init__()
             _refuse_message(self, "motion")
+
+    settings: Settings
+
+    def read(self, kind: str, message: Any) -> Any:
+        motion = super().read(kind, message)
+        return Motion(not motion.detected) if self.settings.invert else motion
 
 
 class RosTemperature(RosSensor):
@@ -228,20 +266,25 @@ class RosRing(RosSensor):
         if not bearings:
             super().listen(node)
             return
-        # The node's thread alone fills it.
-        sweep: dict[int, tuple[float, float]] = {}
+        topic = self.settings.topic
+        sweeps = Sweeps(len(bearings))  # only the node's thread uses it
 
         def heard(number: int, message: Any) -> None:
             measured = read_range(message)
             if measured is None:
+                self._warn(f"{topic}_{number} measures nothing ({message.range:g}): it is left out of the sweeps")
+            sweep = sweeps.heard(number, measured)
+            if sweep is None:
                 return
-            sweep[number] = measured
-            if len(sweep) == len(bearings):
-                ranges = tuple(sweep[index][0] for index in range(len(bearings)))
-                self._came.put(self.body(bearings, ranges, max(most for _, most in sweep.values())))
-                sweep.clear()
+            for silent in sweeps.silent:
+                self._warn(f"{topic}_{silent} says nothing: it is left out of the sweeps")
+            if not sweep:
+                self.context.missed(f"none of the {len(bearings)} sensors of {topic} measures anything")
+                return
+            ranges = tuple(range_m for range_m, _ in sweep.values())
+            most_m = max(most for _, most in sweep.values())
+            self._came.put(self.body(tuple(bearings[index] for index in sweep), ranges, most_m))
 
-        topic = self.settings.topic
         self._inlets = [
             self.inlet(node, RANGE, f"{topic}_{number}", partial(heard, number)) for number in range(len(bearings))
         ]
