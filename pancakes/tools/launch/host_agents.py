@@ -134,8 +134,11 @@ class HostAgents:
         now_s = self._now()
         if now_s >= self._alive_s:
             self._alive_s = now_s + ALIVE_S
-            for link in self._links.values():
-                if not link.lost:
+            for host, link in self._links.items():
+                handles = (link.reads, link.writes)
+                if link.end_if_silent():
+                    self._lost(host, handles)
+                elif not link.lost:
                     link.send("alive")
                     self._watch_writes(link)
         for name, at_s in list(self._kill_s.items()):
@@ -180,6 +183,7 @@ class HostAgents:
         if link.lost:
             self._lost(host, handles)
             return
+        self._watch_writes(link)
         for it in told:
             self._take(host, it)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import math
 import os
 import select
 import subprocess
@@ -15,14 +16,20 @@ import msgspec
 
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.runtime.clock import MonotonicClock
+<<<<<<< HEAD
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.json_text import plain_of
 from pancakes.tools.launch.ssh import no_ssh, open_host, scratch_file, sentence_of, source
+=======
+from pancakes.tools.launch.ssh import no_ssh, open_host, scratch_file, sentence_of, silent, source
+>>>>>>> 85889753 (wip-ssh)
 
 OPEN_S: Final = 30.0
 """A host that has not answered for so long cannot be reached."""
 CALL_S: Final = 900.0
 """The longest that anything asked of a host takes: a slow disk unpacks wheels."""
+SILENT_S: Final = 30.0
+"""A host that has begun to answer says each few seconds that it lives; one that is silent for so long has gone."""
 PIECE_BYTES: Final = 192 * 1024
 """Files are sent in pieces of so many bytes."""
 _CHUNK: Final = 1 << 16
@@ -58,6 +65,7 @@ class HostLink:
     Attributes:
         host: the same.
         lost: a sentence about the end of the connection; empty: it has not ended.
+        begun: whether the host has begun to answer.
 
     Raises:
         PancakesError: there is no `ssh` on this machine.
@@ -68,7 +76,7 @@ class HostLink:
         self.lost = ""
         self._errors = scratch_file()
         try:
-            self._process = open_host(host, self._errors)
+            self._process, self._marker = open_host(host, self._errors)
         except OSError as error:
             os.close(self._errors)
             raise PancakesError(no_ssh(error)) from None
@@ -76,9 +84,17 @@ class HostLink:
         self._in, self._out = self._process.stdout.fileno(), self._process.stdin.fileno()
         for end in (self._in, self._out):
             os.set_blocking(end, False)
+<<<<<<< HEAD
         self._waiting = bytearray(source())
         self._begun = bytearray()
+=======
+        self._waiting = bytearray(source(self._marker))
+        self._line = b""
+>>>>>>> 85889753 (wip-ssh)
         self._number = 0
+        self._heard_s = _NOW()
+        self._noise_bytes = 0
+        self.begun = False
 
     @property
     def reads(self) -> int:
@@ -92,8 +108,8 @@ class HostLink:
 
     @property
     def has_more(self) -> bool:
-        """Whether requests wait to be written (`flush`)."""
-        return bool(self._waiting)
+        """Whether requests wait that can be written (`flush`)."""
+        return self.begun and bool(self._waiting)
 
     def send(self, do: str, **arguments: Any) -> int:
         """Asks for something; returns the number that its answer bears."""
@@ -103,9 +119,9 @@ class HostLink:
         return self._number
 
     def flush(self) -> None:
-        """Writes as much of what waits as the connection takes now."""
+        """Writes as much of what waits as the connection takes now; nothing before the host has begun to answer."""
         try:
-            while self._waiting and not self.lost:
+            while self.has_more and not self.lost:
                 del self._waiting[: os.write(self._out, self._waiting[:_CHUNK])]
         except BlockingIOError:
             pass
@@ -123,6 +139,7 @@ class HostLink:
         if not data:
             self._end()
             return []
+<<<<<<< HEAD
         *lines, begun = data.split(b"\n")
         if lines:
             lines[0], self._begun = bytes(self._begun) + lines[0], bytearray()
@@ -135,6 +152,27 @@ class HostLink:
             self._end(0.0)
             self.lost = f"{self.host} answers what Pancakes does not say ({error}): see what runs there"
             return []
+=======
+        *lines, self._line = (self._line + data).split(b"\n")
+        if not self.begun:
+            self._line = self._line[-_CHUNK:]  # a shell may print without an end
+        found = [it for line in lines for it in self._parsed(line)]
+        if found:
+            self._heard_s = _NOW()
+        if found and not self.begun:
+            self.begun, self._noise_bytes = True, os.lseek(self._errors, 0, os.SEEK_END)
+            self.flush()
+        return [it for it in found if it and it.get("event") != "alive"]
+
+    def _parsed(self, line: bytes) -> Iterator[dict[str, Any]]:
+        """Yields what a line says; what stands before the marker, or has none, is of the user's shell over there."""
+        _, marker, said = line.partition(self._marker)
+        if marker:
+            with contextlib.suppress(ValueError):
+                found = json.loads(said)
+                if isinstance(found, dict):
+                    yield found
+>>>>>>> 85889753 (wip-ssh)
 
     def obtain(self, do: str, within_s: float = CALL_S, kind: Any = Any, **arguments: Any) -> Any:
         """Asks for something, and waits for the answer; what the host tells meanwhile is passed over.
@@ -149,13 +187,15 @@ class HostLink:
             HostError: the host cannot do it, or its answer is none of that type.
             Unreachable: the connection has ended, or no answer comes in time.
         """
-        number, until_s = self.send(do, **arguments), _NOW() + within_s
+        number, began_s = self.send(do, **arguments), _NOW()
         while not self.lost:
-            left_s = until_s - _NOW()
+            # One that has not begun has the whole time for it: `ssh` may go through other hosts.
+            patience_s = min(began_s + within_s, max(began_s, self._heard_s) + SILENT_S if self.begun else math.inf)
+            left_s = patience_s - _NOW()
             if left_s <= 0:
-                self.close()
-                raise Unreachable(f"{self.host} does not answer within {within_s:g} s: see whether it runs")
-            writes = [self._out] if self._waiting else []
+                self._give_up(min(within_s, SILENT_S) if self.begun else within_s)
+                break
+            writes = [self._out] if self.has_more else []
             readable, writable, _ = select.select([self._in], writes, [], left_s)
             if writable:
                 self.flush()
@@ -180,12 +220,35 @@ class HostLink:
 
     def close(self, within_s: float = 5.0) -> None:
         """Ends the connection, and with it what was launched over it."""
+        self.let_go()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            # One that has never answered does not hear that this is over either.
+            self._process.wait(within_s if self.begun else 0.0)
+        self._end(0.0)
+
+    def let_go(self) -> None:
+        """Lets the host know that nothing more comes. It ends what was launched; `close` waits for that."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(within_s)
-        self._end(0.0)
+
+    def end_if_silent(self) -> bool:
+        """Ends the connection to a host that should have said something by now; returns whether it has done so."""
+        patience_s = SILENT_S if self.begun else OPEN_S
+        if self.lost or _NOW() - self._heard_s < patience_s:
+            return False
+        self._give_up(patience_s)
+        return True
+
+    def _give_up(self, within_s: float) -> None:
+        said = self._said()
+        self.close(0.0)
+        self.lost = silent(self.host, within_s, said)
+
+    def _said(self) -> str:
+        """Returns the end of what was said on standard error since the host began to answer."""
+        size = os.lseek(self._errors, 0, os.SEEK_END)
+        return os.pread(self._errors, _CHUNK, max(self._noise_bytes, size - _CHUNK)).decode("utf-8", "replace")
 
     def _end(self, within_s: float = 1.0) -> None:
         if self.lost:
@@ -195,14 +258,13 @@ class HostLink:
         except subprocess.TimeoutExpired:
             self._process.kill()
             code = self._process.wait()
-        size = os.lseek(self._errors, 0, os.SEEK_END)
-        said = os.pread(self._errors, _CHUNK, max(0, size - _CHUNK)).decode("utf-8", "replace")
-        self.lost = sentence_of(self.host, code, said)
+        self.lost = sentence_of(self.host, code, self._said())
         os.close(self._errors)
         for pipe in (self._process.stdin, self._process.stdout):
             assert pipe is not None
             with contextlib.suppress(OSError):
                 pipe.close()
+<<<<<<< HEAD
 
 
 def _parsed(line: bytes) -> Iterator[dict[str, Any]]:
@@ -217,3 +279,5 @@ def _parsed(line: bytes) -> Iterator[dict[str, Any]]:
         return
     if isinstance(found, dict):
         yield codecs.convert(found, _Told)
+=======
+>>>>>>> 85889753 (wip-ssh)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
+import secrets
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -34,6 +37,13 @@ MODULES: Final = (
     "serving",
 )
 """What runs there, each after those that it imports."""
+_DYING: Final = """
+import ctypes, os, sys
+ctypes.CDLL(None).prctl(1, 15, 0, 0, 0)
+if os.getppid() == int(sys.argv[1]):
+    os.execvp(sys.argv[2], sys.argv[2:])
+"""
+"""Ends a command with the program that starts it: 1 is PR_SET_PDEATHSIG of <linux/prctl.h>, 15 is SIGTERM."""
 _HOST: Final = re.compile(r"[A-Za-z0-9_\[][\w.@:%+\[\]-]*")
 
 _MEANINGS: Final = (
@@ -71,35 +81,66 @@ def ssh_command(host: str, *options: str) -> list[str]:
     return [*shlex.split(os.environ.get(VARIABLE) or "ssh"), *OPTIONS, *options, host]
 
 
-def open_host(host: str, errors: int) -> subprocess.Popen[bytes]:
-    """Starts the program of `pancakes.tools.there` on a host; its source is to be sent first (`source`).
+def start_ssh(command: Sequence[str], output: int, errors: int) -> subprocess.Popen[bytes]:
+    """Starts a command of `ssh`. It ends with this program, however that ends: also one to a host that says nothing.
 
     Args:
-        host: the host.
-        errors: a file that takes what `ssh`, and Python over there, say.
+        command: the command.
+        output: what becomes of its standard output, as `subprocess` takes it.
+        errors: a file that takes its standard error.
 
     Raises:
         OSError: there is no `ssh` here.
     """
-    own = f"python3.{sys.version_info.minor}"
-    names = " ".join(dict.fromkeys((own, "python3", "python3.13", "python3.12", "python3.11", "python3.14")))
-    program = (
-        f"for p in {names}; do "
-        'if "$p" -c "import sys; sys.exit(sys.version_info < (3, 11))" 2>/dev/null; then '
-        'exec "$p" -u -c "import io; exec(io.FileIO(0, closefd=False).readline())"; fi; done; '
-        f"python3 -V 1>&2; exit {NO_PYTHON}"
-    )
+    if shutil.which(command[0]) is None:
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), command[0])
+    dying = [sys.executable, "-I", "-S", "-c", _DYING, str(os.getpid())] if sys.platform == "linux" else []
     return subprocess.Popen(
-        [*ssh_command(host, "-T"), f"exec sh -c '{program}'"],
+        [*dying, *command],
         stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
+        stdout=output,
         stderr=errors,
         start_new_session=True,  # an interrupt at the terminal reaches Pancakes, which ends it in order
     )
 
 
-def source() -> bytes:
-    """Returns the source of what runs on a host, as one line of Python."""
+def open_host(host: str, errors: int) -> tuple[subprocess.Popen[bytes], bytes]:
+    """Starts a Python on a host, which runs the line that is sent to it (`source`).
+
+    Args:
+        host: the host.
+        errors: a file that takes what `ssh`, and Python over there, say.
+
+    Returns:
+        The process of `ssh`, and the marker that stands before each answer of the host, so that nothing that its shell
+        prints is taken for one. The host begins with an empty answer. Nothing may be sent before that: a start file of
+        the shell that reads would take it.
+
+    Raises:
+        OSError: there is no `ssh` here.
+    """
+    marker = f"pancakes-{secrets.token_hex(12)} ".encode()
+    # The command has it as a number: a shell that shows its commands does not show the marker.
+    begun = b"\n" + marker + b"{}\n"
+    own = f"python3.{sys.version_info.minor}"
+    names = " ".join(dict.fromkeys((own, "python3", "python3.13", "python3.12", "python3.11", "python3.14")))
+    program = (
+        f"for p in {names}; do "
+        'if "$p" -c "import sys; sys.exit(sys.version_info < (3, 11))" 2>/dev/null; then '
+        f'exec "$p" -u -c "import io, os; os.write(1, (0x{begun.hex()}).to_bytes({len(begun)})); '
+        'exec(io.FileIO(0, closefd=False).readline())"; fi; done; '
+        f"python3 -V 1>&2; exit {NO_PYTHON}"
+    )
+    command = [*ssh_command(host, "-T"), f"exec sh -c '{program}'"]
+    return start_ssh(command, subprocess.PIPE, errors), marker
+
+
+def source(marker: bytes) -> bytes:
+    """Returns the source of what runs on a host, as one line of Python.
+
+    Args:
+        marker: what stands before each of its answers.
+    """
     folder = Path(there.__file__).parent
     package = there.__name__
     modules = {"pancakes": "", "pancakes.tools": "", package: ""}
@@ -114,9 +155,22 @@ def source() -> bytes:
         "    if parent:\n"
         "        setattr(sys.modules[parent], last, module)\n"
         "    exec(compile(source, name, 'exec'), module.__dict__)\n"
-        f"sys.modules[{package + '.serving'!r}].main()\n"
+        f"sys.modules[{package + '.serving'!r}].main({marker!r})\n"
     )
     return f"exec({program!r})\n".encode()
+
+
+def silent(host: str, within_s: float, said: str) -> str:
+    """Returns a sentence about a host that lets `ssh` in, or takes its connection, and says nothing.
+
+    Args:
+        host: the host.
+        within_s: for how long.
+        said: what `ssh`, and the shell over there, said on standard error.
+    """
+    last = next((line.strip() for line in reversed(said.splitlines()) if line.strip()), "")
+    advice = f"see what `ssh {host} true` does, and what its shell runs at a login (~/.bashrc)"
+    return f"{host} does not answer within {within_s:g} s{f' ({last})' if last else ''}: {advice}"
 
 
 def sentence_of(host: str, code: int, said: str) -> str:

@@ -21,9 +21,11 @@ from pancakes.mesh.address import LOCAL
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.tools.launch.host_link import OPEN_S
 from pancakes.tools.launch.hosts import Host
-from pancakes.tools.launch.ssh import no_ssh, scratch_file, sentence_of, ssh_command
+from pancakes.tools.launch.ssh import no_ssh, scratch_file, sentence_of, silent, ssh_command, start_ssh
 
 LOOK_S: Final = 0.05
+END_S: Final = 2.0
+"""A way that has not ended so long after it was told to is killed."""
 _NOW: Final = MonotonicClock().now
 
 
@@ -48,8 +50,9 @@ def tunnels(hosts: Iterable[Host]) -> Iterator[dict[str, str]]:
                 ways[path] = agent["socket"]
                 addresses[name] = f"{LOCAL}://{path}"
             made.append(_Tunnel(host.name, ways))
+        until_s = _NOW() + OPEN_S
         for tunnel in made:
-            tunnel.wait()
+            tunnel.wait(until_s)
         yield addresses
     finally:
         for tunnel in made:
@@ -66,33 +69,31 @@ class _Tunnel:
         options += ["-o", "ExitOnForwardFailure=yes", "-o", "StreamLocalBindMask=0177"]
         self._errors = scratch_file()
         try:
-            self._process = subprocess.Popen(
-                # It ends with what is at the other end of its standard input, however that ends.
-                [*ssh_command(host, "-T", *options), "exec sh -c 'while read -r line; do :; done'"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=self._errors,
-                start_new_session=True,
-            )
+            # It ends with what is at the other end of its standard input, however that ends.
+            command = [*ssh_command(host, "-T", *options), "exec sh -c 'while read -r line; do :; done'"]
+            self._process = start_ssh(command, subprocess.DEVNULL, self._errors)
         except OSError as error:
             os.close(self._errors)
             raise PancakesError(no_ssh(error)) from None
 
-    def wait(self) -> None:
-        until_s = _NOW() + OPEN_S
+    def wait(self, until_s: float) -> None:
         while not all(path.exists() for path in self._ways):
             code = self._process.poll()
+            said = os.pread(self._errors, 65_536, 0).decode("utf-8", "replace")
             if code is not None:
-                said = os.pread(self._errors, 65_536, 0).decode("utf-8", "replace")
                 raise Unreachable(sentence_of(self._host, code, said))
             if _NOW() > until_s:
-                raise Unreachable(f"{self._host} does not answer within {OPEN_S:g} s: see whether it runs")
+                raise Unreachable(silent(self._host, OPEN_S, said))
             time.sleep(LOOK_S)
 
     def close(self) -> None:
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.terminate()
-        self._process.wait()
+        try:
+            self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
         with contextlib.suppress(OSError):
             os.close(self._errors)

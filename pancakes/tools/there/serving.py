@@ -1,7 +1,9 @@
 """The program that Pancakes runs on a host: it is asked over its standard input, and ends with that.
 
 A request is a line of JSON, `{"id": 1, "do": "look", ...}`, and so is its reply, `{"id": 1, "result": ...}` or
-`{"id": 1, "fault": "a clause about the host"}`. What happens there by itself is told as `{"event": "ended", ...}`.
+`{"id": 1, "fault": "a clause about the host"}`. What happens there by itself is told as `{"event": "ended", ...}`; each
+few seconds `{"event": "alive"}` is. Before each of them stands the marker that `main` is given, behind whatever the
+user's shell, or what that has left in the background, prints.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import json
 import os
 import select
 import signal
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -22,16 +25,24 @@ from pancakes.tools.there.looking import look
 
 SILENCE_S = 20.0
 """A launcher from which nothing came for so long has gone, with its network perhaps: its agents end."""
+ALIVE_S = 5.0
+"""So often the launcher hears that this program lives, also while it does something that takes long."""
 MOST_WAITING = 1 << 20
 """So many bytes wait for the launcher; then the agents wait until they can print on."""
 _CHUNK = 65_536
 
 
 class Serving:
-    """Reads requests and carries them out, in one thread, until the standard input ends."""
+    """Reads requests and carries them out, in one thread, until the standard input ends.
 
-    def __init__(self) -> None:
+    Args:
+        marker: what stands before each answer.
+    """
+
+    def __init__(self, marker: bytes) -> None:
+        self._marker = marker
         self._out = bytearray()
+        self._lock = threading.Lock()
         self._begun = b""
         self._ends = False
         self._heard_s = time.monotonic()
@@ -57,6 +68,7 @@ class Serving:
             signal.signal(number, self._told_to_end)
         signal.signal(signal.SIGCHLD, lambda number, frame: None)
         os.set_blocking(1, False)
+        threading.Thread(target=self._live, daemon=True).start()
         try:
             while not self._ends:
                 self._turn(reader)
@@ -72,14 +84,26 @@ class Serving:
             calls[handle]()
         self._agents.look()
         if writable:
+            self._write()
+        if self._agents and time.monotonic() - self._heard_s > SILENCE_S:
+            self._ends = True
+
+    def _write(self) -> None:
+        with self._lock:
             try:
                 del self._out[: os.write(1, self._out[:_CHUNK])]
             except BlockingIOError:
                 pass
             except OSError:
                 self._ends = True
-        if self._agents and time.monotonic() - self._heard_s > SILENCE_S:
-            self._ends = True
+
+    def _live(self) -> None:
+        """Tells that this program lives, in a thread of its own: the other may be at something that takes long."""
+        while True:
+            time.sleep(ALIVE_S)
+            if not self._out:
+                self._emit("alive")
+                self._write()
 
     def _told_to_end(self, number: int, frame: Any) -> None:
         self._ends = True
@@ -107,7 +131,8 @@ class Serving:
         self._say({"event": event, **values})
 
     def _say(self, what: dict[str, Any]) -> None:
-        self._out += json.dumps(what).encode() + b"\n"
+        with self._lock:
+            self._out += b"\n" + self._marker + json.dumps(what).encode() + b"\n"
 
 
 def _fault_of(error: OSError) -> str:
@@ -117,7 +142,11 @@ def _fault_of(error: OSError) -> str:
     return f"refuses: {(error.strerror or str(error)).lower()}{where}"
 
 
-def main() -> None:
-    """Begins."""
+def main(marker: bytes) -> None:
+    """Begins.
+
+    Args:
+        marker: see above.
+    """
     prepare_environment()
-    Serving().run()
+    Serving(marker).run()
