@@ -8,8 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.packet import packet_type
-
-LEVELS: Final = ("debug", "info", "warning", "error")
+from pancakes.runtime.foundation.log import LEVELS as LEVELS
 
 SAID_IN_A_LINE: Final = frozenset(
     (

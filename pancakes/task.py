@@ -9,7 +9,7 @@ A task says what it depends on and what it reacts to, and owns no thread, socket
 
         @every(hz=1)
         def blink(self, tick: Tick) -> None:
-            self.log("info", f"{self.settings.colour} at {tick.time_s:.0f} s")
+            self.log.info(f"{self.settings.colour} at {tick.time_s:.0f} s")
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from pancakes.errors import ControlRefused, NoPermit, PancakesError, describe, t
 from pancakes.events import Event, LogLine
 from pancakes.packet import CTRL, LOG, Cause, Fence, Packet, type_name
 from pancakes.runtime.foundation.local_time import READER, LocalTime
+from pancakes.runtime.foundation.log import Log, check_levels
 from pancakes.runtime.foundation.signatures import check_called, check_overrides
 from pancakes.runtime.kernel.call import Call
 from pancakes.runtime.kernel.channel_queue import ChannelQueue
@@ -75,6 +76,7 @@ class Component(PykkaActor):
         """Raises `ClassError` where a method cannot be called as Pancakes calls it."""
         super().__init_subclass__(**others)
         check_overrides(cls)
+        check_levels(cls)
 
     def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None) -> None:
         # pykka's own __init__ would make a UUID and an Event, the most of an actor's cost.
@@ -154,14 +156,12 @@ class Component(PykkaActor):
         self.kernel.stream.publish(packet)
         return packet
 
-    def log(self, level: str, text: str, traceback: str = "") -> None:
-        """Publishes a line for people on `log`. Any thread.
+    @cached_property
+    def log(self) -> Log:
+        """Publishes lines for people on `log`: `self.log.warning("no echo")`, or `self.log(level, text)`. Any thread."""
+        return Log(self.__say)
 
-        Args:
-            level: debug, info, warning or error.
-            text: the line.
-            traceback: where it tells of a failure, what `pancakes.errors.traceback_of` returns; the log file has it.
-        """
+    def __say(self, level: str, text: str, traceback: str) -> None:
         self.__tell_log(LogLine(level, text, traceback))
 
     def event(self, kind: str, /, **fields: Any) -> None:

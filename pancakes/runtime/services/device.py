@@ -6,6 +6,7 @@ import math
 import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -18,6 +19,7 @@ from pancakes.errors import MailboxFull, NoPermit, PancakesError, describe
 from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.mesh.net.transport import Transport
 from pancakes.packet import CTRL, NETWORK, SYSTEM, Packet, agent_of
+from pancakes.runtime.foundation.log import Log
 from pancakes.runtime.kernel.handlers import Tick, every, on
 from pancakes.runtime.kernel.mailbox import Mailbox
 from pancakes.runtime.kernel.registry import DeviceEntry
@@ -129,8 +131,10 @@ class TaskContext:
     def after(self, delay_s: float, function: Callable[[], None]) -> None:
         self._task.after(delay_s, function)
 
-    def log(self, level: str, text: str) -> None:
-        self._task.log(level, f"{self.device}: {text}")
+    @cached_property
+    def log(self) -> Log:
+        task, head = self._task, f"{self.device}: "
+        return Log(lambda level, text, traceback: task.log(level, head + text, traceback))
 
     def mission_packets_sent(self) -> int:
         return self._task.kernel.mission_packets_sent()
