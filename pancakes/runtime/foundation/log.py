@@ -110,9 +110,8 @@ def _unknown_levels(code: CodeType) -> Iterator[tuple[str, int]]:
         word = instruction.argval
         is_attribute = instruction.opname in ("LOAD_ATTR", "LOAD_METHOD")
         line = instruction.positions.lineno if instruction.positions is not None else None
-        if (of_log and is_attribute and word not in _METHODS) or (
-            of_log and instruction.opname == "LOAD_CONST" and isinstance(word, str) and word not in LEVELS
-        ):
+        is_word = instruction.opname == "LOAD_CONST" and isinstance(word, str)
+        if of_log and ((is_attribute and word not in _METHODS) or (is_word and word not in LEVELS)):
             yield word, line or code.co_firstlineno
         of_log = owner and is_attribute and word == "log"
         # `self` may be loaded together with what comes before it, and is a cell in a method with inner functions.

@@ -158,7 +158,7 @@ class Component(PykkaActor):
 
     @cached_property
     def log(self) -> Log:
-        """Publishes lines for people on `log`: `self.log.warning("no echo")`, or `self.log(level, text)`. Any thread."""
+        """Publishes lines for people on `log`: `self.log.warning("no echo")`. Any thread."""
         return Log(self.__say)
 
     def __say(self, level: str, text: str, traceback: str) -> None:
