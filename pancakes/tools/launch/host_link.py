@@ -16,13 +16,9 @@ import msgspec
 
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.runtime.clock import MonotonicClock
-<<<<<<< HEAD
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.json_text import plain_of
-from pancakes.tools.launch.ssh import no_ssh, open_host, scratch_file, sentence_of, source
-=======
 from pancakes.tools.launch.ssh import no_ssh, open_host, scratch_file, sentence_of, silent, source
->>>>>>> 85889753 (wip-ssh)
 
 OPEN_S: Final = 30.0
 """A host that has not answered for so long cannot be reached."""
@@ -84,13 +80,8 @@ class HostLink:
         self._in, self._out = self._process.stdout.fileno(), self._process.stdin.fileno()
         for end in (self._in, self._out):
             os.set_blocking(end, False)
-<<<<<<< HEAD
-        self._waiting = bytearray(source())
-        self._begun = bytearray()
-=======
         self._waiting = bytearray(source(self._marker))
-        self._line = b""
->>>>>>> 85889753 (wip-ssh)
+        self._line = bytearray()
         self._number = 0
         self._heard_s = _NOW()
         self._noise_bytes = 0
@@ -139,24 +130,20 @@ class HostLink:
         if not data:
             self._end()
             return []
-<<<<<<< HEAD
         *lines, begun = data.split(b"\n")
         if lines:
-            lines[0], self._begun = bytes(self._begun) + lines[0], bytearray()
-        self._begun += begun
+            lines[0], self._line = bytes(self._line) + lines[0], bytearray()
+        self._line += begun
+        if not self.begun:
+            del self._line[:-_CHUNK]  # a shell may print without an end
         try:
-            if max(map(len, (*lines, self._begun))) > LONGEST_LINE:
+            if max(map(len, (*lines, self._line))) > LONGEST_LINE:
                 raise ValueError(f"a line of more than {LONGEST_LINE >> 20} MiB")
-            return [found for line in lines for found in _parsed(line)]
+            found = [it for line in lines for it in self._parsed(line)]
         except (ValueError, msgspec.ValidationError) as error:
             self._end(0.0)
             self.lost = f"{self.host} answers what Pancakes does not say ({error}): see what runs there"
             return []
-=======
-        *lines, self._line = (self._line + data).split(b"\n")
-        if not self.begun:
-            self._line = self._line[-_CHUNK:]  # a shell may print without an end
-        found = [it for line in lines for it in self._parsed(line)]
         if found:
             self._heard_s = _NOW()
         if found and not self.begun:
@@ -165,14 +152,14 @@ class HostLink:
         return [it for it in found if it and it.get("event") != "alive"]
 
     def _parsed(self, line: bytes) -> Iterator[dict[str, Any]]:
-        """Yields what a line says; what stands before the marker, or has none, is of the user's shell over there."""
+        """Yields what a line says; what stands before the marker, or has none, is of the user's shell over there.
+
+        Raises:
+            ValueError, msgspec.ValidationError: it has the marker, and is no answer.
+        """
         _, marker, said = line.partition(self._marker)
         if marker:
-            with contextlib.suppress(ValueError):
-                found = json.loads(said)
-                if isinstance(found, dict):
-                    yield found
->>>>>>> 85889753 (wip-ssh)
+            yield codecs.convert(plain_of(said), _Told)
 
     def obtain(self, do: str, within_s: float = CALL_S, kind: Any = Any, **arguments: Any) -> Any:
         """Asks for something, and waits for the answer; what the host tells meanwhile is passed over.
@@ -264,20 +251,3 @@ class HostLink:
             assert pipe is not None
             with contextlib.suppress(OSError):
                 pipe.close()
-<<<<<<< HEAD
-
-
-def _parsed(line: bytes) -> Iterator[dict[str, Any]]:
-    """Yields what a line says; the user's shell over there may have printed others.
-
-    Raises:
-        msgspec.ValidationError: it looks like an answer, and is none.
-    """
-    try:
-        found = plain_of(line)
-    except ValueError:
-        return
-    if isinstance(found, dict):
-        yield codecs.convert(found, _Told)
-=======
->>>>>>> 85889753 (wip-ssh)

@@ -110,9 +110,11 @@ def open_hosts(members: Sequence[Member]) -> Iterator[dict[str, Host]]:
 def _looked(members: Sequence[Member], links: Mapping[str, HostLink]) -> dict[str, Host]:
     hosts, problems = {}, []
 
-    def look(name: str) -> Mapping[str, Any]:
+    def look(name: str) -> HostLook:
         fleets = {it.name: it.config.agent.fleet for it in members if it.host == name}
-        found: Mapping[str, Any] = links[name].obtain("look", OPEN_S, fleet_of=fleets)
+        found: HostLook = links[name].obtain("look", OPEN_S, HostLook, fleet_of=fleets)
+        if missing := [agent for agent in fleets if agent not in found["agents"]]:
+            raise HostError(f"{name} says nothing of {', '.join(missing)}")
         return found
 
     # Side by side: hosts that say nothing take their time once, and not one after the other.
@@ -120,14 +122,7 @@ def _looked(members: Sequence[Member], links: Mapping[str, HostLink]) -> dict[st
         looks = {name: threads.submit(look, name) for name in links}
     for name, looked in looks.items():
         try:
-<<<<<<< HEAD
-            found = link.obtain("look", OPEN_S, HostLook, fleet_of=fleets)
-            if missing := [agent for agent in fleets if agent not in found["agents"]]:
-                raise HostError(f"{name} says nothing of {', '.join(missing)}")
-            hosts[name] = Host(name, link, found)
-=======
             hosts[name] = Host(name, links[name], looked.result())
->>>>>>> 85889753 (wip-ssh)
         except PancakesError as error:
             problems.append(str(error))
     if problems:
