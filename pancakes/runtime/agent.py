@@ -30,7 +30,7 @@ from pancakes.mesh.security.access import Access
 from pancakes.mesh.security.roster import Roster
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.link_messages import Hello, Identity
-from pancakes.packet import Packet, body_class, join
+from pancakes.packet import LOG, Packet, body_class, join
 from pancakes.runtime.clock import SkewedClock
 from pancakes.runtime.composition import Composition
 from pancakes.runtime.config import Config
@@ -59,6 +59,7 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.recent_warnings import RecentWarnings
 from pancakes.runtime.services.actuator_fence import FencesOfAgent
 from pancakes.runtime.services.closer import Closer
 from pancakes.runtime.services.device import DeviceService
@@ -199,6 +200,8 @@ class Agent:
         self.store = store
         self.kernel.life, self.kernel.first_number = f"{journal.uuid}/{journal.boot}", first_number(journal.life)
         self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use
+        self._warnings = RecentWarnings()
+        self.kernel.stream.tap(LOG, lambda packet: self._warnings.hear(packet, self.kernel.host.now()), ("line",))
         disk = Disk(journal, store, self.skipped)
         self.records = Records(disk)
         self.resting = self._resting()
@@ -432,6 +435,7 @@ class Agent:
             "roster": self._roster_number(),
             "roster_fault": fault._asdict() if (fault := self.mesh.roster_fault) is not None else None,
             "journal_fault": self.store.fault(),
+            "warnings": self._warnings.told(self.kernel.host.now()),
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.

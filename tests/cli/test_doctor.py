@@ -170,6 +170,12 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "r
 WRONG: list[tuple[dict[str, Any], str, str, str]] = [
     ({"ready": False}, "warning", "a", "is not ready"),
     ({"held": True}, "warning", "a", "waits at 0"),
+    (
+        {"warnings": [{"source": "a/log", "level": "error", "text": "no disk", "count": 2, "ago_s": 3.2}]},
+        "warning",
+        "a/log",
+        "no disk (2 times, last 3 s ago)",
+    ),
     ({"journal_fault": "No space left"}, "error", "a", "keeps nothing that its tasks do: No space left"),
     (
         {"tasks": [task(state="stopped", rest="", reason="motors is held by a/client/B")]},

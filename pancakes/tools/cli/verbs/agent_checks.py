@@ -83,6 +83,7 @@ def check_fleet(
             *_check_peers(agent),
             *_check_tasks(agent, ask),
         ]
+        findings += _check_warnings(agent, findings)
         yield from findings
         if not findings:
             running = sum(task["state"] == "running" for task in agent["tasks"])
@@ -93,6 +94,17 @@ def check_fleet(
             if routed := sum(peer["reach"] == "routers" for peer in agent["mesh"]["peers"]):
                 text += f"; {_count(routed, 'link')} through routers"
             yield Finding("ok", agent["agent"], text)
+
+
+def _check_warnings(agent: dict[str, Any], findings: Sequence[Finding]) -> Iterator[Finding]:
+    """Tells what an agent has warned of lately, unless a finding says so already."""
+    for line in agent.get("warnings", ()):
+        if any(finding.text in line["text"] or line["text"] in finding.text for finding in findings):
+            continue
+        times = f"{line['count']} times, last" if line["count"] > 1 else "said"
+        text = f"{line['text']} ({times} {line['ago_s']:.0f} s ago)"
+        advice = f"see what led to it: pancakes log --from {agent['agent']} --level warning"
+        yield Finding("warning", line["source"], text, advice)
 
 
 def _check_roster(agent: dict[str, Any], agents: Sequence[dict[str, Any]], here: int) -> Iterator[Finding]:
