@@ -73,6 +73,27 @@ def test_a_build_is_another_where_a_file_is_and_not_where_a_time_is(tmp_path: Pa
     assert len({wheel_at(core(tmp_path / "4", text)).digest for text in "ab"}) == 2 and other.name == one.name
 
 
+def test_a_wheel_that_is_built_again_is_the_same(tmp_path: Path):
+    first = wheel_at(core(tmp_path / "1"))
+    with zipfile.ZipFile(first.path) as archive:
+        files = {info.filename: archive.read(info) for info in archive.infolist()}
+    later = tmp_path / first.name
+    with zipfile.ZipFile(later, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in reversed(files.items()):
+            archive.writestr(zipfile.ZipInfo(name, (2031, 5, 4, 3, 2, 2)), data)
+    assert later.read_bytes() != first.path.read_bytes()
+    assert wheel_at(later).digest == first.digest
+
+
+def test_an_index_that_cannot_be_reached_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:1/simple")
+    monkeypatch.setenv("PIP_RETRIES", "1")
+    wheel = wheel_at(core(tmp_path / "core", requires="Requires-Dist: no-such-library-of-pancakes==1.0\n"))
+    with pytest.raises(PancakesError, match=r"the package index cannot be reached: connect this machine"):
+        libraries_for([wheel], [], Platform("3.11", ("linux_x86_64",)))
+
+
 def test_the_platform_of_a_host_says_which_wheels_run_there():
     arm = Platform.of([3, 13, 1], "linux-aarch64", ["glibc", "2.19"])
     assert arm.python == "3.13"

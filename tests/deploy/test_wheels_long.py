@@ -5,12 +5,22 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
+import pytest
+
 from pancakes.tools.deploy.wheels import distribution_of, installed_wheels
 
 
-def test_wheels_are_made_of_what_is_installed(tmp_path: Path):
-    wheels = installed_wheels(tmp_path)
+def test_wheels_are_made_of_what_is_installed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for name in ("one", "two", "three"):
+        (tmp_path / name).mkdir()
+    wheels = installed_wheels(tmp_path / "one")
     assert {distribution_of(wheel) for wheel in wheels} >= {"pancakes-agents", "pancakes-encirclement"}
     (own,) = [wheel for wheel in wheels if distribution_of(wheel) == "pancakes-agents"]
     with zipfile.ZipFile(own.path) as archive:
         assert "pancakes/tools/there/own_supervisor.py" in archive.namelist()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))
+    again = installed_wheels(tmp_path / "two")
+    assert [(wheel.name, wheel.digest) for wheel in again] == [(wheel.name, wheel.digest) for wheel in wheels]
+    monkeypatch.setattr("sys.executable", "/no/such/python")
+    assert [wheel.digest for wheel in installed_wheels(tmp_path / "three")] == [wheel.digest for wheel in wheels]

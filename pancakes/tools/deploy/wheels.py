@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import re
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from email.message import Message
@@ -35,6 +39,13 @@ ORIGIN: Final = "direct_url.json"
 OLDEST_GLIBC: Final = 17
 """No wheel is for an older glibc than 2.17."""
 _OLD_NAMES: Final = ("manylinux2014", "manylinux2010", "manylinux1")
+MOST_KEPT: Final = 40
+"""So many builds and sets of libraries are kept on this machine, the last ones that were used."""
+UNREACHED: Final = re.compile(
+    r"connection broken by|NewConnectionError|ConnectTimeoutError|Failed to establish a new connection"
+    r"|Name or service not known|Temporary failure in name resolution|ProxyError|Network is unreachable"
+)
+"""How pip says that it cannot reach an index; that it has found nothing there follows from that."""
 _LEFT_OUT: Final = shutil.ignore_patterns(".*", "venv", "build", "dist", "runs", "*.egg-info", "__pycache__")
 
 
@@ -44,7 +55,7 @@ class Wheel:
 
     Attributes:
         path: the file.
-        digest: a digest of its bytes.
+        digest: a digest of what is in it. When it was built does not count: a build of the same sources is the same.
         unpacked_bytes: the size of what is in it.
     """
 
@@ -93,11 +104,17 @@ def wheel_at(path: Path) -> Wheel:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            unpacked = sum(info.file_size for info in archive.infolist())
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    except (OSError, zipfile.BadZipFile) as error:
+            files = sorted(archive.infolist(), key=lambda it: it.filename)
+            whole = hashlib.sha256()
+            for file in files:
+                data = archive.read(file)
+                if file.filename.endswith(".dist-info/RECORD"):
+                    data = b"\n".join(sorted(data.splitlines()))  # its order is that in which files were found
+                told = f"{file.filename}\n{file.external_attr >> 16 & stat.S_IXUSR}\n"
+                whole.update(told.encode() + hashlib.sha256(data).digest())
+    except (OSError, zipfile.BadZipFile, zlib.error) as error:
         raise PancakesError(f"{path} is no wheel: {error}") from None
-    return Wheel(path, digest, unpacked)
+    return Wheel(path, whole.hexdigest()[:16], sum(file.file_size for file in files))
 
 
 def given_wheels(paths: Iterable[Path]) -> list[Wheel]:
@@ -128,6 +145,7 @@ def installed_wheels(folder: Path) -> list[Wheel]:
     """Makes wheels of the Pancakes that is installed here, and of the plug-ins beside it.
 
     A clone or a folder that is installed as such is built as it is now; what came from an index is fetched from there.
+    What was built or fetched before is taken again.
 
     Args:
         folder: where they go.
@@ -139,7 +157,9 @@ def installed_wheels(folder: Path) -> list[Wheel]:
         source = _source_of(own)
         name, version = own.metadata["Name"], own.version
         if source is None:
-            _pip(["download", "--no-deps", "--only-binary=:all:", "--dest", str(folder), f"{name}=={version}"], name)
+            wanted = f"{name}=={version}"
+            command = ["download", "--no-deps", "--only-binary=:all:", wanted, "--dest"]
+            shutil.copytree(_kept("wheels", wanted, command, name), folder, dirs_exist_ok=True)
             continue
         if source.suffix == ".whl" and source.is_file():
             shutil.copy(source, folder)
@@ -149,7 +169,9 @@ def installed_wheels(folder: Path) -> list[Wheel]:
         copy = folder / f"source-{number}"
         shutil.copytree(source, copy, symlinks=True, ignore=_LEFT_OUT)  # nothing of an older build gets in
         isolation = ["--no-build-isolation"] if _is_built_with_what_is_here(source) else []
-        _pip(["wheel", *isolation, "--no-deps", "--wheel-dir", str(folder), str(copy)], name)
+        command = ["wheel", *isolation, "--no-deps", str(copy), "--wheel-dir"]
+        shutil.copytree(_kept("wheels", _digest_of_tree(copy), command, name), folder, dirs_exist_ok=True)
+        shutil.rmtree(copy)
     return [wheel_at(path) for path in sorted(folder.glob("*.whl"))]
 
 
@@ -169,21 +191,49 @@ def libraries_for(own: Sequence[Wheel], extras: Sequence[str], platform: Platfor
     """
     needs = [line for wheel in own for line in (distribution_of(wheel), *_metadata(wheel).get_all("Requires-Dist", []))]
     told = "\n".join([platform.python, *platform.tags, *sorted(extras), *needs])
-    folder = _cache() / hashlib.sha256(told.encode()).hexdigest()[:16]
+    command = _download(own, extras, platform)
+    folder = _kept("libraries", told, command, f"Python {platform.python} on {platform.tags[-1]}", anew)
+    mine = {distribution_of(wheel) for wheel in own}
+    return [wheel for path in sorted(folder.glob("*.whl")) if distribution_of(wheel := wheel_at(path)) not in mine]
+
+
+def _kept(kind: str, told: str, command: Sequence[str], about: str, anew: bool = False) -> Path:
+    """Returns a folder with wheels that `pip` has put there, now or before.
+
+    Args:
+        kind: the folder that is for this kind of wheels.
+        told: what they follow from.
+        command: the command that puts them into the folder that is named after it.
+        about: what they are for, for people.
+        anew: whether they are made again.
+    """
+    base = _cache() / kind
+    folder = base / hashlib.sha256(f"{told}\n{sys.version_info[:2]}".encode()).hexdigest()[:16]
     if anew or not folder.exists():
-        _cache().mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=_cache(), prefix=".new-") as made:
-            _download(own, extras, platform, made)
-            for wheel in own:
-                (Path(made) / wheel.name).unlink(missing_ok=True)
+        base.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=base, prefix=".new-") as made:
+            _pip([*command, made], about)
             shutil.rmtree(folder, ignore_errors=True)
             shutil.copytree(made, folder)
-    return [wheel_at(path) for path in sorted(folder.glob("*.whl"))]
+        for old in sorted(base.glob("[0-9a-f]*"), key=lambda it: it.stat().st_mtime)[:-MOST_KEPT]:
+            shutil.rmtree(old, ignore_errors=True)
+    os.utime(folder)
+    return folder
 
 
-def _download(own: Sequence[Wheel], extras: Sequence[str], platform: Platform, folder: str) -> None:
+def _digest_of_tree(folder: Path) -> str:
+    whole = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            whole.update(f"{path.relative_to(folder)}\n{path.stat().st_mode & stat.S_IXUSR}\n".encode())
+            whole.update(hashlib.sha256(path.read_bytes()).digest())
+    return whole.hexdigest()
+
+
+def _download(own: Sequence[Wheel], extras: Sequence[str], platform: Platform) -> list[str]:
+    """Returns the command that fetches what some wheels need; the folder for it comes last."""
     major, minor = platform.python.split(".")
-    options = ["--only-binary=:all:", "--dest", folder, "--python-version", platform.python]
+    options = ["--only-binary=:all:", "--python-version", platform.python]
     options += ["--implementation", "cp", "--abi", f"cp{major}{minor}", "--abi", "abi3", "--abi", "none"]
     for tag in platform.tags:
         options += ["--platform", tag]
@@ -191,11 +241,11 @@ def _download(own: Sequence[Wheel], extras: Sequence[str], platform: Platform, f
         f"{wheel.path}[{','.join(extras)}]" if extras and distribution_of(wheel) == CORE else str(wheel.path)
         for wheel in own
     ]
-    _pip(["download", *options, PIP, *wanted], f"Python {platform.python} on {platform.tags[-1]}")
+    return ["download", *options, PIP, *wanted, "--dest"]
 
 
 def _cache() -> Path:
-    return user_folder("XDG_CACHE_HOME", ".cache", "what pip brings") / "pancakes" / "libraries"
+    return user_folder("XDG_CACHE_HOME", ".cache", "what pip brings") / "pancakes"
 
 
 def build_of(own: Sequence[Wheel]) -> str:
@@ -293,6 +343,9 @@ def _pip(words: Sequence[str], about: str) -> None:
     done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     if done.returncode == 0:
         return
+    if UNREACHED.search(done.stdout + done.stderr):
+        advice = "connect this machine to it once; what was fetched before is kept"
+        raise PancakesError(f"no wheels can be had for {about}: the package index cannot be reached: {advice}")
     lines = [line.strip() for line in (done.stderr or done.stdout).splitlines() if line.strip()]
     # Where pip fails by itself, as when a network goes, it ends with the error.
     said = [line for line in lines if line.startswith("ERROR:") and line != "ERROR: Exception:"]
