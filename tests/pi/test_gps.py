@@ -19,6 +19,7 @@ from pancakes_pi.gps import GpsPose
 from pancakes_pi.gps_reports import Origin, Position, pose_at, position_in, report_in
 
 from pancakes.bodies.devices.types import Pose
+from pancakes.control import Describe
 from pancakes.testing import AgentInTest, threaded_agent
 
 ORIGIN = {"lat_deg": 48.0, "lon_deg": 11.5}
@@ -208,3 +209,43 @@ def test_a_receiver_that_stands_keeps_its_heading() -> None:
 )
 def test_what_tells_no_position_is_none(line: bytes) -> None:
     assert position_in(report_in(line)) is None
+
+
+class Mute:
+    """Something that speaks like gpsd on each connection, for as long as it is told, and never ends one."""
+
+    def __init__(self) -> None:
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self.server.getsockname()[1]
+        self._held: list[socket.socket] = []
+
+    def take(self, speak: bool = True) -> None:
+        """Takes the next connection, and tells a position."""
+        other, _ = self.server.accept()
+        self._held.append(other)
+        if speak:
+            other.sendall(b'{"class":"TPV","mode":3,"lat":48.0,"lon":11.5}\n')
+
+    def close(self) -> None:
+        for held in (*self._held, self.server):
+            held.close()
+
+
+def test_gps_dials_again_when_the_connection_has_died_without_a_word() -> None:
+    gpsd = Mute()
+    try:
+        gps = device(gpsd.port)["gps"]
+        with threaded_agent("a", devices={"gps": {**gps, "silent_s": 0.5}}) as agent:
+            gpsd.take()
+            agent.wait_for(Pose)
+            agent.wait_until(lambda: agent.ask(Describe("gps")).result["rest"] == "silent")
+            assert any("gps: no reading has come for" in line for line in agent.lines("warning"))
+            agent.probe.forget()
+            gpsd.take(speak=False)
+            gpsd.take()
+            agent.wait_for(Pose)
+            agent.wait_until(lambda: "gps: readings come again" in agent.lines("info"))
+            assert agent.ask(Describe("gps")).result["rest"] == ""
+            assert not agent.lines("error") and not agent.events("task_failed")
+    finally:
+        gpsd.close()

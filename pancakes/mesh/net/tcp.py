@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pancakes.mesh.address import is_loopback, parse_address, spelt
 from pancakes.mesh.net.buffers import bound_buffers
 from pancakes.mesh.net.handshakes import Handshakes
+from pancakes.mesh.net.keep_alive import keep_alive
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_connection import StreamConnection
 from pancakes.mesh.net.stream_transport import Bound, StreamTransport
@@ -101,6 +102,7 @@ class TcpTransport(StreamTransport):
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _USER_TIMEOUT_MS)
+        keep_alive(sock)
         bound_buffers(sock)
         if self.keys is not None and not dialled and not self._handshakes.may_begin(self.loop.now()):
             return "too many begin at once to say who they are"

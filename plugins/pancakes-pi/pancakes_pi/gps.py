@@ -19,6 +19,7 @@ class GpsPose(Sensor):
 
     type = "pose"
     rate = "none"
+    silent_s = 10.0
 
     @dataclass
     class Settings:
@@ -58,6 +59,11 @@ class GpsPose(Sensor):
     def sample(self) -> None:
         """Readings come by themselves."""
 
+    def silent(self) -> None:
+        """The receiver was pulled out, or the connection is dead: a new one shows which."""
+        if self._feed is not None:
+            self._feed.redial()
+
     def reported(self, report: Mapping[str, Any]) -> None:
         """A report of gpsd has come; in the feed's thread."""
         settings = self.settings
@@ -65,6 +71,7 @@ class GpsPose(Sensor):
             return
         position = position_in(report)
         if position is None:
+            self.context.alive()
             if not self._blind:
                 self._blind = True
                 self.context.log("warning", "the receiver does not know where it is")

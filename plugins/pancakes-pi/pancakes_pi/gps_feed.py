@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol
 
+from pancakes.mesh.net.keep_alive import keep_alive
 from pancakes.mesh.side_by_side import connect
 from pancakes_pi.gps_reports import WATCH, report_in
 
@@ -33,6 +34,9 @@ class GpsListener(Protocol):
 class GpsFeed:
     """Hears a gpsd; one that is not there, or goes away, is tried again until it is there. It says so once.
 
+    A machine that loses its power, or a network that is cut, says nothing of that on a socket that only listens: the
+    kernel asks the other side now and then, and `redial` makes a new connection.
+
     Args:
         host: where gpsd listens.
         port: its port.
@@ -46,27 +50,40 @@ class GpsFeed:
         self._listener = listener
         self._say = say
         self._ended = threading.Event()
+        self._again = threading.Event()
         threading.Thread(target=self._run, name=f"gps-{host}:{port}", daemon=True).start()
 
     def close(self) -> None:
         """Hears nothing more. Does not wait."""
         self._ended.set()
 
+    def redial(self) -> None:
+        """Gives the connection up, which may be dead, for a new one. Does not wait."""
+        self._again.set()
+
     def _run(self) -> None:
-        pause_s, complained = FIRST_PAUSE_S, False
+        pause_s, complained, quiet = FIRST_PAUSE_S, False, False
         while not self._ended.is_set():
             connected = False
+            self._again.clear()
             try:
                 with connect(*self._at, CONNECT_S) as gpsd:
+                    keep_alive(gpsd)
                     gpsd.settimeout(LOOK_S)
                     gpsd.sendall(WATCH)
                     connected = True
                     complained, pause_s = False, FIRST_PAUSE_S
-                    self._say("info", f"hears {self._name}")
+                    if not quiet:
+                        self._say("info", f"hears {self._name}")
+                    quiet = False
                     self._hear(gpsd)
+                if self._again.is_set() and not self._ended.is_set():
+                    quiet = True  # that it was silent was told
+                    continue
                 reason = "it ended the connection"
             except OSError as error:
                 reason = os.strerror(error.errno) if error.errno else str(error)
+            quiet = False
             if self._ended.is_set():
                 return
             if connected:
@@ -79,7 +96,7 @@ class GpsFeed:
 
     def _hear(self, gpsd: socket.socket) -> None:
         waiting = b""
-        while not self._ended.is_set():
+        while not (self._ended.is_set() or self._again.is_set()):
             try:
                 data = gpsd.recv(4096)
             except TimeoutError:

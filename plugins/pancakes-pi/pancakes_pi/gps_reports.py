@@ -78,7 +78,7 @@ def position_in(report: Mapping[str, Any]) -> Position | None:
     if report.get("class") != "TPV" or not isinstance(report.get("mode"), int) or report["mode"] < FIX:
         return None
     lat_deg, lon_deg = _number(report, "lat"), _number(report, "lon")
-    if lat_deg is None or lon_deg is None or abs(lat_deg) > 90.0:
+    if lat_deg is None or lon_deg is None or abs(lat_deg) > 90.0 or abs(lon_deg) > 360.0:
         return None
     return Position(lat_deg, lon_deg, _number(report, "speed"), _number(report, "track"))
 

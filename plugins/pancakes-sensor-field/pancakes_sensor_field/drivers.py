@@ -48,10 +48,13 @@ class LineNodes(Sensor):
         Attributes:
             nodes: the number of each tiny node, by the name that it shall have here.
             period_s: the report period that they are to have, in seconds; without it, what each was made with.
+            line_silent_s: after so long without a byte, in mission seconds, the line is opened again: its other end
+                may be gone without a word. Longer than the report period.
         """
 
         nodes: dict[str, NodeNumber] = field(kw_only=True)
         period_s: PeriodS | None = field(default=None, kw_only=True)
+        line_silent_s: Positive = field(default=300.0, kw_only=True)
 
         def __post_init__(self) -> None:
             numbers = list(self.nodes.values())
@@ -69,6 +72,8 @@ class LineNodes(Sensor):
         self._connected = False
         self._complained = False
         self._told_errors = 0
+        self._heard_s = 0.0
+        self._silent = False
 
     @abstractmethod
     def make_line(self) -> Line:
@@ -79,6 +84,7 @@ class LineNodes(Sensor):
         """Returns what people call the line."""
 
     def open(self) -> None:
+        self._heard_s = self.context.now()
         self._line = self.make_line()
         self._line.open(self)
 
@@ -89,6 +95,7 @@ class LineNodes(Sensor):
 
     def sample(self) -> LineReport:
         """Says how well the nodes are heard."""
+        self._look_for_silence()
         station = self._station
         if station.crc_errors > self._told_errors:
             new, self._told_errors = station.crc_errors - self._told_errors, station.crc_errors
@@ -135,7 +142,8 @@ class LineNodes(Sensor):
     def _found(self) -> None:
         self._connected = True
         self._complained = False
-        self.context.log("info", f"listens to {self.line_name()}")
+        if not self._silent:  # else it was opened again for its silence, which was told
+            self.context.log("info", f"listens to {self.line_name()}")
 
     def _lost(self, reason: str) -> None:
         was, self._connected = self._connected, False
@@ -147,11 +155,32 @@ class LineNodes(Sensor):
             self.context.log("warning", f"{self.line_name()} cannot be used ({reason}); trying until it can")
         self._complained = True
 
+    def _look_for_silence(self) -> None:
+        silent_s = self.context.now() - self._heard_s
+        if not self._connected or silent_s < self.settings.line_silent_s:
+            return
+        if not self._silent:
+            self._silent = True
+            text = f"nothing has come from {self.line_name()} for {silent_s:.0f} s: it is opened again"
+            self.context.log("warning", text)
+        self._heard_s = self.context.now()
+        self._connected = False
+        self._station.ended()
+        self._forget()
+        if self._line is not None:
+            self._line.close()
+        self._line = self.make_line()
+        self._line.open(self)
+
     def _forget(self) -> None:
         for node in self.settings.nodes:
             self._wires.forget(node)
 
     def _heard(self, data: bytes, reply: Reply, whole: bool) -> None:
+        self._heard_s = self.context.now()
+        if self._silent:
+            self._silent = False
+            self.context.log("info", f"{self.line_name()} speaks again")
         heard = self._station.received(data)
         if whole:
             self._station.ended()

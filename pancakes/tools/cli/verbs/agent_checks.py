@@ -10,6 +10,7 @@ from pancakes.mesh.migration.rest import DISK_LOST, OLD_COPY, WAITS
 from pancakes.mesh.near_only import ADVICE
 from pancakes.runtime.life.restart import tries
 from pancakes.runtime.runtime_dir import RunningAgent
+from pancakes.tools.cli.verbs.device_checks import check_device
 from pancakes.tools.cli.verbs.finding import Finding
 
 MISSED_SHARE: Final = 0.01
@@ -196,6 +197,7 @@ def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:
     for task in agent["tasks"]:
         about = f"{name}/{task['task']}"
         yield from _check_tries(about, "task", task)
+        yield from check_device(about, task)
         if task["rest"] == "disputed":
             text = "is owned by another agent too, and rests: " + (task["reason"] or "see the log of both")
             yield Finding(
