@@ -253,6 +253,11 @@ def plain_settings(settings: Any) -> dict[str, Any]:
     return plain
 
 
+def plain_value(value: Any) -> Any:
+    """Returns the value of one field of settings as a plain value."""
+    return _plain(value)
+
+
 def _plain(value: Any) -> Any:
     cls = value.__class__
     if cls in _LEAVES:

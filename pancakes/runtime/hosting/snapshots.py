@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, NamedTuple
 
 import msgspec
@@ -18,6 +19,7 @@ from pancakes.runtime.foundation.arrays import alike
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.life.restart import RestartSpec
 from pancakes.runtime.supervision.task_messages import Carried
+from pancakes.settings import plain_value
 from pancakes.task import TaskSpec
 
 
@@ -44,7 +46,7 @@ def snapshot_of(
         version=spec.version,
         service=service,
         requires=spec.cls.requires,
-        settings=dict(carried.settings),
+        settings=_set_of(spec, carried.settings),
         configured=dict(spec.settings),
         state=dict(carried.state),
         periods_s=dict(carried.periods_s),
@@ -58,6 +60,31 @@ def snapshot_of(
         created=spec.created,
         offers=spec.cls.offers,
     )
+
+
+def _set_of(spec: TaskSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the settings that were set, by its configuration or since: a new version may have other defaults."""
+    defaults = _defaults_of(spec.cls.Settings)
+    return {
+        name: value
+        for name, value in settings.items()
+        if name in spec.settings or name not in defaults or not alike(value, defaults[name])
+    }
+
+
+@cache
+def _defaults_of(cls: type) -> dict[str, Any]:
+    """Returns the defaults of the fields of a class of settings, as plain values."""
+    info = codecs.type_info(cls)
+    if not isinstance(info, msgspec.inspect.DataclassType | msgspec.inspect.StructType):
+        return {}
+    defaults: dict[str, Any] = {}
+    for field in info.fields:
+        if field.default is not msgspec.NODEFAULT:
+            defaults[field.name] = plain_value(field.default)
+        elif field.default_factory is not msgspec.NODEFAULT:
+            defaults[field.name] = plain_value(field.default_factory())
+    return defaults
 
 
 def spec_of(snapshot: Snapshot, catalogue: Installed) -> TaskSpec:
