@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -16,6 +16,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from pancakes.runtime.runtime_dir import is_locked
 from pancakes.tools.recording.recorded_packet import RecordingError
 
+MOST_BYTES: Final = 128 << 20
+"""No record of a file is larger, and no chunk once it is unpacked: packets have 16 MiB at the most."""
 READ_ERRORS: Final = (McapError, ValueError, KeyError, OverflowError, OSError, struct.error)
 """What reading a file raises that was cut off, torn, or never a recording."""
 
@@ -39,12 +41,12 @@ def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
     Raises:
         READ_ERRORS: here it ends, whole or not.
     """
-    for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
+    for record in StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=MOST_BYTES).records:
         if not isinstance(record, Chunk):
             yield record
             continue
         try:
-            inside = breakup_chunk(record, validate_crc=True)
+            inside = breakup_chunk(_unpacked(record), validate_crc=True)
         except Exception:  # whatever a decompressor raises; the next chunk can be read all the same
             damage.chunks += 1
             damage.size_bytes += len(record.data)
@@ -52,10 +54,35 @@ def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
             yield from inside
 
 
+def _unpacked(chunk: Chunk) -> Chunk:
+    """Returns a chunk without compression, whatever it says of its own size: a few bytes may stand for gigabytes.
+
+    Raises:
+        ValueError: it is larger than any chunk that is written.
+        Exception: whatever a decompressor raises.
+    """
+    if chunk.uncompressed_size > MOST_BYTES:
+        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
+    if chunk.compression == "zstd":
+        import zstandard
+
+        unpacker = zstandard.ZstdDecompressor(max_window_size=MOST_BYTES).stream_reader(chunk.data)
+        data = unpacker.read(chunk.uncompressed_size + 1)
+    elif chunk.compression == "lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
+    else:
+        return chunk
+    if len(data) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes has others")
+    return replace(chunk, compression="", data=data)
+
+
 def metadata_of(file: BinaryIO) -> Iterator[Metadata]:
     """Gives the metadata records of a file as far as it is whole; what is between them is not looked at."""
     with suppress(*READ_ERRORS):
-        for record in StreamReader(file, emit_chunks=True).records:
+        for record in StreamReader(file, emit_chunks=True, record_size_limit=MOST_BYTES).records:
             if isinstance(record, Metadata):
                 yield record
 

@@ -14,6 +14,7 @@ from pancakes.mesh.wire.codec import Encoder, packet_from_row, rows_from_payload
 from pancakes.packet import Cause, Fence, Packet, body_from_plain, has_fields
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import as_list
+from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
 
 
 class _Row(msgspec.Struct, omit_defaults=True, gc=False):
@@ -88,10 +89,9 @@ def _exact_data(row: _Row, packet: Packet) -> bytes:
 
 
 _LISTS: Final = codecs.json_encoder(as_list)
-_READ: Final = codecs.json_decoder()
+_READ: Final[Callable[[bytes], _Row]] = codecs.json_decoder(_Row)
 _WIRE: Final = Encoder()
 _ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
-_FENCE: Final[Callable[[Any], Fence | None]] = codecs.converter(Fence | None)
 
 
 def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
@@ -101,24 +101,16 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
         RemoteProtocolError: it is no packet, or the body does not fit its type.
     """
     try:
-        row: Any = _READ(data)
-        exact = row.get("exact")
-        if exact is not None:
-            return packet_from_bytes(base64.b64decode(exact, validate=True))
-        cause = row["cause"]
-        return Packet(
-            channel,
-            type_name,
-            row["source"],
-            row["destination"],
-            float(row["stamp"]),
-            int(row["seq"]),
-            body_from_plain(type_name, row["body"]),
-            (cause[0], cause[1]) if cause else None,
-            _FENCE(row["fence"]),
-        )
+        row = _READ(data)
+        if row.exact:
+            return packet_from_bytes(base64.b64decode(row.exact, validate=True))
+        body = body_from_plain(type_name, row.body)
+        return Packet(channel, type_name, row.source, row.destination, row.stamp, row.seq, body, row.cause, row.fence)
     except RemoteProtocolError:
         raise
+    except MALFORMED as error:
+        reason = why_malformed(error)
+        raise RemoteProtocolError(f"a recorded packet of the type {type_name!r} is malformed: {reason}") from None
     except Exception as error:  # a registered class may run code of its own in __post_init__
         raise RemoteProtocolError(f"a recorded packet of the type {type_name!r} is malformed: {error}") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -16,6 +17,15 @@ ENOUGH: Final = 20
 """So many packets are compared: each is seen a moment after its stamp, and the shortest delay counts."""
 MOST: Final = 20_000
 """At most so many packets are looked at."""
+
+
+def speed_of(about: Mapping[str, str]) -> float:
+    """Returns the mission seconds for each second of host time, as a recorder wrote it; 1 where that is no number."""
+    try:
+        speed = float(about["speed"])
+    except (KeyError, ValueError):
+        return 1.0
+    return speed if 0.0 < speed < math.inf else 1.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +71,7 @@ class MissionTime:
                 continue
             agent, began_ns = first.agent, first.time_ns
             first_ns = began_ns if first_ns is None else min(first_ns, began_ns)
-            speed = float(about.get("speed", 1.0))
+            speed = speed_of(about)
             zero_ns = _zero_ns(chain((first,), rest), speed)
             if zero_ns is not None and (agent not in begun or began_ns < begun[agent][0]):
                 begun[agent] = (began_ns, zero_ns, speed)

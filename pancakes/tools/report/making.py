@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.errors import PancakesError, needing_extra
+from pancakes.tools.recording.mission_time import speed_of
 from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordingError
 from pancakes.tools.report.findings import Findings
 from pancakes.tools.report.style import Palette, Picture
@@ -65,10 +66,10 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
         findings.time.name: f"{findings.begin_s:.1f} to {findings.end_s:.1f} s",
         "packets": f"{findings.packets:,}",
     }
-    speeds = {reading.about["speed"] for reading in reader.readings if "speed" in reading.about}
-    if not virtual and speeds - {"1.0"}:
+    speeds = {speed_of(reading.about) for reading in reader.readings}
+    if not virtual and speeds - {1.0}:
         took_s = (findings.last_ns - findings.first_ns) / NANOSECONDS
-        many = ", ".join(sorted(f"{float(speed):g}" for speed in speeds))
+        many = ", ".join(f"{speed:g}" for speed in sorted(speeds))
         about["took"] = f"{took_s:.1f} s of host time, at {many} mission seconds a second"
     if task_id:
         about["task"] = task_id
