@@ -182,7 +182,7 @@ def _keep(me: GuardianId, register: GuardRegister, lease: Lease, keep: KeepLease
         return [_deny(me, register, keep.epoch, f"{me.agent} follows the epoch {register.promised}")]
     if fault := _too_far(register, keep.epoch):
         return [_deny(me, register, keep.epoch, fault)]
-    if lease.epoch not in (None, keep.epoch):
+    if lease.epoch is not None and lease.epoch.minter != keep.epoch.minter:
         return [_deny(me, register, keep.epoch, _runs(lease))]  # whoever was pledged to is met without a lease
     new = replace(
         register,

@@ -19,7 +19,7 @@ from pancakes.mesh.guarding.guard_messages import (
     SeizeTask,
 )
 from pancakes.mesh.guarding.taking_over import TakeTask
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch, is_out_of_reach
 from pancakes.mesh.migration.event import Seized
 from pancakes.mesh.migration.guards import GuardianId, Guards, newest
 from pancakes.mesh.migration.messages import Commit
@@ -75,15 +75,17 @@ class Seizing(msgspec.Struct, frozen=True):
 
 
 def told(seizing: Seizing, answer: GuardAnswer) -> Seizing:
-    """Takes what a guardian says to an agent that has asked for its pledge."""
-    if answer.epoch != seizing.epoch:
+    """Takes what a guardian says to an agent that has asked for its pledge; what others say changes nothing."""
+    if answer.epoch != seizing.epoch or answer.guardian not in seizing.guards.members():
         return seizing
     if isinstance(answer, DenyLease):
+        if is_out_of_reach(answer.promised, seizing.epoch):
+            return seizing
         others = [one for one in seizing.denied if one.guardian != answer.guardian]
         return replace(seizing, denied=(*others, answer))
     if not isinstance(answer, Pledge):
         return seizing
-    # A stranger counts for nothing: it is among no guards. Which are the newest, any of them may know.
+    # Which guards are the newest, any of them may know.
     seizing = replace(seizing, guards=newest(seizing.guards, answer.guards))
     if answer.guardian not in seizing.pledged:
         seizing = replace(seizing, pledged=(*seizing.pledged, answer.guardian))

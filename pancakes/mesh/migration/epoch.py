@@ -7,6 +7,8 @@ from typing import Annotated, Final, NamedTuple
 import msgspec
 
 AgentName = Annotated[str, msgspec.Meta(max_length=64)]
+HIGHEST: Final = 2**62
+"""No peer may tell of a higher number: what is minted after it must still travel."""
 
 
 class Epoch(NamedTuple):
@@ -19,7 +21,7 @@ class Epoch(NamedTuple):
         minter: the agent that owned the task when it was minted.
     """
 
-    n: int
+    n: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
     minter: AgentName
 
     def __str__(self) -> str:
@@ -36,3 +38,8 @@ MORE_THAN_MOVES: Final = 1_000_000
 """By so much a person's decision raises the epoch of a task that was lost: by more than it can have moved. So no agent
 takes the news of it for older than what it knew, and an owner can tell it from a move.
 """
+
+
+def is_out_of_reach(epoch: Epoch, known: Epoch) -> bool:
+    """Returns whether no task comes so far at once: from the highest epoch that is known of it to another one."""
+    return epoch.n > known.n + MOST_STEP

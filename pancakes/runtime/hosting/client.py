@@ -144,9 +144,10 @@ class ClientService(Service):
         self._mover = Mover(self)
         self._disputes = Disputes(self, records, mesh, births)
         self._arrivals = Arrivals(self, catalogue, records, state, self._disputes, self._talk)
-        self._origins = Origins(self, records, self._take_in)
+        self._origins = Origins(self, records)
         self._departures = Departures(self)
-        self._guarded = GuardedTasks(self, records, self._talk, self._checkpointing, self._deliveries, self._disputes)
+        parts = self._checkpointing, self._deliveries, self._disputes, self._origins
+        self._guarded = GuardedTasks(self, records, self._talk, *parts)
         self.first_guardian = self._guarded.first_guardian
         self._decisions = Decisions(self, records, self._mover, self._arrivals, self._disputes)
         self._creations = Creations(self, records, self._arrivals, self._disputes, ledgers, described)
@@ -442,7 +443,7 @@ class ClientService(Service):
     @on(NETWORK, messages.Reserve, keep=KEEP, addressed=True)
     def on_reserve(self, packet: Packet) -> None:
         """An agent asks for a place for a task."""
-        self._origins.judge(packet)
+        self._origins.judge(packet, self._take_in)
 
     @on(NETWORK, TaskAt, keep=queue(64), addressed=True)
     def on_task_at(self, packet: Packet) -> None:

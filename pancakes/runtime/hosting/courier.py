@@ -16,11 +16,11 @@ from pancakes.mesh.migration.post import (
     asked_now,
     false_name,
 )
-from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs, whereabouts
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.codec import packet_from_row, rows_from_payload
-from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.runtime.foundation.suggestion import did_you_mean
 from pancakes.runtime.hosting.courier_messages import COURIER, AskedBegan, CameFor, OwnerHeard, Say, SendUnsent
 from pancakes.runtime.hosting.records import Records
@@ -155,9 +155,15 @@ class Courier(Component):
         """Another agent asks which one has a task, before its actuators obey the task."""
         try:
             record = self._records.get(TaskId.parse(packet.body.task_id))
+            if record is not None and record.phase is Phase.OWNER and not self._acts(record):
+                record = None  # its guardians may have another agent run it by now
             self.publish(NETWORK, whereabouts(self.agent, packet.body.task_id, record), to=packet.source)
         except PancakesError as error:
             self.log("debug", f"{packet.source} was not told where {packet.body.task_id!a} is: {error}")
+
+    def _acts(self, record: Record) -> bool:
+        right = Fence(str(record.task_id), record.epoch)
+        return not record.guarded or self.kernel.permits.may_act(right)
 
     @on(NETWORK, TaskAt, addressed=True)
     def on_task_at(self, packet: Packet) -> None:

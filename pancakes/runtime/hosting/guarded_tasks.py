@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from pancakes.mesh.guarding.choosing import CanGuard
 from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.effect import Seize
 from pancakes.mesh.migration.event import PacketId
 from pancakes.mesh.migration.guarded_task import is_checkpoint
-from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.guards import GuardianId, Guards, newest
 from pancakes.mesh.migration.messages import is_for
-from pancakes.mesh.migration.record import Record
+from pancakes.mesh.migration.record import Phase, Record
 from pancakes.packet import Fence, Packet, agent_of
 from pancakes.runtime.hosting.checkpointing import Checkpointing
 from pancakes.runtime.hosting.deliveries import Deliveries
 from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.last_said import LastSaid
 from pancakes.runtime.hosting.leases import Leases
+from pancakes.runtime.hosting.origins import Origins
 from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.hosting.records import Records
@@ -35,6 +39,7 @@ class GuardedTasks:
         checkpointing: has its tasks written down.
         deliveries: acknowledges packets.
         disputes: learns that the guardians of a task follow another owner.
+        origins: asks which agent has a task.
     """
 
     def __init__(
@@ -45,9 +50,12 @@ class GuardedTasks:
         checkpointing: Checkpointing,
         deliveries: Deliveries,
         disputes: Disputes,
+        origins: Origins,
     ) -> None:
         self._host = host
         self._records = records
+        self._origins = origins
+        self._unbelieved = LastSaid()
         self._talk = talk
         self._leases = Leases(host, self._talk, records, checkpointing.look_at, deliveries.on_disk, disputes.outvoted)
         self._takings = Takings(host, self._talk)
@@ -93,7 +101,7 @@ class GuardedTasks:
         if not is_for(body, self._talk.me.journal):
             return
         if isinstance(body, TakeTask):
-            self._called(peer, body)
+            self._called(packet)
             return
         place = self._host.places.get(body.task_id)
         if place is None or body.guardian.agent != peer:
@@ -105,8 +113,42 @@ class GuardedTasks:
         if isinstance(body, (LeaseKept, DenyLease)):
             self._leases.heard(place, body)
 
-    def _called(self, peer: str, call: TakeTask) -> None:
+    def _called(self, packet: Packet) -> None:
+        """A guardian says that a task is to be taken. It is believed only if no agent is known to have the task."""
+        peer, call = agent_of(packet.source), packet.body
         here = self._records.service_of(call.task_id) in ("", self._host.name)
-        if here and not self._host.kernel.access.fault(peer, "guard", call.type):
-            place = self._host.places.get(call.task_id) or Place(call.task_id, Standing(Record(call.task_id)))
-            self._takings.called(place, call)
+        if not here or self._host.kernel.access.fault(peer, "guard", call.type):
+            return
+        register, record = self._host.state.register_of(call.task_id), self._records.get(call.task_id)
+        guards_it = register is not None and self._talk.me in register.guards.members()
+        # What this agent knows as a guardian itself, it need not be told.
+        guards = register.guards if register is not None and guards_it else call.guards
+        if peer not in {one.agent for one in guards.members()}:
+            self._not_believed(packet, f"{peer} does not guard it")
+        elif record is not None and self._needs_no_taker(record, call):
+            self._not_believed(packet, f"it is {record.phase.value} here, and not guarded")
+        elif guards_it:
+            self._take(packet, newest(guards, call.guards))
+        else:
+            self._origins.judge(packet, self._judged)
+
+    def _needs_no_taker(self, record: Record, call: TakeTask) -> bool:
+        if record.removed:
+            return call.promised <= record.seen
+        return record.phase in (Phase.OWNER, Phase.FROZEN, Phase.COMMITTED) and not record.guarded
+
+    def _judged(self, packet: Packet, refusal: str) -> None:
+        if refusal:
+            self._not_believed(packet, refusal)
+        else:
+            self._take(packet, packet.body.guards)
+
+    def _take(self, packet: Packet, guards: Guards) -> None:
+        call = replace(packet.body, guards=guards)
+        place = self._host.places.get(call.task_id) or Place(call.task_id, Standing(Record(call.task_id)))
+        self._takings.called(place, call)
+
+    def _not_believed(self, packet: Packet, why: str) -> None:
+        peer, task_id = agent_of(packet.source), packet.body.task_id
+        if self._unbelieved.is_news(peer, f"{task_id} {why}"):
+            self._host.log("warning", f"{peer} says that {task_id} is to be taken over, and is not believed: {why}")

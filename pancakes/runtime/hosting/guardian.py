@@ -48,6 +48,7 @@ from pancakes.runtime.hosting.bidding_messages import BidAwarded, MoveOver
 from pancakes.runtime.hosting.deadlines import Deadline, Deadlines
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.importer import Imported
+from pancakes.runtime.hosting.last_said import LastSaid
 from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.registers import Registers, RegisterWritten
@@ -68,6 +69,8 @@ MOST_TASKS: Final = 1024
 """An agent guards so many tasks of one peer at most, ..."""
 MOST_BYTES: Final = 64 * 1024 * 1024
 """... and so many bytes of their checkpoints."""
+MOST_FORGOTTEN: Final = 16_384
+"""Of so many tasks of one peer that were removed an agent remembers that they were; it guards no new ones then."""
 
 
 class _Guarded(msgspec.Struct):
@@ -121,11 +124,12 @@ class Guardian(Component):
         self._registers = registers
         self._records = records
         self._state = state
+        state.register_of = registers.get
         self._talk = PeerTalk(self, mesh)
         self._takeovers = Takeovers(self, self._talk)
         self._deadlines = Deadlines(self.after_host, self.kernel.host.now)
         self._guarded: dict[TaskId, _Guarded] = {}
-        self._refused: dict[str, str] = {}  # why a peer was refused last
+        self._refused = LastSaid()  # why a peer was refused
 
     def on_start(self) -> None:
         self._began_s = self.kernel.host.now()
@@ -297,8 +301,10 @@ class Guardian(Component):
         if told.guardian.agent == agent_of(packet.source) and is_for(told, self._talk.me.journal):
             self._takeovers.seen(told)
             one = self._guarded.get(told.task_id)
-            if told.guards.forgotten and one is not None and told.guardian in one.register.guards.members():
-                one.waiting.append(("", GuardsForgotten(told.guards)))
+            members = one.register.guards.members() if one is not None else ()
+            if one is not None and told.guards.forgotten and told.guardian in members and one.lease.epoch is None:
+                if len(one.waiting) < MOST_WAIT:
+                    one.waiting.append(("", GuardsForgotten(told.guards)))
                 self._go_on(one)
 
     @on(NETWORK, MayGuard, keep=KEEP, addressed=True)
@@ -329,8 +335,7 @@ class Guardian(Component):
         if not is_for(asked, self._talk.me.journal):
             return
         if fault := self._fault(peer, asked):
-            if self._refused.get(peer) != fault:
-                self._refused[peer] = fault
+            if self._refused.is_news(peer, fault):
                 self.log("warning", f"{self.agent} does not guard {asked.task_id} for {peer}: {fault}")
             self._say(packet.source, DenyLease(asked.task_id, asked.epoch, self._talk.me, NO_EPOCH, fault))
             return
@@ -368,9 +373,13 @@ class Guardian(Component):
             if body is None or len(body.snapshot) <= _bytes_of(known.register):
                 return ""  # it takes no more than before
         registers = (it.register for it in self._guarded.values())
-        theirs = [it for it in registers if it.promised.minter == peer and not it.guards.forgotten]
-        if asked.task_id not in self._guarded and len(theirs) >= MOST_TASKS:
-            return f"{self.agent} guards {MOST_TASKS} tasks of {peer} already"
+        of_peer = [it for it in registers if it.promised.minter == peer]
+        theirs = [it for it in of_peer if not it.guards.forgotten]
+        if asked.task_id not in self._guarded:
+            if len(theirs) >= MOST_TASKS:
+                return f"{self.agent} guards {MOST_TASKS} tasks of {peer} already"
+            if len(of_peer) - len(theirs) >= MOST_FORGOTTEN:
+                return f"{self.agent} remembers {MOST_FORGOTTEN} removed tasks of {peer}, and takes no new one"
         others = sum(_bytes_of(it) for it in theirs if it.task_id != asked.task_id)
         if body is not None and others and others + len(body.snapshot) > MOST_BYTES:
             return f"the checkpoints of {peer} would take more than {MOST_BYTES // 2**20} MiB on {self.agent}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from typing import Any, Final
 
 import msgspec
@@ -46,6 +47,7 @@ class HostState:
         negotiated: the tasks for which the Task Migrator compares bids.
         shortest_lease: the task with the shortest lease that this agent guards, as the guardian says; None: it guards
             none.
+        register_of: returns what this agent has on disk as a guardian of a task; None: nothing.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class HostState:
         self.measured: MeasuredLoad | None = None
         self.negotiated: tuple[TaskId, ...] = ()
         self.shortest_lease: GuardRegister | None = None
+        self.register_of: Callable[[TaskId], GuardRegister | None] = lambda task_id: None
 
     # What the services keep true -------------------------------------------------------------------------------
 

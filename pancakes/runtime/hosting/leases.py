@@ -33,6 +33,7 @@ from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId, PermitGiven
 from pancakes.mesh.migration.guard_rule import PERMIT_SHARE, RENEWED, GuardRule
 from pancakes.mesh.migration.guards import GuardianId, forgotten_guards
+from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import Phase, Record
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
@@ -107,8 +108,8 @@ class Leases:
     def look(self, place: Place) -> None:
         """The record of a task may have changed: asks for leases, or no longer."""
         record, permits = place.standing.record, self._host.kernel.permits
-        owned = record.phase in OWNED
-        if owned and record.guarded:
+        owned, disputed = record.phase in OWNED, is_disputed(record)
+        if owned and record.guarded and not disputed:
             if place.tenancy is None:
                 self._begin(place)
             elif permits.begin(_right(place)):
@@ -118,13 +119,15 @@ class Leases:
                 self._renew(place)
             return
         if place.tenancy is not None:
+            if disputed:  # the other owner gets no lease before this one's is over, and it acts no more
+                self._renew(place)
             tenure = place.tenancy.tenure
             if record.removed:
                 self._dismiss(place, place.tenancy)
             self._end(place)
-            if record.phase is Phase.COMMITTED:
+            if record.phase is Phase.COMMITTED or disputed:
                 self._yield(record, tenure)
-        if record.phase is Phase.OWNER:
+        if record.phase is Phase.OWNER and not disputed:
             permits.free(str(place.task_id))
             slot = place.slot
             if slot is not None and slot.spec.guard is not None and idle(place.standing):

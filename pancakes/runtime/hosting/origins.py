@@ -1,4 +1,4 @@
-"""Whether the agent that brings a task has it: asked before a place is kept for the task, as an actuator asks."""
+"""Which agent has a task: asked before the task is taken from another one, or over, as an actuator asks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Final
 import msgspec
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.migration.messages import Reserve
 from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs
 from pancakes.packet import NETWORK, Packet, agent_of, join
@@ -20,19 +19,24 @@ ANSWER_S: Final = 0.3
 """So long each agent has to say where a task is, in host time: its source waits a second for the place."""
 MOST_ASKED: Final = 8
 """So many agents are asked, one after the other, each named by the one before."""
-MOST: Final = 64
-"""So many reservations wait for an answer; of more, the source asks again."""
+MOST_OF_PEER: Final = 16
+"""So many packets of one peer wait for an answer; of more, the peer asks again."""
+
+Take = Callable[[Packet, str], None]
+"""Takes a packet, and why it is refused; empty: it is not."""
 
 
 class _Waiting(msgspec.Struct):
-    """A reservation that waits until other agents have said where the task is.
+    """A packet that waits until other agents have said where the task is.
 
     Attributes:
-        packet: the reservation.
+        packet: the packet.
+        take: takes it then.
         asked: the agents that were asked, the last one just now.
     """
 
     packet: Packet
+    take: Take
     asked: list[str]
 
 
@@ -40,36 +44,33 @@ class Origins:
     """Asks the agents that must know which one has a task. All in the service's actor.
 
     The birthplace of a task knows, or the agent that has given it away, to which one it gave it, and so does each after
-    that. A source that none of them names has no right to the task. An agent that is not linked, or does not answer,
-    is no reason to refuse: a task outlives its birthplace.
+    that. If one of them has the task itself, no other gives it away, and no guardian has it taken over. An agent that
+    is not linked, or does not answer, is no reason to refuse: a task outlives its birthplace.
 
     Args:
         host: the service.
         records: what is known of tasks here.
-        take: takes a reservation, and why it is refused; empty: it is not.
     """
 
-    def __init__(self, host: HostingService, records: Records, take: Callable[[Packet, str], None]) -> None:
+    def __init__(self, host: HostingService, records: Records) -> None:
         self._host = host
         self._records = records
-        self._take = take
-        self._waiting: dict[tuple[str, TaskId], _Waiting] = {}  # by the source
+        self._waiting: dict[tuple[str, str, TaskId], _Waiting] = {}
 
-    def judge(self, packet: Packet) -> None:
-        """Has a reservation taken once it is known that its source may make it."""
-        message: Reserve = packet.body
-        source, task_id = agent_of(packet.source), message.task_id
+    def judge(self, packet: Packet, take: Take) -> None:
+        """Has a packet taken that says where a task is to come from, once it is known whether that may be."""
+        source, _, task_id = key = _key(packet)
         first = self._first(source, task_id, self._records.get(task_id))
         if not first:
-            self._take(packet, "")
-        elif len(self._waiting) < MOST or (source, task_id) in self._waiting:
-            waiting = self._waiting[source, task_id] = _Waiting(packet, [])
+            take(packet, "")
+        elif key in self._waiting or sum(it[0] == source for it in self._waiting) < MOST_OF_PEER:
+            waiting = self._waiting[key] = _Waiting(packet, take, [])
             self._ask(waiting, first)
 
     def told(self, packet: Packet) -> None:
         """An agent says which one has a task."""
         by, at = agent_of(packet.source), packet.body
-        for (source, task_id), waiting in list(self._waiting.items()):
+        for (source, _, task_id), waiting in list(self._waiting.items()):
             if str(task_id) == at.task_id and waiting.asked[-1] == by:
                 self._heard(waiting, source, by, at)
 
@@ -102,7 +103,11 @@ class Origins:
         self._host.after_host(ANSWER_S, lambda: self._end(waiting) if len(waiting.asked) == number else None)
 
     def _end(self, waiting: _Waiting, refusal: str = "") -> None:
-        key = agent_of(waiting.packet.source), waiting.packet.body.task_id
+        key = _key(waiting.packet)
         if self._waiting.get(key) is waiting:
             del self._waiting[key]
-            self._take(waiting.packet, refusal)
+            waiting.take(waiting.packet, refusal)
+
+
+def _key(packet: Packet) -> tuple[str, str, TaskId]:
+    return agent_of(packet.source), packet.type, packet.body.task_id

@@ -11,7 +11,7 @@ from pancakes.errors import ControlRefused, MigrationError
 from pancakes.mesh.guarding.guardian_core import GuardRegister
 from pancakes.mesh.guarding.taking_over import AskLease, HeldUntil, LeaseSeen, TakeTask
 from pancakes.mesh.migration.cost import CostChoice, is_of_core
-from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.epoch import Epoch, is_out_of_reach
 from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.guards import GuardianId, Guards, newest
 from pancakes.mesh.migration.messages import Solicit
@@ -184,8 +184,10 @@ class Takeovers:
     def seen(self, answer: LeaseSeen) -> None:
         """Another guardian says whether a lease runs there."""
         orphan = self._orphans.get(answer.task_id)
-        if orphan is None:
+        if orphan is None or answer.guardian not in orphan.guards.members():
             return
+        if is_out_of_reach(max(answer.promised, answer.guards.epoch), orphan.register.promised):
+            return  # no guardian would pledge itself to an epoch after that one
         orphan.guards = newest(orphan.guards, answer.guards)
         orphan.promised = max(orphan.promised, answer.promised)
         if answer.held.checkpoint > orphan.held.checkpoint:
