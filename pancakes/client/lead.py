@@ -25,3 +25,9 @@ class Lead:
 
     def __str__(self) -> str:
         return f"{self.name} ({self.address})" if self.name and self.address else self.name or self.address
+
+    def silence(self, why: str) -> str:
+        """Returns a sentence that it gave no answer, and why; empty: that is not known."""
+        if why.startswith(f"{self.address} "):  # it names the address itself
+            return f"{self}{why.removeprefix(self.address)}"
+        return f"{self} did not answer" + (f": {why}" if why else "")

@@ -300,6 +300,7 @@ class MeshClient:
         if isinstance(what, str):
             fleet = self._fleet_at(lead)
             keyless = not is_local(lead.address) and self._way(fleet).keys is None
+            keyless = keyless and not what.startswith(f"{lead.address} ")  # nobody is there to ask for them
             lead.failed = f"{what} (you have no keys of the fleet {fleet} to show it)" if keyless else what
         elif lead.name and (lead.name, lead.fleet) != (what.name, what.fleet):
             lead.failed = f"at its address is {what.name} of the fleet {what.fleet}"
@@ -376,8 +377,7 @@ class MeshClient:
                 silent = [(lead, why) for lead, why in silent if lead.name in wanted]
             asleep = {(door.fleet, name) for door in self._doors.values() for name in door.asleep()}
             sentences = [
-                (f"{lead} did not answer: {why or self._late(timeout_s)}", (lead.fleet, lead.name) in asleep)
-                for lead, why in silent
+                (lead.silence(why or self._late(timeout_s)), (lead.fleet, lead.name) in asleep) for lead, why in silent
             ]
             if not answers:
                 raise Unreachable(
@@ -487,7 +487,7 @@ class MeshClient:
             raise ControlRefused(f"the fleets {several} both have an agent {agent}: name one of them with --fleet")
 
     def _nobody(self, agent: str, names: list[str], silent: Iterable[tuple[Lead, str]]) -> str:
-        lines = [f"{lead} did not answer" + (f": {why}" if why else "") for lead, why in silent]
+        lines = [lead.silence(why) for lead, why in silent]
         there = f"there is no agent {agent!r}{hint_of(agent, names)}"
         if not names:
             there = self._nowhere() if not lines else f"no agent knows of an agent {agent!r}"

@@ -108,6 +108,8 @@ def test_config_show_can_be_run(rig: Rig):
     assert found["agent.name"] == ("a", f"{path}:4")
     assert found["clock.speed"] == (1.0, "default")
     assert "agent.seed" not in found, "it has no value"
+    missing = rig.pancakes("config", "show", "lmp")
+    assert missing.returncode == 3 and missing.stderr.endswith("\nthere is no file 'lmp' either\n")
     bad = invoked("config", "show", str(rig.config("b", BAD)))
     assert (bad.exit_code, bad.stdout) == (4, "")
 

@@ -87,7 +87,7 @@ def test_config_show_takes_a_file_or_an_agent(rig: Rig):
     assert shown.returncode == 0 and 'name = "a"' in shown.stdout, "a folder may bear the name of an agent"
     for words, code, said in (
         (("b",), 3, "there is no file 'b'"),
-        (("c",), 3, "no agent 'c' answers, and that is a folder"),
+        (("c",), 3, "there is no agent 'c', only a\n'c' is a folder\n"),
         (("a", "--set", "clock.speed=2"), 2, "--set is for what a file says"),
     ):
         refused = rig.pancakes("config", "show", *words)

@@ -58,6 +58,9 @@ log --grep a(b
 log --level loud
 log --since ever
 record repair
+task rate a/b -1  # -1.0 is not in the range x>=0.0
+task rate a/b -x  # No such option
+what-if rate a/b -.5  # -0.5 is not in the range x>=0.0
 down --at 127.0.0.1:7401
 down --all
 config schema --fleet --plugins

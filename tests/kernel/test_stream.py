@@ -232,7 +232,7 @@ def test_how_a_reader_reads_is_described_and_what_waits_for_it():
     assert first["waiting_bytes"] == 0, "none is heavy"
     assert [it["channel"] for it in stream.readings(newest.address)] == ["system"]
     assert stream.readings("a/client/Nobody") == []
-    with pytest.raises(UnknownChannel, match="no channel 'sytem', only system"):
+    with pytest.raises(UnknownChannel, match="no channel 'sytem', did you mean 'system'"):
         stream.describe("sytem")
 
 

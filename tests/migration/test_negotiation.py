@@ -166,6 +166,15 @@ def test_where_the_hand_off_fails_the_next_bidder_is_tried_until_there_is_none()
 def test_without_neighbours_it_is_decided_at_once() -> None:
     assert "there is no neighbour that hosts tasks" in message_of(negotiation().begin(100.0))
     assert "agent9 is no neighbour" in message_of(negotiation("a", to="agent9").begin(100.0))
+    mistyped = message_of(negotiation("agent2", to="agnt2").begin(100.0))
+    assert mistyped.endswith("agnt2 is no neighbour that hosts tasks, did you mean 'agent2'?")
+
+
+def test_to_the_agent_that_has_it_is_no_migration() -> None:
+    source = negotiation().ledger(100.0).source
+    assert (
+        message_of(negotiation("a", to=source).begin(100.0)) == f"ScanTarget is on {source} already: name another agent"
+    )
 
 
 def test_a_dry_run_compares_and_moves_nothing() -> None:

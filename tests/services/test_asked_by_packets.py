@@ -188,7 +188,7 @@ def test_the_channels_of_an_agent_are_described_with_who_reads_them(fleet):
     assert not told["map"]["core"]
     assert "a/client/Count" in [reader["address"] for reader in told["system"]["subscribers"]]
     assert [row["channel"] for row in agent.ask(Channels("map")).result] == ["map"]
-    assert agent.ask(Channels("mapp")).reason.startswith("a has no channel 'mapp', only system, ")
+    assert agent.ask(Channels("mapp")).reason.startswith("a has no channel 'mapp', did you mean 'map'?")
 
 
 def test_what_waits_and_what_fell_out_is_counted_for_each_reader(fleet):

@@ -16,6 +16,7 @@ from pancakes.errors import NoCandidate
 from pancakes.mesh.migration.cost import cost_text, fault_of
 from pancakes.mesh.migration.ledger import Ledger, Line
 from pancakes.mesh.migration.messages import Solicit
+from pancakes.runtime.foundation.suggestion import hint_of
 
 
 class Awarded(msgspec.Struct, frozen=True):
@@ -73,7 +74,7 @@ class Negotiation:
         patience_s: float,
         cause: str,
     ) -> None:
-        known = sorted(dict.fromkeys(neighbours))
+        self._known = known = sorted(dict.fromkeys(neighbours))
         self.request = request
         self.asked: tuple[str, ...] = tuple(peer for peer in known if not to or peer == to)
         self._source = source
@@ -208,6 +209,9 @@ class Negotiation:
         if self.asked:
             reasons = "; ".join(f"{peer}: {self._lines[peer].reason}" for peer in self.asked)
             return f"no neighbour can take {name}: {reasons}"
+        if self._to == self._source:
+            return f"{name} is on {self._to} already: name another agent"
         if self._to:
-            return f"no neighbour can take {name}: {self._to} is no neighbour that hosts tasks"
+            hint = hint_of(self._to, self._known)
+            return f"no neighbour can take {name}: {self._to} is no neighbour that hosts tasks{hint}"
         return f"no neighbour can take {name}: there is no neighbour that hosts tasks"

@@ -10,6 +10,7 @@ from pancakes.errors import MailboxFull, PancakesError, UnknownChannel
 from pancakes.packet import CORE_CHANNELS, CTRL, NEIGHBOURS, TO_TASK, Packet, agent_of, covers
 from pancakes.runtime.foundation.names import fault_of_name
 from pancakes.runtime.foundation.signatures import check_called
+from pancakes.runtime.foundation.suggestion import hint_of
 from pancakes.runtime.kernel.handlers import Subscription
 from pancakes.runtime.kernel.mailbox import Mailbox
 from pancakes.runtime.kernel.route import Listener, Route, Tap
@@ -92,7 +93,7 @@ class InformationStream:
             if name in CORE_CHANNELS:
                 raise UnknownChannel(f"{name!r} is a core channel and cannot be removed")
             if name not in self._readers:
-                raise UnknownChannel(f"{self.agent} has no channel {name!r}, only {', '.join(self._readers)}")
+                raise UnknownChannel(f"{self.agent} has no channel {name!r}{hint_of(name, self._readers)}")
             del self._readers[name]
             self._taps.pop(name, None)
             self._forget(name)
@@ -185,7 +186,7 @@ class InformationStream:
         check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             if channel not in self._readers:
-                raise UnknownChannel(f"{self.agent} has no channel {channel!r}, only {', '.join(self._readers)}")
+                raise UnknownChannel(f"{self.agent} has no channel {channel!r}{hint_of(channel, self._readers)}")
             self._taps[channel] = (*self._taps.get(channel, ()), (tap, types, by))
             self._forget(channel)
 
@@ -216,8 +217,8 @@ class InformationStream:
             readers = self._readers.get(subscription.channel)
             if readers is None:
                 raise UnknownChannel(
-                    f"{address} cannot subscribe to {subscription.channel!r}: {self.agent} has no such channel,"
-                    f" only {', '.join(self._readers)}"
+                    f"{address} cannot subscribe to {subscription.channel!r}: {self.agent} has no such"
+                    f" channel{hint_of(subscription.channel, self._readers)}"
                 )
             reader = readers.get(address)
             if reader is None:
@@ -261,7 +262,7 @@ class InformationStream:
         with self._lock:
             readers = self._readers.get(channel)
             if readers is None:
-                raise UnknownChannel(f"{self.agent} has no channel {channel!r}, only {', '.join(self._readers)}")
+                raise UnknownChannel(f"{self.agent} has no channel {channel!r}{hint_of(channel, self._readers)}")
             return [reader.describe() for reader in readers.values()]
 
     def readings(self, address: str) -> list[dict[str, Any]]:
@@ -315,6 +316,6 @@ class InformationStream:
 
     def _unknown(self, packet: Packet) -> UnknownChannel:
         return UnknownChannel(
-            f"{packet.source} published {packet.type!r} to {packet.channel!r}, but {self.agent} has no such channel,"
-            f" only {', '.join(self._readers)}"
+            f"{packet.source} published {packet.type!r} to {packet.channel!r}, but {self.agent} has no such channel"
+            f"{hint_of(packet.channel, self._readers)}"
         )

@@ -62,6 +62,15 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+class TakesNumbers(click.Command):
+    """A command with a number among its arguments: `-1` is one, and no option, so that it is refused as a number."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if any(re.fullmatch(r"-\.?\d.*", it) for it in args):
+            ctx.ignore_unknown_options = True
+        return super().parse_args(ctx, args)
+
+
 format_option = click.option(
     "--format",
     "format_",

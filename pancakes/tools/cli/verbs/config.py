@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from pancakes.control import Describe
-from pancakes.errors import ConfigError, ControlRefused, Fault, Unreachable
+from pancakes.errors import ConfigError, ControlRefused, Fault, NoAnswer, Unreachable
 from pancakes.runtime.foundation.printable import printable_data
 from pancakes.tools.cli.asking import order
 from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
@@ -138,11 +138,13 @@ def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
     from pancakes.runtime.config.toml_text import key_text
 
     with ask.client() as client:
-        if not client.is_there(agent):
-            no_file = "that is a folder" if Path(agent).is_dir() else f"there is no file {agent!r}"
-            raise Unreachable(f"no agent {agent!r} answers, and {no_file}")
         try:
             found = order(client, agent, Describe(config=True))
+        except NoAnswer:
+            raise
+        except Unreachable as error:
+            no_file = f"{agent!r} is a folder" if Path(agent).is_dir() else f"there is no file {agent!r} either"
+            raise Unreachable(f"{error}\n{no_file}") from None
         except ControlRefused as error:
             raise ControlRefused(f"{error}; pancakes task info {agent}/TASK shows the settings of one task") from None
 

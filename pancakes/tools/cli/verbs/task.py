@@ -13,7 +13,15 @@ from pancakes.errors import NoAnswer
 from pancakes.runtime.life.restart import tries
 from pancakes.tools.cli.asking import order, placed, show_done, survey
 from pancakes.tools.cli.name_types import TaskName, a_task, agents
-from pancakes.tools.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, keep_state_option, orders_agents
+from pancakes.tools.cli.options import (
+    Ask,
+    FiniteRange,
+    TakesNumbers,
+    asks_agents,
+    dry_run_option,
+    keep_state_option,
+    orders_agents,
+)
 from pancakes.tools.cli.output import show, show_json, show_sections
 from pancakes.tools.cli.verbs.create import create, remove
 from pancakes.tools.cli.verbs.fence import fence
@@ -166,7 +174,7 @@ def restart(name: TaskName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
     _order(ask, name, "restarted", lambda target: Restart(target, keep_state, dry_run))
 
 
-@task.command()
+@task.command(cls=TakesNumbers)
 @a_task
 @click.argument("rate_hz", metavar="HZ", type=FiniteRange(min=0.0))
 @click.option(

@@ -15,7 +15,7 @@ from pancakes.measurement import LONGEST_S, SHORTEST_S, Measure
 from pancakes.runtime.foundation import codecs
 from pancakes.tools.cli.asking import accepted, order, placed
 from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task, the_agent
-from pancakes.tools.cli.options import Ask, Duration, FiniteRange, asks_agents_for
+from pancakes.tools.cli.options import Ask, Duration, FiniteRange, TakesNumbers, asks_agents_for
 from pancakes.tools.cli.output import show_json, show_sections, show_text
 from pancakes.tools.cli.verbs.task_completion import costs
 
@@ -85,7 +85,7 @@ def move(name: TaskName, to: str, cost: str, for_s: float, ask: Ask) -> None:
     _show(f"{name} moves to {winner}", forecast, ask.format_, {"bids": _bid_rows(ledger)})
 
 
-@what_if.command()
+@what_if.command(cls=TakesNumbers)
 @a_task
 @click.argument("rate_hz", metavar="HZ", type=FiniteRange(min=0.0))
 @click.option("--timer", metavar="NAME", default="", help="Which of its timers. [default: its first]")
