@@ -1,6 +1,5 @@
 """What a host may answer that is not Pancakes: each has a sentence, and nothing of it is taken for more than it is."""
 
-import json
 import sys
 
 import pytest
@@ -13,9 +12,13 @@ from pancakes.tools.launch.ssh import VARIABLE
 DEEP = "[" * 100_000
 
 SAYS = """
-import json, sys
+import json, re, sys
+number, size = re.search(r"[(](0x[0-9a-f]+)[)].to_bytes[(]([0-9]+)[)]", sys.argv[-1]).groups()
+begun = int(number, 16).to_bytes(int(size))
+sys.stdout.buffer.write(begun)
+sys.stdout.buffer.flush()
 sys.stdin.buffer.readline()
-answer = open({answer!r}, "rb").read()
+answer = open({answer!r}, "rb").read().replace(b"MARK", begun.partition(b"{{}}")[0].lstrip())
 for line in sys.stdin:
     sys.stdout.buffer.write(answer.replace(b"NUMBER", str(json.loads(line)["id"]).encode()))
     sys.stdout.buffer.flush()
@@ -24,7 +27,7 @@ for line in sys.stdin:
 
 @pytest.fixture
 def host(tmp_path, monkeypatch):
-    """Makes a connection to a host that answers so; NUMBER stands for that of the request."""
+    """Makes a connection to a host that answers so; NUMBER stands for that of the request, MARK for the marker."""
     links = []
 
     def make(answer: str) -> HostLink:
@@ -42,14 +45,18 @@ def host(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("answer", "sentence"),
     [
-        ('{"id": "one"}\n', "robot1 answers what Pancakes does not say (Expected `int`, got `str` - at `$.id`)"),
-        ('{"id": NUMBER, "fault": [1]}\n', "robot1 answers what Pancakes does not say"),
-        ('{"id": NUMBER, "result": 5}\n', "robot1 answers look with what cannot be read: Expected `object`, got `int`"),
-        ('{"id": NUMBER}\n', "robot1 answers look with what cannot be read: Expected `object`, got `null`"),
-        ('{"id": NUMBER, "result": {"user": "pi"}}\n', "robot1 answers look with what cannot be read"),
+        ('MARK{"id": "one"}\n', "robot1 answers what Pancakes does not say (Expected `int`, got `str` - at `$.id`)"),
+        ('MARK{"id": NUMBER, "fault": [1]}\n', "robot1 answers what Pancakes does not say"),
+        (
+            'MARK{"id": NUMBER, "result": 5}\n',
+            "robot1 answers look with what cannot be read: Expected `object`, got `int`",
+        ),
+        ('MARK{"id": NUMBER}\n', "robot1 answers look with what cannot be read: Expected `object`, got `null`"),
+        ('MARK{"id": NUMBER, "result": {"user": "pi"}}\n', "robot1 answers look with what cannot be read"),
+        (f"MARK{DEEP}\n", "robot1 answers what Pancakes does not say"),
         ("x" * (LONGEST_LINE + 1), "robot1 answers what Pancakes does not say (a line of more than 16 MiB)"),
     ],
-    ids=["number", "fault", "result", "none", "part", "line"],
+    ids=["number", "fault", "result", "none", "part", "deep", "line"],
 )
 def test_an_answer_that_is_none_is_a_sentence(host, answer, sentence):
     with pytest.raises(PancakesError) as error:
@@ -59,5 +66,7 @@ def test_an_answer_that_is_none_is_a_sentence(host, answer, sentence):
 
 def test_what_a_shell_prints_is_passed_by_however_odd_it_is(host):
     shell = "\n".join(["Welcome", DEEP, "9" * 100_000, '"text"', "[1, 2]", "{broken"])
-    answer = json.dumps({"id": 0, "result": ["wheel"]}).replace('"id": 0', '"id": NUMBER')
-    assert host(f"{shell}\n{answer}\n").obtain("missing", 10.0, list[str]) == ["wheel"]
+    answer = '{"id": NUMBER, "result": ["wheel"]}'
+    assert host(f"{shell}\n{answer.replace('wheel', 'lie')}\nand MARK{answer}\n").obtain(
+        "missing", 10.0, list[str]
+    ) == ["wheel"]
