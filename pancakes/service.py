@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final
 from pancakes.control import Command, Describe, Hold
 from pancakes.errors import ClassError, ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
-from pancakes.runtime.foundation.own_names import check_made, check_own_names
+from pancakes.runtime.foundation.own_names import check_made, check_own_names, is_own
 from pancakes.runtime.kernel.component import COMPONENT_HOOKS, Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.kernel import Kernel
@@ -76,7 +76,7 @@ class Service(Component):
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
-        check_own_names(cls, Service, _HOOKS, ("settings",))
+        check_own_names(cls, next(base for base in cls.__mro__ if is_own(base)), _HOOKS, ("settings",))
         super().__init_subclass__(**others)
         check_made(cls, _MADE_WITH, "a service", "`def on_start(self)`")
         check_saved(cls, "Settings")

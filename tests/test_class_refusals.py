@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pancakes.bodies.devices.driver import Actuator, Sensor
 from pancakes.mesh.migration.cost import Cost
+from pancakes.runtime.hosting.client import ClientService
 from pancakes.service import Service
 from pancakes.task import Task, every, on, queue
 class Gripper: ...
@@ -283,6 +284,8 @@ NOT_FREE = [
     ("Service", "def _start(self): ...", "_start"),
     ("Service", "def reply(self, request, reason='', result=None): ...", "reply"),
     ("Service", "def on_start(self):\n        self.slots, self.mine = {}, 1", "self.slots"),
+    ("ClientService", "def look_after(self, place, request): ...", "look_after"),
+    ("ClientService", "def on_start(self):\n        self.places = []", "self.places"),
     ("Sensor", "def settings(self): ...\n    def sample(self): ...", "def settings"),
     ("Actuator", "def context(self): ...", "context"),
 ]
