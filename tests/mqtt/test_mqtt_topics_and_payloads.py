@@ -8,7 +8,7 @@ import pytest
 from pancakes_mqtt.packet_bodies import body_in
 from pancakes_mqtt.packets import Number
 from pancakes_mqtt.payloads import BadPayload, celsius_of, number_of, oddities, truth_of, value_at
-from pancakes_mqtt.topics import fault_of_filter, fault_of_topic, filled, means
+from pancakes_mqtt.topics import client_id_of, fault_of_filter, fault_of_topic, filled, means
 
 from pancakes.bodies.devices.types import Memory, Motion, Temperature
 
@@ -210,3 +210,9 @@ def test_words_of_ones_own_come_before_the_usual_ones() -> None:
     assert truth_of("Closed", ["closed"], []) is True
     assert truth_of(True, [], ["true"]) is False
     assert truth_of("open", ["closed"], []) is True
+
+
+def test_no_two_connections_have_one_name() -> None:
+    assert client_id_of("shed", "mqtt") == "pancakes-shed-mqtt"
+    parts = [("a-b", "c"), ("a", "b-c"), ("a-", "b"), ("a--b", "c"), ("a", "b--c"), ("a_b", "c")]
+    assert len({client_id_of(*names) for names in parts}) == len(parts)

@@ -19,6 +19,8 @@ from pancakes_ros2.ros2_service import Ros2Service
 from pancakes_ros2.ros_motors import RosMotors
 from pancakes_ros2.ros_node import silence_of
 from pancakes_ros2.ros_sensors import RosInfrared, RosPose
+from pancakes_ros2.task_node import TaskView
+from pancakes_ros2.task_nodes import place_of
 from pancakes_ros2.topic_row import TopicRow
 
 from pancakes.bodies.devices.types import Motion
@@ -44,6 +46,22 @@ def test_without_ros_2_a_device_says_what_to_do():
     with pytest.raises(PancakesError, match="this Python has no ROS 2, .*: source the setup file"):
         driver.open()
     driver.close()
+
+
+@pytest.mark.parametrize("name", ["red-robot", "7", "_hidden", "a__b", "a-b_c"])
+def test_an_agent_whose_name_is_none_in_ros_2_is_refused(name):
+    context = DriverContext(name)
+    for cls in (RosPose, RosMotors):
+        driver = cls(context, make_settings(cls.Settings, {}))
+        with pytest.raises(PancakesError, match=f"the agent {name} cannot be a node of ROS 2, .* such as "):
+            driver.open()
+        driver.close()
+
+
+def test_tasks_that_would_be_one_node_have_one_place():
+    views = [TaskView("client", name, ACTIVE) for name in ("scan-left", "scan_left", "pancakes")]
+    assert [place_of("a", view) for view in views] == [("/a", "scan_left"), ("/a", "scan_left"), ("/a", "pancakes")]
+    assert place_of("a", TaskView("sensing", "scan-left", ACTIVE)) == ("/a/sensing", "scan_left")
 
 
 def test_in_virtual_time_a_device_refuses():

@@ -31,7 +31,7 @@ from pancakes_mqtt.message import Message
 from pancakes_mqtt.packet_bodies import body_in, payload_of
 from pancakes_mqtt.packets import BrokerTraffic
 from pancakes_mqtt.payloads import BadPayload
-from pancakes_mqtt.topics import fault_of_topic, filled, means
+from pancakes_mqtt.topics import client_id_of, fault_of_topic, filled, means
 
 AT_ONCE: Final = 100
 """So many messages become packets in one turn."""
@@ -90,7 +90,7 @@ class MqttBridge(Service):
                 self.open_channel(row.channel)
         status = filled(settings.status, {"agent": self.agent})
         self._connection = BrokerConnection(
-            settings, f"pancakes-{self.agent}-{self.name}", self.log, status, lasting=True
+            settings, client_id_of(self.agent, self.name), self.log, status, lasting=True
         )
         for number, row in enumerate(settings.publish):
             kind = None if row.type == "*" else row.type

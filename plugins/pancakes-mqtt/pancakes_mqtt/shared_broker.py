@@ -9,6 +9,7 @@ from pancakes_mqtt.broker_connection import BrokerConnection, Say
 from pancakes_mqtt.broker_settings import BrokerSettings
 from pancakes_mqtt.message import Message
 from pancakes_mqtt.subscriptions import Taker
+from pancakes_mqtt.topics import client_id_of
 
 
 class SharedBroker:
@@ -62,5 +63,5 @@ def shared_broker(context: DeviceContext, settings: BrokerSettings) -> SharedBro
     """Returns the connection that all devices of this agent with the same settings of a broker share."""
     return context.shared(
         f"mqtt {settings.connection_key}",
-        lambda: SharedBroker(settings, f"pancakes-{context.agent}-devices", context.log),
+        lambda: SharedBroker(settings, client_id_of(context.agent, "devices"), context.log),
     )

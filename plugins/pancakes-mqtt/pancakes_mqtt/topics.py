@@ -12,6 +12,14 @@ SHARE: Final = "$share"
 _PLACE: Final = re.compile(r"\{([^{}]*)\}")
 
 
+def client_id_of(agent: str, part: str) -> str:
+    """Returns the name of a connection: no two agents, and no two services, have one, as a broker takes one of a name.
+
+    A dash of a name is doubled, as a single one stands between the two: agent `a-b` with `c` is not `a` with `b-c`.
+    """
+    return "-".join(("pancakes", agent.replace("-", "--"), part.replace("-", "--")))
+
+
 def fault_of_topic(topic: str) -> str:
     """Says why no message can be published to a topic; empty: one can."""
     if found := next((sign for sign in "+#" if sign in topic), ""):

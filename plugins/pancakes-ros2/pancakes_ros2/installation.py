@@ -74,3 +74,19 @@ def ros_name(name: str) -> str:
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
     plain = re.sub(r"__+", "_", plain)
     return plain if plain[:1].isalpha() else f"a_{plain.lstrip('_')}"
+
+
+def check_agent_name(name: str) -> None:
+    """Makes sure that an agent's name is a name in ROS 2 as it is.
+
+    It must not become another one there: `red-robot` and `red_robot` would be one node with one set of topics, and an
+    agent does not know of all others.
+
+    Raises:
+        PancakesError: it is none; the sentence has one that is.
+    """
+    if ros_name(name) != name:
+        raise PancakesError(
+            f"the agent {name} cannot be a node of ROS 2, where names have letters, digits and single underscores, and"
+            f" begin with a letter: give it another name, such as {ros_name(name)}"
+        )

@@ -6,7 +6,7 @@ import threading
 from dataclasses import dataclass
 
 from pancakes.errors import PancakesError
-from pancakes_ros2.installation import check_installed
+from pancakes_ros2.installation import check_agent_name, check_installed
 from pancakes_ros2.ros_node import RosNode
 
 
@@ -33,13 +33,14 @@ class NodeTable:
             virtual: whether the agent lives in virtual time.
 
         Raises:
-            PancakesError: there is no ROS 2, or the agent lives in virtual time.
+            PancakesError: there is no ROS 2, the agent lives in virtual time, or its name is none in ROS 2.
         """
         if virtual:
             raise PancakesError(
                 f"{agent} lives in virtual time, where no robot of ROS 2 can follow it: run it live,"
                 " or give its devices other drivers, such as `null.*`, for this run"
             )
+        check_agent_name(agent)
         check_installed()
         with self._lock:
             shared = self._nodes.get(agent)

@@ -13,7 +13,7 @@ from typing import Any
 
 from pancakes.errors import PancakesError
 from pancakes_ros2.conversion import Moment
-from pancakes_ros2.installation import have_fields_checked, message_class, ros_name
+from pancakes_ros2.installation import have_fields_checked, message_class
 from pancakes_ros2.quality import Quality, profile_of
 
 Failed = Callable[[str], None]
@@ -204,7 +204,7 @@ class RosNode:
     """
 
     def __init__(self, agent: str) -> None:
-        self._name = ros_name(agent)
+        self._name = agent
         self._lock = threading.Lock()
         self._jobs: deque[tuple[Callable[[Any], None], Failed | None]] = deque()
         self._executor: Any = None

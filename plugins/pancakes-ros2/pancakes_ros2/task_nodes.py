@@ -35,13 +35,14 @@ class TaskNodes:
     """
 
     def __init__(self, agent: str, node: RosNode, ask: AskLater, failed: Failed, ended: Callable[[], None]) -> None:
-        self._agent = ros_name(agent)
+        self._agent = agent
         self._ask_later = ask
         self._failed = failed
         self._ended = ended
         self._lock = threading.Lock()
         self._executor: Any = None
         self._nodes: dict[tuple[str, str], TaskNode] = {}
+        self._left_out: set[tuple[str, str]] = set()
         self._views: Newest[Sequence[TaskView]] = Newest(1, self._wake)
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, args=(node,), name=f"ros-tasks-{agent}")
@@ -100,15 +101,31 @@ class TaskNodes:
             for key, view in there.items():
                 if key in self._nodes:
                     self._nodes[key].show(view)
-                else:
+                elif self._is_free(view):
                     self._nodes[key] = self._made(context, view)
+
+    def _is_free(self, view: TaskView) -> bool:
+        """Returns whether no other node of this agent has a task's name; if one has, says so once."""
+        place = place_of(self._agent, view)
+        taken = {place_of(self._agent, task.view): f"the task {task.view.target}" for task in self._nodes.values()}
+        taken[f"/{self._agent}", "pancakes"] = "the node of the agent itself"
+        other = taken.get(place)
+        key = (view.service, view.name)
+        if other is None:
+            self._left_out.discard(key)
+        elif key not in self._left_out:
+            self._left_out.add(key)
+            self._failed(
+                f"the task {view.target} is no node of ROS 2: it would be {'/'.join(place)}, as {other} is. Rename one"
+            )
+        return other is None
 
     def _made(self, context: Any, view: TaskView) -> TaskNode:
         from rclpy.node import Node
 
-        space = f"/{self._agent}" if view.service == "client" else f"/{self._agent}/{ros_name(view.service)}"
+        space, name = place_of(self._agent, view)
         node = Node(
-            ros_name(view.name),
+            name,
             namespace=space,
             context=context,
             use_global_arguments=False,
@@ -123,6 +140,12 @@ class TaskNodes:
             return self._ask_later(body).result(ANSWER_S)
         except TimeoutError:
             raise PancakesError(f"{self._agent} did not answer within {ANSWER_S:g} s") from None
+
+
+def place_of(agent: str, view: TaskView) -> tuple[str, str]:
+    """Returns the namespace and the name that a task has as a node."""
+    space = f"/{agent}" if view.service == "client" else f"/{agent}/{ros_name(view.service)}"
+    return space, ros_name(view.name)
 
 
 def _look_again() -> None:
