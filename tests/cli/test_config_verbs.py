@@ -125,3 +125,23 @@ def test_config_schema_is_json_or_a_table():
     lines = [line.split() for line in invoked("config", "schema", "--format", "table").stdout.splitlines()]
     assert next(line for line in lines if line[:2] == ["[clock]", "speed"])[2:4] == ["number", "1.0"]
     assert ["[task.NAME]", "migrate.below", "number"] in [line[:3] for line in lines]
+
+
+def test_config_check_of_agents_on_hosts_checks_what_is_known_here(rig: Rig):
+    fleet = rig.directory / "fleet.toml"
+    fleet.write_text('schema = 1\n[fleet]\nname = "test"\n[agent.a]\nhost = "pi@robot1"\n')
+    known = '[device.load]\ndriver = "host.load"\nrate_hz = 2\nsettings = { wrong = 1 }\n'
+    unknown = '[task.Walk]\ntype = "yard.Walk"\nsettings = { legs = 4 }\n[device.x]\ndriver = "host.lod"\n'
+    path = rig.config("a", known + unknown, agent='peers = ["carrier://b:1"]')
+    result = rig.pancakes("config", "check", str(fleet))
+    assert (result.returncode, result.stdout) == (4, "")
+    assert f"{path}" in result.stderr and "[device.load] settings.wrong: unknown key" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+    rig.config("a", unknown, agent='peers = ["carrier://b:1"]')
+    result = rig.pancakes("config", "check", str(fleet))
+    but = "but for carrier://, host.lod, yard.Walk, not installed here and not checked"
+    assert (result.returncode, result.stdout.splitlines()) == (
+        0,
+        [f"{path} is sound, {but}: the agent a of the fleet test"],
+    )

@@ -43,7 +43,12 @@ _TABLES: Final = ("agent", "access", "clock", "record", *NAMED_TABLES)
 
 
 def load(
-    path: str | PathLike[str], sets: Sequence[str] = (), plugins: Plugins | None = None, *, must_load: bool = False
+    path: str | PathLike[str],
+    sets: Sequence[str] = (),
+    plugins: Plugins | None = None,
+    *,
+    must_load: bool = False,
+    missing: set[str] | None = None,
 ) -> Config:
     """Reads a configuration file.
 
@@ -53,16 +58,24 @@ def load(
         plugins: where drivers, services and tasks come from. With it, what they ask of the configuration is
             checked too (see `check_plugins`); without it, only the format is.
         must_load: whether it is a fault where one of these that the file names cannot be imported.
+        missing: takes the names of those that are not installed here, which are no faults then: the configuration is
+            for another machine.
 
     Raises:
         ConfigError: the file cannot be read, or is not sound; it carries every fault.
     """
     where = fspath(path)
-    return parse(text_of(where), where, sets, plugins, must_load=must_load)
+    return parse(text_of(where), where, sets, plugins, must_load=must_load, missing=missing)
 
 
 def parse(
-    text: str, where: str, sets: Sequence[str] = (), plugins: Plugins | None = None, *, must_load: bool = False
+    text: str,
+    where: str,
+    sets: Sequence[str] = (),
+    plugins: Plugins | None = None,
+    *,
+    must_load: bool = False,
+    missing: set[str] | None = None,
 ) -> Config:
     """Reads a configuration from its text; see `load`.
 
@@ -72,6 +85,7 @@ def parse(
         sets: overrides, each as `table.key=value`.
         plugins: where drivers, services and tasks come from; None leaves them unchecked.
         must_load: whether it is a fault where one of these that the text names cannot be imported.
+        missing: see `load`.
 
     Raises:
         ConfigError: the text is not sound; it carries every fault.
@@ -83,7 +97,7 @@ def parse(
     config = reader.config()
     faults += reader.faults
     if plugins is not None:
-        faults += check_plugins(config, plugins, must_load)
+        faults += check_plugins(config, plugins, must_load, missing)
     faults = tables.with_faults(faults)
     if faults:
         raise ConfigError(places.in_order(faults))

@@ -27,7 +27,9 @@ COSTS = "pancakes.costs"
 TRANSPORTS = "pancakes.transports"
 
 
-def check_plugins(config: Config, plugins: Plugins, must_load: bool = False) -> list[Fault]:
+def check_plugins(
+    config: Config, plugins: Plugins, must_load: bool = False, missing: set[str] | None = None
+) -> list[Fault]:
     """Returns all that a configuration gets wrong about drivers, services, tasks, costs and transports.
 
     What could only be judged with a plug-in that cannot be imported is not judged.
@@ -38,8 +40,9 @@ def check_plugins(config: Config, plugins: Plugins, must_load: bool = False) -> 
             types of packets.
         must_load: whether a plug-in that the configuration names and that cannot be imported is a fault. Where it is
             none, it is left to `Plugins.problems`, and the rest of an agent runs.
+        missing: takes the names of plug-ins that are not installed, which are no faults then; None: they are.
     """
-    check = _Check(config, plugins, must_load)
+    check = _Check(config, plugins, must_load, missing)
     check.run()
     return config.places.in_order(check.faults)
 
@@ -60,7 +63,8 @@ def check_task(config: Config, task: TaskConfig, plugins: Plugins) -> list[Fault
 class _Check:
     """One pass over one configuration."""
 
-    def __init__(self, config: Config, plugins: Plugins, must_load: bool) -> None:
+    def __init__(self, config: Config, plugins: Plugins, must_load: bool, missing: set[str] | None = None) -> None:
+        self._missing = missing
         self._config = config
         self._must_load = must_load
         self._plugins = plugins
@@ -110,7 +114,11 @@ class _Check:
         try:
             return self._plugins.get(group, name)
         except UnknownPlugin as error:
-            self._fault(key, error.problem, error.suggestion)
+            if self._missing is None:
+                self._fault(key, error.problem, error.suggestion)
+            else:
+                self._missing.add(name)
+                self._broken = True
         except PluginError as error:
             self._broken = True
             if self._must_load:
@@ -143,7 +151,9 @@ class _Check:
                 scheme = parse_address(text).scheme
             except ValueError:
                 continue
-            if scheme not in known:
+            if scheme not in known and self._missing is not None:
+                self._missing.add(f"{scheme}://")
+            elif scheme not in known:
                 command = to_install(TRANSPORTS, scheme, known)
                 problem = f"unknown transport {scheme!r} in {text!r}" + (f": {command}" if command else "")
                 self._fault(key, problem, "" if command else suggestion(scheme, known))

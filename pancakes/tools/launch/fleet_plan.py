@@ -55,6 +55,7 @@ def make_fleet(
     *,
     must_load: bool = False,
     local: bool = False,
+    check_hosts: bool = False,
 ) -> list[Member]:
     """Reads a fleet; nothing is started, and what runs already is not looked at.
 
@@ -67,6 +68,8 @@ def make_fleet(
             of agents that run on another host.
         must_load: whether it is a fault where one of these that a configuration names cannot be imported.
         local: whether they speak within this machine alone, and take no TCP port.
+        check_hosts: whether those that run on another host are checked with the plug-ins of this machine, as far as
+            these are installed here.
 
     Raises:
         ConfigError: a file is not sound, or two of them do not fit together; it carries every fault.
@@ -90,15 +93,18 @@ def make_fleet(
         changes = tuple(sets[draft.name])
         restart = draft.restart if policy is None else replace(draft.restart, policy=policy)
         try:
-            # What is installed here says nothing of another host.
-            config = load(draft.path, changes, None if draft.host else plugins, must_load=must_load)
+            # What is not installed here may be installed on another host.
+            missing: set[str] | None = set() if draft.host else None
+            known = plugins if check_hosts or not draft.host else None
+            config = load(draft.path, changes, known, must_load=must_load and not draft.host, missing=missing)
         except ConfigError as error:
             faults += [fault._replace(where=draft.said_at.get(fault.where, fault.where)) for fault in error.faults]
             continue
         if config.agent.name != draft.name:
             problem = f"is another name than {draft.name!r}, by which the launcher knows this agent"
             faults.append(config.places.fault(("agent", "name"), problem))
-        members.append(Member(draft.name, draft.path, changes, config, restart, draft.after or (), draft.host))
+        after, unchecked = draft.after or (), tuple(sorted(missing or ()))
+        members.append(Member(draft.name, draft.path, changes, config, restart, after, draft.host, unchecked))
     members = _in_order(members, [draft.name for draft in drafts if draft.after is None])
     faults += _clashes(members)
     if faults:

@@ -47,6 +47,7 @@ class Member:
         restart: what happens when its process ends.
         after: the agents that must be ready before it is started, and that end after it.
         host: where it runs, as `ssh` takes it: `pi@robot1`; empty: on this machine.
+        unchecked: what its configuration names and is not installed here, so that it could not be checked.
     """
 
     name: str
@@ -56,3 +57,4 @@ class Member:
     restart: ProcessRestart = field(default_factory=ProcessRestart)
     after: tuple[str, ...] = ()
     host: str = ""
+    unchecked: tuple[str, ...] = ()

@@ -54,7 +54,8 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
 
     Everything that is wrong is named, with file, line and key; the exit code is then 4. A plug-in that a file names and
     that cannot be imported is wrong too, though an agent would run without it. What keeps an agent from running on
-    this machine, such as missing keys, is a warning: the file may be for another one.
+    this machine, such as missing keys, is a warning: the file may be for another one. An agent that has a host in a
+    fleet file is checked as far as the plug-ins that it names are installed here; what was not checked is named.
 
     \b
     Example:
@@ -69,15 +70,17 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
     rows: list[dict[str, Any]] = []
     for path in paths:
         try:
-            for member in make_fleet([path], (), None, plugins, must_load=True):
+            for member in make_fleet([path], (), None, plugins, must_load=True, check_hosts=True):
                 fleet = member.config.agent.fleet
                 # What names lead to on another machine is not known here.
                 doubts = [] if member.host else [it._asdict() for it in machine_doubts(member.config, plugins)]
                 row: dict[str, Any] = {"file": str(member.path), "agent": member.name, "fleet": fleet}
-                rows.append({**row, "faults": [], "warnings": doubts})
+                rows.append({**row, "faults": [], "warnings": doubts, "unchecked": list(member.unchecked)})
         except ConfigError as error:
             faults = [fault._asdict() for fault in error.faults]
-            rows.append({"file": str(path), "agent": None, "fleet": None, "faults": faults, "warnings": []})
+            rows.append(
+                {"file": str(path), "agent": None, "fleet": None, "faults": faults, "warnings": [], "unchecked": []}
+            )
             if format_ == "table":
                 show_text(str(error), err=True)
     told = {fault["problem"] for row in rows for fault in row["faults"]}
@@ -91,7 +94,9 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
             for doubt in row["warnings"]:
                 show_text(f"warning: {Fault(**doubt)}", err=True)
             if not row["faults"]:
-                show_text(f"{row['file']} is sound: the agent {row['agent']} of the fleet {row['fleet']}")
+                unchecked = ", ".join(row["unchecked"])
+                but = f", but for {unchecked}, not installed here and not checked" if unchecked else ""
+                show_text(f"{row['file']} is sound{but}: the agent {row['agent']} of the fleet {row['fleet']}")
     sys.exit(BAD_CONFIGURATION if any(row["faults"] for row in rows) else OK)
 
 
