@@ -8,6 +8,7 @@ import msgspec
 
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import is_array_type
+from pancakes.runtime.foundation.docstring import docstring_of
 
 _REF: Final = "#/$defs/{name}"
 
@@ -44,11 +45,8 @@ def _array(kind: type) -> dict[str, Any]:
 
 
 def summary_of(cls: type) -> str:
-    """Returns the first sentence of a class's docstring; empty where it has none of its own."""
-    doc = cls.__dict__.get("__doc__") or ""
-    if doc.startswith(f"{cls.__name__}("):  # what @dataclass writes where there is none
-        return ""
-    return " ".join(doc.strip().split("\n\n")[0].split())
+    """Returns the first sentence of a class's docstring; empty if it has none of its own."""
+    return " ".join(docstring_of(cls).split("\n\n")[0].split())
 
 
 def field_notes(cls: type) -> dict[str, str]:
@@ -57,7 +55,7 @@ def field_notes(cls: type) -> dict[str, str]:
 
     notes: dict[str, str] = {}
     for base in reversed(cls.__mro__):
-        for parameter in parse(base.__dict__.get("__doc__") or "", DocstringStyle.GOOGLE).params:
+        for parameter in parse(docstring_of(base), DocstringStyle.GOOGLE).params:
             notes[parameter.arg_name] = " ".join((parameter.description or "").split())
     return notes
 

@@ -16,7 +16,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from pancakes.runtime.foundation.suggestion import suggestion
-from pancakes.tools.cli.guarded import Guarded
+from pancakes.tools.cli.guarded import Guarded, with_help
 
 GROUP: Final = "pancakes.commands"
 """The entry point group of commands that other distributions add: each names a click command."""
@@ -62,11 +62,11 @@ class LazyGroup(Guarded, click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         later = self._own.get(cmd_name)
         if later is None:
-            return _installed(cmd_name) if cmd_name in self._later else None
+            return with_help(_installed(cmd_name)) if cmd_name in self._later else None
         module, _, name = later.place.partition(":")
         command = getattr(import_module(module), name)
         assert isinstance(command, click.Command)
-        return command
+        return with_help(command)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
