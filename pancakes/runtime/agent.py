@@ -34,6 +34,7 @@ from pancakes.packet import LOG, Packet, body_class, join
 from pancakes.runtime.clock import SkewedClock
 from pancakes.runtime.composition import Composition
 from pancakes.runtime.config import Config
+from pancakes.runtime.file_mark import FileMark
 from pancakes.runtime.foundation.numbering import first_number
 from pancakes.runtime.hosting.births import BirthRule
 from pancakes.runtime.hosting.boot_memory import BootMemory
@@ -200,6 +201,7 @@ class Agent:
         self.store = store
         self.kernel.life, self.kernel.first_number = f"{journal.uuid}/{journal.boot}", first_number(journal.life)
         self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use
+        self._config_file = FileMark(config.path if virtual is None else "")
         self._warnings = RecentWarnings()
         self.kernel.stream.tap(LOG, lambda packet: self._warnings.hear(packet, self.kernel.host.now()), ("line",))
         disk = Disk(journal, store, self.skipped)
@@ -434,6 +436,7 @@ class Agent:
             "insecure": self.insecure_over,
             "roster": self._roster_number(),
             "roster_fault": fault._asdict() if (fault := self.mesh.roster_fault) is not None else None,
+            "config_file": {"path": self.config.path, "changed": self._config_file.changed()},
             "journal_fault": self.store.fault(),
             "warnings": self._warnings.told(self.kernel.host.now()),
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},

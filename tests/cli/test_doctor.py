@@ -176,6 +176,12 @@ WRONG: list[tuple[dict[str, Any], str, str, str]] = [
         "a/log",
         "no disk (2 times, last 3 s ago)",
     ),
+    (
+        {"config_file": {"path": "a.toml", "changed": True}},
+        "warning",
+        "a",
+        "runs with what a.toml said when it started",
+    ),
     ({"journal_fault": "No space left"}, "error", "a", "keeps nothing that its tasks do: No space left"),
     (
         {"tasks": [task(state="stopped", rest="", reason="motors is held by a/client/B")]},

@@ -150,6 +150,10 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
     if fault := agent.get("journal_fault"):
         advice = "make room on that disk, or give its user the right to write there; it goes on by itself then"
         yield Finding("error", name, f"keeps nothing that its tasks do: {fault}", advice)
+    if (config := agent.get("config_file")) and config["changed"]:
+        text = f"runs with what {config['path']} said when it started: the file was changed, or is gone, since"
+        advice = f"pancakes config check {config['path']}, and start the agent again"
+        yield Finding("warning", name, text, advice)
     if agent["held"]:
         text = "its mission waits at 0, so nothing of it moves"
         yield Finding("warning", name, text, "it begins when its launcher says so, as pancakes launch does")
@@ -242,8 +246,8 @@ def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding
         advice = f"the agent's log from then says why (pancakes log); then: pancakes {noun} start {about}"
         yield Finding("error", about, text, advice)
     elif row["state"] == "stopped" and row.get("rest") == "" and row["reason"]:
-        text, advice = f"does not run: {row['reason']}", f"mend that: it starts once it can; pancakes {noun} info {about}"
-        yield Finding("warning", about, text, advice)
+        advice = f"mend that: it starts once it can; pancakes {noun} info {about}"
+        yield Finding("warning", about, f"does not run: {row['reason']}", advice)
     elif row["state"] == "restarting":
         advice = f"mend that; to try at once: pancakes {noun} start {about}"
         yield Finding("warning", about, f"{when or 'is started again'}: {row['reason']}", advice)
