@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from pancakes_pi.one_wire import OneWireTemperature, celsius_in
 from pancakes_pi.registers import THERMOMETERS, VOLTMETERS
 
 from pancakes.bodies.devices.types import Battery, Temperature
+from pancakes.control import Describe
 from pancakes.settings import check_settings
 from pancakes.testing import threaded_agent
 
@@ -97,6 +99,36 @@ def test_the_level_of_a_battery_is_told_by_its_voltage(bus: dict[tuple[int, int]
     with threaded_agent("a", devices=device(BusBattery, full_v=8.4, empty_v=6.0)) as agent:
         body = agent.wait_for(Battery).body
         assert (body.voltage_v, body.level) == (pytest.approx(7.2), pytest.approx(0.5))
+
+
+def test_one_read_in_thirty_that_fails_costs_one_reading(
+    bus: dict[tuple[int, int], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus[0x48, 0] = 0x1900
+    read, asked = BusInMemory.read_i2c_block_data, itertools.count(1)
+
+    def read_or_fail(self: BusInMemory, address: int, register: int, length: int) -> list[int]:
+        if next(asked) % 30 == 0:
+            raise OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO))
+        return read(self, address, register, length)
+
+    monkeypatch.setattr(BusInMemory, "read_i2c_block_data", read_or_fail)
+    chip = {**device(BusTemperature, model="lm75")["chip"], "rate_hz": 100}
+    with threaded_agent("a", devices={"chip": chip}) as agent:
+        agent.wait_until(lambda: len(agent.probe.packets(Temperature)) >= 100)
+        assert not agent.events("task_failed")
+        assert agent.ask(Describe("chip")).result["readings"]["missed"] >= 3
+        assert any("chip: a reading is missed: no chip answers at 0x48" in line for line in agent.lines("warning"))
+
+
+@pytest.mark.parametrize(("volts", "sentence"), [(12.6, "correct full_v"), (0.4, "is the battery connected?")])
+def test_a_voltage_that_the_battery_cannot_have_is_no_level(
+    bus: dict[tuple[int, int], int], volts: float, sentence: str
+) -> None:
+    bus[0x40, 2] = round(volts / 0.004) << 3
+    with threaded_agent("a", devices=device(BusBattery, full_v=8.4, empty_v=6.0)) as agent:
+        assert sentence in agent.wait_for_event("task_failed", task="chip")["error"]
+        assert not agent.probe.packets(Battery)
 
 
 def test_a_chip_that_comes_up_later_is_found(bus: dict[tuple[int, int], int]) -> None:

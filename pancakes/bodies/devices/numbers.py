@@ -96,7 +96,8 @@ def _check_of(info: inspect.Type, arrays: bool, within: tuple[type, ...]) -> _Ch
         case inspect.StructType() | inspect.DataclassType():
             return _checks_fields(info, arrays, within)
         case inspect.ListType() | inspect.VarTupleType() | inspect.SetType() | inspect.FrozenSetType():
-            return _checks_items(_check_of(info.item_type, arrays, within))
+            check = _check_of(info.item_type, arrays, within)
+            return _checks_numbers(check) if _is_unbound(info.item_type) else _checks_items(check)
         case inspect.TupleType() | inspect.DictType() | inspect.AnyType() | inspect.CustomType():
             return _checks_any(arrays)
     return None
@@ -142,6 +143,27 @@ def _checks_items(check: _Check | None) -> _Check | None:
         return ""
 
     return check_items
+
+
+def _is_unbound(info: inspect.Type) -> bool:
+    number = isinstance(info, (inspect.FloatType, inspect.IntType))
+    return number and all(getattr(info, key) is None for key, _, _ in _BOUNDS)
+
+
+def _checks_numbers(check: _Check | None) -> _Check | None:
+    """Returns what checks many numbers: a scan has hundreds, so they are looked at one by one only if one is none."""
+    check_items = _checks_items(check)
+    assert check_items is not None
+
+    def check_numbers(value: Any) -> str:
+        try:
+            if all(map(math.isfinite, value)):
+                return ""
+        except (TypeError, OverflowError):
+            pass
+        return check_items(value)
+
+    return check_numbers
 
 
 def _checks_number(info: inspect.FloatType | inspect.IntType) -> _Check:

@@ -80,7 +80,7 @@ class BatteryModel:
         return self._charge_j <= 0.0
 
     def level_at(self, voltage_v: float) -> float:
-        """Returns the level that a measured voltage means, from 0 to 1."""
+        """Returns the level that a measured voltage means, from 0 to 1: only its noise is beyond that."""
         return min(max((voltage_v - self._empty_v) / (self._full_v - self._empty_v), 0.0), 1.0)
 
     def passed(self, elapsed_s: float, rolled_m: float) -> None:

@@ -226,6 +226,14 @@ def _state_section(kept: Mapping[str, Any]) -> dict[str, Any]:
     return {title: dict(short.rows) or "nothing: it has no state"}
 
 
+def _readings(readings: Mapping[str, Any] | None) -> dict[str, Any]:
+    """How a device fares, for people."""
+    if readings is None:
+        return {}
+    why = f", the last one so: {readings['why']}" if readings["why"] else ""
+    return {"readings or commands": f"{readings['came']}, and {readings['missed']} missed{why}"}
+
+
 def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     """All about one task, for people."""
     fence, failure = found["fence"], found["failure"]
@@ -244,6 +252,7 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
             "started again": _policy(found["restart"]),
             "epoch": None if fence is None else f"{fence['epoch']} of {fence['task_id']}",
             "packets dropped": found["dropped"],
+            **_readings(found.get("readings")),
         },
         "guardians": [dict(row) for row in found.get("guarding", {}).get("guardians", ())],
         "timers": [

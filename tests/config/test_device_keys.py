@@ -1,0 +1,55 @@
+"""Keys of `[device.NAME]` that say when a device misses too much, and when it is silent."""
+
+import pytest
+
+from pancakes.bodies.devices.readings import MissRule
+from pancakes.errors import ConfigError
+from pancakes.runtime.config import check_plugins, parse
+from pancakes.runtime.plugins import Plugins
+
+HEAD = 'schema = 1\n[agent]\nname = "a"\n'
+
+
+def faults_of(text):
+    try:
+        found = check_plugins(parse(HEAD + text, "a.toml"), Plugins())
+    except ConfigError as error:
+        found = list(error.faults)
+    return "; ".join(map(str, found))
+
+
+def test_both_have_defaults_and_are_read():
+    plain, said = parse(
+        HEAD
+        + """
+[device.load]
+driver = "host.load"
+rate_hz = 1
+[device.pose]
+driver = "network.pose"
+silent_s = 5
+missed = { in_a_row = 10, share = 0.2, within_s = 60 }
+""",
+        "a.toml",
+    ).devices.values()
+    assert (plain.missed, plain.silent_s) == (MissRule(), None)
+    assert (said.missed, said.silent_s) == (MissRule(10, 0.2, 60.0), 5.0)
+
+
+@pytest.mark.parametrize(
+    ("keys", "named"),
+    [
+        ("missed = { in_a_row = 0 }", "in_a_row"),
+        ("missed = { share = 1.5 }", "share"),
+        ("missed = { share = 0 }", "share"),
+        ("missed = { within_s = -1 }", "within_s"),
+        ("missed = { in_row = 3 }", "in_row"),
+        ("silent_s = 0", "silent_s"),
+    ],
+)
+def test_what_makes_no_sense_is_named(keys, named):
+    assert named in faults_of(f'[device.pose]\ndriver = "network.pose"\n{keys}\n')
+
+
+def test_an_actuator_is_never_silent():
+    assert "is for sensors" in faults_of('[device.motors]\ndriver = "null.motors"\nsilent_s = 5\n')
