@@ -10,7 +10,7 @@ def device(**readings):
 
 def test_doctor_names_a_device_that_is_silent():
     (found,) = found_in(device(silent_s=45.2))
-    assert (found.level, found.about) == ("error", "a/gps")
+    assert (found.level, found.about) == ("warning", "a/gps")
     assert found.text == "has had no reading for 45 s" and found.advice
 
 
