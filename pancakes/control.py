@@ -244,8 +244,9 @@ class Guarding(msgspec.Struct, frozen=True):
 
     The reply's `result` is a list of plain mappings. Each has `task_id`, `agent`, `owner` (the agent that its guardian
     follows), `epoch`, `checkpoint` (the number of the newest that it holds), `age_s` (how long ago the task was as that
-    says, in host seconds), `silent_s` (since it heard the owner), `lease` (whether the owner's runs there) and `wanted`
-    (whether the task is to run). That of the owner has `guardians`, `guard` (their number as wanted), `permit_s`,
+    says, in host seconds), `silent_s` (since it heard the owner), `lease` (whether the owner's runs there),
+    `lease_left_s` (for how long yet, in host seconds, unless it is renewed; None: none runs) and `wanted` (whether the
+    task is to run). That of the owner has `guardians`, `guard` (their number as wanted), `permit_s`,
     `held_back` (acts that came too late, by kind), `clock_steps` and `no_dead_man` (actuators that do not hold) too.
     """
 

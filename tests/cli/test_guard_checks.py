@@ -5,6 +5,7 @@ from pancakes.tools.cli.verbs.guard_checks import check_guards
 
 def guards(agent, **others):
     row = {"task_id": "a/Scan", "agent": agent, "owner": "a", "epoch": "0@a", "lease": True, "wanted": True}
+    row |= {"silent_s": 0.5, "lease_left_s": 1.5}
     return {**row, **others}
 
 
@@ -48,6 +49,14 @@ def test_guard_check_names_a_task_whose_owner_is_silent():
     assert advice.startswith("pancakes task take b/Scan")
     assert found(guards("b", lease=False, wanted=False)) == []
     assert found(guards("b"), guards("c", lease=False)) == []
+
+
+def test_guard_check_says_what_is_waited_for():
+    """Two backups were restored one after the other: each guardian waits for a whole lease since its start."""
+    waits = {"silent_s": 20.0, "lease_left_s": 10.0}
+    ((level, about, text, _),) = found(guards("b", **waits), guards("c", lease=False, lease_left_s=None))
+    assert (level, about) == ("warning", "a/Scan") and text.endswith("the lease of a is over: b (10 s)")
+    assert found(guards("b", **waits), guards("c")) == [], "its owner has renewed the other one"
 
 
 def test_guard_check_names_hardware_without_a_dead_man_switch():

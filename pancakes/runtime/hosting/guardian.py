@@ -219,6 +219,7 @@ class Guardian(Component):
             "age_s": now_s - one.as_of_s,
             "silent_s": now_s - one.heard_s,
             "lease": one.lease.epoch is not None,
+            "lease_left_s": max(0.0, one.alarm.due_s - now_s) if one.lease.epoch is not None else None,
             "wanted": register.body is not None and register.body.wanted is Wanted.RUNNING,
         }
         if owner != self.agent or register.body is None:

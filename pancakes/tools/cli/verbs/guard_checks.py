@@ -26,6 +26,22 @@ def check_guards(rows: Sequence[dict[str, Any]]) -> Iterator[Finding]:
         elif not any(row["lease"] for row in known) and any(row["wanted"] for row in known):
             text = f"is run by no agent: its owner {known[0]['owner']} is silent"
             yield Finding("error", task_id, text, f"pancakes task take {known[0]['agent']}/{name} has it taken over")
+        elif any(row["wanted"] for row in known):
+            yield from _awaited(task_id, [row for row in known if row["lease"]])
+
+
+def is_awaited(row: dict[str, Any]) -> bool:
+    """Returns whether a guardian only waits for the end of a lease: an owner that lives renews it long before."""
+    return row["lease"] and row["silent_s"] > row["lease_left_s"]
+
+
+def _awaited(task_id: str, leased: Sequence[dict[str, Any]]) -> Iterator[Finding]:
+    """Says what is waited for until a task can be taken over; a guardian that has begun again waits a whole lease."""
+    if not all(map(is_awaited, leased)):
+        return
+    names = ", ".join(f"{row['agent']} ({row['lease_left_s']:.0f} s)" for row in leased)
+    text = f"is run by no agent that answers: guardians wait until the lease of {leased[0]['owner']} is over: {names}"
+    yield Finding("warning", task_id, text, "another agent goes on with it then, or its owner if that is back")
 
 
 def _number(row: dict[str, Any]) -> int:

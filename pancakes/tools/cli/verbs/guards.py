@@ -11,6 +11,7 @@ from pancakes.tools.cli.asking import accepted, ask_each
 from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task, agents
 from pancakes.tools.cli.options import Ask, asks_agents, asks_agents_for, dry_run_option
 from pancakes.tools.cli.output import DRY_RUN
+from pancakes.tools.cli.verbs.guard_checks import is_awaited
 
 COLUMNS: Final = ("task_id", "owner", "permit_s", "guardian", "checkpoint", "age_s", "silent_s", "state")
 
@@ -44,6 +45,8 @@ def guards(agents: tuple[str, ...], ask: Ask) -> None:
 
 def _shown(row: dict[str, Any], owner: dict[str, Any] | None) -> dict[str, Any]:
     state = "guards" if row["lease"] else "owner silent"
+    if is_awaited(row):
+        state = f"owner silent, its lease ends in {row['lease_left_s']:.0f} s"
     return {**row, "guardian": row["agent"], "permit_s": _permit(owner), "state": state}
 
 
