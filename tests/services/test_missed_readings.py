@@ -260,10 +260,21 @@ def test_a_command_whose_number_is_none_is_refused_and_its_sender_named(fleet, d
     assert not agent.events("task_failed")
 
 
-def test_nothing_but_commands_that_are_none_brings_the_safe_hold(fleet):
-    commanding(fleet, Taker, Twist(0.1, math.nan))
+def test_a_command_that_is_none_brings_the_safe_hold_at_once(fleet):
+    agent = commanding(fleet, Taker, Twist(0.1, 0.0), *[Twist(0.1, math.nan)] * 3, hold_after_s=5.0)
     fleet.run_for(2.0)
-    assert not [it for it in Taker.done if it != "hold"]
+    assert Taker.done[:6] == [Twist(0.1, 0.0), "hold"] * 3
+    assert agent.events("safe_hold", device="wheels", reason="a command was no command")
+
+
+def test_a_stranger_stops_nothing_with_a_command_that_is_none(fleet):
+    agent = commanding(fleet, Taker, Twist(0.1, 0.0))
+    stranger = fleet.start("b")
+    fleet.run_for(1.0)
+    stranger.publish("ctrl", Twist(math.nan, 0.0), to="a/device/wheels")
+    fleet.run_for(1.0)
+    assert "hold" not in Taker.done
+    assert agent.events("command_refused", device="wheels", by="b/test/Probe")
 
 
 def test_a_command_that_the_hardware_does_not_take_is_missed(fleet):

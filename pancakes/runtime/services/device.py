@@ -320,6 +320,9 @@ class DeviceTask(Task):
             return
         if fault := fault_of_command(packet.body):
             self._refuse(packet, fault, "a number that is none")
+            # Its holder cannot reckon any more: the command before is not what it wants now either.
+            if not self._holding and packet.source == self.kernel.registry.holder(self.name):
+                self._hold("a command was no command")
             return
         if not self._fence.stands(packet):
             return
