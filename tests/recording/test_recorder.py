@@ -1,5 +1,6 @@
 """The recorder in an agent: it is started and stopped by packets, sees everything, and harms nobody."""
 
+import time
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -14,9 +15,10 @@ from pancakes.packet import NEIGHBOURS, packet_type
 from pancakes.runtime.kernel.counter import Counter
 from pancakes.runtime.kernel.stream import InformationStream
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import FleetInTest, threaded_agent
 from pancakes.tools.recording.description import TaskDescription
 from pancakes.tools.recording.parts import RecordingParts, parts_of
+from pancakes.tools.recording.recorded_packet import NANOSECONDS
 from pancakes.tools.recording.recording import Recording
 from pancakes.tools.recording.recording_reader import RecordingReader
 from pancakes.tools.recording.settings import RecordingSettings
@@ -275,6 +277,37 @@ def test_a_recording_whose_file_is_moved_goes_on_in_a_further_file_and_says_so(f
     moved = [entry.packet.body.cpu for entry in before.entries() if entry.topic == "/a/system/load"]
     assert moved[-1] >= 20 and all(reading.whole for reading in before.readings)
     assert len([entry for entry in after.entries() if entry.topic == "/a/system/load"]) >= 15
+
+
+def test_a_recording_that_began_before_the_clock_was_set_is_dated_once_it_is(tmp_path, monkeypatch):
+    """A board without a battery for its clock: in 1970 until it has reached a time server."""
+    true_ns, ahead_ns = time.time_ns, -time.time_ns()
+    monkeypatch.setattr(time, "time_ns", lambda: true_ns() + ahead_ns)
+    path = tmp_path / "r.mcap"
+    with threaded_agent("a", tasks={"Count": Count}) as agent:
+        assert agent.ask(Start(RECORDER, {"path": str(path)})).ok
+        agent.wait_until(lambda: agent.task("Count").state.n > 5)
+        early = RecordingReader(path)
+        assert next(iter(early.entries())).time_ns < 100 * NANOSECONDS
+        assert any("has no dates: the clock of a was not set" in note for note in early.notes())
+        ahead_ns = 0
+        agent.wait_until(lambda: any("clock of this machine was set" in line for line in agent.lines("warning")))
+        n = agent.task("Count").state.n
+        agent.wait_until(lambda: agent.task("Count").state.n > n + 5)
+        assert agent.ask(Stop(RECORDER)).ok
+    reader = RecordingReader(path)
+    entries = list(reader.entries())
+    assert len(reader.files) == 2
+    assert 0 < true_ns() - entries[0].time_ns < 60 * NANOSECONDS and entries[-1].time_ns < true_ns()
+    counts = [(entry.time_ns, entry.packet.body.cpu) for entry in entries if entry.topic == "/a/system/load"]
+    assert [count for _, count in counts] == list(range(int(counts[0][1]), int(counts[0][1]) + len(counts)))
+    assert all(0 < after - before < NANOSECONDS // 2 for (before, _), (after, _) in pairwise(counts))
+    assert any("before its clock was set were moved by +" in note for note in reader.notes())
+    described = [it.packet.body for it in entries if isinstance(it.packet.body, TaskDescription)]
+    assert all(0 < true_ns() - body.time_ns < 60 * NANOSECONDS for body in described)
+    # Also by themselves the files of the second kind are right, for other programs.
+    (later,) = [file for file in reader.files if file != path]
+    assert 0 < true_ns() - next(iter(RecordingReader(later).entries())).time_ns < 60 * NANOSECONDS
 
 
 def test_a_disk_too_slow_for_large_packets_costs_packets_and_not_the_memory(fleet, tmp_path, monkeypatch):

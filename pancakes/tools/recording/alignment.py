@@ -8,6 +8,9 @@ from typing import Final
 
 import msgspec
 
+from pancakes.runtime.clock import SET_SINCE_S
+from pancakes.tools.recording.recorded_packet import NANOSECONDS
+
 CLOCKS: Final = "pancakes.clocks"
 """Name of the metadata records of a recording that tell how the clocks of its agent's peers stood to its own."""
 READ_NS: Final = 20_000
@@ -40,19 +43,21 @@ class ClockLife(msgspec.Struct):
         life: what names it.
         agent: the agent.
         epoch_ns: what its recording says at 0 of its host clock.
+        host_ns: when its recording began, on that clock, or last took the time of day from its machine.
         notes: what it knew of others, by their life, in order.
     """
 
     life: str
     agent: str
     epoch_ns: int
+    host_ns: int = 0
     notes: dict[str, list[ClockNote]] = msgspec.field(default_factory=dict)
 
     @classmethod
     def of(cls, about: Mapping[str, str]) -> ClockLife | None:
         """Makes one of what a recorder wrote about its recording; None: that is older, and says nothing of clocks."""
         try:
-            return cls(about["life"], about["agent"], int(about["epoch_ns"]))
+            return cls(about["life"], about["agent"], int(about["epoch_ns"]), int(about.get("host_ns", "0")))
         except (KeyError, ValueError):
             return None
 
@@ -60,6 +65,11 @@ class ClockLife(msgspec.Struct):
     def key(self) -> str:
         """Names the times of this recording: another one of this life may count from another moment."""
         return f"{self.life} {self.epoch_ns}"
+
+    @property
+    def is_dated(self) -> bool:
+        """Whether the clock of its machine was set: else its times of day are those of 1970."""
+        return self.epoch_ns + self.host_ns >= SET_SINCE_S * NANOSECONDS
 
     def take(self, row: Mapping[str, str]) -> None:
         """Takes a metadata record that `row_of` has made; what is no such thing is left out."""
@@ -92,6 +102,8 @@ def row_of(host_s: float, links: Iterable[Mapping[str, object]]) -> dict[str, st
 class Alignment:
     """What turns the times of each recording into those of one of them, which is that of the first agent by name.
 
+    A machine may learn the time of day while it records, so that a life has several; the newest counts.
+
     Args:
         lives: the lives that were recorded.
 
@@ -103,9 +115,30 @@ class Alignment:
     def __init__(self, lives: Sequence[ClockLife]) -> None:
         self.shifts: dict[str, Shift] = {}
         self.remarks: list[str] = []
-        left = sorted(lives, key=lambda life: (life.agent, life.key))
+        newest: dict[str, ClockLife] = {}
+        for life in sorted(lives, key=lambda it: it.host_ns):
+            before = newest.get(life.life)
+            if before is not None:
+                for peer, notes in before.notes.items():
+                    life.notes[peer] = notes + life.notes.get(peer, [])
+            newest[life.life] = life
+        left = sorted(newest.values(), key=lambda life: (life.agent, life.key))
         while left:
             self._spread(left.pop(0), left)
+        for life in lives:
+            self._date(life, newest[life.life])
+
+    def _date(self, life: ClockLife, newest: ClockLife) -> None:
+        """Moves what was recorded before the machine learnt the time of day."""
+        moved_ns = newest.epoch_ns - life.epoch_ns
+        if not moved_ns:
+            return
+        onward = self.shifts.get(newest.key)
+        self.shifts[life.key] = lambda time_ns: (onward or _stay)(time_ns + moved_ns)
+        if abs(moved_ns) >= NANOSECONDS:
+            days, seconds = divmod(abs(moved_ns) / NANOSECONDS, 86_400)
+            far = f"{'+' if moved_ns > 0 else '-'}{f'{days:.0f} days and ' if days else ''}{seconds:.3f} s"
+            self.remarks.append(f"the times of {life.agent} before its clock was set were moved by {far}")
 
     def _spread(self, first: ClockLife, left: list[ClockLife]) -> None:
         """Aligns all that are known to the first one, or to one that is, the best known first."""
@@ -130,6 +163,10 @@ class Alignment:
             )
         elif onward is not None:
             self.shifts[other.key] = onward
+
+
+def _stay(time_ns: int) -> int:
+    return time_ns
 
 
 def _bound_ns(one: ClockLife, other: ClockLife) -> int:

@@ -111,6 +111,17 @@ class RecordingParts:
                 self._done.pop(0)[0].unlink(missing_ok=True)
         return ""
 
+    def begin_again(self, about: Mapping[str, str]) -> Path:
+        """Goes on in a new file, of which something else is to be known; returns that file.
+
+        Raises:
+            OSError: the disk is full, ...
+        """
+        self._about = about
+        self._writer.flush()
+        self._split()
+        return self._writer.path
+
     def sync(self) -> str:
         """Brings what was flushed to the disk, and looks how much room is left there. It may take long.
 

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Final
 
 import msgspec
 
 from pancakes.errors import PancakesError
 from pancakes.packet import Packet
+from pancakes.runtime.clock import SET_SINCE_S
 
 NANOSECONDS: Final = 1_000_000_000
+
+
+def date_of(time_ns: int, timespec: str = "seconds", sep: str = " ") -> str:
+    """Returns a time of a recording as a date for people, in UTC."""
+    if time_ns < SET_SINCE_S * NANOSECONDS:
+        return "not known: the clock of the machine was not set"
+    return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(sep, timespec)
 
 
 class RecordingError(PancakesError):

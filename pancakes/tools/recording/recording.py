@@ -13,7 +13,7 @@ import msgspec
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.events import Event
 from pancakes.packet import TO_TASK, Packet, type_name
-from pancakes.runtime.clock import wall_ns
+from pancakes.runtime.clock import day_s, wall_ns
 from pancakes.runtime.kernel.backlog import Backlog
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.stream import Tap
@@ -38,6 +38,10 @@ CLOCKS_S: Final = 10.0
 """How often, in host time, it is written how the clocks of peers stand; sooner at first, ..."""
 CLOCKS_SOON_S: Final = 1.0
 """... after so long."""
+DAY_STEP_S: Final = 1.0
+"""The time of day is taken again where it is further from that of the file than this, ..."""
+MOST_DAYS: Final = 20
+"""... so often at most."""
 SAMPLE_S: Final = 0.99
 """How often, in host time, the figures of tasks and links are sampled: once a second."""
 
@@ -102,22 +106,24 @@ class Recording:
         self._tasks: dict[str, TaskDescription] = {}
         self._latenesses = Latenesses()
         self._ticks_number = 0
+        self._days = 0
         self.asking: Callable[[], bool] = lambda: False
         # One look at the time of day: between two packets only the monotonic clock counts.
         virtual = kernel.virtual is not None
         self._epoch_ns = 0 if virtual else wall_ns() - int(kernel.host.now() * NANOSECONDS)
-        about = {
+        self._about = {
             "agent": self._agent,
             "clock": "mission time" if virtual else "time of day",
             "speed": str(kernel.mission.speed),
             "task": settings.task,
             "life": kernel.life,
             "epoch_ns": str(self._epoch_ns),
+            "host_ns": str(int(kernel.host.now() * NANOSECONDS)),
         }
         path = goes_on or Path(settings.path.replace("{agent}", self._agent))
         drop_oldest = settings.at_limit == "drop_oldest"
         limits = (settings.split_mib, settings.limit_mib, drop_oldest, settings.free_mib)
-        self._parts = RecordingParts(path, about, *limits, goes_on=goes_on is not None)
+        self._parts = RecordingParts(path, self._about, *limits, goes_on=goes_on is not None)
         self.first = self._parts.first
         self._flushed_s = self._synced_s = self._sampled_s = kernel.host.now()
         # All agents in virtual time have one clock, unless theirs is skewed.
@@ -196,6 +202,7 @@ class Recording:
             if since_s < FLUSH_S:
                 return ""
             self._flushed_s = now_s
+            self._look_at_the_day()
             if now_s >= self._clocks_due_s:
                 self._clocks_due_s = now_s + CLOCKS_S
                 self._note_clocks()
@@ -240,6 +247,24 @@ class Recording:
                 return
             if self._everything or self._wanted(seen.packet):
                 self._put(RecordedPacket(self._time_ns(seen.host_s), self._agent, seen.packet))
+
+    def _look_at_the_day(self) -> None:
+        """Goes on in a new file where the machine has learnt the time of day: that of this file was wrong.
+
+        Who reads both moves the times of the first. A board without a battery for its clock begins in 1970, or when it
+        was last switched off.
+        """
+        day = day_s(self._kernel.host) if self._kernel.virtual is None else None
+        if day is None or abs(day * NANOSECONDS - self._epoch_ns) <= DAY_STEP_S * NANOSECONDS:
+            return
+        if self._days >= MOST_DAYS:
+            return  # a clock that is set again and again is no better than one that is not
+        self._days += 1
+        epoch_ns, host_ns = int(day * NANOSECONDS), int(self._now() * NANOSECONDS)
+        about = {**self._about, "epoch_ns": str(epoch_ns), "host_ns": str(host_ns)}
+        path = self._parts.begin_again(about)
+        self._about, self._epoch_ns = about, epoch_ns
+        self._say("warning", f"the clock of this machine was set: the recording goes on in {path} with the right time")
 
     def _note_clocks(self) -> None:
         """Writes how the clocks of peers stand to this one, so that their recordings come in order with it."""

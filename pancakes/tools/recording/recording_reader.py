@@ -16,6 +16,7 @@ from pancakes import __version__
 from pancakes.errors import RemoteProtocolError
 from pancakes.runtime.foundation.printable import printable
 from pancakes.tools.recording.alignment import CLOCKS, Alignment, ClockLife, Shift
+from pancakes.tools.recording.description import TaskDescription
 from pancakes.tools.recording.mcap_records import (
     READ_ERRORS,
     Damage,
@@ -112,10 +113,15 @@ class RecordingReader:
             if reading.damage.chunks
         ]
         virtual = [reading.path for reading in self.readings if reading.about.get("clock") == "mission time"]
-        live = [reading.path for reading in self.readings if reading.about.get("clock") == "time of day"]
+        live = [reading for reading in self.readings if reading.about.get("clock") == "time of day"]
         if virtual and live:
-            notes.append(f"{virtual[0]} is in virtual time and {live[0]} is not: their times do not go together")
-        notes += self._alignment().remarks
+            notes.append(f"{virtual[0]} is in virtual time and {live[0].path} is not: their times do not go together")
+        aligned = self._alignment()
+        notes += aligned.remarks
+        for reading in live:
+            life = ClockLife.of(reading.about)
+            if life is not None and not life.is_dated and life.key not in aligned.shifts:
+                notes.append(f"{reading.path} has no dates: the clock of {life.agent} was not set, and begins in 1970")
         return notes + [
             f"{reading.path}: {text}" + (f" ({count} times)" if count > 1 else "")
             for reading in self.readings
@@ -163,7 +169,18 @@ def _entries(reading: FileReading, shifts: Mapping[str, Shift]) -> Iterator[Reco
         if not is_known:  # what the recording says of itself stands before its first packet
             is_known, life = True, ClockLife.of(reading.about)
             shift = shifts.get(life.key) if life is not None else None
-        yield entry if shift is None else replace(entry, time_ns=shift(entry.time_ns))
+        yield entry if shift is None else _moved(entry, shift)
+
+
+def _moved(entry: RecordedPacket, shift: Shift) -> RecordedPacket:
+    """Returns a packet with its times as another clock counts them."""
+    packet, body = entry.packet, entry.packet.body
+    if isinstance(body, TaskDescription):
+        began = body.began
+        if began is not None and isinstance(began.get("time_ns"), int):
+            began = {**began, "time_ns": shift(began["time_ns"])}
+        packet = replace(packet, body=replace(body, time_ns=shift(body.time_ns), began=began))
+    return replace(entry, time_ns=shift(entry.time_ns), packet=packet)
 
 
 def _recorded(reading: FileReading) -> Iterator[RecordedPacket]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.tools.recording.mission_time import speed_of
-from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordingError
+from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordingError, date_of
 from pancakes.tools.report.findings import Findings
 from pancakes.tools.report.style import Palette, Picture
 
@@ -62,7 +61,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
     about = {
         "recording": ", ".join(file.name for file in reader.files),
         "agents": ", ".join(findings.agents),
-        "began": "in virtual time" if virtual else _moment(findings.first_ns),
+        "began": "in virtual time" if virtual else date_of(findings.first_ns),
         findings.time.name: f"{findings.begin_s:.1f} to {findings.end_s:.1f} s",
         "packets": f"{findings.packets:,}",
     }
@@ -128,7 +127,3 @@ def draw_all(findings: Findings, out: Path) -> list[Picture]:
 def _because(notes: Sequence[str]) -> str:
     text = "; ".join(notes)
     return f": {text}" if text else ""
-
-
-def _moment(time_ns: int) -> str:
-    return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(sep=" ", timespec="seconds")

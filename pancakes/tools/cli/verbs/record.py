@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -132,6 +131,7 @@ def info(path: Path, format_: str) -> None:
         pancakes record info runs/encirclement-1-virtual/recording
     """
     load_packets()
+    from pancakes.tools.recording.recorded_packet import date_of
     from pancakes.tools.recording.recording_reader import RecordingReader
     from pancakes.tools.recording.summary import Summary
 
@@ -152,11 +152,12 @@ def info(path: Path, format_: str) -> None:
         }
         for stay in summary.stays
     ]
+    begins = date_of(summary.first_ns, "milliseconds", "T")
     about = {
         "path": str(path),
         "files": [str(file) for file in reader.files],
         "size_mib": round(sum(file.stat().st_size for file in reader.files) / 2**20, 3),
-        "begins": "in virtual time" if virtual else _moment(summary.first_ns) if summary.packets else None,
+        "begins": "in virtual time" if virtual else begins if summary.packets else None,
         "time": time.name,
         "from_s": round(time.at(summary.first_ns), 3),
         "to_s": round(time.at(summary.last_ns), 3),
@@ -257,7 +258,3 @@ def _last(client: Client, agent: str, kind: str) -> dict[str, Any] | None:
         after = records[-1]["entry"]
         found = next((one for one in reversed(records) if one["kind"] == kind), found)
     return found
-
-
-def _moment(time_ns: int) -> str:
-    return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(timespec="milliseconds")

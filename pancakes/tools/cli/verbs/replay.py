@@ -139,7 +139,9 @@ class _ReplayRequest:
 
     def recorded_speed(self) -> float:
         """Returns how many mission seconds a second of the recording is."""
-        speeds = {float(reading.about.get("speed", 1.0)): reading.path for reading in self.reader.readings}
+        from pancakes.tools.recording.mission_time import speed_of
+
+        speeds = {speed_of(reading.about): reading.path for reading in self.reader.readings}
         if len(speeds) > 1:
             told = ", ".join(f"{path} at {speed:g}" for speed, path in speeds.items())
             say(f"the files were recorded at different speeds of the mission, the first counts: {told}")

@@ -79,6 +79,7 @@ def rerun(
         pancakes rerun recordings agent1/ScanTarget --stay 1 --set radius_m=0.8
     """
     from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.recording.mission_time import speed_of
     from pancakes.tools.recording.recording_reader import RecordingReader
     from pancakes.tools.replay.comparison import Tolerance, compare
     from pancakes.tools.replay.rerun import Rerun, class_of
@@ -97,7 +98,7 @@ def rerun(
         cls = class_of(stay, plugins)
         settings = param_file.changes_of(stay.task.settings, dict(sets))
         told = about.get(stay.agent, {})
-        speed, virtual = float(told.get("speed", 1.0)), told.get("clock") == "mission time"
+        speed, virtual = speed_of(told), told.get("clock") == "mission time"
         script = read_script(RecordingReader(path).entries(), stay, cls, speed, virtual)
         outcome = Rerun(stay, script, cls, settings).run()
         comparison = compare(script.outputs, outcome.outputs, stay.task.address, Tolerance(tolerance, time_s))
