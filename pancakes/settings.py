@@ -28,13 +28,15 @@ from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import array_of, check_items, is_array, is_array_type, is_number
 from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.foundation.units import key_for, written_for
+from pancakes.runtime.foundation.user_folders import NoHome, at_home
 
 _T = TypeVar("_T")
 
 _PATH: Final = {"format": "path"}
 FilePath = Annotated[str, msgspec.Meta(extra_json_schema=_PATH)]
-"""The type of a setting that is the path of a file, or of a folder. A control packet, or a task that comes from another
-agent, sets it below the folders alone that the agent's own configuration names."""
+"""The type of a setting that is the path of a file, or of a folder. `~` at its beginning is the home of the user as whom
+the agent runs. A control packet, or a task that comes from another agent, sets it below the folders only that the agent's
+own configuration names."""
 
 UNKNOWN_KEY: Final = "unknown key"
 LEAST_INT: Final = -(2**63)
@@ -122,6 +124,7 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
         odd = [Problem(path, text) for path, text in _odd_in(settings, (), allow_nan)]
     except (TypeError, NameError, RecursionError) as error:  # a type that msgspec cannot check, or cannot resolve
         return [Problem((), f"{cls.__qualname__} cannot be checked: {error}")]
+    odd += [Problem(path, text) for path, text in _homeless(cls, settings)]
     return odd + [problem for problem in problems if all(problem.path != it.path for it in odd)]
 
 
@@ -136,7 +139,7 @@ def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = 
     """
     if _is_simple(cls, settings, allow_nan):
         try:
-            return _convert(settings, cls) if settings else cls()
+            return _convert(settings, cls) if settings else _at_home(cls())
         except (Exception, SystemExit):  # as in `check_settings`
             pass
     problems = check_settings(cls, settings, allow_nan)
@@ -292,8 +295,66 @@ def _plain_number(value: Any) -> Any:
     raise TypeError(f"it contains a value of the class {type(value).__name__}, which cannot be saved")
 
 
+def _with_paths_at_home(cls: type, plain: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Returns plain values in which each path of a file (see `FilePath`) that begins with `~` is a whole one.
+
+    Raises:
+        NoHome: nothing says where that is.
+    """
+    for key, path in list(paths_in(cls, plain)):
+        if path.startswith("~"):
+            plain = _with(plain, key, at_home(path))
+    return plain
+
+
+def _with(plain: Any, key: tuple[str | int, ...], value: str) -> Any:
+    """Returns plain values with another one at a key; those that were given stay as they are."""
+    if not key:
+        return value
+    if isinstance(plain, Mapping):
+        return {**plain, key[0]: _with(plain[key[0]], key[1:], value)}
+    return type(plain)(_with(it, key[1:], value) if number == key[0] else it for number, it in enumerate(plain))
+
+
 def _convert(value: Any, kind: Any) -> Any:
-    return codecs.convert(value, kind, array_of)
+    return _at_home(codecs.convert(value, kind, array_of))
+
+
+def _at_home(settings: _T) -> _T:
+    """Returns settings in which each path is a whole one, also one that the class has as its default."""
+    cls = type(settings)
+    if not _may_name_files(cls):
+        return settings
+    plain = plain_settings(settings)
+    whole = _with_paths_at_home(cls, plain)
+    return settings if whole is plain else codecs.convert(whole, cls, array_of)
+
+
+@cache
+def _may_name_files(kind: Any) -> bool:
+    """Returns whether there may be a path among the fields of a type."""
+    return _names_files(kind, ())
+
+
+def _names_files(kind: Any, within: tuple[Any, ...]) -> bool:
+    if get_origin(kind) is Annotated:
+        metas = [getattr(meta, "extra_json_schema", None) for meta in get_args(kind)]
+        return _PATH in metas or _names_files(get_args(kind)[0], within)
+    if isinstance(kind, type) and has_fields(kind):
+        try:
+            return kind not in within and any(_names_files(it, (*within, kind)) for it in _hints(kind).values())
+        except (NameError, TypeError):  # an annotation that cannot be resolved
+            return False
+    return any(_names_files(it, within) for it in get_args(kind))
+
+
+def _homeless(cls: type, settings: Any) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """The paths that begin at a home of which nothing says where it is."""
+    for path, text in paths_in(cls, settings) if _may_name_files(cls) else ():
+        try:
+            at_home(text)
+        except NoHome as error:
+            yield path, str(error)
 
 
 def _owner(cls: type) -> str:
@@ -354,7 +415,7 @@ def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Proble
         yield Problem(path, f"expected one of {', '.join(_shown(c) for c in choices)}, not {_shown(value)}", near)
         return
     try:
-        _convert(value, kind)
+        codecs.convert(value, kind, array_of)
     except msgspec.ValidationError as error:
         text = _phrase(str(error), value)
         if isinstance(value, str) and path and text.startswith(("expected a number", "expected an integer")):

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from pancakes.runtime.config import Config
-from pancakes.runtime.foundation.user_folders import user_folder
+from pancakes.runtime.foundation.user_folders import at_home, user_folder
 
 
 def default_state_dir(fleet: str, name: str) -> Path:
@@ -35,4 +35,4 @@ def state_dir_of(config: Config) -> Path | None:
     agent = config.agent
     if agent.role != "agent":
         return None
-    return Path(agent.state_dir) if agent.state_dir else default_state_dir(agent.fleet, agent.name)
+    return Path(at_home(agent.state_dir)) if agent.state_dir else default_state_dir(agent.fleet, agent.name)

@@ -23,6 +23,7 @@ from pancakes.mesh.net.stream_transport import Bound, StreamTransport
 from pancakes.mesh.side_by_side import Place
 from pancakes.mesh.way_facts import Reach, WayFacts
 from pancakes.runtime.runtime_dir import is_at, make_directory, open_to, runtime_dir, usable
+from pancakes.settings import FilePath
 
 if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys
@@ -53,7 +54,7 @@ class LocalTransport(StreamTransport):
         """
 
         group: str = ""
-        directory: str = ""
+        directory: FilePath = ""
 
     def __init__(self, loop: Loop, settings: Settings, keys: Keys | None = None) -> None:
         super().__init__(loop, settings, keys)

@@ -21,6 +21,7 @@ from pancakes.mesh.wire.link_messages import MOST_LISTEN
 from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.kernel.handlers import MOST_HZ
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
+from pancakes.settings import FilePath
 from pancakes.tools.recording.settings import RecordingSettings
 
 SCHEMA: Final = 1
@@ -71,9 +72,9 @@ class AgentConfig(Struct, frozen=True):
     links: Annotated[int, Meta(ge=2, le=200)] | None = None
     role: Literal["agent", "environment", "client"] = "agent"
     fleet: str = DEFAULT_FLEET
-    state_dir: str = ""
+    state_dir: FilePath = ""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
-    folders: tuple[str, ...] = ()
+    folders: tuple[FilePath, ...] = ()
     birth_wait_s: Annotated[float, Meta(ge=0, le=3600)] = DEFAULT_WAIT_S
 
     @property

@@ -15,6 +15,25 @@ class NoHome(PancakesError):
     """A folder of the user is needed, and nothing says where it is; the sentence names what to set."""
 
 
+def at_home(path: str, user: str = "") -> str:
+    """Returns a path in which `~` and `~user` at its beginning stand for a home folder, as a shell has it.
+
+    Args:
+        path: the path.
+        user: whose home `~` is; empty: that of the user of this process.
+
+    Raises:
+        NoHome: nothing says where that is.
+    """
+    if not path.startswith("~"):
+        return path
+    name, slash, rest = path.partition("/")
+    found = os.path.expanduser(f"~{user}{slash}{rest}" if name == "~" and user else path)
+    if found.startswith("~"):
+        raise NoHome(f"nothing says where {found.partition('/')[0]} is: write the whole path")
+    return found
+
+
 def user_folder(variable: str, below_home: str, what_for: str, instead: str = "") -> Path:
     """Returns the folder that a variable of the environment names, else one below the home of this user.
 

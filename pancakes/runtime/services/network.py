@@ -25,6 +25,7 @@ from pancakes.runtime.services.follower import LEAST_HZ, Follower
 from pancakes.runtime.supervision.service_messages import PeerDown
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.service import Service
+from pancakes.settings import FilePath
 from pancakes.task import Task, TaskSpec
 
 CLIENT = "NetworkClient"
@@ -107,7 +108,7 @@ class NetworkService(Service):
         heartbeat_s: Annotated[float, Meta(ge=0.05, le=60)] = LinkTimes().heartbeat_s
         busy_poll_s: Annotated[float, Meta(ge=0, le=0.01)] = BUSY_POLL_S
         insecure: bool = False
-        keys: str = ""
+        keys: FilePath = ""
         transports: dict[str, dict[str, bool | int | float | str | list[str]]] = field(default_factory=dict)
 
     def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:

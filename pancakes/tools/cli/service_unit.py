@@ -15,6 +15,7 @@ from pancakes.bodies.devices.hardware import Hardware
 from pancakes.errors import PancakesError
 from pancakes.runtime.composition import Composition
 from pancakes.runtime.config import Config
+from pancakes.runtime.foundation.user_folders import at_home
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.transport_settings import keyed_addresses
@@ -80,11 +81,17 @@ class UnitFacts(msgspec.Struct, frozen=True):
     hardware: tuple[Hardware, ...] = ()
 
 
-def facts_of(config: Config, plugins: Plugins) -> UnitFacts:
+def facts_of(config: Config, plugins: Plugins, user: str = "") -> UnitFacts:
     """Returns what the unit of a configuration's agent rests on.
 
+    Args:
+        config: the configuration.
+        plugins: where its parts come from.
+        user: as whom it runs, whose home `~` is; empty: the user of this process.
+
     Raises:
-        PancakesError: a part of the configuration is not installed here, or its settings are wrong.
+        PancakesError: a part of the configuration is not installed here, or its settings are wrong; or that user has no
+            home.
     """
     agent, skipped = config.agent, list[str]()
     composition = Composition(config, plugins, Installed(plugins), {}, {}, skipped)
@@ -101,7 +108,7 @@ def facts_of(config: Config, plugins: Plugins) -> UnitFacts:
         (*command, "--config", path),
         networked=bool(keyed_addresses(agent, plugins)),
         group=agent.local_group,
-        writes=tuple(sorted(folder for folder in folders if os.path.isabs(folder))),
+        writes=tuple(sorted(folder for it in folders if os.path.isabs(folder := at_home(it, user)))),
         reads=(sys.prefix, sys.base_prefix, str(Path(__file__).parent), os.path.dirname(path)),
         hardware=tuple(_hardware(config, plugins)),
     )

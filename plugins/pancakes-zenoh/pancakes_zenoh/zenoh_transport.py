@@ -29,6 +29,7 @@ from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.tcp import needs_keys
 from pancakes.mesh.net.transport import ConnectionHandler, SchemeTransport
 from pancakes.mesh.way_facts import Reach, WayFacts
+from pancakes.settings import FilePath
 from pancakes_zenoh.credit_pool import CreditPool
 from pancakes_zenoh.inbox import Inbox
 from pancakes_zenoh.link_frames import BadFrame, FrameKind, LinkFrame, frame_bytes, frame_of
@@ -72,7 +73,7 @@ class ZenohTransport(SchemeTransport):
         """
 
         routers: tuple[str, ...] = ()
-        file: str = ""
+        file: FilePath = ""
         dial_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 5.0
         silent_s: Annotated[float, msgspec.Meta(ge=0.5, le=60)] = 2.0
         insecure: bool = False

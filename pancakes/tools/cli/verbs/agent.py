@@ -111,11 +111,12 @@ def unit(path: str, of_person: bool, user: str | None) -> None:
     if of_person and user is not None:
         raise click.UsageError("--run-as is for a service of the system: one of --user runs as you")
     plugins = Plugins()
-    facts = facts_of(load(path, (), plugins, must_load=True), plugins)
+    config = load(path, (), plugins, must_load=True)
     if of_person:
-        show_text(user_unit_of(facts, os.getcwd(), os.environ), nl=False)
+        show_text(user_unit_of(facts_of(config, plugins), os.getcwd(), os.environ), nl=False)
     else:
-        show_text(unit_of(facts, USER if user is None else user), nl=False)
+        runs_as = USER if user is None else user
+        show_text(unit_of(facts_of(config, plugins, runs_as), runs_as), nl=False)
 
 
 def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str, Any]:
