@@ -34,9 +34,10 @@ _T = TypeVar("_T")
 
 _PATH: Final = {"format": "path"}
 FilePath = Annotated[str, msgspec.Meta(extra_json_schema=_PATH)]
-"""The type of a setting that is the path of a file, or of a folder. `~` at its beginning is the home of the user as whom
-the agent runs. A control packet, or a task that comes from another agent, sets it below the folders only that the agent's
-own configuration names."""
+"""The type of a setting that is the path of a file, or of a folder.
+
+`~` at its beginning is the home of the user as whom the agent runs. A control packet, or a task that comes from another
+agent, sets it only below the folders that the agent's own configuration names."""
 
 UNKNOWN_KEY: Final = "unknown key"
 LEAST_INT: Final = -(2**63)
