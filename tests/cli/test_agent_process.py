@@ -101,9 +101,13 @@ def test_agent_that_finds_its_place_taken_ends_with_a_sentence(rig: Rig):
     taken = rig.address(first)
     second, third = rig.config("a", file="second.toml"), rig.config("b")
     own = ("--set", f"agent.state_dir={rig.directory}/second")
+    state = rig.directory / "state" / "pancakes" / "test" / "a"
+    runs = f"a already runs (process {first.pid}): end it with `pancakes down a`, or give this agent another name"
     for config, options, said in (
-        (second, (), f"is in use by another agent (process {first.pid})"),
-        (second, own, "cannot listen at local://test/a: address already in use: another agent of this name runs here"),
+        (second, (), runs),
+        (second, own, runs),
+        (second, ("--set", "agent.role=environment"), runs),
+        (third, ("--set", f"agent.state_dir={state}"), f"is in use by another agent (process {first.pid})"),
         (third, ("--set", f"agent.listen={taken}"), f"cannot listen at {taken}: address already in use"),
     ):
         other = rig.agent(config, *options)

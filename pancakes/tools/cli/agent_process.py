@@ -130,6 +130,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     from pancakes.runtime.agent import Agent
     from pancakes.runtime.runtime_dir import LOOK_S
 
+    _must_be_alone(config)
     manager = NotifySocket.from_environment(os.environ)
     running = Agent(config, plugins)
     deafen = _listen_to_libraries(running)
@@ -155,6 +156,27 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     if reason:
         _warn(f"{running.name} cannot run: {reason}")
     return REFUSED if reason else OK
+
+
+def _must_be_alone(config: Config) -> None:
+    """Sees to it that no other agent of this name and fleet runs on this machine.
+
+    Raises:
+        PancakesError: one does.
+    """
+    from pancakes.errors import PancakesError
+    from pancakes.runtime.runtime_dir import entries
+
+    agent = config.agent
+    try:
+        there = [it.pid for it in entries() if (it.name, it.fleet) == (agent.name, agent.fleet)]
+    except PancakesError:
+        return  # without the runtime directory none is found, and that is told when this one cannot be entered there
+    if there:
+        raise PancakesError(
+            f"{agent.name} already runs (process {there[0]}): end it with `pancakes down {agent.name}`, or give this"
+            " agent another name"
+        )
 
 
 def _check(config: Config, plugins: Plugins) -> None:
