@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pancakes.tools.demo.timeliness import Ticks, how_slow, late_ones, ticks_of, verdict_line
+from pancakes.tools.demo.timeliness import Ticks, hint_of, how_slow, late_ones, ticks_of, verdict_line
 
 KEPT_UP = {"behind_max_s": 0.1, "late_tasks": []}
 
@@ -18,6 +18,17 @@ def test_where_the_world_fell_behind_the_verdict_says_by_how_much():
     assert slow == "the world fell behind the clock by up to 3.71 s of mission time"
     assert verdict_line("FAIL", slow) == f"FAIL, and this machine was too slow: {slow}"
     assert verdict_line("PASS", slow) == f"PASS, though this machine was too slow: {slow}"
+
+
+def test_a_live_mission_that_fails_says_what_the_machine_has_to_do_with_it():
+    live = {"mode": "live", "speed": 5.0, **KEPT_UP}
+    hint = hint_of("FAIL", [{**live, "busy": 0.97, "processors": 2}])
+    assert hint.startswith("in real time the machine counts: its 2 processors were busy for 97 % of the mission.")
+    assert "--speed 2.5" in hint and "--virtual" in hint
+    assert "its 8 processors were busy for 10 %" in hint_of("FAIL", [{**live, "busy": 0.1, "processors": 8}])
+    assert hint_of("FAIL", [{**live, "speed": 1.0, "busy": 0.9, "processors": 2}]).count("--speed 0.5") == 1
+    assert hint_of("PASS", [{**live, "busy": 0.97, "processors": 2}]) == ""
+    assert hint_of("FAIL", [{"mode": "virtual", "times_real_time": 300.0}]) == ""
 
 
 def test_the_tasks_that_missed_most_are_named_and_the_others_are_counted():

@@ -1,5 +1,6 @@
 """From files and folders to the agents of a fleet, or to everything that is wrong with them at once."""
 
+import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -238,6 +239,10 @@ def test_a_port_that_is_in_use_or_claimed(tmp_path: Path, entry: Registration) -
         members = make_fleet([write(tmp_path / "b.toml", rest=f'listen = "{listen}"')], (), None, None)
         with pytest.raises(PancakesError, match=f"b cannot listen at {listen}: address already in use"):
             check_free(members)
+        mine = Registration(RunningAgent("first", "lab", "agent", (listen,), os.getpid()))
+        with pytest.raises(PancakesError, match=r"in use, by first of the fleet lab \(process \d+\)"):
+            check_free(members)
+        mine.remove()
     claim = check_free(members)
     with pytest.raises(PancakesError, match="another launcher is about to use the ports of this fleet"):
         check_free(members)

@@ -21,6 +21,7 @@ from pancakes.mesh.net.memory import Quality
 from pancakes.runtime.agent import Agent
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.config import Config, parse
+from pancakes.runtime.foundation.processors import processor_count, processor_times
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.plugins import Plugins
 from pancakes.tools.demo.conductor import Conductor, EndMission, Mission
@@ -152,7 +153,7 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
         PancakesError: the agents did not become ready, or another agent of their fleet runs.
     """
     processes = Processes(plan)
-    began_s = HOST.now()
+    began_s, began_busy = HOST.now(), processor_times()
     launcher: Launcher | None = None
     held = ExitStack()
     try:
@@ -180,7 +181,7 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
             if mission.phase == "connecting" and HOST.now() - began_s > READY_S:
                 raise _cannot_begin(mission)
         _settle(mission)
-        ended_s = HOST.now()
+        ended_s, ended_busy = HOST.now(), processor_times()
     finally:
         processes.stop()
         if launcher is not None:
@@ -193,6 +194,8 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
         "speed": plan.speed,
         "start_s": (running_s or ended_s) - began_s,
         "wall_s": ended_s - (running_s or ended_s),
+        "busy": (ended_busy[0] - began_busy[0]) / max(ended_busy[1] - began_busy[1], 1e-9),
+        "processors": processor_count(),
         "behind_max_s": mission.behind_max_s,
         "behind_end_s": mission.behind_s,
         "late_tasks": late_ones(it for agent in mission.agents for it in mission.ticks.get(agent, ())),

@@ -69,3 +69,21 @@ def verdict_line(verdict: str, slow: str) -> str:
     if not slow:
         return verdict
     return f"{verdict}, {'though' if verdict == 'PASS' else 'and'} this machine was too slow: {slow}"
+
+
+def hint_of(verdict: str, timings: Iterable[Mapping[str, Any]]) -> str:
+    """Returns what the machine has to do with a mission that has failed in real time; empty: nothing.
+
+    Where ticks were in time a mission may fail of the machine all the same: a message between two agents that comes
+    late is no late tick.
+    """
+    live = [timing for timing in timings if timing.get("mode") == "live"]
+    if verdict == "PASS" or not live:
+        return ""
+    worst = max(live, key=lambda timing: float(timing.get("busy", 0.0)))
+    percent = 100 * float(worst.get("busy", 0.0))
+    return (
+        f"in real time the machine counts: its {worst.get('processors', 1)} processors were busy for {percent:.0f} %"
+        f" of the mission. Try --speed {worst['speed'] / 2:g}, without other programs, or --virtual, which no load"
+        " changes"
+    )

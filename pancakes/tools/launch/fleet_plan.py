@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -17,7 +17,7 @@ from pancakes.runtime.config.toml_source import read_tables, tables_of, text_of
 from pancakes.runtime.config.toml_text import value_text
 from pancakes.runtime.foundation.user_folders import NoHome, at_home
 from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.runtime_dir import entries
+from pancakes.runtime.runtime_dir import RunningAgent, entries
 from pancakes.runtime.state_dir import state_dir_of
 from pancakes.tools.launch.fleet_file import FLEET_FILE, is_fleet, load_fleet
 from pancakes.tools.launch.member import Member, Policy, ProcessRestart
@@ -121,8 +121,10 @@ def check_free(members: Sequence[Member]) -> Claim:
     Raises:
         PancakesError: one of them is in use; the sentence says which, and by which agent, where that is known.
     """
-    running = {(entry.fleet, entry.name): entry.pid for entry in entries()}
+    there = entries()
+    running = {(entry.fleet, entry.name): entry.pid for entry in there}
     problems = []
+    is_taken = False
     here = [member for member in members if not member.host]
     for member in here:
         agent = member.config.agent
@@ -132,7 +134,10 @@ def check_free(members: Sequence[Member]) -> Claim:
             continue
         for address in _places(member):
             if fault := listening_fault(address.host, address.port):
-                problems.append(f"{agent.name} cannot listen at {address}: {fault}")
+                is_taken = True
+                problems.append(f"{agent.name} cannot listen at {address}: {fault}{_by(address, there)}")
+    if is_taken:
+        problems.append("end what listens there, or launch with --local, which takes no port; --set changes one port")
     claim = Claim.to(address.port for member in here for address in _places(member))
     if problems or claim is None:
         if claim is not None:
@@ -240,6 +245,14 @@ def _in_order(members: Sequence[Member], free: Sequence[str]) -> list[Member]:
     worlds = tuple(member.name for member in members if not acts(member) and member.name in free)
     ordered = [replace(member, after=worlds) if acts(member) and member.name in free else member for member in members]
     return sorted(ordered, key=lambda member: acts(member) and member.name in free)
+
+
+def _by(address: Address, running: Iterable[RunningAgent]) -> str:
+    """Returns which agent has the port of an address, as the end of a sentence; empty: that is not known."""
+    for entry in running:
+        if any(parse_address(listen).port == address.port for listen in entry.listen):
+            return f", by {entry.name} of the fleet {entry.fleet} (process {entry.pid})"
+    return ""
 
 
 def _clashes(members: Sequence[Member]) -> Iterator[Fault]:

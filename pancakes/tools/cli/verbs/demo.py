@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -260,7 +260,7 @@ def _run(found: Demo | Comparison, out: Path, options: _Options) -> int:
         return _interrupted_late(out)
     _say_pace(timing)
     results = f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {nice_path(out)}"
-    return _verdict(summary, how_slow(timing), results)
+    return _verdict(summary, how_slow(timing), [timing], results)
 
 
 def _interrupted_late(out: Path) -> int:
@@ -340,9 +340,8 @@ def _compare(found: Comparison, out: Path, options: _Options) -> int:
     slow = [(variant.title, how_slow(timings[variant.name])) for variant in found.variants]
     folders = _listed(variant.name for variant in found.variants)
     where = "; ".join(f"{title}: {text}" for title, text in slow if text)
-    return _verdict(
-        summary, where, f"summary.json and {found.picture}, and the folders {folders}, are in {nice_path(out)}"
-    )
+    told = f"summary.json and {found.picture}, and the folders {folders}, are in {nice_path(out)}"
+    return _verdict(summary, where, list(timings.values()), told)
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -356,14 +355,16 @@ def _say_pace(timing: dict[str, Any]) -> None:
         show_text(f"took {timing['wall_s']:.2f} s, {timing['times_real_time']:.0f} times real time")
 
 
-def _verdict(summary: dict[str, Any], slow: str, results: str) -> int:
+def _verdict(summary: dict[str, Any], slow: str, timings: Sequence[dict[str, Any]], results: str) -> int:
     """Says how it went, in the manner of Robotarium, where the machine was too slow, and where the results are."""
-    from pancakes.tools.demo.timeliness import verdict_line
+    from pancakes.tools.demo.timeliness import hint_of, verdict_line
 
     for line in summary.get("said", ()):
         show_text(line)
     show_text(f"verdict: {verdict_line(summary['verdict'], slow)}")
     for reason in summary["reasons"]:
         show_text(f"  - {reason}")
+    if hint := hint_of(summary["verdict"], timings):
+        show_text(hint)
     show_text(results)
     return PASSED if summary["verdict"] == "PASS" else FAILED
