@@ -178,7 +178,7 @@ def test_what_is_wrong_with_a_topic_is_one_sentence_and_the_agent_goes_on(start_
         ("motion", "std_msgs/msg/Bool", {"data": True}, {"every_s": 0.001}),
     ):
         peer.order("publish", **{"topic": f"/agent1/{topic}", "type": kind, "fields": fields, "every_s": 0.1, **order})
-    agent.wait_for_line("a message of odom was dropped: the pose is not finite (nan, 0, 0, 0, 0, 1)")
+    agent.wait_for_line("a message of odom is no reading: the pose is not finite (nan, 0, 0, 0, 0, 1)")
     agent.wait_for_line("/agent1/temperature is listened to as sensor_msgs/msg/Temperature, but /peer publishes")
     agent.wait_for_line("a node that publishes /agent1/battery_state has another QoS (reliability)")
     agent.wait_for_line("more readings come on motion than the 100 a second that are published")

@@ -73,6 +73,7 @@ class RosSensor(NetworkSensor):
         self._inlets: list[Inlet] = []
         self._came: Newest[Any] = Newest(1, lambda: context.call(self._take))
         self._told: set[str] = set()
+        self._heard = False
         self._left_out = 0
         self._counted_since_s = 0.0
         self._flood_told = False
@@ -100,7 +101,12 @@ class RosSensor(NetworkSensor):
 
     def inlet(self, node: RosNode, kind: str, topic: str, heard: Any) -> Inlet:
         """Returns a subscription with the settings of this sensor."""
-        return Inlet(node, kind, topic, self.settings.qos, heard, self._fail, self._warn)
+
+        def heard_something(message: Any) -> None:
+            self._heard = True
+            heard(message)
+
+        return Inlet(node, kind, topic, self.settings.qos, heard_something, self._fail, self._warn)
 
     def close(self) -> None:
         super().close()
@@ -111,8 +117,10 @@ class RosSensor(NetworkSensor):
             NODES.give_back(self.context.agent)
 
     def silent(self) -> None:
+        heard, self._heard = self._heard, False
         for inlet in self._inlets[:1]:
-            inlet.explain(self._warn)
+            if not heard:  # else what came is no reading, and the log says why
+                inlet.explain(self._warn)
 
     def _take(self) -> None:
         if self._node is None:
