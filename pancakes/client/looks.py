@@ -86,6 +86,7 @@ class Looks:
         late_s = last.lateness_sum_s - first.lateness_sum_s
         return {
             **{column: task[column] for column in ("agent", "service", "task", "type", "state", "rate_hz")},
+            "rest": task.get("rest", ""),
             "achieved_hz": _rate_hz(task["rate_hz"], ticks, last.mission_s - first.mission_s),
             "lateness_s": late_s / ticks if ticks else None,
             "missed": task["missed"],

@@ -47,7 +47,8 @@ def row_of(name: str, state: str = "ready", **others: Any) -> dict[str, Any]:
 
 def task_of(name: str, **others: Any) -> dict[str, Any]:
     """A row for a task."""
-    known = {"agent": "a", "service": "client", "task": name, "state": "running", "rate_hz": 10.0, "achieved_hz": 9.5}
+    known: dict[str, Any] = {"agent": "a", "service": "client", "task": name, "state": "running", "rest": ""}
+    known |= {"rate_hz": 10.0, "achieved_hz": 9.5}
     return {**known, "lateness_s": 0.001, "missed": 0, "dropped": 0, "restarts": 0, **others}
 
 

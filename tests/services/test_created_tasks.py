@@ -246,7 +246,7 @@ def test_a_task_that_a_file_names_is_not_removed(fleet: FleetInTest) -> None:
         "a/client/Count is in the configuration of a: take [task.Count] out of its file, start a anew"
     )
     assert a.ask(Migrate("Count", to="b")).ok
-    assert b.ask(Remove("Count")).reason.startswith("a/Count is in the configuration of a, where it was born")
+    assert b.ask(Remove("Count")).reason.startswith("a/Count was born from the configuration of a, ")
     assert b.running() == ["Count"]
 
 
@@ -268,7 +268,7 @@ def test_a_task_that_was_taken_out_of_the_file_while_it_was_away_is_removed_wher
     a = fleet.start("a")
     fleet.connect()
     fleet.run_for(10.0)
-    assert "move it there, and take it out of that file" in b.ask(Remove("Count")).reason
+    assert "move it to a, and remove it there" in b.ask(Remove("Count")).reason
     assert b.ask(Migrate("Count", to="a")).ok
     assert a.ask(Remove("Count")).ok and a.running() == b.running() == []
 
@@ -332,14 +332,14 @@ def test_devices_and_services_are_not_removed(fleet: FleetInTest) -> None:
 
 def test_what_is_created_is_in_the_configuration_that_its_agent_tells(fleet: FleetInTest) -> None:
     a = fleet.start("a", tasks={"Sink": "test.Sink"})
-    keys = {"guard": 3, "lease_s": 4.0, "restart": {"policy": "temporary"}}
+    keys = {"guard": 3, "lease_s": 4.0, "restart": {"policy": "no"}}
     assert a.ask(Create("Count", "test.Count", {"step": 2}, 5.0, keys)).ok
     fleet.run_for(2.0)
     tasks = a.ask(Describe(config=True)).result["config"]["task"]
     assert sorted(tasks) == ["Count", "Sink"]
     count = tasks["Count"]
     assert (count["type"], count["settings"], count["rate_hz"]) == ("test.Count", {"step": 2}, 5.0)
-    assert (count["guard"], count["lease_s"], count["restart"]["policy"]) == (3, 4.0, "temporary")
+    assert (count["guard"], count["lease_s"], count["restart"]["policy"]) == (3, 4.0, "no")
     assert TaskId("a", "Count") in a.agent.records.all()
 
 
@@ -434,7 +434,7 @@ class Stubborn(Task):
 
 def test_a_task_that_fails_at_once_is_there_and_can_be_removed(fleet: FleetInTest) -> None:
     a = fleet.start("a", classes={"test.Stubborn": Stubborn})
-    failed = a.ask(Create("Stubborn", "test.Stubborn", keys={"restart": {"policy": "temporary"}}))
+    failed = a.ask(Create("Stubborn", "test.Stubborn", keys={"restart": {"policy": "no"}}))
     assert not failed.ok and "a/Stubborn was created, and does not run: " in failed.reason
     assert "not today" in failed.reason and "`pancakes task remove a/Stubborn` ends it" in failed.reason
     assert a.ask(Remove("Stubborn")).ok

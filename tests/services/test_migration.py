@@ -134,7 +134,7 @@ def test_migration_is_remembered_by_the_birthplace(fleet):
     for start in (Start("Circle"), Restart("Circle")):
         assert a.ask(start).reason == "a/Circle moved to b"
     for asked in (Stop("Circle"), Reschedule("Circle", 2.0), Configure("Circle", {}), Migrate("Circle")):
-        assert a.ask(asked).reason == "Circle moved to b"
+        assert a.ask(asked).reason == "a/Circle moved to b"
     fleet.stop("a")
     assert fleet.restart("a").running() == []
     fleet.connect()

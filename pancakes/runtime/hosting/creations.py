@@ -236,8 +236,9 @@ class Creations:
             )
         if not slot.spec.created:
             raise ControlRefused(
-                f"{task_id} is in the configuration of {task_id.birthplace}, where it was born: move it there, and take"
-                f" it out of that file; until then, `pancakes task stop` stops it"
+                f"{task_id} was born from the configuration of {task_id.birthplace}, and whether that still names it is"
+                f" known there: move it to {task_id.birthplace}, and remove it there; until then, `pancakes task stop`"
+                " stops it"
             )
         if is_disputed(record):
             raise ControlRefused(dispute_of(host.agent, record))

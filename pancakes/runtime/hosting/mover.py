@@ -90,7 +90,7 @@ class Mover:
         asks_state = describes and (body.state or body.began)
         changes = asks_state or isinstance(body, Stop | Reschedule | Configure | Migrate | Remove)
         if record.phase is Phase.RELEASED and not record.removed and changes:
-            raise ControlRefused(f"{slot.name} moved to {record.peer}")
+            raise ControlRefused(f"{record.task_id} moved to {record.peer}")
 
     # Asking for a move -----------------------------------------------------------------------------------------
 
@@ -109,7 +109,7 @@ class Mover:
         host = self._host
         place = host.places.at[slot.name]
         if slot.task is None or slot.life.state is not State.RUNNING:
-            raise ControlRefused(f"{slot.address} is {slot.life.word}, so it cannot move")
+            raise ControlRefused(f"{slot.how_it_is}, so it cannot move")
         if not slot.spec.type:
             raise ControlRefused(f"{slot.address} has no entry point under which another agent could find its class")
         if place.move is not None:

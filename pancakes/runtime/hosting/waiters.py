@@ -49,7 +49,7 @@ class Waiters:
             host.after_host(LOOK_AGAIN_S, lambda: self._look(place, request))
             return
         slot = place.slot
-        what = f"{slot.address} is {slot.life.word}" if slot is not None else str(place.task_id)
+        what = slot.how_it_is if slot is not None else str(place.task_id)
         host.put_off(
             request, f"{what}; what was asked for waits: {trouble}. It is done as soon as the journal can write"
         )
@@ -62,6 +62,6 @@ class Waiters:
         others = ", ".join(sorted({one.agent for one in record.guards.members()} - {host.agent}))
         host.put_off(
             request,
-            f"{slot.address} is {slot.life.word}; what was asked for waits for its guardians ({others}). It is done"
+            f"{slot.how_it_is}; what was asked for waits for its guardians ({others}). It is done"
             " once more than half of them answer",
         )

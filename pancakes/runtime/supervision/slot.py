@@ -59,3 +59,8 @@ class Slot(msgspec.Struct):
     failure: Failure | None = None
     changing: tuple[Request, ...] = ()
     commands: tuple[Command, ...] = ()
+
+    @property
+    def how_it_is(self) -> str:
+        """How it is in the word that people see in every list, as a clause: `a/client/Scan is stopped`."""
+        return f"{self.address} does not run: {self.rest}" if self.rest else f"{self.address} is {self.life.word}"

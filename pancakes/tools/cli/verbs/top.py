@@ -38,7 +38,7 @@ AGENTS: Final = {
 """The columns of the upper table, and what is in them."""
 TASKS: Final = {
     "task": "name",
-    "state": "state",
+    "state": "word",
     "wanted Hz": "rate_hz",
     "Hz": "achieved_hz",
     "late ms": "lateness_s",
@@ -182,7 +182,12 @@ def _table(columns: Mapping[str, str]) -> Table:
 
 def _cells(row: Row, columns: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     for column, key in columns.items():
-        yield key, f"{row['agent']}/{row['service']}/{row['task']}" if key == "name" else _cell(column, row[key])
+        if key == "name":
+            yield key, f"{row['agent']}/{row['service']}/{row['task']}"
+        elif key == "word":  # as `pancakes task list` has it
+            yield key, row["rest"] or row["state"]
+        else:
+            yield key, _cell(column, row[key])
 
 
 def _cell(column: str, value: Any) -> str:
