@@ -5,7 +5,7 @@ import json
 import tracemalloc
 import zlib
 
-import lz4.frame
+import lz4.frame  # type: ignore[import-untyped]
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
