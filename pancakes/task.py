@@ -284,7 +284,7 @@ class Task(Component):
             raise TypeError(f"`self.{name}` is of the class {type(value).__name__}, and not {cls.__qualname__}")
         return plain_settings(value)
 
-    def take_letter(self, stream: str, seq: int, first: int, packet: Packet | None) -> bool:
+    def take_letter(self, stream: str, seq: int, first: int, packet: Packet | None, sender: str = "") -> bool:
         """Handles a packet addressed to this task wherever it is, if it is the next of its stream. In the actor.
 
         Args:
@@ -292,6 +292,7 @@ class Task(Component):
             seq: its number in that stream.
             first: the lowest number that may still come.
             packet: the packet; None: it is given up, and the next one may follow.
+            sender: the agent that sent it.
 
         Returns:
             Whether it has had its effect, now or before.
@@ -304,7 +305,7 @@ class Task(Component):
             return False
         if packet is not None:
             self.run_handlers(packet)
-        self.__heard.took(stream, seq)
+        self.__heard.took(stream, seq, sender)
         return True
 
     def take_message(self, message: Any) -> Any:
@@ -348,7 +349,7 @@ class Task(Component):
     def __take(self, message: Give) -> None:
         letter = message.letter
         try:
-            took = self.take_letter(letter.stream, letter.seq, letter.first, message.packet)
+            took = self.take_letter(letter.stream, letter.seq, letter.first, message.packet, letter.sender)
         except BaseException:
             self.__tell(LetterGiven(self, message, LetterOutcome.FAILED))
             raise

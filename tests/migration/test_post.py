@@ -12,6 +12,7 @@ from pancakes.mesh.migration.post import (
     ASKED,
     IN_FLIGHT,
     LONGEST_S,
+    MOST_OF_SENDER,
     RESEND_S,
     STREAMS,
     WINDOW,
@@ -237,6 +238,14 @@ class TestTheReceiver:
         filter_.took("new", 1)
         assert len(filter_.heard()) == STREAMS
         assert filter_.is_old("s0", 2) and not filter_.is_old("s1", 1)
+
+    def test_agent_with_ever_new_streams_has_only_its_own_forgotten(self):
+        filter_ = Incoming()
+        filter_.took("honest", 5, "b")
+        for number in range(2 * STREAMS):
+            filter_.took(f"s{number}", 1, "c")
+        assert filter_.is_old("honest", 5)
+        assert len(filter_.heard()) == 1 + MOST_OF_SENDER
 
 
 def test_post_over_a_bad_network_arrives_once_and_in_order():

@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 import pytest
 from keys_in_test import KeysInTest
@@ -98,7 +99,8 @@ class Robots:
         self.a = self._start("a", {"Count": guarded, "Sink": {"type": Sink, "durability": "each"}})
         self.b, self.c, self.d = (self._start(name, {}) for name in "bcd")
         for agent in self.all:
-            agent.wait_until(lambda it=agent: len(it.agent.mesh.neighbours()) == 3, PATIENCE_S, "all are linked")
+            mesh = agent.agent.mesh
+            agent.wait_until(lambda: len(mesh.neighbours()) == 3, PATIENCE_S, "all are linked")  # noqa: B023
         self.heard: list[object] = []  # what d is told
         self.d.kernel.stream.tap("network", lambda packet: self.heard.append(packet.body))
         self.a.wait_until(lambda: len(self.guards().members()) == 3 == len(self.guards().sets[0]), PATIENCE_S, "guards")
@@ -141,7 +143,7 @@ class Robots:
     def version(self, kind: str = "Count") -> str:
         return self.a.slot(kind).spec.version
 
-    def lie(self, to: AgentInTest, at: str, *bodies: object) -> None:
+    def lie(self, to: AgentInTest, at: str, *bodies: Any) -> None:
         """D says something to an actor of another agent."""
         for body in bodies:
             meant = addressed(body, to.agent.mesh.identity.journal) if hasattr(body, "journal") else body
@@ -233,7 +235,7 @@ def test_what_is_brought_and_never_given_away_has_a_bound_and_leaves_others_thei
         for number in range(first, first + 32):
             task_id = TaskId("d", f"T{number}")
             robots.lie(robots.b, "client", Reserve(task_id, Epoch(1, "d"), _request(robots, task_id)))
-        until(lambda asked=first + 32: _decided(robots) >= asked, "each is answered")
+        until(lambda: _decided(robots) >= first + 32, "each is answered")  # noqa: B023
     kept = [it for it in robots.b.agent.records.all().values() if it.phase is Phase.PREPARED]
     assert len(kept) == MOST_IN_DOUBT
     assert any("that d has brought and not handed over" in nak.reason for nak in robots.told(Nak))

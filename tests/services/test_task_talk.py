@@ -140,7 +140,9 @@ def test_guarded_migration_seizes_the_guardians(guarded: FleetInTest) -> None:
         "a/client > b/client: migration.transfer",
         "b/client > a/client: migration.prepared",
         "a/client: task_stopped",
+        "a/client > b/Guardian: guard.yield",
         "a/client > b/client: migration.commit",
+        "a/client > c/Guardian: guard.yield",
         # a, which it left, guards it in place of b.
         *(f"b/client > {other}/Guardian: guard.seize" for other in "ac"),
         *(f"{other}/Guardian > b/client: guard.pledge" for other in "ac"),

@@ -206,6 +206,6 @@ def kept_packets(tenure: Tenure, record: Record, owed: Iterable[Owed]) -> tuple[
     return [packet for at, packet in ours if at.no <= no], [one for one in ours if one[0].no > no]
 
 
-def yield_lease(tenure: Tenure, record: Record, guardian: GuardianId) -> YieldLease:
-    """Returns what an owner tells a guardian that stops, or has given the task away."""
-    return YieldLease(record.task_id, record.epoch, tenure.beat, tenure.of(guardian).boot)
+def yield_lease(tenure: Tenure, record: Record, guardian: GuardianId, given: bool = False) -> YieldLease:
+    """Returns what an owner tells a guardian that stops; `given`: that has given the task away."""
+    return YieldLease(record.task_id, record.epoch, tenure.beat, tenure.of(guardian).boot, given=given)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Final
+from typing import Annotated, Final
 
 import msgspec
 
@@ -14,7 +14,9 @@ from pancakes.packet import packet_type
 IN_ONE_PACKET: Final = 256
 """So many claims are told at once."""
 MOST: Final = 4096
-"""The claims on so many tasks are remembered; of more, the one that was heard first is forgotten."""
+"""So many claims of one agent are remembered; of more, the one that was heard first is forgotten."""
+MOST_AGENTS: Final = 1024
+"""Of so many agents they are; of more, the one that has said nothing for longest is forgotten."""
 
 
 class OwnerClaim(msgspec.Struct, frozen=True):
@@ -37,7 +39,7 @@ class Owned(msgspec.Struct, frozen=True):
         claims: the tasks.
     """
 
-    claims: tuple[OwnerClaim, ...]
+    claims: Annotated[tuple[OwnerClaim, ...], msgspec.Meta(max_length=IN_ONE_PACKET)]
 
 
 def claims_of(records: Iterable[Record]) -> list[OwnerClaim]:
@@ -53,29 +55,34 @@ def in_packets(claims: list[OwnerClaim]) -> Iterator[Owned]:
 
 
 class Claims:
-    """The highest claim of other agents on each task.
+    """What other agents claim: of each, its highest claim on each task.
 
     A claim does not grow false: an agent that owns the task later owns it under a higher epoch.
     """
 
     def __init__(self) -> None:
-        self._highest: dict[TaskId, tuple[str, OwnerClaim]] = {}
+        self._of: dict[str, dict[TaskId, OwnerClaim]] = {}  # by the agent, the one heard last at the end
 
     def heard(self, peer: str, claim: OwnerClaim) -> None:
         """Learns of a claim."""
-        known = self._highest.get(claim.task_id)
-        if known is None or known[1].epoch <= claim.epoch:
-            self._highest[claim.task_id] = peer, claim
-        if len(self._highest) > MOST:
-            del self._highest[next(iter(self._highest))]
+        theirs = self._of[peer] = self._of.pop(peer, {})
+        known = theirs.get(claim.task_id)
+        if known is None or known.epoch <= claim.epoch:
+            theirs[claim.task_id] = claim
+        if len(theirs) > MOST:
+            del theirs[next(iter(theirs))]
+        if len(self._of) > MOST_AGENTS:
+            del self._of[next(iter(self._of))]
 
     def of(self, task_id: TaskId) -> tuple[str, OwnerClaim] | None:
-        """Returns the claim on a task and the agent that made it; None: there is none."""
-        return self._highest.get(task_id)
+        """Returns the highest claim on a task, of equal ones the latest, and the agent that made it; None: none."""
+        found = [(peer, theirs[task_id]) for peer, theirs in self._of.items() if task_id in theirs]
+        return max(reversed(found), key=lambda it: it[1].epoch, default=None)
 
     def by_peer(self) -> dict[str, dict[TaskId, OwnerClaim]]:
-        """Returns all of them, by the agent that made them."""
+        """Returns the highest claim on each task, by the agent that made it."""
         found: dict[str, dict[TaskId, OwnerClaim]] = {}
-        for task_id, (peer, claim) in self._highest.items():
-            found.setdefault(peer, {})[task_id] = claim
+        for task_id in {task_id: None for theirs in self._of.values() for task_id in theirs}:
+            if (highest := self.of(task_id)) is not None:
+                found.setdefault(highest[0], {})[task_id] = highest[1]
         return found

@@ -8,6 +8,7 @@ hand-off comes to nothing, the next one is. The task runs on all through this.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Final
 
 import msgspec
 from msgspec.structs import replace
@@ -17,6 +18,11 @@ from pancakes.mesh.migration.cost import cost_text, fault_of
 from pancakes.mesh.migration.ledger import Ledger, Line
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.runtime.foundation.suggestion import hint_of
+
+MOST_TERMS: Final = 64
+"""A bid has no more terms, ..."""
+MOST_LETTERS: Final = 1000
+"""... and no reason more letters: the accounts of moves are kept on disk."""
 
 
 class Awarded(msgspec.Struct, frozen=True):
@@ -108,13 +114,15 @@ class Negotiation:
     def bid(self, peer: str, cost: float, terms: Mapping[str, float], now_s: float) -> Outcome | None:
         """Takes a bid. One that cannot be compared counts as a refusal."""
         fault = fault_of(cost, terms)
+        if len(terms) > MOST_TERMS or any(len(name) > MOST_LETTERS for name in terms):
+            fault = f"it has more than {MOST_TERMS} terms, or too long a name"
         if fault:
             return self._answer(Line(peer, "refused", "refused", reason=f"its bid does not count: {fault}"), now_s)
         return self._answer(Line(peer, "bid", "lost", cost, dict(terms)), now_s)
 
     def refuse(self, peer: str, reason: str, now_s: float) -> Outcome | None:
         """Takes a refusal, or the news that the link to `peer` is gone."""
-        return self._answer(Line(peer, "refused", "refused", reason=reason), now_s)
+        return self._answer(Line(peer, "refused", "refused", reason=reason[:MOST_LETTERS]), now_s)
 
     def tick(self, now_s: float) -> Outcome | None:
         """Closes the window once it is time. To be called after `window_s`, and after `patience_s`."""
@@ -124,7 +132,7 @@ class Negotiation:
         """Takes the news that the hand-off to the chosen neighbour came to nothing; the next one's turn."""
         if self._open or peer != self._chosen or self._ended_s is not None:
             return None
-        self._lines[peer] = replace(self._lines[peer], fate="failed", reason=reason)
+        self._lines[peer] = replace(self._lines[peer], fate="failed", reason=reason[:MOST_LETTERS])
         return self._choose(now_s)
 
     def moved(self, peer: str, now_s: float) -> None:

@@ -93,6 +93,10 @@ class Assembly:
                 f" {MOST_HALF} may be, of {MOST_BYTES} bytes"
             )
 
+    def has(self, task_id: TaskId) -> bool:
+        """Returns whether something has come in of a task."""
+        return task_id in self._parts
+
     def drop(self, peer: str) -> None:
         """Forgets what has come in so far from a peer whose link broke."""
         self._parts = {task_id: parts for task_id, parts in self._parts.items() if parts.peer != peer}

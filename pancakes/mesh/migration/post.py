@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from hashlib import blake2s
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import msgspec
 
@@ -34,6 +34,9 @@ ASKED: Final = 16
 """So many neighbours are asked at a time; of more, each in its turn, so that unused links may end all the same."""
 STREAMS: Final = 1024
 """Most streams that a task's duplicate filter remembers; of more, the one not heard from for longest is forgotten."""
+MOST_OF_SENDER: Final = STREAMS // 2
+"""So many of them are of one agent: one that begins stream after stream has only its own forgotten."""
+StreamName = Annotated[str, msgspec.Meta(max_length=512)]
 MOST_STREAMS: Final = 1024
 """An owner is asked about so many streams at once; of the others nothing is known to be lost."""
 
@@ -53,7 +56,7 @@ class Letter(msgspec.Struct, frozen=True):
     """
 
     task_id: str
-    stream: str
+    stream: StreamName
     seq: int
     first: int
     packet: bytes
@@ -93,7 +96,7 @@ class AskBegan(msgspec.Struct, frozen=True):
     """
 
     task_id: str
-    streams: Annotated[tuple[str, ...], msgspec.Meta(max_length=MOST_STREAMS)]
+    streams: Annotated[tuple[StreamName, ...], msgspec.Meta(max_length=MOST_STREAMS)]
 
 
 @packet_type("post.streams_began")
@@ -435,10 +438,11 @@ class Incoming:
         heard: what it begins with, by stream.
     """
 
-    __slots__ = ("_heard",)
+    __slots__ = ("_heard", "_of")
 
     def __init__(self, heard: Mapping[str, int] | None = None) -> None:
         self._heard = dict(heard or {})
+        self._of: dict[str, dict[str, None]] = {}  # the streams of each agent, since it began here
 
     def is_next(self, stream: str, seq: int, first: int) -> bool:
         """Returns whether a letter is the next of its stream.
@@ -452,14 +456,28 @@ class Incoming:
         """Returns whether a letter has had its effect already."""
         return seq <= self._heard.get(stream, 0)
 
-    def took(self, stream: str, seq: int) -> None:
-        """A letter has had its effect."""
+    def took(self, stream: str, seq: int, sender: str = "") -> None:
+        """A letter of an agent has had its effect."""
         # To the end of the table, which is in the order in which they were heard.
         self._heard.pop(stream, None)
         self._heard[stream] = seq
+        if sender:
+            mine = self._of[sender] = self._of.pop(sender, {})
+            mine.pop(stream, None)
+            mine[stream] = None
+            if len(mine) > MOST_OF_SENDER:
+                self._heard.pop(_take_first(mine), None)
+            if len(self._of) > STREAMS:
+                _take_first(self._of)
         while len(self._heard) > STREAMS:
             del self._heard[next(iter(self._heard))]
 
     def heard(self) -> dict[str, int]:
         """Returns the whole filter, what was heard from last at its end."""
         return dict(self._heard)
+
+
+def _take_first(table: dict[str, Any]) -> str:
+    first = next(iter(table))
+    del table[first]
+    return first

@@ -7,13 +7,16 @@ told to no peer, so an agent that has died is forgotten by all.
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Final
 
 import msgspec
 
 MOST_KNOWN: Final = 4096
-"""So many agents are known at most."""
+"""So many agents are known at most, ..."""
+MOST_OF_PEER: Final = 1024
+"""... and so many of which one peer alone has told, and to which there was no link."""
 FRESH_S: Final = 120.0
 """An agent of which nothing was heard for so long is told of to no peer, and is not dialled unasked."""
 FORGOTTEN_S: Final = 600.0
@@ -80,6 +83,7 @@ class LinkUse(msgspec.Struct, frozen=True):
 class _HeardOf(msgspec.Struct):
     listen: tuple[str, ...]
     heard_s: float
+    by: str = ""  # the peer that told of it first; empty: it is linked, or was
 
 
 class FewLinks:
@@ -97,6 +101,7 @@ class FewLinks:
         self._known: dict[str, _HeardOf] = {}
         self._wanted: dict[str, float] = {}  # the agents to which links are being made, and until when
         self._avoided: dict[str, float] = {}  # the agents that are not dialled unasked, and until when
+        self._told_by: Counter[str] = Counter()  # of how many of those that are known each peer has told
         self._to_tell: list[str] = []
         self._forgets_s = now_s + FORGOTTEN_S / 10
         self._walks_s = now_s + source.uniform(0.0, WALK_S)
@@ -107,7 +112,7 @@ class FewLinks:
         """Returns how many links it keeps, and how many agents it knows. Any thread."""
         return {"links": self._most, "known": len(self._known)}
 
-    def heard(self, name: str, listen: Sequence[str], age_s: float, now_s: float) -> None:
+    def heard(self, name: str, listen: Sequence[str], age_s: float, now_s: float, by: str = "") -> None:
         """An agent was heard of.
 
         Args:
@@ -115,12 +120,16 @@ class FewLinks:
             listen: the addresses at which it can be dialled here.
             age_s: how long ago it was there; 0: it is linked to this agent, or says so itself.
             now_s: host time.
+            by: the peer that tells of it; empty: it is linked to this agent.
         """
         known, heard_s = self._known.get(name), now_s - age_s
         if known is not None and known.heard_s >= heard_s:
             return
-        if listen and age_s < FRESH_S and (known is not None or len(self._known) < MOST_KNOWN):
-            self._known[name] = _HeardOf(tuple(listen), heard_s)
+        room = len(self._known) < MOST_KNOWN and self._told_by[by] < MOST_OF_PEER
+        if listen and age_s < FRESH_S and (known is not None or room):
+            first = by if known is None or not by else known.by
+            self._known[name] = _HeardOf(tuple(listen), heard_s, first)
+            self._count(known, self._known[name])
             if self._lacks and known is None:
                 self.due_s = min(self.due_s, now_s + SOON_S)
 
@@ -166,6 +175,7 @@ class FewLinks:
         if now_s >= self._forgets_s:
             self._forgets_s = now_s + FORGOTTEN_S / 10
             self._known = {name: it for name, it in self._known.items() if now_s - it.heard_s < FORGOTTEN_S}
+            self._told_by = Counter(it.by for it in self._known.values() if it.by)
         self._avoided = {name: until_s for name, until_s in self._avoided.items() if until_s > now_s}
         decisions: list[FewDecision] = []
         for name, until_s in list(self._wanted.items()):
@@ -192,6 +202,12 @@ class FewLinks:
         if surplus > 0:
             decisions.extend(EndLink(name) for _, name in sorted(unused, reverse=True)[:surplus])
         return decisions
+
+    def _count(self, before: _HeardOf | None, after: _HeardOf) -> None:
+        if before is not None and before.by:
+            self._told_by[before.by] -= 1
+        if after.by:
+            self._told_by[after.by] += 1
 
     def _is_taken(self, name: str, linked: Mapping[str, LinkUse]) -> bool:
         return name in linked or name in self._wanted or name in self._avoided

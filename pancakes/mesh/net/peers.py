@@ -363,7 +363,7 @@ class Peers:
             if there and nameable_from(remote, (there,), self._reach) and seen.name != self._own.name:
                 named.append(there)
                 if self._few is not None and self._may_be_named(there):
-                    self._few.heard(seen.name, (there,), seen.age_s, now_s)
+                    self._few.heard(seen.name, (there,), seen.age_s, now_s, peer)
         return self.learnt(named, now_s, peer) if self._few is None else []
 
     def learnt(self, addresses: Sequence[str], now_s: float, peer: str = "") -> list[Decision]:

@@ -12,6 +12,7 @@ from pancakes.control import Revive
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
 from pancakes.mesh.migration.candidate import would_take
 from pancakes.mesh.migration.effect import StartTask
+from pancakes.mesh.migration.epoch import is_out_of_reach
 from pancakes.mesh.migration.event import Received
 from pancakes.mesh.migration.messages import Abort, Commit, HandOffMessage, Nak, Piece, Reserve, Transfer, is_for
 from pancakes.mesh.migration.pieces import Assembly
@@ -25,6 +26,8 @@ from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.hosting_effect import AskRoom
 from pancakes.runtime.hosting.hosting_event import NoPlace, PlaceFree, Room
 from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.last_said import LastSaid
+from pancakes.runtime.hosting.machine import idle
 from pancakes.runtime.hosting.peer_talk import PeerTalk
 from pancakes.runtime.hosting.place import SURE, Place, began_from
 from pancakes.runtime.hosting.records import Records
@@ -41,6 +44,8 @@ MOST_IN_DOUBT: Final = 64
 """So many tasks of one peer are kept that it has brought and not handed over, ..."""
 MOST_IN_DOUBT_BYTES: Final = 64 * 1024 * 1024
 """... and so many bytes of them; one may always be kept."""
+MOST_LEFT: Final = 4096
+"""So many tasks of one peer are remembered that it has brought and taken back: a mark is never deleted."""
 SETTLE_S: Final = 10.0
 """How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
 
@@ -73,6 +78,7 @@ class Arrivals:
         self._state = state
         self._talk = talk
         self._assembly = Assembly()
+        self._refused = LastSaid()
 
     def found(self, place: Place) -> list[TaskSpec]:
         """Takes up a record that was on disk; returns its task, where the configuration does not have it."""
@@ -125,6 +131,8 @@ class Arrivals:
         if message is None:
             return None
         if isinstance(message, Reserve):
+            if is_out_of_reach(message.offer, record.seen):
+                refusal = refusal or f"the epoch {message.offer} is further from {record.seen} than any task comes"
             refusal = refusal or self._full_of(peer, place, 0) or self._state.reserve(peer, message)
             if not refusal:
                 place.promised = (peer, message.offer)
@@ -144,14 +152,31 @@ class Arrivals:
     def _full_of(self, peer: str, place: Place, more_bytes: int) -> str:
         """Says why no more is kept of what a peer has brought and not handed over; empty: there is room."""
         records = self._records.all().values()
+        left = sum(it.phase is Phase.ABSENT and it.peer == peer for it in records)
+        if place.standing.record.unborn and left >= MOST_LEFT:
+            return self._at_bound(peer, f"remembers {left} tasks that {peer} has brought and taken back, and no more")
         kept = [it for it in records if it.phase is Phase.PREPARED and it.peer == peer and it.task_id != place.task_id]
         size = sum(len(it.snapshot) for it in kept) + more_bytes
         if len(kept) < MOST_IN_DOUBT and (not kept or size <= MOST_IN_DOUBT_BYTES):
             return ""
-        return (
-            f"keeps {len(kept)} tasks that {peer} has brought and not handed over, and no more:"
-            f" `pancakes task forget-peer {self._host.agent} {peer}` drops them"
+        drops = f"`pancakes task forget-peer {self._host.agent} {peer}` drops them"
+        return self._at_bound(
+            peer, f"keeps {len(kept)} tasks that {peer} has brought and not handed over, and no more: {drops}"
         )
+
+    def _at_bound(self, peer: str, why: str) -> str:
+        if self._refused.is_news(peer, why):
+            self._host.log("warning", f"{self._host.agent} {why}")
+        return why
+
+    def is_unused(self, place: Place) -> bool:
+        """Returns whether nothing has come of a place that was promised to a peer."""
+        used = place.slot, place.taking, place.creation, place.adoption, place.follows, place.move
+        return place.standing.record.unborn and idle(place.standing) and not any(it is not None for it in used)
+
+    def comes(self, place: Place) -> bool:
+        """Returns whether a snapshot of a task is on its way."""
+        return self._assembly.has(place.task_id)
 
     def _whole(self, peer: str, message: HandOffMessage | Piece, place: Place) -> HandOffMessage | None:
         """Returns a message as it is; of a piece of a snapshot, the whole once all pieces are there."""

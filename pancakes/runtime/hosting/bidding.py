@@ -52,7 +52,9 @@ KEEP = reliable(1024)
 APPRAISED_S = 0.4
 """So long, in host time, the cost functions of others have; the window for bids is a little longer."""
 MOST_APPRAISED = 64
-"""So many tasks may wait for their costs."""
+"""So many tasks may wait for their costs, ..."""
+MOST_OF_PEER = 16
+"""... and so many of one peer."""
 SOUGHT_S = 3.0
 """So long, in host time, a link to the agent that a task is sent to may take, where there is none."""
 LINK_LOOK_S = 0.05
@@ -298,6 +300,9 @@ class TaskMigrator(Task):
             return
         if len(self._appraising) >= MOST_APPRAISED:
             self._answer(peer, request, {}, f"works out the costs of {MOST_APPRAISED} tasks already")
+            return
+        if sum(asker == peer for asker, _ in self._appraising.values()) >= MOST_OF_PEER:
+            self._answer(peer, request, {}, f"works out the costs of {MOST_OF_PEER} tasks of {peer} already")
             return
         try:
             settings, state = offer_of(request.offer)

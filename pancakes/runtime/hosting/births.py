@@ -15,6 +15,7 @@ from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.peers import reachable
 from pancakes.runtime.hosting.census_messages import CENSUS, AskAbout
 from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.last_said import LastSaid
 from pancakes.runtime.hosting.lost import Lost
 from pancakes.runtime.hosting.place import Place, Unsure
 from pancakes.runtime.hosting.records import Records
@@ -52,13 +53,13 @@ class _Unborn(msgspec.Struct):
     Attributes:
         task_ids: its names: by this agent's name, and by each that it had before.
         answered: what each agent has answered about.
-        known: what agents know of it; this one among them, under a former name.
+        known: the newest that each agent knows of it, of each name; this one among them, under a former name.
         told: what was told of it last.
     """
 
     task_ids: tuple[TaskId, ...]
     answered: dict[str, set[TaskId]] = msgspec.field(default_factory=dict)
-    known: list[TaskFact] = msgspec.field(default_factory=list)
+    known: dict[tuple[str, TaskId], TaskFact] = msgspec.field(default_factory=dict)
     told: str = ""
 
     def said(self) -> list[str]:
@@ -92,6 +93,7 @@ class Births:
         self._fault = fault
         self._began_s = self._asked_s = host.kernel.host.now()
         self._unborn: dict[TaskId, _Unborn] = {}
+        self._unbelieved = LastSaid()
         self._strangers: set[str] = set()  # named in `peers`, and no agents: a simulated world owns no task
 
     def begin(self) -> None:
@@ -123,13 +125,15 @@ class Births:
     def _learn(self, peer: str, unborn: _Unborn, facts: Iterable[TaskFact]) -> None:
         place = self._host.places[unborn.task_ids[0]]
         for fact in facts:
-            if fact in unborn.known or fact.epoch <= place.standing.record.seen:
+            known = unborn.known.get((peer, fact.task_id))
+            if fact.epoch <= place.standing.record.seen or (known is not None and known.epoch >= fact.epoch):
                 continue  # of one that was removed here, others may know what was before
             if fault := self._fault(peer, place):
                 text = f"{peer} says that {fact.task_id} was born before, and is not believed: {fault}"
-                self._host.log("warning", text)
+                if self._unbelieved.is_news(peer, text):
+                    self._host.log("warning", text)
             else:
-                unborn.known.append(fact)
+                unborn.known[peer, fact.task_id] = fact
 
     def of(self, slot: Slot, place: Place, starts: bool = True) -> Unsure | None:
         """Returns why a task is not born now; None: it may be, or has been.
@@ -178,7 +182,7 @@ class Births:
             for record in map(self._records.get, former):
                 fact = fact_of(self._host.agent, record) if record is not None else None
                 if fact is not None:
-                    found.known.append(fact)
+                    found.known[self._host.agent, fact.task_id] = fact
         return found
 
     def _birth(self, slot: Slot, place: Place, at_once: bool) -> Birth:
@@ -187,7 +191,7 @@ class Births:
         named = self._named(place) if self._rule.asks else ()
         guardians = [name for name in rule.guardians if name != self._host.agent] if rule is not None else None
         said = {*unborn.said(), *self._strangers}
-        return birth_of(BirthFacts(named, said, unborn.known, guardians, over))
+        return birth_of(BirthFacts(named, said, tuple(unborn.known.values()), guardians, over))
 
     def _named(self, place: Place) -> Sequence[str]:
         """Returns the agents that are to be asked, by name; those that were never met by their address."""

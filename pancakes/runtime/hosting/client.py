@@ -19,9 +19,11 @@ from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept, Pledge
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration import effect as handoff_effect
 from pancakes.mesh.migration import messages
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.rest import rest_of
 from pancakes.mesh.migration.snapshot import Posted, Snapshot
+from pancakes.mesh.migration.times import Times
 from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, join
@@ -71,6 +73,8 @@ from pancakes.task import TaskSpec
 
 KEEP: Final = reliable(1024)
 """Of each type of hand-off message; each is said again where it is needed."""
+PROMISED_S: Final = 2 * Times().slot_s
+"""A place that was promised is forgotten if nothing has come of it after so long, in host time."""
 
 
 class ClientService(Service):
@@ -470,8 +474,18 @@ class ClientService(Service):
         received = self._arrivals.receive(packet, place, refusal)
         if known is None and place.promised is not None:
             self.places.keep(place)
+            self.after_host(PROMISED_S, partial(self._look_at_promised, place, place.promised))
         if received is not None:
             self.feed_place(place, received)
+
+    def _look_at_promised(self, place: Place, promised: tuple[str, Epoch] | None) -> None:
+        """Forgets a place of which nothing has come."""
+        if self.places.get(place.task_id) is not place or not self._arrivals.is_unused(place):
+            return
+        if place.promised != promised or self._arrivals.comes(place):
+            self.after_host(PROMISED_S, partial(self._look_at_promised, place, place.promised))
+        else:
+            self.places.drop(place)
 
     @on(NETWORK, LeaseKept, keep=KEEP, addressed=True)
     @on(NETWORK, DenyLease, keep=KEEP, addressed=True)

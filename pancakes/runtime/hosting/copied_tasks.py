@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from pancakes.mesh.migration.knowledge import TaskFact, TasksKnown
+from pancakes.mesh.migration.knowledge import TaskFact, TasksKnown, newest_fact
 from pancakes.mesh.migration.old_copy import CopiedTask, CopyVerdict, copied_task
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.migration.rest import OLD_COPY
@@ -30,11 +30,11 @@ class _Heard(msgspec.Struct):
 
     Attributes:
         by: the agents that have told.
-        known: what they know.
+        known: the newest that each of them knows.
     """
 
     by: set[str] = msgspec.field(default_factory=set)
-    known: list[TaskFact] = msgspec.field(default_factory=list)
+    known: dict[str, TaskFact] = msgspec.field(default_factory=dict)
 
 
 class CopiedTasks:
@@ -91,8 +91,8 @@ class CopiedTasks:
                 continue
             heard = self._told.setdefault(task_id, _Heard())
             heard.by.add(peer)
-            if (fact := facts.get(task_id)) is not None and fact not in heard.known:
-                heard.known.append(fact)
+            if (fact := newest_fact((facts.get(task_id), heard.known.get(peer)))) is not None:
+                heard.known[peer] = fact
             self._look_again(place)
 
     def of(self, place: Place) -> Unsure | None:
@@ -128,7 +128,7 @@ class CopiedTasks:
             return CopiedTask(CopyVerdict.GOES_ON)
         sayers = [peer for peer in self._sayers if not self._fault(peer, place)]
         told = self._told.get(place.task_id, _Heard())
-        return copied_task(record.seen, sayers, told.by, told.known)
+        return copied_task(record.seen, sayers, told.by, tuple(told.known.values()))
 
     def _look(self) -> None:
         """Has what runs stand still; one that is being handed over does, and is looked at again once that is over."""

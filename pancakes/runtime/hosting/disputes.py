@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pancakes.errors import MigrationError
 from pancakes.mesh.migration.claim import Claims, OwnerClaim
+from pancakes.mesh.migration.epoch import is_out_of_reach
 from pancakes.mesh.migration.event import ClaimHeard
 from pancakes.mesh.migration.guarded_task import is_by_person
 from pancakes.mesh.migration.owner import is_disputed
@@ -25,6 +26,7 @@ from pancakes.runtime.hosting.census_messages import (
 from pancakes.runtime.hosting.copied_tasks import CopiedTasks
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.inquiries import Inquiries
+from pancakes.runtime.hosting.last_said import LastSaid
 from pancakes.runtime.hosting.machine import idle
 from pancakes.runtime.hosting.place import OtherOwner, Place, Unsure
 from pancakes.runtime.hosting.records import Records
@@ -51,6 +53,7 @@ class Disputes:
         self._host = host
         self._claims = Claims()
         self._told: set[TaskId] = set()  # the tasks that were told not to be born
+        self._unbelieved = LastSaid()
         self.births = Births(host, records, mesh, rule, self._fault_of_teller)
         self.inquiries = Inquiries(host, mesh)
         self.copied = CopiedTasks(host, self._fault_of_teller, self._went_on)
@@ -115,8 +118,12 @@ class Disputes:
         other, record = OtherOwner(peer, claim.epoch), place.standing.record
         if place.other == other or (place.other is not None and place.other.epoch > other.epoch):
             return
-        if fault := self._host.kernel.access.fault(peer, "host", self._type_of(place)):
-            self._host.log("warning", f"{peer} says that it owns {place.task_id}, and is not believed: {fault}")
+        fault = self._host.kernel.access.fault(peer, "host", self._type_of(place))
+        if not record.unborn and is_out_of_reach(claim.epoch, record.seen):
+            fault = f"the epoch {claim.epoch} is further from {record.seen} than any task comes"
+        if fault:
+            if self._unbelieved.is_news(peer, f"{place.task_id} {fault}"):
+                self._host.log("warning", f"{peer} says that it owns {place.task_id}, and is not believed: {fault}")
             return
         place.other = other
         if record.guarded and claim.epoch != record.epoch and not is_by_person(record, claim.epoch):

@@ -64,7 +64,7 @@ KEEP: Final = queue(1024)
 MOST_WAIT: Final = 16
 """So much may wait for the disk of what is said of one task; what falls out is said again."""
 PLEDGED_S: Final = 1.0
-"""For so long no other owner is looked for than the agent that was given a pledge."""
+"""For so long no other owner is looked for than the agent that was given a pledge, or the task."""
 MOST_TASKS: Final = 1024
 """An agent guards so many tasks of one peer at most, ..."""
 MOST_BYTES: Final = 64 * 1024 * 1024
@@ -410,8 +410,9 @@ class Guardian(Component):
                     self._note_shortest()
                 if lease.epoch is None:
                     one.alarm.cancel()
-                    # An agent that was given a pledge is about to be the owner.
-                    wait_s = PLEDGED_S if isinstance(one.event, SeizeTask) else 0.0
+                    # An agent that was given a pledge, or the task, is about to be the owner.
+                    given = isinstance(one.event, YieldLease) and one.event.given
+                    wait_s = PLEDGED_S if given or isinstance(one.event, SeizeTask) else 0.0
                     self._takeovers.lease_ended(one.register, one.heard_s, self._held_until(one), wait_s)
                 else:
                     if one.event is not None:

@@ -126,7 +126,7 @@ class Leases:
                 self._dismiss(place, place.tenancy)
             self._end(place)
             if record.phase is Phase.COMMITTED or disputed:
-                self._yield(record, tenure)
+                self._yield(record, tenure, given=True)
         if record.phase is Phase.OWNER and not disputed:
             permits.free(str(place.task_id))
             slot = place.slot
@@ -142,12 +142,12 @@ class Leases:
             tenure = place.tenancy.tenure
             self._end(place)
             if self._host.kernel.stopping:
-                self._yield(record, tenure)
+                self._yield(record, tenure, given=False)
 
-    def _yield(self, record: Record, tenure: Tenure) -> None:
+    def _yield(self, record: Record, tenure: Tenure, given: bool) -> None:
         """Tells the guardians that the task acts no more here: they believe only its owner."""
         for guardian in record.guards.members():
-            self._talk.to_guardian(guardian, yield_lease(tenure, record, guardian))
+            self._talk.to_guardian(guardian, yield_lease(tenure, record, guardian, given))
 
     def _begin(self, place: Place) -> None:
         now_s, original = self._host.kernel.host.now(), self._records.original_epoch(place.task_id)

@@ -8,7 +8,7 @@ from typing import Final
 import msgspec
 
 from pancakes.mesh.migration.event import PacketId
-from pancakes.mesh.migration.post import Letter
+from pancakes.mesh.migration.post import STREAMS, Letter
 from pancakes.packet import Packet
 from pancakes.runtime.kernel.dead_letters import MOST_KNOWN
 from pancakes.runtime.kernel.reference import Reference
@@ -17,6 +17,12 @@ KEPT: Final = 1024
 """Most letters of one task that are acknowledged before they are on disk, ..."""
 KEPT_BYTES: Final = 4 * 1024 * 1024
 """... and most bytes of them; with more, the task is written down at once, and only then are they acknowledged."""
+
+
+MOST_GIVEN: Final = 1024
+"""So many letters of one agent a task has still to look at, ..."""
+MOST_GIVEN_BYTES: Final = 16 * 1024 * 1024
+"""... and so many bytes of them; of more, the agent keeps them and sends them again. One may always be given."""
 
 
 class TaskLetters(msgspec.Struct):
@@ -30,6 +36,7 @@ class TaskLetters(msgspec.Struct):
         failures: how often the task has failed on a letter, by stream and number.
         given_to: the task's actor that was given the following.
         given: what it has still to look at: which letter, and what its sender said then of those before it.
+        given_of: how many of these are of each agent, and how many bytes they have.
     """
 
     owed: dict[str, tuple[int, str]] = {}
@@ -39,20 +46,31 @@ class TaskLetters(msgspec.Struct):
     failures: dict[tuple[str, int], int] = {}
     given_to: Reference | None = None
     given: dict[tuple[str, int, int], Packet | None] = {}
+    given_of: dict[str, tuple[int, int]] = {}
 
     def give(self, task: Reference, letter: Letter, packet: Packet | None) -> bool:
-        """Learns that an actor is given a letter; returns False where it has that still to look at."""
+        """Learns that an actor is given a letter; returns False where it has that still to look at, or too many."""
         if self.given_to is not task:
-            self.given_to, self.given = task, {}
+            self.given_to, self.given, self.given_of = task, {}, {}
         place = (letter.stream, letter.seq, letter.first)
         if place in self.given:
             return False
-        self.given[place] = packet
+        count, size = self.given_of.get(letter.sender, (0, 0))
+        size += len(letter.packet)
+        if count >= MOST_GIVEN or (count and size > MOST_GIVEN_BYTES):
+            return False
+        self.given[place], self.given_of[letter.sender] = packet, (count + 1, size)
         return True
 
     def looked_at(self, task: Reference, letter: Letter) -> Packet | None:
         """Learns that an actor has looked at a letter; returns the packet in it."""
-        return self.given.pop((letter.stream, letter.seq, letter.first), None) if self.given_to is task else None
+        place = (letter.stream, letter.seq, letter.first)
+        if self.given_to is not task or place not in self.given:
+            return None
+        count, size = self.given_of.pop(letter.sender)
+        if count > 1:
+            self.given_of[letter.sender] = (count - 1, size - len(letter.packet))
+        return self.given.pop(place)
 
     def note_failures(self, letter: Letter, failures: int) -> None:
         """Learns how often the task has failed on a letter."""
@@ -67,6 +85,8 @@ class TaskLetters(msgspec.Struct):
         self.failures.pop((letter.stream, letter.seq), None)
         seq, _ = self.owed.get(letter.stream, (0, ""))
         self.owed[letter.stream] = (max(letter.seq, seq), letter.sender)
+        if len(self.owed) > STREAMS:  # its filter has forgotten that stream
+            del self.owed[next(iter(self.owed))]
 
     def keep(self, letter: Letter, packet: Packet | None) -> bool:
         """Keeps a letter that is acknowledged before it is on disk; returns False where there is no room for it."""

@@ -7,7 +7,7 @@ import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 
     from pancakes.runtime.kernel.kernel import Kernel
     from pancakes.runtime.kernel.timer import OneShot
+
+MOST_REFUSED: Final = 256
+"""Of so many sources it is remembered why their commands were refused."""
 
 
 class DeviceSpec(msgspec.Struct, frozen=True):
@@ -377,6 +380,8 @@ class DeviceTask(Task):
         # Said once for each source and reason: at 10 commands a second it would drown everything else.
         if self._refused.get(packet.source) != (kind or refusal):
             self._refused[packet.source] = kind or refusal
+            if len(self._refused) > MOST_REFUSED:  # a peer may give itself ever new addresses
+                del self._refused[next(iter(self._refused))]
             self.event("command_refused", device=self.name, by=packet.source, reason=refusal)
             self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
 

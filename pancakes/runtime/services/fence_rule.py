@@ -19,6 +19,8 @@ from pancakes.packet import Fence
 
 MOST_TASKS: Final = 1000
 """An actuator that has seen so many tasks takes no other from elsewhere: what it has seen is never forgotten."""
+MOST_OF_PEER: Final = 250
+"""And so many that one other agent has brought: else it would leave no room for those of others."""
 MOST_ASKED: Final = 8
 """So many agents, one after the other, may each say that they gave the task to the next one."""
 
@@ -86,6 +88,8 @@ def judged(
     mark = marks.get(task_id)
     if mark is None and len(marks) >= MOST_TASKS:
         return ClaimRefused(f"{len(marks)} tasks have commanded it, and {task_id} is none of them")
+    if mark is None and sum(it.peer == claim.peer for it in marks.values()) >= MOST_OF_PEER:
+        return ClaimRefused(f"{MOST_OF_PEER} tasks of {claim.peer} have commanded it, and {task_id} is none of them")
     known_n = max(mark.n if mark is not None else 0, record.seen.n if record is not None else 0)
     if n > known_n + MOST_STEP:
         return ClaimRefused(f"the epoch {n} of {task_id} is further from {known_n} than any task comes")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Final
 
 from msgspec import Meta, Struct, field
 
@@ -29,6 +29,9 @@ from pancakes.settings import FilePath
 from pancakes.task import Task, TaskSpec
 
 CLIENT = "NetworkClient"
+
+MOST_FOLLOWED: Final = 256
+"""So often the components of one other agent follow channels of this one."""
 
 
 class NetworkClient(Task):
@@ -211,6 +214,8 @@ class NetworkService(Service):
         if body.most_hz != 0 and not LEAST_HZ <= body.most_hz < math.inf:
             raise ControlRefused(f"most_hz is to be 0 (all), or {LEAST_HZ:g} or more a second, not {body.most_hz}")
         self._unfollow(body.channel, by)
+        if sum(agent_of(it) == destination for _, it in self._followers) >= MOST_FOLLOWED:
+            raise ControlRefused(f"{destination} follows {MOST_FOLLOWED} times already, under as many addresses")
         follower = Follower(self, self._mesh, destination, body.foreign, body.most_hz)
         try:
             self.kernel.stream.tap(body.channel, follower.take, body.types, by=by)

@@ -11,10 +11,11 @@ import msgspec
 
 from pancakes.control import Traces
 from pancakes.errors import ControlRefused
-from pancakes.packet import LOG, SYSCTRL, Cause, Packet
+from pancakes.packet import LOG, SYSCTRL, Cause, Packet, agent_of
 from pancakes.runtime.clock import wall_ns
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.weight import weight_of
 from pancakes.tools.recording.chains import LONGEST
 from pancakes.tools.recording.commands import body_text, is_command
 
@@ -35,7 +36,9 @@ CHAINS_STEP: Final = 25
 ROWS_STEP: Final = 25
 """... and so many packets made rows of."""
 MOST_QUESTIONS: Final = 64
-"""So many questions wait for their answers; further ones are refused."""
+"""So many questions wait for their answers; further ones are refused, ..."""
+MOST_ASKERS: Final = 16
+"""... and those of further askers of one agent."""
 LARGE_BYTES: Final = 4096
 """What packets say is not kept of types whose packets are larger: images would fill the memory."""
 
@@ -62,7 +65,7 @@ class TracedPackets:
 
     def hear(self, time_ns: int, packet: Packet) -> None:
         """Takes a packet that was seen here. In any thread, and of little cost: everything that is published comes."""
-        if packet.type in self._large:
+        if packet.type in self._large or weight_of(packet.body) > LARGE_BYTES:
             packet = msgspec.structs.replace(packet, body=None)
         self._waiting.append((time_ns, packet))
 
@@ -195,6 +198,9 @@ class Tracing:
             return
         if len(self._questions) >= MOST_QUESTIONS:
             raise ControlRefused(f"{MOST_QUESTIONS} questions for what led to commands wait for their answers already")
+        askers = [it for it in self._asked_s if agent_of(it) == agent_of(by)]
+        if by not in askers and len(askers) >= MOST_ASKERS:
+            raise ControlRefused(f"{MOST_ASKERS} components of {agent_of(by)} ask for what led to commands already")
         if self._packets is None:
             self._begin(now_s)
         self._asked_s[by] = now_s

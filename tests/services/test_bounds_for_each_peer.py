@@ -1,0 +1,173 @@
+"""What one peer can make another keep has a bound, and leaves others their place."""
+
+from __future__ import annotations
+
+import gc
+import random
+
+import pytest
+from services.counting import Count
+from services.numbered import Sink
+
+from pancakes.control import Follow, Reply
+from pancakes.mesh.migration.boots import BootRemembered
+from pancakes.mesh.migration.claim import Owned, OwnerClaim
+from pancakes.mesh.migration.epoch import MOST_STEP, Epoch
+from pancakes.mesh.migration.knowledge import TaskFact, TasksKnown
+from pancakes.mesh.migration.messages import Abort, Nak, Reserve, Reserved, Solicit, Transfer, addressed
+from pancakes.mesh.migration.pieces import cut
+from pancakes.mesh.migration.post import Letter
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.mesh.migration.times import Times
+from pancakes.mesh.net.few_links import MOST_KNOWN, MOST_OF_PEER, FewLinks
+from pancakes.packet import Fence, Packet, type_name
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.hosting.task_letters import MOST_GIVEN, MOST_GIVEN_BYTES, TaskLetters
+from pancakes.runtime.services.fence_rule import MOST_OF_PEER as MOST_MARKS
+from pancakes.runtime.services.fence_rule import ClaimRefused, EpochClaim, Mark, May, judged
+from pancakes.testing import FleetInTest
+
+COUNT = TaskId("a", "Count")
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=5, classes={"test.Count": Count}) as made:
+        made.start("a", tasks={"Count": Count, "Sink": Sink})
+        made.start("b")
+        made.start("c")
+        made.connect()
+        made.run_for(1.0)
+        yield made
+
+
+def say(fleet, speaker, message, to, at="client"):
+    if hasattr(message, "journal"):
+        message = addressed(message, fleet.agents[to].agent.mesh.identity.journal)
+    fleet.agents[speaker].publish("network", message, to=f"{to}/{at}")
+
+
+def told_of(fleet, name, kind):
+    told = []
+    fleet.agents[name].kernel.stream.tap(
+        "network", lambda packet: told.append(packet.body) if isinstance(packet.body, kind) else None
+    )
+    return told
+
+
+def place_for(fleet, name, offer=1):
+    version = fleet.agents["a"].slot("Count").spec.version
+    task_id = TaskId("c", name)
+    return Reserve(task_id, Epoch(offer, "c"), Solicit(task_id, 1, "test.Count", version, "client"))
+
+
+def test_a_place_of_which_nothing_came_is_forgotten(fleet):
+    b, given = fleet.agents["b"], told_of(fleet, "c", Reserved)
+    before = dict(b.component("client").places)
+    for number in range(30):
+        say(fleet, "c", place_for(fleet, f"T{number}"), "b")
+    fleet.run_for(0.5)
+    assert len(given) == 30 and len(b.component("client").places) == len(before) + 30
+    fleet.run_for(3 * Times().slot_s)
+    assert dict(b.component("client").places) == before
+
+
+def test_tasks_that_were_brought_and_taken_back_leave_a_bounded_number_of_marks(fleet, monkeypatch):
+    monkeypatch.setattr("pancakes.runtime.hosting.arrivals.MOST_LEFT", 5)
+    b, declined = fleet.agents["b"], told_of(fleet, "c", Nak)
+    for number in range(20):
+        asked = place_for(fleet, f"T{number}")
+        say(fleet, "c", asked, "b")
+        fleet.run_for(0.05)
+        snapshot = Snapshot(asked.task_id, "test.Count", asked.request.version, "client").encode()
+        for body in (*cut(Transfer(asked.task_id, asked.offer, snapshot)), Abort(asked.task_id, asked.offer)):
+            say(fleet, "c", body, "b")
+            fleet.run_for(0.05)
+    left = [it for it in b.agent.records.all().values() if it.phase is Phase.ABSENT]
+    assert len(left) == 5
+    assert "remembers 5 tasks that c has brought and taken back, and no more" in {it.reason for it in declined}
+    assert [line for line in b.lines("warning") if "b remembers 5 tasks that c has brought" in line], (
+        "doctor tells that"
+    )
+
+
+def test_an_epoch_that_no_task_comes_to_is_not_taken(fleet):
+    a, declined = fleet.agents["a"], told_of(fleet, "c", Nak)
+    say(fleet, "c", place_for(fleet, "T1", MOST_STEP + 1), "b")
+    far = Epoch(MOST_STEP + 1, "c")
+    say(fleet, "c", Owned((OwnerClaim(COUNT, far),)), "a", "kernel/Census")
+    fleet.run_for(1.0)
+    assert [it.reason for it in declined] == [f"the epoch {far} is further from none than any task comes"]
+    assert "Count" in a.running() and a.agent.records.get(COUNT).seen.n == 0
+    assert [line for line in a.lines("warning") if "c says that it owns a/Count, and is not believed" in line]
+
+
+def test_a_number_that_cannot_grow_any_more_does_not_arrive():
+    decode = codecs.decoder(OwnerClaim)
+    assert decode(codecs.encode(OwnerClaim(COUNT, Epoch(2**62, "c"))))
+    for n in (2**62 + 1, -1):
+        with pytest.raises(ValueError, match="Expected `int`"):
+            decode(codecs.encode(OwnerClaim(COUNT, Epoch(n, "c"))))
+
+
+def test_letters_that_a_busy_task_has_not_looked_at_are_bounded_for_each_agent(fleet):
+    letters, task, packet = TaskLetters(), fleet.agents["a"].task("Sink"), bytes(100)
+
+    def given(sender, count):
+        made = (Letter("a/Sink", f"{sender}#{number}", 1, 1, packet, sender) for number in range(count))
+        return sum(letters.give(task, letter, None) for letter in made)
+
+    assert given("c", 2 * MOST_GIVEN) == MOST_GIVEN
+    assert given("b", 3) == 3, "those of others have their place"
+    letters.looked_at(task, Letter("a/Sink", "c#0", 1, 1, packet, "c"))
+    assert letters.give(task, Letter("a/Sink", "new", 1, 1, packet, "c"), None)
+    large = [Letter("a/Sink", f"d#{number}", 1, 1, bytes(MOST_GIVEN_BYTES // 4), "d") for number in range(8)]
+    assert sum(letters.give(task, letter, None) for letter in large) == 4
+
+
+def test_facts_that_an_agent_tells_are_kept_once(fleet):
+    """Two say that the disk of a is an old copy, so each is asked, and one goes on to tell other things."""
+    own = fleet.agents["a"].agent.mesh.identity
+    for sayer in "bc":
+        say(fleet, sayer, BootRemembered(own.journal, own.boot + 1, "x"), "a", "kernel/Census")
+    for n in range(300):
+        fact = TaskFact(COUNT, "c", Epoch(n, "c"))
+        say(fleet, "c", TasksKnown((COUNT,), (fact,)), "a", "kernel/Census")
+        fleet.run_for(0.01)
+    fleet.run_for(1.0)
+    gc.collect()
+    assert sum(isinstance(it, TaskFact) and it.owner == "c" for it in gc.get_objects()) < 30
+
+
+def test_an_agent_follows_channels_under_so_many_addresses(fleet, monkeypatch):
+    monkeypatch.setattr("pancakes.runtime.services.network.MOST_FOLLOWED", 5)
+    c, replies = fleet.agents["c"], []
+    c.kernel.stream.tap("sysctrl", lambda packet: replies.append(packet.body))
+    for number in range(8):
+        asked = Packet("sysctrl", type_name(Follow), f"c/client/F{number}", "a", 0.0, number + 1, Follow("system"))
+        c.kernel.stream.publish(asked)
+    fleet.run_for(0.5)
+    answers = [body for body in replies if isinstance(body, Reply)]
+    assert [reply.ok for reply in answers] == [True] * 5 + [False] * 3
+    assert answers[-1].reason == "c follows 5 times already, under as many addresses"
+
+
+def test_an_actuator_keeps_room_for_the_tasks_of_others():
+    marks = {f"c/T{number}": Mark(0, "c", "c") for number in range(MOST_MARKS)}
+    new = EpochClaim(Fence("c/New", (0, "c")), "c")
+    refused = judged("a", new, marks, None, [])
+    assert isinstance(refused, ClaimRefused) and "250 tasks of c have commanded it" in refused.reason
+    assert isinstance(judged("a", EpochClaim(Fence("b/New", (0, "b")), "b"), marks, None, []), May)
+
+
+def test_agents_that_one_peer_makes_up_leave_room_for_those_of_others():
+    few = FewLinks(4, random.Random(1), 0.0)
+    for number in range(MOST_KNOWN):
+        few.heard(f"x{number}", (f"tcp://x{number}:1",), 1.0, 10.0, "liar")
+    assert few.describe()["known"] == MOST_OF_PEER
+    few.heard("honest", ("tcp://honest:1",), 1.0, 10.0, "b")
+    assert few.knows("honest")
+    few.heard("x1", ("tcp://x1:1",), 0.0, 11.0)
+    few.heard("more", ("tcp://more:1",), 1.0, 11.0, "liar")
+    assert few.knows("more"), "one that is linked is not made up"
