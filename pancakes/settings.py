@@ -323,12 +323,15 @@ def _convert(value: Any, kind: Any) -> Any:
 
 def _at_home(settings: _T) -> _T:
     """Returns settings in which each path is a whole one, also one that the class has as its default."""
-    cls = type(settings)
+    cls: type[Any] = type(settings)
     if not _may_name_files(cls):
         return settings
     plain = plain_settings(settings)
     whole = _with_paths_at_home(cls, plain)
-    return settings if whole is plain else codecs.convert(whole, cls, array_of)
+    if whole is plain:
+        return settings
+    made: _T = codecs.convert(whole, cls, array_of)
+    return made
 
 
 @cache

@@ -28,7 +28,7 @@ ENTRY_POINTS = "[pancakes.tasks]\ncount.Count = plugin_count:Count\n"
 def test_task_create_outlives_its_agent_and_fits_a_file(rig: Rig):
     rig.install("count", ENTRY_POINTS, SOURCE)
     first = rig.ready("a")
-    options = ("--type", "count.Count", "--set", "step=100", "--rate", "40", "--key", "restart.policy=temporary")
+    options = ("--type", "count.Count", "--set", "step=100", "--rate", "40", "--key", "restart.policy=no")
     (row,) = rig.listed("task", "create", "a/Count", *options)
     assert (row["task_id"], row["epoch"], row["done"]) == ("a/Count", 1, "created")
     first.hear("counted n=200")
@@ -41,7 +41,7 @@ def test_task_create_outlives_its_agent_and_fits_a_file(rig: Rig):
     second = rig.ready("a")
     second.hear("counted n=")
     (info,) = rig.listed("task", "info", "a/Count")
-    assert (info["settings"], info["rate_hz"], info["restart"]["policy"]) == ({"step": 100}, 40.0, "temporary")
+    assert (info["settings"], info["rate_hz"], info["restart"]["policy"]) == ({"step": 100}, 40.0, "no")
     told = " ".join(rig.pancakes("task", "info", "a/Count").stdout.split())
     assert info["created"] and " in a file no: it was created " in told
 

@@ -54,7 +54,7 @@ class Boom(Task):
 
 def test_doctor_finds_what_is_wrong_with_agents(rig: Rig, freeze: Callable[[Running], None]):
     rig.install("boom", "[pancakes.tasks]\nboom.Boom = plugin_boom:Boom\n", RAISES)
-    task = '[task.Boom]\ntype = "boom.Boom"\nrestart = { policy = "temporary" }\n'
+    task = '[task.Boom]\ntype = "boom.Boom"\nrestart = { policy = "no" }\n'
     away = rig.ready("away", task, agent='peers = ["tcp://127.0.0.1:1"]')
     if not any("Boom is given up" in line for line in away.said):
         away.hear("Boom is given up")

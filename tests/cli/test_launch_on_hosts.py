@@ -100,7 +100,7 @@ def test_launch_runs_a_fleet_on_three_hosts_and_here(rig: Rig, robots: SshHosts)
 
 @pytest.mark.parametrize("victim", ["launcher", "connection"])
 def test_launch_that_ends_takes_its_agents_on_hosts_along(rig: Rig, robots: SshHosts, victim: str):
-    running = rig.launch(fleet(rig, {"a": "robot1", "b": "robot2"}), "--restart", "never")
+    running = rig.launch(fleet(rig, {"a": "robot1", "b": "robot2"}), "--restart", "no")
     pids = list(ready(running, "a", "b").values())
     if victim == "launcher":
         running.process.kill()

@@ -28,7 +28,7 @@ class Blink(Task):
         except KeyError as error:
             raise ValueError("bad colour") from error
 """
-ONCE = '[task.Blink]\ntype = "fails.Blink"\nrestart = { policy = "temporary" }\n'
+ONCE = '[task.Blink]\ntype = "fails.Blink"\nrestart = { policy = "no" }\n'
 SAID = "a/client/Blink is given up: ValueError: bad colour (from KeyError: 'x') at plugin_fails.py:21 in blink"
 ROW = "          Traceback (most recent call last):"
 

@@ -64,7 +64,7 @@ type = "foul.Mouth"
 
 [task.Broken]
 type = "foul.Broken"
-restart = { policy = "temporary" }
+restart = { policy = "no" }
 
 [service.log.settings]
 file = "a.jsonl"

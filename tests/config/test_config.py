@@ -44,7 +44,7 @@ type = "example.Vision"
 
 [task.ScanTarget]
 type = "encirclement.ScanTarget"
-restart = { policy = "transient", at_most = 5, within_s = 2 }
+restart = { policy = "on-failure", at_most = 5, within_s = 2 }
 settings = { radius_m = 0.55 }
 durability = "each"
 migrate = { when = "battery", below = 0.65, cost = "tasks", then = "GoHome" }
@@ -98,7 +98,7 @@ def test_everything_that_a_file_can_say():
 
     scan, home = config.tasks["ScanTarget"], config.tasks["GoHome"]
     assert (scan.service, scan.start, scan.rate_hz, scan.durability) == ("client", True, None, "each")
-    assert (scan.restart.policy, scan.restart.at_most, scan.restart.within_s) == ("transient", 5, 2.0)
+    assert (scan.restart.policy, scan.restart.at_most, scan.restart.within_s) == ("on-failure", 5, 2.0)
     assert scan.migrate is not None
     assert (scan.migrate.when, scan.migrate.field, scan.migrate.below, scan.migrate.above) == (
         "battery",
@@ -108,7 +108,7 @@ def test_everything_that_a_file_can_say():
     )
     assert (scan.migrate.cost, scan.migrate.then) == ("tasks", "GoHome")
     assert (home.service, home.start, home.rate_hz, home.migrate) == ("vision", False, 4.0, None)
-    assert (home.restart.policy, home.restart.at_most, home.restart.within_s) == ("permanent", 8, 60.0)
+    assert (home.restart.policy, home.restart.at_most, home.restart.within_s) == ("always", 8, 60.0)
     assert (home.restart.pause_s, home.restart.pause_max_s, home.restart.again_s) == (0.1, 10.0, 0.0)
 
 

@@ -29,7 +29,7 @@ rate_hz = -10
 [task.ScanTarget]
 type = "encirclement.ScanTarget"
 service = "clinet"
-restart = { policy = "permanant", at_most = "three" }
+restart = { policy = "permanent", at_most = "three" }
 """
     assert faults(text) == [
         "a.toml:4: [agent] rolle: unknown key, did you mean 'role'?",
@@ -37,8 +37,8 @@ restart = { policy = "permanant", at_most = "three" }
         "a.toml:9: [device.motors] rate_hz: expected a number >= 0, not -10",
         "a.toml:12: [task.ScanTarget] service: there is no service 'clinet', did you mean 'client'?",
         (
-            "a.toml:13: [task.ScanTarget] restart.policy: expected one of 'permanent', 'transient', 'temporary',"
-            " not 'permanant', did you mean 'permanent'?"
+            "a.toml:13: [task.ScanTarget] restart.policy: expected one of 'no', 'on-failure', 'always',"
+            " not 'permanent', did you mean 'always'?"
         ),
         "a.toml:13: [task.ScanTarget] restart.at_most: expected an integer, got a string",
     ]

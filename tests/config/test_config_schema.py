@@ -140,7 +140,7 @@ def test_rules_recordings_and_created_tasks_are_shown_as_a_configuration_too() -
         "client",
         settings={"speed_mps": 0.25, "name": "other"},
         periods_s={"walk": 0.2},
-        restart={"policy": "temporary"},
+        restart={"policy": "no"},
         migrate={**rule, "then": "Walk"},
         guard={"guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b"], "takeover": "ask"},
     ).encode()
@@ -160,7 +160,7 @@ def test_rules_recordings_and_created_tasks_are_shown_as_a_configuration_too() -
     assert again.access == config.access and again.record == config.record
     other = again.tasks["Other"]
     assert (other.rate_hz, other.start, dict(other.settings)) == (5.0, False, {"speed_mps": 0.25, "name": "other"})
-    assert other.migrate == MigrationRule("battery", 0.2, then="Walk") and other.restart.policy == "temporary"
+    assert other.migrate == MigrationRule("battery", 0.2, then="Walk") and other.restart.policy == "no"
     assert other.guard_rule == GuardRule(3, 2.0, 0.5, ("b",), "ask")
 
 

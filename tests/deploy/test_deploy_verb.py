@@ -41,7 +41,7 @@ def other_python() -> str:
 
 
 OTHER = other_python()
-WALK = '[task.Walk]\ntype = "yard.Walk"\nrestart = { policy = "temporary" }\n'
+WALK = '[task.Walk]\ntype = "yard.Walk"\nrestart = { policy = "no" }\n'
 
 
 @pytest.fixture
@@ -172,7 +172,7 @@ def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts,
 
         # One of them does not run as it should: all go back.
         before = {name: files_of(host) for name, host in robots.hosts.items()}
-        broken = ("--set", "b:task.Own.type=yard.Walk", "--set", 'b:task.Own.restart={policy="temporary"}')
+        broken = ("--set", "b:task.Own.type=yard.Walk", "--set", 'b:task.Own.restart={policy="no"}')
         failed = deploy(
             rig,
             fleet,

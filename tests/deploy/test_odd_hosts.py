@@ -100,7 +100,7 @@ def test_agents_on_a_host_that_falls_silent_have_ended(rig: Rig, hosts: SshHosts
     program = "from pancakes.tools.launch import host_link, host_agents\n"
     program += "host_link.SILENT_S = host_agents.ALIVE_S = 0.5\n"
     program += "from pancakes.tools.cli.main import pancakes\npancakes()\n"
-    running = rig.run("-c", program, "launch", str(fleet(rig, ["robot1"])), "--restart", "never", whole=True)
+    running = rig.run("-c", program, "launch", str(fleet(rig, ["robot1"])), "--restart", "no", whole=True)
     running.hear("a0 is ready")
     (there,) = [it for it in psutil.process_iter() if link_of(it, hosts, "")]
     there.suspend()

@@ -13,7 +13,7 @@ from deploy.plugin_wheels import MODULE, plugin_wheel
 from deploy.ssh_hosts import BARE, SshHosts, free_port, with_sshd
 
 pytestmark = with_sshd
-WALK = '[task.Walk]\ntype = "yard.Walk"\nrestart = { policy = "temporary" }\n'
+WALK = '[task.Walk]\ntype = "yard.Walk"\nrestart = { policy = "no" }\n'
 BROKEN = MODULE.replace(
     "    @every", '    def on_start(self):\n        raise ValueError("it has no legs")\n\n    @every'
 )

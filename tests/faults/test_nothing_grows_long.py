@@ -68,7 +68,7 @@ def config(name: str, port: int, *tasks: str) -> str:
     peers = 'peers = ["tcp://127.0.0.1:7400"]' if name != "a" else ""
     lines = [f'schema = 1\n[agent]\nname = "{name}"\nlisten = "tcp://127.0.0.1:{port}"\n{peers}']
     lines.append("[service.log]\nsettings = { console = false, remembered = 20 }")
-    restart = '{ policy = "permanent", at_most = 100000, within_s = 1 }'
+    restart = '{ policy = "always", at_most = 100000, within_s = 1 }'
     lines += [f'[task.{task}]\ntype = "grows.Talker"\nrestart = {restart}' for task in tasks]
     return "\n".join(lines)
 

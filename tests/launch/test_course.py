@@ -188,7 +188,7 @@ def test_what_ended_in_order_is_started_again_by_always_alone() -> None:
 
 
 def test_never_means_never() -> None:
-    course = running(member("a", restart=ProcessRestart("never")))
+    course = running(member("a", restart=ProcessRestart("no")))
 
     assert told(course.ended("a", 1, 1.0)) == [("a", "given_up")]
     assert course.over
@@ -202,7 +202,7 @@ def test_a_bad_configuration_would_be_bad_the_next_time_as_well() -> None:
 
 
 def test_who_waits_for_one_that_has_ended_is_never_started() -> None:
-    course = Course([member("a", restart=ProcessRestart("never")), member("b", "a"), member("c", "b")])
+    course = Course([member("a", restart=ProcessRestart("no")), member("b", "a"), member("c", "b")])
     course.start(0.0)
 
     assert told(course.ended("a", 1, 1.0)) == [("a", "given_up"), ("b", "given_up"), ("c", "given_up")]
@@ -247,7 +247,7 @@ def test_one_that_was_started_again_begins_by_itself() -> None:
 
 
 def test_a_mission_does_not_begin_without_one_of_the_fleet() -> None:
-    course = Course([member("a", hold=True), member("b", restart=ProcessRestart("never"))])
+    course = Course([member("a", hold=True), member("b", restart=ProcessRestart("no"))])
     course.start(0.0)
 
     assert told(course.ended("b", 1, 1.0)) == [("b", "given_up"), ("", "held")]

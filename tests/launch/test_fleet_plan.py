@@ -73,7 +73,7 @@ def test_a_fleet_file_says_who_and_how(tmp_path: Path) -> None:
         set = { agent.seed = 1 }
         [agent.node2]
         config = "node.toml"
-        restart = { policy = "never" }
+        restart = { policy = "no" }
         """,
     )
 
@@ -84,7 +84,7 @@ def test_a_fleet_file_says_who_and_how(tmp_path: Path) -> None:
     assert all(it.config.clock.hold for it in members)
     assert (first.config.clock.speed, first.config.agent.seed, second.config.agent.seed) == (2.0, 1, None)
     assert gate.restart == ProcessRestart("always", 9, 60.0)
-    assert second.restart == ProcessRestart("never", 3, 60.0)
+    assert second.restart == ProcessRestart("no", 3, 60.0)
     assert (first.after, second.after) == (("gate",), ())
     assert first.path == tmp_path / "node.toml"
 
@@ -168,7 +168,7 @@ def test_two_agents_of_one_name(tmp_path: Path) -> None:
         (
             "[fleet]\nrestart = { policy = 'often', at_most = -1 }\n[agent.a]\n",
             [
-                "fleet.toml:3: [fleet] restart.policy: expected one of 'never', 'on-failure', 'always', not 'often'",
+                "fleet.toml:3: [fleet] restart.policy: expected one of 'no', 'on-failure', 'always', not 'often'",
                 "fleet.toml:3: [fleet] restart.at_most: expected an integer >= 0, not -1",
             ],
         ),

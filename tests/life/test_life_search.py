@@ -13,10 +13,10 @@ from pancakes.runtime.life.restart import RestartSpec
 from pancakes.runtime.life.table import TABLE
 
 SPECS = {
-    "permanent": RestartSpec("permanent", at_most=1),
-    "permanent, tried again": RestartSpec("permanent", at_most=1, again_s=60.0),
-    "transient": RestartSpec("transient", at_most=1),
-    "temporary": RestartSpec("temporary", at_most=1),
+    "always": RestartSpec("always", at_most=1),
+    "always, tried again": RestartSpec("always", at_most=1, again_s=60.0),
+    "on-failure": RestartSpec("on-failure", at_most=1),
+    "no": RestartSpec("no", at_most=1),
 }
 
 

@@ -40,12 +40,12 @@ def test_restart_policy_after_first_end():
     for_each(
         itertools.product(
             [
-                ("permanent", True, Next.RESTART, True),
-                ("permanent", False, Next.RESTART, True),
-                ("transient", True, Next.RESTART, True),
-                ("transient", False, Next.REST, False),
-                ("temporary", True, Next.GIVE_UP, False),
-                ("temporary", False, Next.REST, False),
+                ("always", True, Next.RESTART, True),
+                ("always", False, Next.RESTART, True),
+                ("on-failure", True, Next.RESTART, True),
+                ("on-failure", False, Next.REST, False),
+                ("no", True, Next.GIVE_UP, False),
+                ("no", False, Next.REST, False),
             ],
             [0.0, 60.0],
         ),
@@ -53,7 +53,7 @@ def test_restart_policy_after_first_end():
     )
 
 
-@pytest.mark.parametrize("policy", ["permanent", "transient", "temporary"])
+@pytest.mark.parametrize("policy", ["always", "on-failure", "no"])
 def test_an_end_that_was_no_fault_of_its_own_is_started_again_and_not_counted(policy):
     restarts = Restarts(RestartSpec(policy, at_most=1, pause_s=0.1)).began(0.0)
     for time_s in (1.0, 2.0, 3.0):
@@ -188,7 +188,7 @@ def test_what_is_described_is_how_often_it_failed_and_how_long_the_next_try_wait
 
 @given(st.lists(st.floats(0.0, 4.0), max_size=40), st.integers(0, 4), st.floats(0.1, 6.0))
 def test_there_are_never_more_restarts_in_the_time_than_allowed(runs_s, at_most, within_s):
-    restarts = Restarts(RestartSpec("permanent", at_most, within_s))
+    restarts = Restarts(RestartSpec("always", at_most, within_s))
     ran_s, when_s = 0.0, []
     for one_s in runs_s:
         ran_s += one_s

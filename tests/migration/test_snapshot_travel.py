@@ -31,7 +31,7 @@ SNAPSHOT = Snapshot(
     periods_s={"report": 0.5},
     posted=Posted("agent1/uuid.1/3", (PostedTo("agent3/Scout", "agent3", 2, 9, (b"packet",), 2),)),
     heard={"agent3/client/Scout": 6},
-    restart={"policy": "permanent"},
+    restart={"policy": "always"},
     migrate={"when": "battery", "below": 0.65},
 )
 
@@ -43,6 +43,22 @@ def test_a_record_comes_back_as_it_was_written() -> None:
 
 def test_a_snapshot_comes_back_as_it_was_written() -> None:
     assert Snapshot.decode(SNAPSHOT.encode()) == SNAPSHOT
+
+
+@pytest.mark.parametrize(
+    ("kept", "read"),
+    [
+        ("permanent", "always"),
+        ("transient", "on-failure"),
+        ("temporary", "no"),
+        ("no", "no"),
+        ("daily", "daily"),
+        ([], []),
+    ],
+)
+def test_the_former_words_for_restarts_are_read(kept: object, read: object) -> None:
+    snapshot = msgspec.structs.replace(SNAPSHOT, restart={"policy": kept, "at_most": 3})
+    assert Snapshot.decode(snapshot.encode()).restart == {"policy": read, "at_most": 3}
 
 
 @pytest.mark.parametrize("data", [b"", b"\xc1", msgpack.packb([1]), msgpack.packb({"task_id": ["agent1", 3]})])

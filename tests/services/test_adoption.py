@@ -14,7 +14,7 @@ from pancakes.testing import FleetInTest
 @pytest.fixture
 def fleet():
     with FleetInTest(5, classes={"test.Count": Count}) as made:
-        made.start("a", tasks={"Count": Count}, services={"network": {"restart": {"policy": "temporary"}}})
+        made.start("a", tasks={"Count": Count}, services={"network": {"restart": {"policy": "no"}}})
         made.start("b")
         made.connect()
         made.network.set_quality("a", "b", Quality(latency_s=0.02))

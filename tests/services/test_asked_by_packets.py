@@ -149,7 +149,7 @@ def test_a_task_is_described_with_all_that_is_known_about_it(fleet):
     (reads,) = told["reads"]
     read = {"channel": "system", "types": ["pose"], "keep": "newest", "limit": 3, "waiting": 0, "dropped": 0}
     assert reads.items() >= read.items()
-    restart = {"policy": "permanent", "at_most": 8, "within_s": 60.0}
+    restart = {"policy": "always", "at_most": 8, "within_s": 60.0}
     assert told["restart"] == {**restart, "pause_s": 0.1, "pause_max_s": 10.0, "again_s": 0.0}
     assert (told["failures"], told["next_try_s"]) == (0, None)
     assert told["durability"] == "lazy"

@@ -345,7 +345,7 @@ def test_when_its_task_fails_for_good_it_holds_at_once(fleet):
         def fail(self, packet):
             raise RuntimeError("flat")
 
-    spec = {"type": Crashing, "restart": {"policy": "temporary"}}
+    spec = {"type": Crashing, "restart": {"policy": "no"}}
     agent = fleet.start("a", devices={"wheels": Wheels}, tasks={"Driving": spec})
     fleet.run_for(0.45)
     agent.publish("system", Battery(0.0, 0.0))

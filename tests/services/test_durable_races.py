@@ -134,7 +134,7 @@ def test_nobody_can_stop_a_task_between_its_freeze_and_its_new_host(fleet):
 
 
 def test_a_task_that_comes_back_before_its_old_actor_has_ended_runs_once(fleet):
-    a = fleet.start("a", tasks={"Count": {"type": Count, "restart": {"policy": "temporary"}}})
+    a = fleet.start("a", tasks={"Count": {"type": Count, "restart": {"policy": "no"}}})
     fleet.start("b")
     fleet.connect()
     late = []

@@ -276,7 +276,7 @@ def test_a_stop_while_a_task_is_being_restarted_outlives_a_reboot(fleet):
 
 
 def test_a_task_that_was_given_up_stays_given_up(fleet):
-    agent = fleet.start("a", tasks={"Count": {"type": Count, "restart": {"policy": "temporary"}}})
+    agent = fleet.start("a", tasks={"Count": {"type": Count, "restart": {"policy": "no"}}})
     fleet.run_for(3.55)
     agent.publish("system", Pose(0.0, 0.0, 0.0))
     fleet.run_for(0.1)

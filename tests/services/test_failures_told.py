@@ -143,7 +143,7 @@ def test_each_failed_start_is_told_once(fleet, capsys):
 
 
 def test_a_start_that_is_asked_for_and_fails_is_answered_and_told_once(fleet):
-    agent = fleet.start("a", tasks={"T": {"type": Unstarted, "start": False, "restart": {"policy": "temporary"}}})
+    agent = fleet.start("a", tasks={"T": {"type": Unstarted, "start": False, "restart": {"policy": "no"}}})
     reply = agent.ask(Start("T"))
     assert (reply.ok, reply.reason) == (False, f"a/client/T failed to start: {SAID}")
     fleet.run_for(1.0)
@@ -191,7 +191,7 @@ def test_a_terminal_shows_tracebacks_only_where_they_are_asked_for(fleet, capsys
     fleet.run_for(2.0)
     assert "Traceback" not in capsys.readouterr().err
     settings = {"log": {"settings": {"traceback": True}}}
-    fleet.start("b", tasks={"Blink": {"type": Blink, "restart": {"policy": "temporary"}}}, services=settings)
+    fleet.start("b", tasks={"Blink": {"type": Blink, "restart": {"policy": "no"}}}, services=settings)
     fleet.run_for(2.0)
     shown = capsys.readouterr().err
     assert shown.count("ValueError: bad colour (from KeyError: 'x')") == 1

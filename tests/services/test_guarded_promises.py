@@ -151,7 +151,7 @@ def test_a_stop_that_no_guardian_hears_of_is_said_to_hold_here_alone():
 
 def test_a_turn_that_outlasts_its_permit_is_no_failure_of_the_task():
     Late.in_time = True
-    with guarded("Late", Late, restart={"policy": "temporary"}) as fleet:
+    with guarded("Late", Late, restart={"policy": "no"}) as fleet:
         Late.in_time = False
         fleet.run_for(5.0)
         described = fleet.agents["a"].ask(Describe("Late")).result

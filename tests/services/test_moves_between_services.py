@@ -140,7 +140,7 @@ def test_a_start_of_its_own_service_alone_ends_the_bidding_for_a_task(restarted,
 
 def test_a_tasks_own_service_has_the_say_where_it_fails_between_the_two_halves_of_a_move():
     """No other service may say in its place that nothing is known of the task."""
-    never = RestartSpec("temporary")
+    never = RestartSpec("no")
     with two({"guides": {"type": Guides, "restart": never}}) as fleet:
         a, b = fleet.agents["a"], fleet.agents["b"]
         fleet.faults.delay("a", "b", 0.1)

@@ -196,7 +196,7 @@ class TestAcknowledgement:
         assert len(numbers(fleet)) >= 190
 
     def test_a_lazy_task_that_fails_on_a_packet_each_time_it_is_given_again_gives_it_up(self, fleet):
-        agent = fleet.start("a", tasks={"Sink": {"type": Moody, "restart": {"policy": "permanent", "at_most": 100}}})
+        agent = fleet.start("a", tasks={"Sink": {"type": Moody, "restart": {"policy": "always", "at_most": 100}}})
         fleet.run_for(1.01)
         for n in upto(4):
             agent.publish("system", Numbered(n), to=SINK)

@@ -304,7 +304,7 @@ def test_a_task_that_fails_too_often_is_given_up(fleet, service):
 
 
 def test_a_start_that_fails_is_answered_with_the_error(fleet, service):
-    spec = {"type": Fragile, "start": False, "settings": {"fail_at_start": True}, "restart": {"policy": "temporary"}}
+    spec = {"type": Fragile, "start": False, "settings": {"fail_at_start": True}, "restart": {"policy": "no"}}
     agent = start(fleet, service, Fragile=spec)
     refused = agent.ask(Start("Fragile"))
     assert not refused.ok
@@ -314,11 +314,11 @@ def test_a_start_that_fails_is_answered_with_the_error(fleet, service):
 @pytest.mark.parametrize(
     ("policy", "x_m", "state", "runs"),
     [
-        ("permanent", 101.0, "running", 2),
-        ("transient", 101.0, "stopped", 1),
-        ("temporary", 101.0, "stopped", 1),
-        ("transient", -1.0, "running", 4),
-        ("temporary", -1.0, "failed", 1),
+        ("always", 101.0, "running", 2),
+        ("on-failure", 101.0, "stopped", 1),
+        ("no", 101.0, "stopped", 1),
+        ("on-failure", -1.0, "running", 4),
+        ("no", -1.0, "failed", 1),
     ],
 )
 def test_the_policy_says_what_follows_an_end(fleet, service, policy, x_m, state, runs):
@@ -331,7 +331,7 @@ def test_the_policy_says_what_follows_an_end(fleet, service, policy, x_m, state,
 
 
 def test_what_a_task_that_was_given_up_had_subscribed_to_holds_nobody_up(fleet, service):
-    agent = start(fleet, service, Fragile={"type": Fragile, "restart": {"policy": "temporary"}})
+    agent = start(fleet, service, Fragile={"type": Fragile, "restart": {"policy": "no"}})
     agent.publish("system", Pose(-1.0, 0.0, 0.0))
     fleet.run_for(0.1)
     for number in range(100):  # twice what its reliable queue takes

@@ -74,7 +74,7 @@ def test_a_task_that_was_stopped_says_so_until_it_is_started(fleet):
 
 
 def test_a_task_that_was_given_up_says_so(fleet):
-    fleet.start("a", tasks={"Break": {"type": Break, "restart": {"policy": "temporary"}}})
+    fleet.start("a", tasks={"Break": {"type": Break, "restart": {"policy": "no"}}})
     fleet.run_for(1.0)
     fleet.stop("a")
     agent = fleet.restart("a")

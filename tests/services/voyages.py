@@ -28,7 +28,7 @@ class Voyage:
             quality=Quality(latency_s=latency_s, jitter_s=self.random.random() * 0.05),
         )
         for name in HOSTS:
-            sink = {"type": Sink, "durability": durability, "restart": {"policy": "permanent", "at_most": 1000}}
+            sink = {"type": Sink, "durability": durability, "restart": {"policy": "always", "at_most": 1000}}
             self.fleet.start(name, tasks={"Sink": sink} if name == "a" else {})
         self.sender = self.fleet.start("s", tasks={"Source": source})
         self.fleet.connect()

@@ -9,9 +9,9 @@ from model.hosting_world import Bounds
 
 from pancakes.runtime.life.restart import RestartSpec
 
-TRIED_AGAIN: Final = RestartSpec("permanent", at_most=1, again_s=60.0)
-TRANSIENT: Final = RestartSpec("transient", at_most=1)
-TEMPORARY: Final = RestartSpec("temporary", at_most=1)
+TRIED_AGAIN: Final = RestartSpec("always", at_most=1, again_s=60.0)
+TRANSIENT: Final = RestartSpec("on-failure", at_most=1)
+TEMPORARY: Final = RestartSpec("no", at_most=1)
 
 SUITE: Final[Mapping[str, Bounds]] = {
     "it comes where another has its name": Bounds(visitor=True, theirs=1, blocked=True, refusals=1),
@@ -19,11 +19,11 @@ SUITE: Final[Mapping[str, Bounds]] = {
     "its disk was wiped, and it comes": Bounds(wiped=True, theirs=1, refusals=1, ends=0),
     "its record was lost, it comes, and writes fail": Bounds(lost=True, decisions=1, theirs=1, faults=1, ends=0),
     "it comes, and writes fail": Bounds(visitor=True, theirs=1, faults=1),
-    "temporary": Bounds(TEMPORARY, requests=2),
+    "no": Bounds(TEMPORARY, requests=2),
     "it comes, and the agent crashes": Bounds(visitor=True, theirs=1, crashes=2),
     "it comes": Bounds(visitor=True, theirs=2, refusals=1),
-    "transient": Bounds(TRANSIENT, requests=2),
-    "permanent, tried again": Bounds(TRIED_AGAIN, requests=1, ends=2, spawns=3),
+    "on-failure": Bounds(TRANSIENT, requests=2),
+    "always, tried again": Bounds(TRIED_AGAIN, requests=1, ends=2, spawns=3),
     "it comes, and is adopted": Bounds(visitor=True, theirs=1, decisions=1, faults=1),
     "its record was lost": Bounds(lost=True, decisions=2, requests=1, faults=1),
     "it comes, and is asked for": Bounds(visitor=True, theirs=1, requests=2),
@@ -43,7 +43,7 @@ SUITE: Final[Mapping[str, Bounds]] = {
     "given away, and it sticks": Bounds(offers=1, sticks=True),
     "given away, and adopted": Bounds(offers=1, decisions=1, faults=1, ends=0),
     "its service ends, and writes fail": Bounds(requests=1, closes=True, faults=1),
-    "permanent": Bounds(requests=2, ends=2, refusals=1),
+    "always": Bounds(requests=2, ends=2, refusals=1),
     "given away, and asked for": Bounds(offers=1, requests=1, errors=False),
     "it comes back": Bounds(offers=1, theirs=1, refusals=1, ends=0),
     "it comes back, and the agent crashes": Bounds(offers=1, theirs=1, crashes=1, ends=0),

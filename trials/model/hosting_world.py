@@ -60,7 +60,7 @@ class Bounds(msgspec.Struct, frozen=True):
         copies: so often others take its agent's disk for an old copy, and it stands still until they told.
     """
 
-    restart: RestartSpec = RestartSpec("permanent", at_most=1)
+    restart: RestartSpec = RestartSpec("always", at_most=1)
     visitor: bool = False
     requests: int = 0
     spawns: int = 2

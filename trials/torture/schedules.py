@@ -135,7 +135,7 @@ class Schedule:
             task: {
                 "type": "test.Drives" if task in self._drivers else "test.Roamer",
                 "durability": "each" if task in self._each else "lazy",
-                "restart": {"policy": "permanent", "at_most": 1000},
+                "restart": {"policy": "always", "at_most": 1000},
             }
             for task, born in BORN.items()
             if born == name

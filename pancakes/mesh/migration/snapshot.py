@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, RemoteProtocolError
 from pancakes.mesh.migration.record import TaskId
@@ -143,7 +144,7 @@ class Snapshot(msgspec.Struct, frozen=True):
         if len(data) > LIMIT_BYTES:
             raise MigrationError(f"a snapshot of {len(data)} bytes was refused, {LIMIT_BYTES} may travel")
         try:
-            return _DECODE(data)
+            return _in_words_of_today(_DECODE(data))
         except (*MALFORMED, RemoteProtocolError) as error:
             raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {why_malformed(error)}") from None
 
@@ -153,6 +154,15 @@ _DECODE_OFFER: Callable[[bytes], tuple[dict[str, Any], dict[str, Any]]] = codecs
     tuple[dict[str, Any], dict[str, Any]], array_from_extension
 )
 _DECODE: Callable[[bytes], Snapshot] = codecs.decoder(Snapshot, array_from_extension)
+_POLICIES: Final = {"permanent": "always", "transient": "on-failure", "temporary": "no"}
+"""What snapshots that were kept before called the policies of restarts."""
+
+
+def _in_words_of_today(snapshot: Snapshot) -> Snapshot:
+    policy = snapshot.restart.get("policy")  # which nobody has checked yet
+    if not isinstance(policy, str) or policy not in _POLICIES:
+        return snapshot
+    return replace(snapshot, restart={**snapshot.restart, "policy": _POLICIES[policy]})
 
 
 def why_unwritable(settings: Mapping[str, Any], state: Mapping[str, Any], error: Exception) -> str:

@@ -23,7 +23,7 @@ class RestartSpec(msgspec.Struct, frozen=True):
     """What follows where a task, a device or a service has ended by itself.
 
     Attributes:
-        policy: `permanent`: it is started again; `transient`: only where it failed; `temporary`: never.
+        policy: `always`: it is started again; `on-failure`: only if it failed; `no`: never. As docker compose has them.
         at_most: how many restarts are tried ...
         within_s: ... in so many seconds of host time in which it runs; one more failure, and it is given up. The
             pauses, and starts that fail, take none of this time.
@@ -33,7 +33,7 @@ class RestartSpec(msgspec.Struct, frozen=True):
         again_s: what was given up is tried again each time that so many seconds have passed; 0: never.
     """
 
-    policy: Literal["permanent", "transient", "temporary"] = "permanent"
+    policy: Literal["no", "on-failure", "always"] = "always"
     at_most: int = 8
     within_s: float = 60.0
     pause_s: float = 0.1
@@ -112,7 +112,7 @@ class Restarts(msgspec.Struct, frozen=True):
             restarts_s=tuple(time_s for time_s in self.restarts_s if time_s > earliest_s),
             failed_s=ran_s if failed else self.failed_s,
         )
-        if spec.policy == "temporary" or (spec.policy == "transient" and not failed):
+        if spec.policy == "no" or (spec.policy == "on-failure" and not failed):
             return (Next.GIVE_UP if failed else Next.REST), after
         if hopeless:
             return Next.GIVE_UP, after

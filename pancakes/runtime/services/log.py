@@ -239,7 +239,7 @@ class LogService(Service):
             kept = {"path": asked.file, "limit_mib": asked.file_limit_mib, "files": asked.files, **share}
             tasks.append(TaskSpec("File", LogFile, settings=kept))
         # What has made it stop, such as a full disk, has not changed a moment later.
-        never = RestartSpec("temporary")
+        never = RestartSpec("no")
         start = self._records or bool(self._goes_on.first)
         tasks.append(TaskSpec(RECORDER, Recorder, settings=self._record, start=start, restart=never))
         return tasks

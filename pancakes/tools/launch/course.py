@@ -52,8 +52,6 @@ ALL_END_S: Final = 5.0
 BAD_CONFIGURATION: Final = 4
 """The exit code of an agent that would end in the same way each time."""
 
-_POLICIES: Final = {"never": "temporary", "on-failure": "transient", "always": "permanent"}
-
 
 @dataclass(frozen=True, slots=True)
 class SpawnProcess:
@@ -362,7 +360,7 @@ class Course:
             case News.GIVEN_UP:
                 self._failed = True
                 why = ""
-                if restart.policy != "never" and not effect.hopeless:
+                if restart.policy != "no" and not effect.hopeless:
                     why = f" after {restart.at_most} restarts within {restart.within_s:g} s"
                 self._tell(name, "given_up", f"{effect.text} and is given up{why}" if place.how else effect.text)
             case News.REFUSED | News.FAILED | News.FAILED_WHILE_STOPPING | News.FAILED_AT_THE_END | News.STUCK:
@@ -375,8 +373,7 @@ class Course:
 
 
 def _spec(restart: ProcessRestart) -> RestartSpec:
-    policy = _POLICIES[restart.policy]
-    return RestartSpec(policy, restart.at_most, restart.within_s, restart.pause_s, restart.pause_max_s)  # type: ignore[arg-type]
+    return RestartSpec(restart.policy, restart.at_most, restart.within_s, restart.pause_s, restart.pause_max_s)
 
 
 def _how(code: int) -> str:

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from pancakes.runtime.config import Config
 
-Policy = Literal["never", "on-failure", "always"]
+Policy = Literal["no", "on-failure", "always"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +19,7 @@ class ProcessRestart:
 
     Attributes:
         policy: `on-failure`: it is started again where its exit code is not 0, as after a crash; `always`: also where
-            it ended in order, as after `pancakes down`; `never`.
+            it ended in order, as after `pancakes down`; `no`: never.
         at_most: how many restarts are tried ...
         within_s: ... in so many seconds in which it is ready; one more end, and the agent is given up. The pauses, and
             starts that fail, take none of this time.

@@ -61,7 +61,7 @@ def create(
     \b
     Example:
         pancakes task create agent1/ScanTarget --type encirclement.ScanTarget --set radius_m=0.8 --rate 2
-        pancakes task create agent1/Watch --type patrol.Watch --guard 3 --lease 2 --key restart.policy=transient
+        pancakes task create agent1/Watch --type patrol.Watch --guard 3 --lease 2 --key restart.policy=on-failure
     """
     from pancakes.tools.cli.verbs.param_file import changes_of
 

@@ -41,7 +41,7 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
 @click.option(
     "--restart",
     "policy",
-    type=click.Choice(["never", "on-failure", "always"]),
+    type=click.Choice(["no", "on-failure", "always"]),
     help="Whether an agent is started again when it ends by itself. [default: as the fleet file says, or on-failure]",
 )
 @click.option(

@@ -295,8 +295,8 @@ def _permit(guarding: Mapping[str, Any] | None) -> dict[str, str]:
 
 def _policy(restart: Mapping[str, Any]) -> str:
     """A restart policy in a line."""
-    if restart["policy"] == "temporary":
-        return "temporary"
+    if restart["policy"] == "no":
+        return "no"
     again = f", then each {restart['again_s']:g} s" if restart["again_s"] else ""
     return (
         f"{restart['policy']}, at most {restart['at_most']} times in {restart['within_s']:g} s,"
