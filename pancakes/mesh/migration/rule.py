@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import msgspec
 
 from pancakes.errors import MigrationError, describe
 from pancakes.mesh.migration.cost import CostChoice
 
-ASK_AGAIN_S = 60.0
-"""After no agent could take the task, the rule asks again only after this time."""
+AGAIN_S: Final = 60.0
 
 
 class MigrationRule(msgspec.Struct, frozen=True):
@@ -20,7 +21,11 @@ class MigrationRule(msgspec.Struct, frozen=True):
         above: moves the task when the field lies above this.
         field: the field of the reading.
         cost: the cost function that neighbours answer with, or the weight of each of several.
-        then: a task to start here once this one has gone; empty: none.
+        then: a task to start here once this one has gone; empty: none. Not after a take-over: the agent that had the
+            task is silent then.
+        otherwise: a task to start here in the place of this one, which is stopped, where no agent can take it; empty:
+            it goes on.
+        again_s: after no agent could take the task, the rule asks again after so long, in host time.
     """
 
     when: str
@@ -29,6 +34,8 @@ class MigrationRule(msgspec.Struct, frozen=True):
     field: str = "level"
     cost: CostChoice = "tasks"
     then: str = ""
+    otherwise: str = ""
+    again_s: float = AGAIN_S
 
     def met_by(self, reading: object) -> bool:
         """Returns whether a reading (a packet's body) asks for a move.

@@ -82,7 +82,8 @@ class _Check:
             for task in config.tasks.values()
         }
         started = [task.name for task in config.tasks.values() if task.start]
-        started += [task.migrate.then for task in config.tasks.values() if task.migrate]
+        rules = [task.migrate for task in config.tasks.values() if task.migrate]
+        started += [name for rule in rules for name in (rule.then, rule.otherwise)]
         for task in config.tasks.values():
             if task.name in started:
                 self._check_requires(task, classes[task.name], device_types)

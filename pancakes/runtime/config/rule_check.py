@@ -37,7 +37,13 @@ def faults_of_rule(rule: MigrationRule, task: str, tasks: Mapping[str, TaskConfi
     elif not isinstance(rule.cost, str):
         for name, problem in faults_of_weights(rule.cost):
             yield f"cost.{name}" if name else "cost", problem, ""
-    if rule.then == task:
-        yield "then", "names the task itself, which has just left", ""
-    elif rule.then and rule.then not in tasks:
-        yield "then", f"there is no task {rule.then!r} here", suggestion(rule.then, [n for n in tasks if n != task])
+    if not (isfinite(rule.again_s) and rule.again_s > 0):
+        yield "again_s", f"expected a number of seconds > 0, not {rule.again_s:g}", ""
+    for key, name, why in (
+        ("then", rule.then, "which has just left"),
+        ("otherwise", rule.otherwise, "which is stopped then"),
+    ):
+        if name == task:
+            yield key, f"names the task itself, {why}", ""
+        elif name and name not in tasks:
+            yield key, f"there is no task {name!r} here", suggestion(name, [it for it in tasks if it != task])

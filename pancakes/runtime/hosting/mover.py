@@ -13,10 +13,10 @@ from pancakes.mesh.migration.event import Award
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.mesh.migration.rule import ASK_AGAIN_S
+from pancakes.mesh.migration.rule import AGAIN_S, MigrationRule
 from pancakes.mesh.migration.sequel import Sequel
 from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.packet import SYSTEM, Packet, agent_of
+from pancakes.packet import SYSCTRL, SYSTEM, Packet, agent_of
 from pancakes.runtime.hosting.bidding_messages import (
     MIGRATOR,
     AttemptOver,
@@ -177,8 +177,7 @@ class Mover:
                 if rule.met_by(packet.body):
                     self.negotiate(slot, Migrate(slot.name, then=then, cost=rule.cost), None)
             except (ControlRefused, MigrationError) as error:
-                place.ask_again_s = host.kernel.host.now() + ASK_AGAIN_S
-                host.log("warning", f"the rule of {slot.address} could not move it: {error}")
+                self._refused(place, rule, f"the rule of {slot.address} could not move it: {error}")
 
     # What the Task Migrator tells ------------------------------------------------------------------------------
 
@@ -195,12 +194,29 @@ class Mover:
         if move is not None and move.answer is not None:
             self._host.reply(move.answer, over.reason, over.result)
         if move is not None and over.reason and not move.dry_run:
-            place.ask_again_s = self._host.kernel.host.now() + ASK_AGAIN_S
-            self._host.log("warning", f"{over.task_id} stays on {self._host.agent}: {over.reason}")
+            rule = place.slot.spec.rule if place.slot is not None and move.answer is None else None
+            self._refused(place, rule, f"{over.task_id} stays on {self._host.agent}: {over.reason}")
         if place.account is None or over.reason:
             return None
         place.account = None
         return PartConcluded()
+
+    def _refused(self, place: Place, rule: MigrationRule | None, why: str) -> None:
+        """No agent takes a task now. Where its rule has asked, that says what is done then."""
+        host, slot = self._host, place.slot
+        host.log("warning", why)
+        place.ask_again_s = host.kernel.host.now() + (rule.again_s if rule is not None else AGAIN_S)
+        other = host.slots.get(rule.otherwise) if rule is not None and rule.otherwise else None
+        if slot is None or other is None or other.life.state not in RESTS:
+            return
+        if reason := host.admit(other):
+            host.log("error", f"{other.address} cannot start in the place of {slot.address}: {reason}")
+            return
+        host.log("warning", f"{slot.address} is stopped, and {other.address} starts in its place")
+        # As anybody would ask for it: so it is wanted stopped, also after a reboot. The other one waits for what the
+        # task holds.
+        host.publish(SYSCTRL, Stop(slot.name))
+        host.feed_place(host.places.at[other.name], StartWanted())
 
     def migrator_began(self) -> None:
         """The migrator has started anew and knows of no negotiation: the requests that wait are answered.
