@@ -63,4 +63,6 @@ class Slot(msgspec.Struct):
     @property
     def how_it_is(self) -> str:
         """How it is in the word that people see in every list, as a clause: `a/client/Scan is stopped`."""
-        return f"{self.address} does not run: {self.rest}" if self.rest else f"{self.address} is {self.life.word}"
+        if self.rest in ("", self.life.word):
+            return f"{self.address} is {self.life.word}"
+        return f"{self.address} does not run: {self.rest}"

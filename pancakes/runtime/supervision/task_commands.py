@@ -112,7 +112,8 @@ def change(
         ControlRefused: the task does not run, or a path of a file lies where none may be set.
     """
     if slot.task is None or slot.life.state is not State.RUNNING:
-        raise ControlRefused(slot.how_it_is if slot.rest else f"{slot.how_it_is}, not running")
+        how = slot.how_it_is
+        raise ControlRefused(how if "does not run" in how else f"{how}, not running")
     if isinstance(body, Configure):
         _check_paths(service, slot, body.settings)
     slot.changing = (*slot.changing, request)
