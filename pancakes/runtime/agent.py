@@ -46,6 +46,7 @@ from pancakes.runtime.hosting.courier_messages import COURIER
 from pancakes.runtime.hosting.guardian import Guardian
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.importer import IMPORTER, Importer
+from pancakes.runtime.hosting.kept_of_peers import kept_of_peers
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.load import describe_process
 from pancakes.runtime.hosting.records import KIND as RECORD
@@ -438,6 +439,7 @@ class Agent:
             "roster_fault": fault._asdict() if (fault := self.mesh.roster_fault) is not None else None,
             "config_file": {"path": self.config.path, "changed": self._config_file.changed()},
             "journal_fault": self.store.fault(),
+            "kept_of_peers": kept_of_peers(self.name, self.records.all().values(), self._registers.all()),
             "warnings": self._warnings.told(self.kernel.host.now()),
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,

@@ -9,7 +9,7 @@ import pytest
 from services.counting import Count
 from services.numbered import Sink
 
-from pancakes.control import Follow, Reply
+from pancakes.control import Describe, Follow, Reply
 from pancakes.mesh.migration.boots import BootRemembered
 from pancakes.mesh.migration.claim import Owned, OwnerClaim
 from pancakes.mesh.migration.epoch import MOST_STEP, Epoch
@@ -23,10 +23,12 @@ from pancakes.mesh.migration.times import Times
 from pancakes.mesh.net.few_links import MOST_KNOWN, MOST_OF_PEER, FewLinks
 from pancakes.packet import Fence, Packet, type_name
 from pancakes.runtime.foundation import codecs
+from pancakes.runtime.hosting.arrivals import MOST_IN_DOUBT
 from pancakes.runtime.hosting.task_letters import MOST_GIVEN, MOST_GIVEN_BYTES, TaskLetters
 from pancakes.runtime.services.fence_rule import MOST_OF_PEER as MOST_MARKS
 from pancakes.runtime.services.fence_rule import ClaimRefused, EpochClaim, Mark, May, judged
 from pancakes.testing import FleetInTest
+from pancakes.tools.cli.verbs.peer_checks import check_kept
 
 COUNT = TaskId("a", "Count")
 
@@ -171,3 +173,45 @@ def test_agents_that_one_peer_makes_up_leave_room_for_those_of_others():
     few.heard("x1", ("tcp://x1:1",), 0.0, 11.0)
     few.heard("more", ("tcp://more:1",), 1.0, 11.0, "liar")
     assert few.knows("more"), "one that is linked is not made up"
+
+
+def findings_of(fleet, name):
+    return list(check_kept(fleet.agents[name].ask(Describe()).result))
+
+
+def brought(fleet, name):
+    asked = place_for(fleet, name)
+    say(fleet, "c", asked, "b")
+    fleet.run_for(0.05)
+    snapshot = Snapshot(asked.task_id, "test.Count", asked.request.version, "client").encode()
+    for piece in cut(Transfer(asked.task_id, asked.offer, snapshot)):
+        say(fleet, "c", piece, "b")
+    fleet.run_for(0.05)
+
+
+def test_doctor_names_a_peer_that_takes_its_room(fleet):
+    assert findings_of(fleet, "b") == []
+    brought(fleet, "T0")
+    assert findings_of(fleet, "b") == [], "one hand-off is under way"
+    for number in range(1, MOST_IN_DOUBT):
+        brought(fleet, f"T{number}")
+    (found,) = findings_of(fleet, "b")
+    assert (found.level, found.about) == ("warning", "b")
+    assert found.text.startswith("keeps 64 tasks that c has brought and not handed over (")
+    assert found.text.endswith("100% of the room for them")
+    assert "pancakes task forget-peer b c" in found.advice
+
+
+def test_doctor_names_what_a_peer_has_left_that_is_away(fleet):
+    brought(fleet, "T0")
+    fleet.crash("c")
+    fleet.run_for(3.0)
+    (found,) = findings_of(fleet, "b")
+    assert found.text.startswith("keeps 1 tasks that c has brought") and found.text.endswith("and c is away")
+
+
+def test_doctor_names_a_peer_that_has_guarded_tasks_removed_again_and_again():
+    row = {"peer": "c", "kind": "removed", "count": 15000, "bytes": 0, "share": 0.92}
+    (found,) = check_kept({"agent": "b", "neighbours": ["c"], "kept_of_peers": [row]})
+    assert "15000 marks of guarded tasks of c that were removed" in found.text
+    assert "pancakes fleet revoke c" in found.advice

@@ -12,6 +12,7 @@ from pancakes.runtime.life.restart import tries
 from pancakes.runtime.runtime_dir import RunningAgent
 from pancakes.tools.cli.verbs.device_checks import check_device
 from pancakes.tools.cli.verbs.finding import Finding
+from pancakes.tools.cli.verbs.peer_checks import check_kept
 
 MISSED_SHARE: Final = 0.01
 """A task that misses more than this share of its ticks is named."""
@@ -82,6 +83,7 @@ def check_fleet(
             *_check_roster(agent, agents, rosters.get(agent["fleet"], 0)),
             *_check_agent(agent),
             *_check_peers(agent),
+            *check_kept(agent),
             *_check_tasks(agent, ask),
         ]
         findings += _check_warnings(agent, findings)
@@ -102,8 +104,8 @@ def _check_warnings(agent: dict[str, Any], findings: Sequence[Finding]) -> Itera
     for line in agent.get("warnings", ()):
         if any(finding.text in line["text"] or line["text"] in finding.text for finding in findings):
             continue
-        times = f"{line['count']} times, last" if line["count"] > 1 else "said"
-        text = f"{line['text']} ({times} {line['ago_s']:.0f} s ago)"
+        times = f"{line['count']} times, last " if line["count"] > 1 else ""
+        text = f"warned {times}{line['ago_s']:.0f} s ago: {line['text']}"
         advice = f"see what led to it: pancakes log --from {agent['agent']} --level warning"
         yield Finding("warning", line["source"], text, advice)
 
