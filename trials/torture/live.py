@@ -36,6 +36,8 @@ class Count:
 class Holder(Task):
     """Holds a lock while it runs and may act, and counts in a file that all agents share."""
 
+    __module__ = "pancakes"  # its names are Pancakes' own
+
     @dataclass
     class Settings:
         directory: str = ""
@@ -63,14 +65,14 @@ class Holder(Task):
         self.say("doubled", f"failed: {exception_value!r}")
         self.on_stop()
 
-    def pause(self):
-        super().pause()
+    def freeze(self):
+        super().freeze()
         fcntl.flock(self.lock, fcntl.LOCK_UN)
 
-    def resume(self):
+    def thaw(self):
         self.gate("resume")
         self.take()
-        super().resume()
+        super().thaw()
 
     def take(self):
         try:
