@@ -174,7 +174,7 @@ WRONG: list[tuple[dict[str, Any], str, str, str]] = [
         {"warnings": [{"source": "a/log", "level": "error", "text": "no disk", "count": 2, "ago_s": 3.2}]},
         "warning",
         "a/log",
-        "no disk (2 times, last 3 s ago)",
+        "warned 2 times, last 3 s ago: no disk",
     ),
     (
         {"config_file": {"path": "a.toml", "changed": True}},
