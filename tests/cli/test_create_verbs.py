@@ -59,7 +59,9 @@ def test_task_create_outlives_its_agent_and_fits_a_file(rig: Rig):
     third.signalled(signal.SIGTERM)
 
     rig.ready("a")
-    (row,) = rig.listed("task", "remove", "a/Count")
+    asked = rig.pancakes("task", "remove", "a/Count")
+    assert asked.returncode == 1 and "a/client/Count ends for good, and its state is lost. With --force" in asked.stderr
+    (row,) = rig.listed("task", "remove", "a/Count", "--force")
     assert (row["task"], row["done"]) == ("Count", "removed")
     assert [row["task"] for row in rig.listed("task", "list") if row["type"] == "count.Count"] == []
     assert "task.Count" not in rig.pancakes("config", "show", "a").stdout
@@ -76,7 +78,7 @@ def test_task_remove_is_asked_where_the_task_is(rig: Rig):
     assert rig.pancakes("task", "migrate", "a/Count").returncode == 0
     refused = rig.pancakes("task", "remove", "a/Count")
     assert (refused.returncode, refused.stderr) == (1, "a/Count is on b: say b/Count\n")
-    assert rig.pancakes("task", "remove", "b/Count").returncode == 0
+    assert rig.pancakes("task", "remove", "b/Count", "--force").returncode == 0
 
 
 def test_config_show_takes_a_file_or_an_agent(rig: Rig):

@@ -58,6 +58,7 @@ def test_down_names_an_agent_that_does_not_answer(rig: Rig, freeze: Callable[[Ru
     result = rig.pancakes("down", "--timeout", "2", "--format", "json")
     assert (result.returncode, rows(result.stdout)) == (3, [("a", "ended")])
     assert result.stderr.splitlines() == [
+        "ends a, b of the fleet test",
         f"b ({rig.addresses(b)[0]}) did not answer: nothing came within 2 s",
         f"b is told to end by a signal to its process {b.pid}",
         f"b (process {b.pid}) has not ended within 2 s",

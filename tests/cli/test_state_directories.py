@@ -116,7 +116,9 @@ def test_task_forget_and_adopt_decide_about_a_damaged_record(rig: Rig, state: Pa
     assert asked.returncode == 1 and "`pancakes task forget a/Count` leaves it there" in asked.stderr
 
     assert "would" not in rig.pancakes("task", "forget", "a/Count", "--dry-run").stderr
-    forgotten = rig.pancakes("task", "forget", "a/Count")
+    asked = rig.pancakes("task", "forget", "a/Count")
+    assert asked.returncode == 1 and "a/Count rests for good" in asked.stderr
+    forgotten = rig.pancakes("task", "forget", "a/Count", "--force")
     assert forgotten.returncode == 0 and "forgotten" in forgotten.stdout
     assert rig.pancakes("task", "adopt", "a/Count").returncode == 1
     adopted = rig.pancakes("task", "adopt", "a/Count", "--force")

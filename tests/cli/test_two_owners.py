@@ -60,7 +60,9 @@ def test_task_resolve_says_which_of_two_owners_lives(rig: Rig):
         ("b", "running", "given up", "dry run"),
         ("a", "at rest", "running", "dry run"),
     ]
-    done = rig.pancakes("task", "resolve", "a/Count")
+    asked = rig.pancakes("task", "resolve", "a/Count")
+    assert asked.returncode == 1 and "a/Count on b is given up, and its state is lost" in asked.stderr
+    done = rig.pancakes("task", "resolve", "a/Count", "--force")
     assert done.returncode == 0, done.stderr
     listed = [row for row in rig.listed("task", "list") if row["task"] == "Count" and row["state"] == "running"]
     assert [row["agent"] for row in listed] == ["a"]

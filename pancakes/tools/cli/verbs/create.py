@@ -8,6 +8,7 @@ import click
 
 from pancakes.creation import Create, Remove
 from pancakes.tools.cli.asking import accepted, meant, placed, show_done
+from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.name_types import TaskName, a_task
 from pancakes.tools.cli.options import Ask, FiniteRange, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, show_text
@@ -87,9 +88,10 @@ def create(
 
 @click.command()
 @a_task
+@force_option
 @dry_run_option
 @orders_agents
-def remove(name: TaskName, dry_run: bool, ask: Ask) -> None:
+def remove(name: TaskName, force: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a task that no configuration file names, and forget it: its state is gone.
 
     A later task of its name begins anew. One that a file names is refused, as it would be back with its agent.
@@ -97,7 +99,11 @@ def remove(name: TaskName, dry_run: bool, ask: Ask) -> None:
     \b
     Example:
         pancakes task remove agent1/ScanTarget
+        pancakes task remove agent1/ScanTarget --force
     """
     with ask.client() as client:
         name = placed(client, name)
+        if not (force or dry_run):
+            accepted(client, name.agent, Remove(name.target, True))
+        must_be_meant(f"{name} ends for good, and its state is lost", force, dry_run)
         show_done(ask, client, name, "removed", Remove(name.target, dry_run))

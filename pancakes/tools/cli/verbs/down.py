@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
 
-from pancakes.runtime.runtime_dir import entries
+from pancakes.runtime.runtime_dir import RunningAgent, entries
+from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.ending import Ending
 from pancakes.tools.cli.name_types import agents
 from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
@@ -26,15 +28,18 @@ COLUMNS = ("agent", "fleet", "role", "host", "done")
     type=click.Path(path_type=Path),
     help="The agents of a fleet file, on this machine and on its hosts.",
 )
+@force_option
 @dry_run_option
 @orders_agents
-def down(agents: tuple[str, ...], all_: bool, file: Path | None, dry_run: bool, ask: Ask) -> None:
+def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dry_run: bool, ask: Ask) -> None:
     """End agents: those that are named, or else all of this machine (with --fleet, of that fleet), until they are gone.
 
     Their tasks stop, their actuators hold, and their peers are told. A simulated world ends after the agents that act
     in it. An agent that has not ended within the time limit is named on standard error, and the exit code is then 3.
     A launcher does not start an agent again that was ended in this way, unless it was told to with --restart always;
     nor does what keeps a deployed one running.
+
+    If that is all of this machine, they are named first; if they are of several fleets, it asks, or needs --force.
 
     \b
     Example:
@@ -66,7 +71,19 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, dry_run: bool, 
         if not here:
             of = f" of the fleet {ask.where.fleet}" if ask.where.fleet else ""
             show_text(f"no agent{of} runs on this machine", err=True)
+        elif not ask.where.fleet:
+            fleets = sorted({entry.fleet for entry in here.values()})
+            of_each = "; ".join(f"{', '.join(_names(here, fleet))} of the fleet {fleet}" for fleet in fleets)
+            if len(fleets) > 1:
+                must_be_meant(f"this ends {of_each}: --fleet names one of them", force, dry_run)
+            elif not dry_run:
+                show_text(f"ends {of_each}", err=True)
         ending.end_all(here, ask.where.fleet)
     if ending.rows or ask.format_ == "json":
         ask.show(ending.rows, COLUMNS)
     sys.exit(ending.code)
+
+
+def _names(here: Mapping[tuple[str, str], RunningAgent], fleet: str) -> list[str]:
+    """Returns the names of the agents of a fleet on this machine."""
+    return sorted(entry.name for entry in here.values() if entry.fleet == fleet)

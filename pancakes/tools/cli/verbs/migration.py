@@ -6,10 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import click
+import msgspec
 
 from pancakes.control import Adopt, Checkpoints, Forget, Migrate, Migrations, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError
 from pancakes.tools.cli.asking import accepted, ask_each, meant
+from pancakes.tools.cli.consent import accepted_if_meant, force_option, must_be_meant
 from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task, agents, the_agent
 from pancakes.tools.cli.options import Ask, asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
@@ -108,7 +110,7 @@ def migrations(agents: tuple[str, ...], ask: Ask) -> None:
 
 @click.command()
 @a_task
-@click.option("--force", is_flag=True, help="Do it. Without, it is only said what it would mean.")
+@force_option
 @_birthplace_option("Where it was born, if two of its name are in doubt.")
 @dry_run_option
 @orders_agents
@@ -116,8 +118,8 @@ def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask)
     """Run a task on AGENT that rests there because AGENT cannot know where it is. You know: it runs nowhere else.
 
     This is the one act that can make two of a task: where it runs elsewhere after all, or comes back on an agent that
-    is off. So see first, with `pancakes task list`, that it runs nowhere. Without --force nothing is done but to say
-    what it would mean, and the exit code is 1.
+    is off. So see first, with `pancakes task list`, that it runs nowhere. It is said what it would mean, and asked; if
+    this is no terminal, nothing is done without --force, and the exit code is 1.
 
     Where its hand-off to another agent is in doubt, that agent must be gone for good: switch it off, adopt, and only
     then set it up anew, with an empty state_dir. It is refused while the other agent is connected.
@@ -132,14 +134,16 @@ def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask)
     """
     with ask.client() as client:
         name = meant(client, name)
-        reply = accepted(client, name.agent, Adopt(name.target, force, birthplace, dry_run))
+        reply = accepted_if_meant(
+            client, name.agent, lambda forced, dry: Adopt(name.target, forced, birthplace, dry), force, dry_run
+        )
     _show_decided(ask, name, reply, DRY_RUN if dry_run else "adopted", instead_of=reply.result["peer"])
 
 
 @click.command()
 @a_task
 @_birthplace_option("Where it was born, if the records of two of its name were lost.")
-@click.option("--force", is_flag=True, help="Drop a task that was brought and never handed over, too.")
+@force_option
 @dry_run_option
 @orders_agents
 def forget(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask) -> None:
@@ -157,17 +161,21 @@ def forget(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask
     \b
     Example:
         pancakes task forget agent1/ScanTarget --dry-run
-        pancakes task forget agent1/ScanTarget
+        pancakes task forget agent1/ScanTarget --force
     """
     with ask.client() as client:
-        reply = accepted(client, name.agent, Forget(name.target, birthplace, dry_run=dry_run, force=force))
+        body = Forget(name.target, birthplace, force=force)
+        if not (force or dry_run):
+            accepted(client, name.agent, msgspec.structs.replace(body, dry_run=True))
+        must_be_meant(f"{name} rests for good, and what {name.agent} has of its state is lost", force, dry_run)
+        reply = accepted(client, name.agent, msgspec.structs.replace(body, dry_run=dry_run))
     _show_decided(ask, name, reply, DRY_RUN if dry_run else "forgotten")
 
 
 @click.command("forget-peer")
 @the_agent
 @click.argument("peer", metavar="PEER", type=AGENT_NAME)
-@click.option("--force", is_flag=True, help="Drop them, although each may be nowhere else.")
+@force_option
 @dry_run_option
 @orders_agents
 def forget_peer(agent: str, peer: str, force: bool, dry_run: bool, ask: Ask) -> None:
@@ -187,11 +195,8 @@ def forget_peer(agent: str, peer: str, force: bool, dry_run: bool, ask: Ask) -> 
         left = sorted(row["task_id"] for row in held if row["held"] == "in doubt" and row["peer"] == peer)
         if not left:
             raise PancakesError(f"{agent} keeps no task that {peer} has brought and not handed over")
-        if not (force or dry_run):
-            raise PancakesError(
-                f"{agent} would drop {', '.join(left)}. Each is nowhere else if {peer} had given it away. With --force"
-                " it is done, with --dry-run only shown. Nothing was done"
-            )
+        what = f"{agent} would drop {', '.join(left)}. Each is nowhere else if {peer} had given it away"
+        must_be_meant(what, force, dry_run)
         rows = []
         for birthplace, name in (task_id.split("/") for task_id in left):
             body = Forget(name, birthplace, dry_run=dry_run, force=True)

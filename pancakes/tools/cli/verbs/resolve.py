@@ -10,6 +10,7 @@ from pancakes.client import Client
 from pancakes.control import Adopt, Forget, Stop
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.tools.cli.asking import accepted, placed
+from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task
 from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN
@@ -23,9 +24,7 @@ DISPUTED: Final = "disputed"
 @click.option(
     "--birthplace", metavar="AGENT", type=AGENT_NAME, default="", help="Where it was born, if two bear its name."
 )
-@click.option(
-    "--force", is_flag=True, help="Also where no other owner can be asked now; it stands still when it is back."
-)
+@force_option
 @dry_run_option
 @orders_agents
 def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask) -> None:
@@ -38,7 +37,7 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
     \b
     Example:
         pancakes task resolve agent1/ScanTarget --dry-run
-        pancakes task resolve agent1/ScanTarget
+        pancakes task resolve agent1/ScanTarget --force
     """
     with ask.client() as client:
         name = placed(client, name)
@@ -58,6 +57,9 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
                 f"the other owner of {name} does not answer: {here['reason']}. With --force it lives here all the same,"
                 " and the other one stands still when it is back"
             )
+        given_up = ", ".join(f"{owner['task_id']} on {owner['agent']}" for owner in owners)
+        if owners:
+            must_be_meant(f"{given_up} is given up, and its state is lost; {name} lives", force, dry_run)
         rows = [_row(owner, "given up") for owner in owners]
         for owner in owners if not dry_run else ():
             if owner["runs"]:

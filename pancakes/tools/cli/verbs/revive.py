@@ -12,6 +12,7 @@ from pancakes.client import Client
 from pancakes.control import Checkpoints, HeldCheckpoint, Reschedule, Revive
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.tools.cli.asking import accepted, meant
+from pancakes.tools.cli.consent import accepted_if_meant, force_option
 from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task
 from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN
@@ -37,7 +38,7 @@ RUNS = ("running", "starting", "restarting", "stuck")
     default="",
     help="Where it was born, if checkpoints of two of its name are held. [with --config: FILE's agent]",
 )
-@click.option("--force", is_flag=True, help="Do it. Without, it is only said what it would mean.")
+@force_option
 @dry_run_option
 @orders_agents
 def revive(
@@ -49,8 +50,9 @@ def revive(
     agent holds one, --config says with what it begins anew: its state is lost then.
 
     It runs under an epoch above all that can be known of it, so actuators obey it, and packets for it come to AGENT.
-    Where the lost agent comes back, its copy stands still once the two are linked. Without --force nothing is done but
-    to say which checkpoint it would go on from, and what it may cost, and the exit code is 1.
+    Where the lost agent comes back, its copy stands still once the two are linked. It is said which checkpoint it would
+    go on from, and what it may cost, and asked; if this is no terminal, nothing is done without --force, and the exit
+    code is 1.
 
     A guarded task that stands still on AGENT, because more than half of its guardians are gone for good, goes on as it
     stands. Where more than half are there, see `pancakes task take`.
@@ -72,8 +74,14 @@ def revive(
         here = _must_be_lost(client, name, services, held)
         body = body or (Revive(here) if here and not held else _from_newest(client, name, held))
         seen = max((row["seen"] for row in held), default=0)
-        body = msgspec.structs.replace(body, seen=seen, force=force or dry_run, dry_run=dry_run)
-        reply = accepted(client, name.agent, body)
+        made = msgspec.structs.replace(body, seen=seen)
+        reply = accepted_if_meant(
+            client,
+            name.agent,
+            lambda forced, dry: msgspec.structs.replace(made, force=forced or dry, dry_run=dry),
+            force,
+            dry_run,
+        )
         if rate_hz is not None and not dry_run:
             accepted(client, name.agent, Reschedule(f"{body.service}/{name.task}", rate_hz))
     done = {"task_id": reply.result["task_id"], "done": DRY_RUN if dry_run else "revived", "number": reply.number}

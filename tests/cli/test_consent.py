@@ -1,0 +1,70 @@
+"""What loses something asks on a terminal, and needs --force elsewhere: one rule for all verbs."""
+
+import os
+import pty
+
+import pytest
+from cli.processes import Rig
+from harness.programs import Program, pancakes
+
+SOURCE = "from pancakes.task import Task\n\nclass Count(Task):\n    pass\n"
+POINTS = "[pancakes.tasks]\ncount.Count = plugin_count:Count\n"
+
+
+def answered(rig: Rig, answer: str, *arguments: str) -> tuple[int, str]:
+    """Runs a command on a terminal, and answers its question; returns its exit code and what the terminal got."""
+    ours, theirs = pty.openpty()
+    with Program(
+        pancakes(*arguments),
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        env=rig.environment,
+        cwd=rig.directory,
+        start_new_session=True,
+    ) as process:
+        os.close(theirs)
+        os.write(ours, f"{answer}\n".encode())
+        shown = b""
+        try:
+            while data := os.read(ours, 65_536):
+                shown += data
+        except OSError:  # its side is closed
+            pass
+        os.close(ours)
+        return process.wait(), " ".join(shown.decode().split())
+
+
+@pytest.mark.parametrize("verb", ["remove"])
+def test_a_verb_that_loses_something_asks_on_a_terminal(rig: Rig, verb: str) -> None:
+    rig.install("count", POINTS, SOURCE)
+    rig.ready("a")
+    assert rig.pancakes("task", "create", "a/Count", "--type", "count.Count").returncode == 0
+    code, shown = answered(rig, "n", "task", verb, "a/Count")
+    assert code == 1 and "its state is lost. Do it? [y/N]" in shown and shown.endswith("nothing was done")
+    code, shown = answered(rig, "y", "task", verb, "a/Count")
+    assert code == 0 and "removed" in shown
+
+
+def test_down_names_what_it_ends_and_asks_before_it_ends_several_fleets(rig: Rig) -> None:
+    agents = [rig.ready("a"), rig.ready("b"), rig.ready("c", fleet="other")]
+    what = "this ends c of the fleet other; a, b of the fleet test: --fleet names one of them"
+    refused = rig.pancakes("down")
+    said = f"{what}. With --force it is done, with --dry-run only shown. Nothing was done\n"
+    assert (refused.returncode, refused.stderr) == (1, said)
+    code, shown = answered(rig, "n", "down")
+    assert code == 1 and f"{what}. Do it? [y/N]" in shown
+    assert rig.pancakes("down", "--dry-run").returncode == 0
+    assert [agent.process.poll() for agent in agents] == [None, None, None]
+    assert rig.pancakes("down", "--fleet", "other").returncode == 0
+    ended = rig.pancakes("down")
+    assert ended.returncode == 0 and ended.stderr == "ends a, b of the fleet test\n"
+    assert [agent.ended() for agent in agents] == [0, 0, 0]
+
+
+def test_down_of_several_fleets_takes_force(rig: Rig) -> None:
+    agents = [rig.ready("a"), rig.ready("c", fleet="other")]
+    code, shown = answered(rig, "y", "down")
+    assert code == 0 and "ended" in shown and [agent.ended() for agent in agents] == [0, 0]
+    agents = [rig.ready("a"), rig.ready("c", fleet="other")]
+    assert rig.pancakes("down", "--force").returncode == 0 and [agent.ended() for agent in agents] == [0, 0]
