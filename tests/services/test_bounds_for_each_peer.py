@@ -21,6 +21,7 @@ from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.mesh.migration.times import Times
 from pancakes.mesh.net.few_links import MOST_KNOWN, MOST_OF_PEER, FewLinks
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import Fence, Packet, type_name
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.hosting.arrivals import MOST_IN_DOUBT
@@ -215,3 +216,19 @@ def test_doctor_names_a_peer_that_has_guarded_tasks_removed_again_and_again():
     (found,) = check_kept({"agent": "b", "neighbours": ["c"], "kept_of_peers": [row]})
     assert "15000 marks of guarded tasks of c that were removed" in found.text
     assert "pancakes fleet revoke c" in found.advice
+
+
+def test_one_peer_cannot_keep_others_waiting_for_a_place(fleet):
+    """A is asked where each of its tasks is, and its answer takes long."""
+    fleet.start("d")
+    fleet.connect()
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.4))
+    given = told_of(fleet, "d", Reserved)
+    version = fleet.agents["a"].slot("Count").spec.version
+    for speaker, number in [*(("c", number) for number in range(100)), ("d", 1000)]:
+        task_id = TaskId("a", f"T{number}")
+        asked = Reserve(task_id, Epoch(1, speaker), Solicit(task_id, 1, "test.Count", version, "client"))
+        say(fleet, speaker, asked, "b")
+        fleet.run_for(0.002)
+    fleet.run_for(0.6)
+    assert len(given) == 1
