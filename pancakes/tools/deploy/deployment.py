@@ -9,16 +9,14 @@ from dataclasses import dataclass, field
 from typing import Final, TypedDict
 
 from pancakes.errors import PancakesError, describe
-from pancakes.tools.deploy.change import AgentChange
+from pancakes.tools.deploy.change import AgentChange, digest_of
+from pancakes.tools.deploy.supply import Supply
 from pancakes.tools.deploy.task_moves import AgentBefore, TaskMoves
-from pancakes.tools.deploy.wheels import Wheel, digests
+from pancakes.tools.deploy.wheels import digests
 from pancakes.tools.launch.host_link import HostLink
-from pancakes.tools.launch.hosts import Host
 
 LOCK_S: Final = 120.0
 """So long a host may take to finish what was asked for over a connection that was lost."""
-MARGIN: Final = 1.1
-"""What a disk loses beside the bytes of files."""
 
 
 class _Checked(TypedDict):
@@ -26,48 +24,6 @@ class _Checked(TypedDict):
 
     sound: bool
     said: str
-
-
-@dataclass(frozen=True)
-class Supply:
-    """What is brought to one host.
-
-    Attributes:
-        host: the host.
-        build: the build of Pancakes and its plug-ins.
-        environment: the environment that is made of it there.
-        own: the wheels of Pancakes and its plug-ins, and that of pip.
-        libraries: the folder with what they need.
-        others: the wheels that are unpacked there, and that of pip.
-        missing: those of the wheels that are to be sent.
-    """
-
-    host: Host
-    build: str
-    environment: str
-    own: Sequence[Wheel]
-    libraries: str
-    others: Sequence[Wheel]
-    missing: Sequence[Wheel]
-
-    @property
-    def brought_bytes(self) -> int:
-        """How much is sent."""
-        return sum(wheel.path.stat().st_size for wheel in self.missing)
-
-    def shortage(self) -> str:
-        """Returns a sentence where the disk over there has too little room; empty: it has enough."""
-        unpacked = 0
-        if self.environment not in self.host.is_["environments"]:
-            unpacked += sum(wheel.unpacked_bytes for wheel in self.own)
-        if self.libraries not in self.host.is_["libraries"]:
-            unpacked += sum(wheel.unpacked_bytes for wheel in self.others)
-        needed, free = MARGIN * (self.brought_bytes + unpacked), self.host.is_["free_bytes"]
-        if free >= needed:
-            return ""
-        left, wanted = (f"{value / 1e6:.0f} MB" for value in (free, needed))
-        disk = f"its disk ({self.host.is_['data']})"
-        return f"{self.host.name} has {left} left on {disk} and needs {wanted}: make room there"
 
 
 @dataclass
@@ -204,7 +160,13 @@ class Deployment:
                 version=change.version,
                 environment=change.environment,
                 config=change.config,
-                about={"build": supply.build, "libraries": supply.libraries, "wheels": own},
+                about={
+                    "build": supply.build,
+                    "libraries": supply.libraries,
+                    "environment": supply.environment,
+                    "wheels": own,
+                    "config": digest_of(change.config),
+                },
             )
             found = link.obtain("check", kind=_Checked, fleet=change.fleet, name=change.name, version=change.version)
             if not found["sound"]:
@@ -232,7 +194,8 @@ class Deployment:
         self._go_on()
         if fault:
             raise PancakesError(f"{change.name} does not run on {change.host} as it should: {fault}")
-        self._tell(change.name, f"runs the version {change.version} on {change.host}")
+        changed = f" ({', '.join(change.changed)})" if change.changed else ""
+        self._tell(change.name, f"runs the version {change.version} on {change.host}{changed}")
 
     def _restart(self, change: AgentChange) -> None:
         """Stops an agent, has it use a version, and starts it."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from pancakes.errors import PancakesError
 from pancakes.runtime.foundation.suggestion import hint_of
 from pancakes.runtime.plugins import Plugins
-from pancakes.tools.deploy.change import AgentChange, change_of
-from pancakes.tools.deploy.deployment import Supply
+from pancakes.tools.deploy.change import AgentChange, change_of, series
 from pancakes.tools.deploy.needed_extras import needed_extras
+from pancakes.tools.deploy.supply import Supply
 from pancakes.tools.deploy.wheels import (
     CORE,
     PIP,
@@ -70,11 +70,7 @@ def plan_of(
         except PancakesError as error:
             raise PancakesError(f"{name}: {error}") from None
         supplies[name] = _supply(host, own, by_platform[platform], platform)
-    changes = [
-        change_of(it, hosts[it.host].agent(it.name), supplies[it.host].build, supplies[it.host].environment)
-        for it in members
-        if it.host
-    ]
+    changes = [change_of(it, hosts[it.host].agent(it.name), supplies[it.host]) for it in members if it.host]
     return DeploymentPlan(supplies, changes)
 
 
@@ -87,14 +83,26 @@ def _supply(host: Host, own: Sequence[Wheel], others: Sequence[Wheel], platform:
     build = build_of(own)
     version, python = build.partition("-")[0], f"py{platform.python}"
     own = [*own, *(wheel for wheel in others if distribution_of(wheel) == PIP)]
-    libraries = name_of(python, *platform.tags[:1], wheels=others)
-    environment = name_of(f"{version}-{python}", libraries, wheels=own)
-    needed = {wheel.name: wheel for wheel in (*own, *(others if libraries not in host.is_["libraries"] else ()))}
+    made, folders, damaged = host.is_["environments"], host.is_["libraries"], []
+
+    def intact(kind: str, base: str, there: Collection[str]) -> str:
+        """Returns the name of what is there and as it was made, or else one that is free."""
+        names = series(base, there)
+        for name in names:
+            if name in there:
+                if not (found := host.link.obtain("damaged", kind=list[str], folder=kind, name=name)):
+                    return name
+                damaged.extend(found)
+        return next(name for name in names if name not in there)
+
+    libraries = intact("libraries", name_of(python, *platform.tags[:1], wheels=others), folders)
+    environment = intact("environments", name_of(f"{version}-{python}", libraries, wheels=own), made)
+    needed = {wheel.name: wheel for wheel in (*own, *(others if libraries not in folders else ()))}
     lacks = set()
-    if environment not in host.is_["environments"]:
+    if environment not in made:
         lacks = set(host.link.obtain("missing", kind=list[str], wheels=digests(needed.values())))
     missing = [wheel for name, wheel in needed.items() if name in lacks]
-    return Supply(host, build, environment, own, libraries, others, missing)
+    return Supply(host, build, environment, own, libraries, others, missing, damaged)
 
 
 def _check_extras(own: Sequence[Wheel], extras: Sequence[str]) -> None:

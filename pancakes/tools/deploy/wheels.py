@@ -274,7 +274,17 @@ def name_of(prefix: str, *parts: str, wheels: Iterable[Wheel]) -> str:
 
 def distribution_of(wheel: Wheel) -> str:
     """Returns the name of the distribution that a wheel is of."""
-    return str(canonicalize_name(wheel.name.split("-")[0]))
+    return distribution_of_file(wheel.name)
+
+
+def distribution_of_file(name: str) -> str:
+    """Returns the name of the distribution that a wheel is of, by its file."""
+    return str(canonicalize_name(name.split("-")[0]))
+
+
+def version_of_file(name: str) -> str:
+    """Returns the version of a wheel, by its file."""
+    return name.split("-")[1]
 
 
 def extras_of(wheel: Wheel) -> list[str]:

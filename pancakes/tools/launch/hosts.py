@@ -30,6 +30,9 @@ class HostedAgent(TypedDict):
     socket: str
     version: str
     last: str
+    config: str
+    environment: str
+    versions: dict[str, str]
     about: dict[str, Any]
     service: HostService | None
 

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import csv
 import fcntl
+import hashlib
 import json
 import os
 import shutil
@@ -22,7 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from pancakes.tools.there.host_folders import COMPLETE, HostFault, agent_folder, data_folder, write_whole
+from pancakes.tools.there.host_folders import COMPLETE, HostFault, agent_folder, data_folder, has_keys, write_whole
 from pancakes.tools.there.service_managers import manager_of, tail_of
 
 BUILD: Final = "pancakes-build"
@@ -33,6 +35,8 @@ INSTALL: Final = (
     *("--no-index", "--no-deps", "--no-compile", "--no-input", "--no-cache-dir"),
     *("--quiet", "--disable-pip-version-check", "--isolated", "--no-warn-script-location"),
 )
+MOST_DAMAGED: Final = 5
+"""So many files that were changed by hand are named."""
 NO_ROOM: Final = "No space left on device"
 
 
@@ -48,12 +52,14 @@ class Deploying:
         self.calls: Mapping[str, Callable[..., Any]] = {
             "lock": self.lock,
             "missing": missing,
+            "damaged": damaged,
             "put": put,
             "libraries": make_libraries,
             "environment": make_environment,
             "version": write_version,
             "check": check,
             "switch": switch,
+            "put_keys": put_keys,
             "clean": clean,
             "install_service": lambda fleet, name: manager_of(fleet, name).install(),
             "start_service": lambda fleet, name: manager_of(fleet, name).start(),
@@ -84,6 +90,45 @@ class Deploying:
 def missing(wheels: Mapping[str, str]) -> list[str]:
     """Returns those wheels that are not here; they are given by name, each with its digest."""
     return [name for name, digest in wheels.items() if not _wheel(name, digest).exists()]
+
+
+def damaged(folder: str, name: str) -> list[str]:
+    """Returns files of an environment, or of libraries, that are not as they were installed; of many, the first.
+
+    Args:
+        folder: `environments`, of which each byte counts, or `libraries`, of which the sizes do.
+        name: which.
+    """
+    place = data_folder() / folder / name
+    found = []
+    for record in sorted(
+        (*place.glob("*.dist-info/RECORD"), *place.glob("lib/python*/site-packages/*.dist-info/RECORD"))
+    ):
+        site = record.parent.parent
+        try:
+            rows = list(csv.reader(record.read_text().splitlines()))
+        except OSError:
+            rows = []
+        if not rows:
+            found.append(str(record.relative_to(place)))
+        for row in rows:
+            path, digest, size = row if len(row) == 3 else (*row, "", "", "")[:3]
+            if size and not path.startswith("..") and not _is_as_made(site / path, digest, int(size), folder):
+                found.append(path)
+        if len(found) >= MOST_DAMAGED:
+            break
+    return found[:MOST_DAMAGED]
+
+
+def _is_as_made(path: Path, digest: str, size: int, folder: str) -> bool:
+    try:
+        if folder == "libraries":
+            return path.stat().st_size == size
+        kind, _, wanted = digest.partition("=")
+        made = hashlib.new(kind, path.read_bytes()).digest()
+        return base64.urlsafe_b64encode(made).rstrip(b"=").decode() == wanted
+    except (OSError, ValueError):
+        return False
 
 
 def put(name: str, digest: str, data: str, last: bool) -> None:
@@ -155,8 +200,10 @@ def write_version(fleet: str, name: str, version: str, environment: str, config:
         about: what `version.json` is to say; its `wheels` and `libraries` are kept as long as the version is.
     """
     place = agent_folder(fleet, name) / "versions" / version
-    if place.exists():
-        return
+    with contextlib.suppress(OSError):
+        if (place / "agent.toml").read_bytes() == config.encode():
+            return
+    shutil.rmtree(place, ignore_errors=True)  # its configuration is gone: nothing can run it
     made = place.with_name(f".{version}.new")
     shutil.rmtree(made, ignore_errors=True)
     made.mkdir(mode=0o700, parents=True)
@@ -178,6 +225,28 @@ def check(fleet: str, name: str, version: str) -> dict[str, Any]:
     checked = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     said = tail_of(checked.stderr).replace(f"{place}/", "") if checked.stderr.strip() else ""
     return {"sound": checked.returncode == 0, "said": said}
+
+
+def put_keys(fleet: str, name: str, files: Mapping[str, str]) -> None:
+    """Writes the keys of an agent that has none here.
+
+    Args:
+        fleet: the agent's fleet.
+        name: its name.
+        files: the contents by file, in base64; the key comes last, so that it never stands alone.
+    """
+    if has_keys(fleet, name):
+        raise HostFault(f"has keys of {name} already")
+    folder = data_folder() / "keys" / fleet / name
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    folder.chmod(0o700)
+    for file, data in files.items():
+        made = folder / f".{file}.new"
+        with open(os.open(made, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600), "wb") as written:
+            written.write(base64.b64decode(data))
+            written.flush()
+            os.fsync(written.fileno())
+        os.replace(made, folder / file)
 
 
 def switch(fleet: str, name: str, version: str, last: str) -> None:

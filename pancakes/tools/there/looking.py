@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import hashlib
 import json
 import os
 import platform
@@ -60,6 +61,9 @@ def _look_at(fleet: str, name: str) -> dict[str, Any]:
         "socket": socket_of(fleet, name),
         "version": _version_at(current),
         "last": _version_at(folder / "last"),
+        "config": _digest_at(current / "agent.toml"),
+        "environment": _version_at(current / "environment"),
+        "versions": {it.parent.name: _digest_at(it) for it in sorted(folder.glob("versions/*/agent.toml"))},
         "about": _about(current / "version.json"),
         "service": manager_of(fleet, name).status() if current_python(fleet, name).exists() else None,
     }
@@ -67,6 +71,14 @@ def _look_at(fleet: str, name: str) -> dict[str, Any]:
 
 def _version_at(link: Path) -> str:
     return os.path.basename(os.readlink(link)) if link.is_symlink() else ""
+
+
+def _digest_at(path: Path) -> str:
+    """Returns a digest of a file; empty: it cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
 
 
 def _about(path: Path) -> dict[str, Any]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import signal
 import tempfile
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +17,14 @@ from pancakes.tools.cli.options import Duration, agent_sets_option, format_optio
 from pancakes.tools.cli.output import show, show_text
 
 if TYPE_CHECKING:
+    from pancakes.mesh.security.fleet_office import FleetOffice
+    from pancakes.tools.deploy.enrolment import Need
     from pancakes.tools.deploy.planning import DeploymentPlan
     from pancakes.tools.deploy.task_moves import TaskMoves
     from pancakes.tools.launch.hosts import Host
     from pancakes.tools.launch.member import Member
 
-COLUMNS = ("agent", "host", "what", "from", "to", "environment", "brought_mb", "manager", "tasks")
+COLUMNS = ("agent", "host", "what", "from", "to", "changed", "keys", "environment", "brought_mb", "manager", "tasks")
 
 
 @click.command()
@@ -49,6 +51,15 @@ COLUMNS = ("agent", "host", "what", "from", "to", "environment", "brought_mb", "
     show_default=True,
     help="How long the tasks of an agent must run before the next agent's turn.",
 )
+@click.option(
+    "--only",
+    metavar="AGENT",
+    multiple=True,
+    help="Deploy only to this agent, and leave the others and their hosts alone. Repeatable.",
+)
+@click.option(
+    "--enrol", is_flag=True, help="Give keys to agents that need some and have none, if their fleet was founded here."
+)
 @click.option("--dry-run", is_flag=True, help="Only check, and show what would be done where.")
 @format_option
 def deploy(
@@ -58,6 +69,8 @@ def deploy(
     extras: tuple[str, ...],
     upgrade: bool,
     calm_s: float,
+    only: tuple[str, ...],
+    enrol: bool,
     dry_run: bool,
     format_: str,
 ) -> None:
@@ -70,46 +83,102 @@ def deploy(
     switched and started, and gets its tasks back. Where one does not become ready, or its tasks do not run, all agents
     go back to the versions that they had. The exit code is then 1.
 
+    Configurations are checked first, with what is brought. What a person has changed on a host is told, and made as it
+    is deployed. Extras of Pancakes that the configurations need come along.
+
     An agent is kept running by the systemd of its user, or by a supervisor of Pancakes where there is none.
 
     \b
     Example:
         pancakes deploy field.toml --dry-run
         pancakes deploy field.toml --wheels dist --extra record
+        pancakes deploy field.toml --enrol
     """
     from pancakes.errors import PancakesError
     from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.deploy.config_checks import check_configs
     from pancakes.tools.deploy.deployment import Deployment
+    from pancakes.tools.deploy.enrolment import check_keys, keys_needed
+    from pancakes.tools.deploy.enrolment import enrol as give_keys
     from pancakes.tools.deploy.planning import plan_of
     from pancakes.tools.deploy.wheels import given_wheels, installed_wheels
     from pancakes.tools.launch.fleet_plan import make_fleet
-    from pancakes.tools.launch.hosts import open_hosts
     from pancakes.tools.launch.tunnels import tunnels
 
-    fleet = make_fleet(paths, sets, None, Plugins())
+    fleet = make_fleet(paths, sets, None, Plugins(), check_hosts=not wheels)
     members = [member for member in fleet if member.host]
     if not members:
         raise PancakesError(f'no agent of {paths[0]} has a host: write one as host = "pi@robot1" in its table')
+    members = _only(members, only)
     with ExitStack() as stack:
-        hosts = stack.enter_context(open_hosts(members))
+        hosts = stack.enter_context(_reached(members, bool(only)))
         if not dry_run:
             for host in hosts.values():
                 host.link.obtain("lock")
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pancakes-wheels-")))
         own = given_wheels(wheels) if wheels else installed_wheels(folder)
+        if unchecked := check_configs(members, own):
+            show_text(f"the configurations are not checked on this machine: {unchecked}", err=True)
+        keys = keys_needed(members, hosts)
+        if not enrol:
+            check_keys(members, keys)
         plan = plan_of(members, hosts, own, extras, upgrade)
         ways = {**_here(fleet), **stack.enter_context(tunnels(hosts.values()))}
         moves = _moves(fleet, ways)
+        for supply in plan.supplies.values():
+            if supply.damaged:
+                what = f"has files that were changed there by hand ({', '.join(supply.damaged)}): they are made again"
+                _tell(supply.host.name, what)
+        for change in plan.changes:
+            if change.edited:
+                _tell(
+                    change.name,
+                    f"{change.edited}: it runs what is deployed from here on; the edit stays as the last version",
+                )
         if dry_run:
-            show(_rows(plan, hosts, moves), COLUMNS, format_)
+            show(_rows(plan, hosts, moves, keys), COLUMNS, format_)
             return
         for member in fleet:
             if not member.host:
                 _tell(member.name, "has no host, and is left as it is")
+        offices = _offices(members, keys)
         called_off = event_at(signal.SIGINT, signal.SIGTERM, signal.SIGHUP).is_set
         deployment = Deployment(plan.supplies, plan.changes, moves, _tell, calm_s, called_off)
         deployment.prepare()
+        give_keys(members, keys, hosts, offices, _tell)
         deployment.switch()
+
+
+def _only(members: Sequence[Member], only: Sequence[str]) -> list[Member]:
+    from pancakes.runtime.foundation.suggestion import hint_of
+
+    names = [member.name for member in members]
+    for name in only:
+        if name not in names:
+            raise click.UsageError(f"no agent {name!r} has a host{hint_of(name, names)}: {', '.join(names)}")
+    return [member for member in members if not only or member.name in only]
+
+
+@contextmanager
+def _reached(members: Sequence[Member], only: bool) -> Iterator[dict[str, Host]]:
+    from pancakes.errors import PancakesError
+    from pancakes.tools.launch.hosts import open_hosts
+
+    with ExitStack() as stack:
+        try:
+            hosts = stack.enter_context(open_hosts(members))
+        except PancakesError as error:
+            rest = "" if only else "\nNothing was changed. To deploy to some agents only, name them with --only"
+            raise PancakesError(f"{error}{rest}") from None
+        yield hosts
+
+
+def _offices(members: Sequence[Member], keys: Mapping[str, Need]) -> dict[str, FleetOffice]:
+    """Opens the authorities of the fleets that agents are enrolled in; a password is asked for now, and not later."""
+    from pancakes.tools.cli.verbs.fleet_folder import opened
+
+    fleets = dict.fromkeys(it.config.agent.fleet for it in members if keys[it.name] == "needs")
+    return {fleet: opened(fleet) for fleet in fleets}
 
 
 def _tell(name: str, text: str) -> None:
@@ -135,7 +204,9 @@ def _moves(fleet: Sequence[Member], ways: Mapping[str, str]) -> dict[str, TaskMo
     return made
 
 
-def _rows(plan: DeploymentPlan, hosts: Mapping[str, Host], moves: Mapping[str, TaskMoves]) -> list[dict[str, Any]]:
+def _rows(
+    plan: DeploymentPlan, hosts: Mapping[str, Host], moves: Mapping[str, TaskMoves], keys: Mapping[str, Need]
+) -> list[dict[str, Any]]:
     rows = []
     for change in plan.changes:
         supply = plan.supplies[change.host]
@@ -147,6 +218,8 @@ def _rows(plan: DeploymentPlan, hosts: Mapping[str, Host], moves: Mapping[str, T
                 "what": change.what,
                 "from": change.was,
                 "to": change.version,
+                "changed": list(change.changed),
+                "keys": {"has": "there", "needs": "given out", "none": "-"}[keys[change.name]],
                 "environment": supply.environment,
                 "brought_mb": round(supply.brought_bytes / 1e6, 1),
                 "manager": "systemd" if hosts[change.host].is_["systemd"] else "supervisor",
