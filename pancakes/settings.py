@@ -323,7 +323,7 @@ def _convert(value: Any, kind: Any) -> Any:
 
 def _at_home(settings: _T) -> _T:
     """Returns settings in which each path is a whole one, also one that the class has as its default."""
-    cls: type[Any] = type(settings)
+    cls: Any = type(settings)
     if not _may_name_files(cls):
         return settings
     plain = plain_settings(settings)

@@ -196,6 +196,7 @@ MAY_CALL = {
     "pancakes/runtime/kernel/pinned.py: wake": "a queue",
     "pancakes/runtime/kernel/pool.py: worker": "a new thread, which waits for this lock only after its start",
     "pancakes/runtime/kernel/stream.py: covers": "it compares two addresses",
+    "pancakes/runtime/kernel/stream.py: hint_of": "it compares names",
     "pancakes/runtime/kernel/stream.py: mailbox": "the subscriptions of the mailbox, which this lock guards",
     "pancakes/runtime/kernel/stream.py: reader": "the subscriptions of the mailbox, which this lock guards",
 }
