@@ -15,7 +15,7 @@ from pancakes.mesh.guarding.guard_messages import (
 from pancakes.mesh.guarding.taking_over import LeaseSeen, TakeTask
 from pancakes.mesh.migration.epoch import MOST_STEP, Epoch
 from pancakes.mesh.migration.guards import GuardianId, Guards, forgotten_guards
-from pancakes.mesh.migration.messages import addressed
+from pancakes.mesh.migration.messages import Nak, Reserve, Solicit, addressed
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN
@@ -136,3 +136,23 @@ def test_made_up_tasks_are_guarded_only_up_to_a_bound_after_they_were_removed(fl
     said = [line for line in b.lines("warning") if "remembers 5 removed tasks of d, and takes no new one" in line]
     assert len(said) == 1
     assert [row["task_id"] for row in b.ask(Guarding()).result] == ["a/Count"]
+
+
+def test_owner_without_a_permit_is_replaced_although_the_taker_is_linked_to_it(fleet):
+    """Its guardians do not hear it, and the others do."""
+    fleet.faults.cut("a", off=("b", "c"))
+    fleet.run_for(12.0)
+    assert [agent.name for agent in fleet.agents.values() if "Count" in agent.running()] != ["a"]
+    assert not fleet.agents["a"].component("client").places[COUNT].permit
+
+
+def test_task_is_not_handed_over_by_a_stranger_while_its_owner_has_no_permit(fleet):
+    fleet.faults.cut("a", off=("b", "c"))
+    fleet.run_for(2.1)
+    declined = []
+    fleet.agents["d"].kernel.stream.tap("network", lambda packet: declined.append(packet.body))
+    version = fleet.agents["a"].slot("Count").spec.version
+    request = Solicit(COUNT, 1, "test.Count", version, "client")
+    say(fleet, "d", Reserve(COUNT, Epoch(9, "d"), request), "e/client")
+    fleet.run_for(0.5)
+    assert "d has no right to it" in next(body.reason for body in declined if isinstance(body, Nak))

@@ -28,11 +28,13 @@ class TaskAt(msgspec.Struct, frozen=True):
         task_id: the task.
         peer: the agent that has it, which may be the one that says so; empty: that is not known here.
         epoch: the highest epoch that is known of it; where it is here, the one that it runs under.
+        acts: if it is here and guarded: whether its guardians let it act now. Else they may have another agent run it.
     """
 
     task_id: str
     peer: str = ""
     epoch: Epoch = NO_EPOCH
+    acts: bool = True
 
 
 def whereabouts(me: str, task_id: str, record: Record | None) -> TaskAt:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+from msgspec.structs import replace
+
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
 from pancakes.mesh.migration.post import (
     RESEND_S,
@@ -155,15 +157,14 @@ class Courier(Component):
         """Another agent asks which one has a task, before its actuators obey the task."""
         try:
             record = self._records.get(TaskId.parse(packet.body.task_id))
-            if record is not None and record.phase is Phase.OWNER and not self._acts(record):
-                record = None  # its guardians may have another agent run it by now
-            self.publish(NETWORK, whereabouts(self.agent, packet.body.task_id, record), to=packet.source)
+            at = whereabouts(self.agent, packet.body.task_id, record)
+            self.publish(NETWORK, replace(at, acts=record is None or self._acts(record)), to=packet.source)
         except PancakesError as error:
             self.log("debug", f"{packet.source} was not told where {packet.body.task_id!a} is: {error}")
 
     def _acts(self, record: Record) -> bool:
-        right = Fence(str(record.task_id), record.epoch)
-        return not record.guarded or self.kernel.permits.may_act(right)
+        here = record.phase in (Phase.OWNER, Phase.FROZEN) and record.guarded
+        return not here or self.kernel.permits.may_act(Fence(str(record.task_id), record.epoch))
 
     @on(NETWORK, TaskAt, addressed=True)
     def on_task_at(self, packet: Packet) -> None:

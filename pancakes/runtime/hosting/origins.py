@@ -8,6 +8,7 @@ from typing import Final
 import msgspec
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.migration.messages import Reserve
 from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs
 from pancakes.packet import NETWORK, Packet, agent_of, join
@@ -45,7 +46,8 @@ class Origins:
 
     The birthplace of a task knows, or the agent that has given it away, to which one it gave it, and so does each after
     that. If one of them has the task itself, no other gives it away, and no guardian has it taken over. An agent that
-    is not linked, or does not answer, is no reason to refuse: a task outlives its birthplace.
+    is not linked, or does not answer, is no reason to refuse: a task outlives its birthplace. A guarded task is taken
+    over also from an owner that is linked here, if its guardians do not let it act.
 
     Args:
         host: the service.
@@ -84,7 +86,7 @@ class Origins:
         return agent != self._host.agent and self._host.connected(agent)
 
     def _heard(self, waiting: _Waiting, source: str, by: str, at: TaskAt) -> None:
-        if at.peer == by:
+        if at.peer == by and (at.acts or isinstance(waiting.packet.body, Reserve)):
             self._end(waiting, f"{by} has {at.task_id}, under the epoch {at.epoch}: {source} has no right to it")
         elif at.peer not in ("", source, *waiting.asked) and len(waiting.asked) < MOST_ASKED and self._may_ask(at.peer):
             self._ask(waiting, at.peer)
