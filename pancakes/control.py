@@ -355,8 +355,13 @@ class Shutdown(msgspec.Struct, frozen=True):
 class ReloadKeys(msgspec.Struct, frozen=True):
     """Has an agent take a new key that lies where the old one did; else it looks for one each minute.
 
-    New links use it, and the old ones are made anew, one after the other. The reply's result is whether there is one.
+    New links use it, and the old ones are made again, one after the other. The reply's result is whether there is one.
+
+    Attributes:
+        dry_run: only say whether there is one.
     """
+
+    dry_run: bool = False
 
 
 @packet_type("begin")

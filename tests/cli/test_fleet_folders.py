@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cli.processes import Rig
@@ -110,3 +112,46 @@ def test_fleet_sign_notices_an_old_copy_of_the_authority(rig: Rig):
     (folder / "register.json").write_bytes(old)
     told = rig.pancakes("fleet", "sign", "--fleet", "test")
     assert "a knows the roster 3 already, and takes none with a lower number: this folder is an old copy" in told.stderr
+
+
+def state_of(folder: Path) -> dict[str, bytes]:
+    """All files below a folder."""
+    return {str(it.relative_to(folder)): it.read_bytes() for it in folder.rglob("*") if it.is_file()}
+
+
+def test_fleet_dry_runs_change_nothing_and_ask_for_no_password(run: Run, tmp_path: Path):
+    run("enrol", "r1", "--out", tmp_path / "r1")
+    before = state_of(tmp_path)
+    code = "192.168.1.10:7490/HJOV-ZBJL-JECU-QFLF-4IQ3-JB24-L5EC-OS6P-LNXE-YAVB"
+    for words, part in (
+        (("init", "barn", "--me", "alice"), "The fleet barn would be in "),
+        (("enrol", "r2"), "agent r2 of the fleet garage would be given to r2, once it has said the code"),
+        (("enrol", "r2", "--out", tmp_path / "r2"), f"would be given to a folder {tmp_path}/r2"),
+        (("renew", "alice"), "operator alice of the fleet garage"),
+        (("join", tmp_path / "r1"), "The keys of agent r1 of the fleet garage would be in "),
+        (("join", code), "The machine at 192.168.1.10:7490 would be asked"),
+        (("sign",), "The roster 2 of the fleet garage would be signed"),
+        (("allow", "r1", "command"), "dry run"),
+        (("revoke", "r1", "lost"), "dry run"),
+    ):
+        assert part in run(*words, "--dry-run")
+        (row,) = json.loads(run(*words, "--dry-run", "--format", "json"))
+        assert row["done"] == "dry run"
+    with pytest.raises(PancakesError, match="agent/r1 belongs to the fleet garage already"):
+        run("enrol", "r1", "--dry-run")
+    with pytest.raises(PancakesError, match="has no r9"):
+        run("renew", "r9", "--dry-run")
+    assert state_of(tmp_path) == before
+
+
+def test_fleet_verbs_answer_in_json(run: Run, tmp_path: Path):
+    def row(*words: str | Path) -> dict[str, Any]:
+        (found,) = json.loads(run(*words, "--format", "json"))
+        return found
+
+    assert row("init", "barn", "--me", "alice", "--no-password")["done"] == "founded"
+    of_barn = ("--fleet", "barn")
+    assert row("enrol", "r1", "--out", tmp_path / "r1", *of_barn)["folder"] == str(tmp_path / "r1")
+    assert row("join", tmp_path / "r1")["name"] == "r1"
+    assert row("renew", "alice", *of_barn)["done"] == "renewed"
+    assert row("can", "alice", "end", "r1", *of_barn)["right"] == "end"

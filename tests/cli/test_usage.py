@@ -130,8 +130,9 @@ def test_help_of_every_verb_has_an_example():
 def test_dry_run_is_an_option_of_every_verb_that_changes_something():
     """Those that only read, and those that need no dry run, are listed by name."""
     harmless = {
-        *("agent", "log", "rerun", "why", "view", "report", "top", "what-if", "demo", "config", "plugin", "doctor"),
-        *("completion", "fleet enrol", "fleet init", "fleet join", "fleet renew", "fleet sign"),
+        *("agent info", "agent list", "agent unit"),
+        *("log", "rerun", "why", "view", "report", "top", "what-if", "demo", "config", "plugin", "doctor"),
+        "completion",
         *("task guards", "task info", "task list", "task migrations", "service info", "service list"),
         *("channel bw", "channel echo", "channel hz", "channel info", "channel list"),
         *("param describe", "param dump", "param get", "param list", "fleet can", "fleet list"),
@@ -143,6 +144,15 @@ def test_dry_run_is_an_option_of_every_verb_that_changes_something():
         if "--dry-run" not in {option for parameter in command.params for option in parameter.opts}
     ]
     assert [it for it in without if it not in harmless and it.split()[0] not in harmless] == []
+
+
+def test_format_is_an_option_of_every_verb():
+    without = [
+        " ".join(words)
+        for words, command in verbs(pancakes)
+        if "--format" not in {option for parameter in command.params for option in parameter.opts}
+    ]
+    assert without == []
 
 
 def test_usage_faults_are_exit_code_2():

@@ -216,9 +216,9 @@ class Mesh:
         """Dials again after `sleep`."""
         self._transport.call_later(0.0, self._wake)
 
-    def reload_keys(self) -> bool:
+    def reload_keys(self, dry_run: bool = False) -> bool:
         """See `Rekeying.reload`."""
-        return self._trust.rekeying.reload()
+        return self._trust.rekeying.reload(dry_run)
 
     @property
     def roster_fault(self) -> RosterFault | None:

@@ -52,16 +52,20 @@ class Rekeying:
         if self._keys is not None:
             self._call_later(LOOK_S, self._look)
 
-    def reload(self) -> bool:
+    def reload(self, dry_run: bool = False) -> bool:
         """Takes the key that lies there now; returns whether it is a new one. Any thread.
+
+        Args:
+            dry_run: whether it is only looked for.
 
         Raises:
             PancakesError: it cannot be used, or there are no keys.
         """
         if self._keys is None:
             raise PancakesError("it has no keys: pancakes fleet join, and start it again")
-        if not self._keys.reload():
-            return False
+        is_new = self._keys.reload(dry_run)
+        if dry_run or not is_new:
+            return is_new
         self._log("info", f"there is a new key in {self._keys.folder}, and links are made anew with it")
         self._call_later(0.0, self._begin)
         return True

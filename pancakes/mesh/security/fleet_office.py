@@ -66,11 +66,7 @@ class FleetOffice:
         Raises:
             PancakesError: it is borne already.
         """
-        for it in self._register.of(name):
-            raise PancakesError(
-                f"{it.who} belongs to the fleet {self.fleet} already: renew it with pancakes fleet renew {name}, or"
-                f" revoke it first"
-            )
+        self._register.check_new(name, self.fleet)
 
     def enrol(
         self,
@@ -101,10 +97,7 @@ class FleetOffice:
         Raises:
             PancakesError: there is none.
         """
-        found = self._register.of(who)
-        if not found:
-            raise PancakesError(f"the register of the fleet {self.fleet} has no {who}: see pancakes fleet list")
-        return found[-1]
+        return self._register.latest(who, self.fleet)
 
     def revoke(self, who: str, why: str, force: bool = False) -> list[Entry]:
         """Revokes all certificates of a bearer, and signs that.

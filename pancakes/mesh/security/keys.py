@@ -61,8 +61,11 @@ class Keys:
         found = [(self.folder / file).stat() for file in (KEY, FLEET) if (self.folder / file).exists()]
         return tuple(number for it in found for number in (it.st_ino, it.st_mtime_ns))
 
-    def reload(self) -> bool:
+    def reload(self, dry_run: bool = False) -> bool:
         """Takes the key that lies there now; returns whether it is a new one.
+
+        Args:
+            dry_run: whether it is only looked for.
 
         Raises:
             PancakesError: it cannot be used, or is another's. The old one stays; the next call says nothing of it.
@@ -70,14 +73,16 @@ class Keys:
         stamp = self._look()
         if stamp == self._stamp:
             return False
-        self._stamp = stamp
+        if not dry_run:
+            self._stamp = stamp
         new = Keys(self.folder)
         if (new.own.fleet, new.own.role, new.own.name) != (self.own.fleet, self.own.role, self.own.name):
             raise PancakesError(
                 f"the new key in {self.folder} is of {new.own.name} ({new.own.role}) in the fleet {new.own.fleet}: the"
                 f" old one, of {self.own.name}, stays in use"
             )
-        self.dialling, self.listening, self.own = new.dialling, new.listening, new.own
+        if not dry_run:
+            self.dialling, self.listening, self.own = new.dialling, new.listening, new.own
         return True
 
     def fault_of(self, shown: Certified) -> str:

@@ -62,6 +62,29 @@ class Register(msgspec.Struct, frozen=True):
         """Returns the certificates of a bearer that are believed; `who` is `NAME` or `ROLE/NAME`."""
         return [it for it in self.entries if not it.revoked and who in (it.name, it.who)]
 
+    def check_new(self, name: str, fleet: str) -> None:
+        """Checks that a name is free in a fleet.
+
+        Raises:
+            PancakesError: it is borne already.
+        """
+        for it in self.of(name):
+            raise PancakesError(
+                f"{it.who} belongs to the fleet {fleet} already: renew it with pancakes fleet renew {name}, or revoke"
+                " it first"
+            )
+
+    def latest(self, who: str, fleet: str) -> Entry:
+        """Returns the newest certificate of a bearer that is believed; `who` is `NAME` or `ROLE/NAME`.
+
+        Raises:
+            PancakesError: there is none.
+        """
+        found = self.of(who)
+        if not found:
+            raise PancakesError(f"the register of the fleet {fleet} has no {who}: see pancakes fleet list")
+        return found[-1]
+
 
 _ENCODE: Final = codecs.json_encoder()
 _DECODE: Final = codecs.json_decoder(Register)

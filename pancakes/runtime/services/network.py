@@ -188,7 +188,7 @@ class NetworkService(Service):
             self.reply(request)
         elif isinstance(body, ReloadKeys):
             try:
-                self.reply(request, result=self._mesh.reload_keys())
+                self.reply(request, result=self._mesh.reload_keys(body.dry_run))
             except PancakesError as error:
                 raise ControlRefused(str(error)) from None
         elif isinstance(body, Stop) and slot is not None and slot.name == CLIENT and agent_of(request.by) != self.agent:

@@ -12,8 +12,8 @@ from pancakes.control import ReloadKeys
 from pancakes.runtime.clock import utc_text
 from pancakes.tools.cli.asking import ask_each, survey
 from pancakes.tools.cli.name_types import agents, the_agent
-from pancakes.tools.cli.options import Ask, asks_agents, orders_agents
-from pancakes.tools.cli.output import show_json, show_sections, show_text
+from pancakes.tools.cli.options import Ask, asks_agents, dry_run_option, format_option, orders_agents
+from pancakes.tools.cli.output import DRY_RUN, show_json, show_sections, show_text
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
 
@@ -73,8 +73,9 @@ def info(agent: str, ask: Ask) -> None:
 
 @agent.command("reload-keys")
 @agents
+@dry_run_option
 @orders_agents
-def reload_keys(agents: tuple[str, ...], ask: Ask) -> None:
+def reload_keys(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
     """Have agents take a new key that `pancakes fleet join` has put in the place of the old one.
 
     An agent looks for one each minute by itself. New links use it, and the old ones are made anew, one after the other.
@@ -83,17 +84,19 @@ def reload_keys(agents: tuple[str, ...], ask: Ask) -> None:
     Example:
         pancakes agent reload-keys agent1
     """
-    rows = [{"agent": name, "new_key": found} for name, found in ask_each(ask, ReloadKeys(), *agents)]
-    ask.show(rows, ("agent", "new_key"))
+    rows = [{"agent": name, "new_key": found} for name, found in ask_each(ask, ReloadKeys(dry_run), *agents)]
+    done = {"done": DRY_RUN if dry_run else "reloaded"}
+    ask.show([{**row, **done} for row in rows], ("agent", "new_key", "done"))
 
 
 @agent.command()
 @click.argument("path", metavar="CONFIG", type=click.Path(dir_okay=False))
 @click.option("--user", "of_person", is_flag=True, help="A unit for your own services (systemctl --user).")
+@format_option
 @click.option(
     "--run-as", "user", metavar="USER", help="The user of this machine as which it runs.  [default: pancakes]"
 )
-def unit(path: str, of_person: bool, user: str | None) -> None:
+def unit(path: str, of_person: bool, user: str | None, format_: str) -> None:
     """Print the unit with which systemd runs the agent of CONFIG: ready when the agent is, restarted where it hangs.
 
     A service of the system runs under a user of its own, with state, log and runtime directories of its own, and may
@@ -113,10 +116,14 @@ def unit(path: str, of_person: bool, user: str | None) -> None:
     plugins = Plugins()
     config = load(path, (), plugins, must_load=True)
     if of_person:
-        show_text(user_unit_of(facts_of(config, plugins), os.getcwd(), os.environ), nl=False)
+        text = user_unit_of(facts_of(config, plugins), os.getcwd(), os.environ)
     else:
         runs_as = USER if user is None else user
-        show_text(unit_of(facts_of(config, plugins, runs_as), runs_as), nl=False)
+        text = unit_of(facts_of(config, plugins, runs_as), runs_as)
+    if format_ == "json":
+        show_json([{"agent": config.agent.name, "fleet": config.agent.fleet, "unit": text}])
+    else:
+        show_text(text, nl=False)
 
 
 def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str, Any]:

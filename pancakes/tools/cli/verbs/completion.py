@@ -11,13 +11,15 @@ import click
 from click.shell_completion import BashComplete, add_completion_class, get_completion_class, split_arg_string
 
 from pancakes.tools.cli.exit_codes import REFUSED, TRACEBACK
-from pancakes.tools.cli.output import show_text
+from pancakes.tools.cli.options import format_option
+from pancakes.tools.cli.output import show_json, show_text
 from pancakes.tools.cli.program import PROGRAM, VARIABLE
 
 
 @click.command()
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
-def completion(shell: str) -> None:
+@format_option
+def completion(shell: str, format_: str) -> None:
     """Print the script that completes verbs, options and the names of agents, tasks, services and channels.
 
     The names come from the agents that run, at that moment; with --at HOST:PORT before the name, from those there.
@@ -39,9 +41,13 @@ def completion(shell: str) -> None:
     Example:
         eval "$(pancakes completion bash)"
     """
-    script = get_completion_class(shell)
-    assert script is not None
-    show_text(script(click.get_current_context().find_root().command, {}, PROGRAM, VARIABLE).source().rstrip())
+    made = get_completion_class(shell)
+    assert made is not None
+    script = made(click.get_current_context().find_root().command, {}, PROGRAM, VARIABLE).source().rstrip()
+    if format_ == "json":
+        show_json([{"shell": shell, "script": script}])
+    else:
+        show_text(script)
 
 
 class WordsOfBash(BashComplete):

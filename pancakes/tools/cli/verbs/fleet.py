@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,7 +18,7 @@ from pancakes.mesh.security.key_files import KeyFiles
 from pancakes.mesh.security.rules import EVERY, RIGHTS, AccessRule, Bearer, Right, allows
 from pancakes.runtime.foundation.names import fault_of_name
 from pancakes.tools.cli.options import Duration, format_option
-from pancakes.tools.cli.output import DRY_RUN, show, show_text
+from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
 from pancakes.tools.cli.verbs.fleet_folder import founded, opened, spread
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ class BearerName(click.ParamType):
 of_fleet = click.option(
     "--fleet", "fleet_name", metavar="NAME", default="", help="The fleet. [default: the only one that is founded here]"
 )
+may_be_dry = click.option("--dry-run", is_flag=True, help="Only say what would be done, and ask for no password.")
 forced = click.option("--force", is_flag=True, help="Agents are to believe it whatever its date.")
 told_at = click.option(
     "--tell",
@@ -71,7 +72,9 @@ def fleet() -> None:
 @click.argument("name", metavar="FLEET", type=BearerName())
 @click.option("--me", "person", metavar="NAME", type=BearerName(), help="Your name in it. [default: your user's]")
 @click.option("--no-password", is_flag=True, help="Leave the authority's key unlocked.")
-def init(name: str, person: str | None, no_password: bool) -> None:
+@may_be_dry
+@format_option
+def init(name: str, person: str | None, no_password: bool, dry_run: bool, format_: str) -> None:
     """Found a fleet: its authority is made here, and you become its operator.
 
     The authority's key is locked with a password, which each command asks for that gives out or revokes a certificate.
@@ -86,11 +89,18 @@ def init(name: str, person: str | None, no_password: bool) -> None:
         from pancakes.mesh.security.fleet_office import FleetOffice
     if folder.exists() and any(folder.iterdir()):
         raise PancakesError(f"there is a fleet {name} in {folder} already")
+    row = {"fleet": name, "folder": str(folder), "operator": who}
+    if dry_run:
+        _tell(
+            format_, {**row, "done": DRY_RUN}, f"The fleet {name} would be in {folder}, with you as its operator {who}."
+        )
+        return
     password = None if no_password else click.prompt("Password", hide_input=True, confirmation_prompt=True)
     office = FleetOffice.founded(name, folder, password.encode() if password else None)
     office.enrol_with_key("operator", who).write(key_folders.folder_of_person(name))
     until = _date(office.latest(who).ends_s)
-    show_text(f"The fleet {name} is in {folder}. You are its operator {who} until {until}.")
+    said = f"The fleet {name} is in {folder}. You are its operator {who} until {until}."
+    _tell(format_, {**row, "until": until, "done": "founded"}, said)
 
 
 @fleet.command()
@@ -108,6 +118,8 @@ def init(name: str, person: str | None, no_password: bool) -> None:
 @click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="Where to wait for it.")
 @click.option("--for", "for_s", type=Duration(), default=600.0, show_default="10min", help="For how long.")
 @of_fleet
+@may_be_dry
+@format_option
 def enrol(
     name: str,
     role: CertifiedRole,
@@ -117,6 +129,8 @@ def enrol(
     port: int,
     for_s: float,
     fleet_name: str,
+    dry_run: bool,
+    format_: str,
 ) -> None:
     """Let a machine or a person into the fleet, under this name.
 
@@ -129,9 +143,15 @@ def enrol(
         pancakes fleet enrol agent2 --out agent2/
         pancakes fleet enrol bob --role observer
     """
+    from pancakes.mesh.security.register import read_register
+
+    folder = founded(fleet_name)
+    read_register(folder).check_new(name, folder.name)
+    if dry_run:
+        _give_dry(folder.name, role, name, out, format_)
+        return
     office = opened(fleet_name)
-    office.check_new(name)
-    _give(office, role, name, groups, out, host, port, for_s)
+    _give(office, role, name, groups, out, host, port, for_s, format_)
 
 
 @fleet.command()
@@ -141,7 +161,11 @@ def enrol(
 @click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="Where to wait for it.")
 @click.option("--for", "for_s", type=Duration(), default=600.0, show_default="10min", help="For how long.")
 @of_fleet
-def renew(name: str, out: Path | None, host: str, port: int, for_s: float, fleet_name: str) -> None:
+@may_be_dry
+@format_option
+def renew(
+    name: str, out: Path | None, host: str, port: int, for_s: float, fleet_name: str, dry_run: bool, format_: str
+) -> None:
     """Give a machine or a person a new key and certificate; for yourself that is done at once.
 
     The old certificate stays good, until it ends or is revoked. An agent that runs finds its new key within a minute.
@@ -151,20 +175,29 @@ def renew(name: str, out: Path | None, host: str, port: int, for_s: float, fleet
         pancakes fleet renew alice
         pancakes fleet renew agent1
     """
+    from pancakes.mesh.security.register import read_register
+
+    folder = founded(fleet_name)
+    entry = read_register(folder).latest(name, folder.name)
+    if dry_run:
+        _give_dry(folder.name, entry.role, entry.name, out, format_)
+        return
     office = opened(fleet_name)
-    entry = office.latest(name)
     own = key_folders.keys_of_person(office.fleet)
     if out is None and entry.role in PEOPLE and own is not None and _bearer(own) == entry.name:
         office.enrol_with_key(entry.role, entry.name, entry.groups).write(own)
         until = _date(office.latest(name).ends_s)
-        show_text(f"You are {entry.role} {entry.name} of the fleet {office.fleet} until {until}.")
+        row = {"name": entry.name, "role": entry.role, "until": until, "done": "renewed"}
+        _tell(format_, row, f"You are {entry.role} {entry.name} of the fleet {office.fleet} until {until}.")
     else:
-        _give(office, entry.role, entry.name, entry.groups, out, host, port, for_s)
+        _give(office, entry.role, entry.name, entry.groups, out, host, port, for_s, format_)
 
 
 @fleet.command()
 @click.argument("code", metavar="CODE|FOLDER")
-def join(code: str) -> None:
+@may_be_dry
+@format_option
+def join(code: str, dry_run: bool, format_: str) -> None:
     """Join a fleet, on the machine that is to belong to it: with the code of its operator, or a folder from there.
 
     \b
@@ -176,16 +209,27 @@ def join(code: str) -> None:
         files, made_here = _read(Path(code)), False
     else:
         with needing_extra("no fleet can be joined with a code"):
+            from pancakes.mesh.security.joining import JoinCode
             from pancakes.mesh.security.joining import join as join_with
+        if dry_run:
+            parsed = JoinCode.parse(code)
+            place = f"{parsed.host}:{parsed.port}"
+            said = f"The machine at {place} would be asked; it says which fleet that is, and under which name."
+            _tell(format_, {"at": place, "done": DRY_RUN}, said)
+            return
         files, made_here = _checked(join_with(code)), True
     folder = _folder_of(files)
+    row = {"name": files.name, "role": files.role, "fleet": files.fleet, "keys": str(folder)}
+    if dry_run:
+        said = f"The keys of {files.role} {files.name} of the fleet {files.fleet} would be in {folder}."
+        _tell(format_, {**row, "done": DRY_RUN}, said)
+        return
     files.write(folder)
     what = f"You are {files.role} {files.name}" if files.role in PEOPLE else f"This machine is {files.name}"
-    show_text(f"{what} of the fleet {files.fleet}: the keys are in {folder}.")
-    if made_here:
-        show_text("The key was made here and has not left this machine.")
-    else:
-        show_text(f"Remove {code} now, here and where it came from: it has the same key.")
+    made = "The key was made here and has not left this machine."
+    copied = f"Remove {code} now, here and where it came from: it has the same key."
+    said = f"{what} of the fleet {files.fleet}: the keys are in {folder}."
+    _tell(format_, {**row, "done": "joined"}, said, made if made_here else copied)
 
 
 @fleet.command("list")
@@ -225,7 +269,10 @@ def list_(fleet_name: str, format_: str) -> None:
 @told_at
 @forced
 @click.option("--dry-run", is_flag=True, help="Only show what would be revoked.")
-def revoke(who: str, why: str, fleet_name: str, addresses: tuple[str, ...], force: bool, dry_run: bool) -> None:
+@format_option
+def revoke(
+    who: str, why: str, fleet_name: str, addresses: tuple[str, ...], force: bool, dry_run: bool, format_: str
+) -> None:
     """Revoke all certificates of a machine or a person: a robot or a laptop is lost, or a person has left.
 
     Agents end its links within a second of hearing of it, and tell each other. An agent that is away hears of it when
@@ -241,18 +288,20 @@ def revoke(who: str, why: str, fleet_name: str, addresses: tuple[str, ...], forc
     if dry_run:
         from pancakes.mesh.security.register import read_register
 
-        _show_entries(read_register(folder).of(who), DRY_RUN)
+        _show_entries(read_register(folder).of(who), DRY_RUN, format_)
         return
     office = opened(fleet_name)
-    _show_entries(office.revoke(who, why, force), "revoked")
-    spread(office, addresses, must_be_heard=True)
+    _show_entries(office.revoke(who, why, force), "revoked", format_)
+    spread(office, addresses, must_be_heard=True, format_=format_)
 
 
 @fleet.command()
 @of_fleet
 @told_at
 @forced
-def sign(fleet_name: str, addresses: tuple[str, ...], force: bool) -> None:
+@may_be_dry
+@format_option
+def sign(fleet_name: str, addresses: tuple[str, ...], force: bool, dry_run: bool, format_: str) -> None:
     """Sign the roster of the fleet again, and tell the agents.
 
     The exit code is 1 if an agent that was reached does not go by it; standard error says why.
@@ -261,10 +310,20 @@ def sign(fleet_name: str, addresses: tuple[str, ...], force: bool) -> None:
     Example:
         pancakes fleet sign --tell 192.168.1.23:7401
     """
+    if dry_run:
+        from pancakes.mesh.security.register import read_register
+        from pancakes.mesh.security.rules_file import read_rules
+
+        folder = founded(fleet_name)
+        number, rules = read_register(folder).number + 1, len(read_rules(folder))
+        row = {"fleet": folder.name, "roster": number, "rules": rules, "done": DRY_RUN}
+        _tell(format_, row, f"The roster {number} of the fleet {folder.name} would be signed, with {rules} rules.")
+        return
     office = opened(fleet_name)
     roster = office.sign(force)
-    show_text(f"The roster {roster.number} of the fleet {office.fleet} is signed.")
-    spread(office, addresses)
+    row = {"fleet": office.fleet, "roster": roster.number, "rules": len(roster.allow), "done": "signed"}
+    _tell(format_, row, f"The roster {roster.number} of the fleet {office.fleet} is signed.")
+    spread(office, addresses, format_=format_)
 
 
 @fleet.command()
@@ -276,6 +335,7 @@ def sign(fleet_name: str, addresses: tuple[str, ...], force: bool) -> None:
 @told_at
 @forced
 @click.option("--dry-run", is_flag=True, help="Only show the rule.")
+@format_option
 def allow(
     who: str,
     rights: tuple[Right, ...],
@@ -285,6 +345,7 @@ def allow(
     addresses: tuple[str, ...],
     force: bool,
     dry_run: bool,
+    format_: str,
 ) -> None:
     """Let members of the fleet do something: it adds a rule to rules.toml, and signs the roster.
 
@@ -301,9 +362,9 @@ def allow(
         office = opened(fleet_name)
         office.allow(rule, force)
     row = {"who": who, "may": list(rights), "on": list(rule.on), "at": list(rule.at)}
-    show([{**row, "done": DRY_RUN if dry_run else "allowed"}], (*row, "done"), "table")
+    show([{**row, "done": DRY_RUN if dry_run else "allowed"}], (*row, "done"), format_)
     if not dry_run:
-        spread(office, addresses)
+        spread(office, addresses, format_=format_)
 
 
 @fleet.command()
@@ -312,7 +373,8 @@ def allow(
 @click.argument("on", metavar="ON")
 @click.option("--at", default=EVERY, metavar="AGENT", help="At this agent. [default: at an agent that no rule names]")
 @of_fleet
-def can(who: str, right: Right, on: str, at: str, fleet_name: str) -> None:
+@format_option
+def can(who: str, right: Right, on: str, at: str, fleet_name: str, format_: str) -> None:
     """Say whether a member of the fleet may do something, and by which rule. No agent is asked.
 
     It goes by the roster that was signed last. The exit code is 1 where the answer is no.
@@ -341,8 +403,9 @@ def can(who: str, right: Right, on: str, at: str, fleet_name: str) -> None:
             f"no: no rule of the roster {roster.number} gives {entry.who} the right {right!r} on {on!r}. To grant it:"
             f" pancakes fleet allow {entry.name} {right} --on '{on}'" + (f" --at {at}" if at != EVERY else "")
         )
+    row = {"who": entry.who, "right": right, "on": on, "at": at, "roster": roster.number, "rule": _plain(found)}
     parts = [", ".join(found.who), "may", ", ".join(found.may), "on", ", ".join(found.on), "at", ", ".join(found.at)]
-    show_text(f"yes: {' '.join(parts)} (roster {roster.number})")
+    _tell(format_, row, f"yes: {' '.join(parts)} (roster {roster.number})")
 
 
 # What they share ------------------------------------------------------------------------------------------------
@@ -357,24 +420,51 @@ def _give(
     host: str,
     port: int,
     for_s: float,
+    format_: str,
 ) -> None:
     """Gives out a certificate: into a folder, or to the machine that says the code."""
     if out is not None:
         if out.exists() and any(out.iterdir()):
             raise PancakesError(f"the folder {out} is not empty")
         office.enrol_with_key(role, name, groups).write(out)
-        show_text(f"Copy {out} to {name} by a way that others cannot read; there: pancakes fleet join {out.name}")
-        show_text("It has the private key: remove it here afterwards.")
+        said = f"Copy {out} to {name} by a way that others cannot read; there: pancakes fleet join {out.name}"
+        row = {"name": name, "role": role, "folder": str(out), "done": "written"}
+        _tell(format_, row, said, "It has the private key: remove it here afterwards.")
         return
     from pancakes.mesh.address import is_loopback
     from pancakes.mesh.security.joining import Desk, own_address
 
     if not host and is_loopback(f"tcp://{(host := own_address())}:{port}"):
-        show_text("This machine has no way to others, so only a program here can use the code (--host names another).")
+        said = "This machine has no way to others, so only a program here can use the code (--host names another)."
+        show_text(said, err=format_ == "json")
     desk = Desk(host, port, for_s)
-    show_text(f"On {name}, within {for_s / 60:.3g} minutes:  pancakes fleet join {desk.code}")
+    said = f"On {name}, within {for_s / 60:.3g} minutes:  pancakes fleet join {desk.code}"
+    show_text(said, err=format_ == "json")
     came_from = desk.serve(lambda key, place: office.enrol(key, role, name, groups, came_from=place))
-    show_text(f"{name} has joined from {came_from}.")
+    row = {"name": name, "role": role, "came_from": came_from, "done": "joined"}
+    _tell(format_, row, f"{name} has joined from {came_from}.")
+
+
+def _give_dry(fleet: str, role: CertifiedRole, name: str, out: Path | None, format_: str) -> None:
+    """Says what `_give` would do, for which no password is needed."""
+    if out is not None and out.exists() and any(out.iterdir()):
+        raise PancakesError(f"the folder {out} is not empty")
+    place = f"a folder {out}" if out is not None else f"{name}, once it has said the code that is shown"
+    row = {"name": name, "role": role, "fleet": fleet, "folder": str(out) if out is not None else "", "done": DRY_RUN}
+    _tell(format_, row, f"A certificate of {role} {name} of the fleet {fleet} would be given to {place}.")
+
+
+def _tell(format_: str, row: Mapping[str, Any], *sentences: str) -> None:
+    """Shows what was done: in sentences for people, or as a row of JSON for programs."""
+    if format_ == "json":
+        show_json([row])
+        return
+    for sentence in sentences:
+        show_text(sentence)
+
+
+def _plain(rule: AccessRule) -> dict[str, list[str]]:
+    return {"who": list(rule.who), "may": list(rule.may), "on": list(rule.on), "at": list(rule.at)}
 
 
 def _read(folder: Path) -> KeyFiles:
@@ -427,9 +517,9 @@ def _bearer(folder: Path) -> str:
     return Keys(folder).own.name
 
 
-def _show_entries(entries: Sequence[Entry], done: str) -> None:
+def _show_entries(entries: Sequence[Entry], done: str, format_: str) -> None:
     rows = [{"name": it.name, "role": it.role, "serial": it.serial, "done": done} for it in entries]
-    show(rows, ("name", "role", "serial", "done"), "table")
+    show(rows, ("name", "role", "serial", "done"), format_)
 
 
 def _own_name() -> str:
