@@ -18,6 +18,8 @@ MOST_LINES: Final = 32
 """... and so many of them, the newest."""
 MOST_LETTERS: Final = 400
 _LEVELS: Final = ("warning", "error")
+_PASSING: Final = re.compile(r"the link to \S+ has ended|no link over .*(reset by peer|broken pipe|has ended)", re.IGNORECASE)
+"""What goes by with the next try: `doctor` sees for itself which peers have no link now."""
 _NUMBER: Final = re.compile(r"\d+(?:\.\d+)?")
 
 
@@ -38,7 +40,7 @@ class RecentWarnings:
     def hear(self, packet: Packet, now_s: float) -> None:
         """Takes what was said on `log`; `now_s` is host time."""
         line = packet.body
-        if not isinstance(line, LogLine) or line.level not in _LEVELS:
+        if not isinstance(line, LogLine) or line.level not in _LEVELS or _PASSING.match(line.text):
             return
         text = line.text[:MOST_LETTERS]
         key = packet.source, _NUMBER.sub("#", text)

@@ -9,6 +9,7 @@ from pancakes.testing import FleetInTest
 class Grumbles(Task):
     def on_start(self):
         self.log("info", "all is well")
+        self.log("warning", "the link to b has ended: connection reset by peer")
         self.log("warning", "the lamp flickers: 3 times in 2.5 s")
         self.after(1.0, lambda: self.log("warning", "the lamp flickers: 9 times in 7.0 s"))
         self.after(1.0, lambda: self.log("error", "the lamp is dark"))
