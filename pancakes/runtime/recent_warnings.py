@@ -18,7 +18,7 @@ MOST_LINES: Final = 32
 """... and so many of them, the newest."""
 MOST_LETTERS: Final = 400
 _LEVELS: Final = ("warning", "error")
-_PASSING: Final = re.compile(r"the link to \S+ has ended|no link over .*(reset by peer|broken pipe|has ended)", re.IGNORECASE)
+_PASSING: Final = re.compile(r"the link to \S+ has ended|no link over .*(reset by peer|broken pipe|has ended)")
 """What goes by with the next try: `doctor` sees for itself which peers have no link now."""
 _NUMBER: Final = re.compile(r"\d+(?:\.\d+)?")
 
