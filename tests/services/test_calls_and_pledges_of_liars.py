@@ -12,12 +12,14 @@ from pancakes.mesh.guarding.guard_messages import (
     Pledge,
     SeizeTask,
 )
+from pancakes.mesh.guarding.seizing import called, told
 from pancakes.mesh.guarding.taking_over import LeaseSeen, TakeTask
 from pancakes.mesh.migration.epoch import MOST_STEP, Epoch
 from pancakes.mesh.migration.guards import GuardianId, Guards, forgotten_guards
 from pancakes.mesh.migration.messages import Nak, Reserve, Solicit, addressed
-from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.record import Record, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.mesh.migration.volatile import Volatile
 from pancakes.runtime.supervision.guardian_messages import GUARDIAN
 from pancakes.testing import FleetInTest
 
@@ -156,3 +158,25 @@ def test_task_is_not_handed_over_by_a_stranger_while_its_owner_has_no_permit(fle
     say(fleet, "d", Reserve(COUNT, Epoch(9, "d"), request), "e/client")
     fleet.run_for(0.5)
     assert "d has no right to it" in next(body.reason for body in declined if isinstance(body, Nak))
+
+
+def test_one_guardian_alone_has_no_task_taken_over(fleet):
+    """C guards it indeed, and says that it alone does, by the owner's word, and that the owner is silent."""
+    mine, b = Guards(Epoch(7, "c"), 0, ((guardian(fleet, "c"),),)), fleet.agents["b"]
+    say(fleet, "c", TakeTask(COUNT, "test.Count", FIRST, mine, CheckpointId(FIRST, 1)), "b/client")
+    assert runs_once(fleet) and not b.events("task_called")
+    assert any("a has a/Count, under the epoch 0@a" in line for line in b.lines("warning"))
+
+
+def test_guards_that_one_guardian_tells_of_do_not_decide_alone(fleet):
+    """Those that the taker knows itself must pledge themselves too, more than half of them."""
+    a, b, c = (guardian(fleet, name) for name in "abc")
+    own, alone = Guards(FIRST, 2, ((a, b, c),)), Guards(Epoch(7, "c"), 0, ((c,),))
+    call = TakeTask(COUNT, "test.Count", FIRST, alone, CheckpointId(FIRST, 1))
+    seizing = called("b", Record(COUNT), Volatile(), call, own)
+    assert seizing is not None and set(seizing.unasked()) == {a, b, c}
+    body = CheckpointBody(b"state")
+    seizing = told(seizing, Pledge(COUNT, seizing.epoch, c, CheckpointId(FIRST, 1), alone, body))
+    assert seizing.result() is None
+    seizing = told(seizing, Pledge(COUNT, seizing.epoch, b, CheckpointId(FIRST, 1), own, body))
+    assert seizing.result() is not None

@@ -57,6 +57,12 @@ def say(fleet, speaker, message, to):
     fleet.agents[speaker].publish("network", addressed(message, journal), to=to)
 
 
+def cut_off_from_owner(fleet):
+    """B is not linked to a, which would say that it has the task; c is."""
+    fleet.network.partition(["a"], ["b"])
+    fleet.run_for(3.0)
+
+
 def goes_on(fleet):
     fleet.run_for(3.0)
     a = fleet.agents["a"]
@@ -83,6 +89,7 @@ def test_denials_are_of_guardians_alone(fleet):
 
 def test_pledges_are_of_guardians_alone(fleet):
     b = fleet.agents["b"]
+    cut_off_from_owner(fleet)
     guards = record(fleet).guards
     call = TakeTask(COUNT, "test.Count", FIRST, guards, CheckpointId(FIRST, 1))
     say(fleet, "c", call, "b/client")
@@ -148,6 +155,7 @@ def test_a_stranger_is_not_told_of_leases(fleet):
 
 def test_what_was_meant_for_an_agent_with_another_disk_has_no_effect(fleet):
     c, b = fleet.agents["c"], fleet.agents["b"]
+    cut_off_from_owner(fleet)
     call = TakeTask(COUNT, "test.Count", FIRST, record(fleet).guards, CheckpointId(FIRST, 1))
     for body, to in ((AskLease(COUNT), f"b/{GUARDIAN}"), (call, "b/client")):
         c.publish("network", addressed(body, "another"), to=to)
@@ -189,6 +197,7 @@ def test_a_guardian_outlives_a_checkpoint_that_cannot_be_read(fleet, moves):
 
 def test_a_pledge_with_a_checkpoint_that_cannot_be_read_does_not_count(fleet):
     b, guards = fleet.agents["b"], record(fleet).guards
+    cut_off_from_owner(fleet)
     say(fleet, "c", TakeTask(COUNT, "test.Count", FIRST, guards, CheckpointId(FIRST, 1)), "b/client")
     assert fleet.run_until(lambda: COUNT in b.component("client").places, 1.0)
     for name in "ac":

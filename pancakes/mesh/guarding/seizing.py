@@ -21,7 +21,7 @@ from pancakes.mesh.guarding.guard_messages import (
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch, is_out_of_reach
 from pancakes.mesh.migration.event import Seized
-from pancakes.mesh.migration.guards import GuardianId, Guards, newest
+from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards, newest
 from pancakes.mesh.migration.messages import Commit
 from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.volatile import Volatile
@@ -41,6 +41,8 @@ class Seizing(msgspec.Struct, frozen=True):
         body: that checkpoint; None: it has none yet.
         pledged: the guardians that have pledged themselves.
         denied: what others have said, by guardian.
+        own: the guards that this agent knows as a guardian itself: newer ones that another tells of must not decide
+            without them, as it may lie.
     """
 
     task_id: TaskId
@@ -53,6 +55,7 @@ class Seizing(msgspec.Struct, frozen=True):
     offer: Epoch = NO_EPOCH
     pledged: tuple[GuardianId, ...] = ()
     denied: tuple[DenyLease, ...] = ()
+    own: Guards = NO_GUARDS
 
     def ask(self) -> SeizeTask:
         """Returns what the guardians are asked."""
@@ -60,11 +63,17 @@ class Seizing(msgspec.Struct, frozen=True):
 
     def unasked(self) -> list[GuardianId]:
         """Returns the guardians that have not pledged themselves yet."""
-        return [one for one in self.guards.members() if one not in self.pledged]
+        return [one for one in self.members() if one not in self.pledged]
+
+    def members(self) -> list[GuardianId]:
+        """Returns all guardians whose word counts."""
+        return list(dict.fromkeys((*self.guards.members(), *self.own.members())))
 
     def result(self) -> Seized | None:
         """Returns what follows once a quorum has pledged itself; None: none has yet, or none has a checkpoint."""
         if self.body is None or not self.guards.has_quorum(self.pledged):
+            return None
+        if self.own.sets and not self.own.has_quorum(self.pledged):
             return None
         body = self.body
         return Seized(self.epoch, self.guards, body.snapshot, body.wanted, self.source, self.offer)
@@ -76,7 +85,7 @@ class Seizing(msgspec.Struct, frozen=True):
 
 def told(seizing: Seizing, answer: GuardAnswer) -> Seizing:
     """Takes what a guardian says to an agent that has asked for its pledge; what others say changes nothing."""
-    if answer.epoch != seizing.epoch or answer.guardian not in seizing.guards.members():
+    if answer.epoch != seizing.epoch or answer.guardian not in seizing.members():
         return seizing
     if isinstance(answer, DenyLease):
         if is_out_of_reach(answer.promised, seizing.epoch):
@@ -110,7 +119,7 @@ def given_away(me: str, record: Record, type: str, source: str, commit: Commit) 
     return Seizing(*parts, source, commit.offer)
 
 
-def called(me: str, record: Record, volatile: Volatile, call: TakeTask) -> Seizing | None:
+def called(me: str, record: Record, volatile: Volatile, call: TakeTask, own: Guards = NO_GUARDS) -> Seizing | None:
     """Returns how an agent begins to take a task at the word of a guardian; None: it does not.
 
     Args:
@@ -118,6 +127,7 @@ def called(me: str, record: Record, volatile: Volatile, call: TakeTask) -> Seizi
         record: the record here.
         volatile: what is known besides.
         call: what the guardian says.
+        own: the guards that this agent knows as a guardian itself.
     """
     if record.phase is Phase.FROZEN or volatile.running:
         return None
@@ -125,7 +135,7 @@ def called(me: str, record: Record, volatile: Volatile, call: TakeTask) -> Seizi
     checkpoint = CheckpointId(record.epoch, record.no) if ours else NO_CHECKPOINT
     body = CheckpointBody(record.snapshot, record.wanted) if ours else None
     epoch = Epoch(max(record.seen.n, call.promised.n) + 1, me)
-    return Seizing(record.task_id, call.type, epoch, call.guards, checkpoint, body)
+    return Seizing(record.task_id, call.type, epoch, newest(own, call.guards), checkpoint, body, own=own)
 
 
 def is_vain(seizing: Seizing, record: Record) -> bool:

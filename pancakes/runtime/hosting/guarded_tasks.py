@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from msgspec.structs import replace
-
 from pancakes.mesh.guarding.choosing import CanGuard
 from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.effect import Seize
 from pancakes.mesh.migration.event import PacketId
 from pancakes.mesh.migration.guarded_task import is_checkpoint
-from pancakes.mesh.migration.guards import GuardianId, Guards, newest
+from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards
 from pancakes.mesh.migration.messages import is_for
-from pancakes.mesh.migration.record import Phase, Record
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.packet import Fence, Packet, agent_of
 from pancakes.runtime.hosting.checkpointing import Checkpointing
 from pancakes.runtime.hosting.deliveries import Deliveries
@@ -119,18 +117,19 @@ class GuardedTasks:
         here = self._records.service_of(call.task_id) in ("", self._host.name)
         if not here or self._host.kernel.access.fault(peer, "guard", call.type):
             return
-        register, record = self._host.state.register_of(call.task_id), self._records.get(call.task_id)
-        guards_it = register is not None and self._talk.me in register.guards.members()
-        # What this agent knows as a guardian itself, it need not be told.
-        guards = register.guards if register is not None and guards_it else call.guards
-        if peer not in {one.agent for one in guards.members()}:
+        record, own = self._records.get(call.task_id), self._own_guards(call.task_id)
+        if peer not in {one.agent for one in (own if own.sets else call.guards).members()}:
             self._not_believed(packet, f"{peer} does not guard it")
         elif record is not None and self._needs_no_taker(record, call):
             self._not_believed(packet, f"it is {record.phase.value} here, and not guarded")
-        elif guards_it:
-            self._take(packet, newest(guards, call.guards))
         else:
             self._origins.judge(packet, self._judged)
+
+    def _own_guards(self, task_id: TaskId) -> Guards:
+        """Returns what this agent knows itself of the guardians of a task; none where it is none of them."""
+        register = self._host.state.register_of(task_id)
+        guards_it = register is not None and self._talk.me in register.guards.members()
+        return register.guards if register is not None and guards_it else NO_GUARDS
 
     def _needs_no_taker(self, record: Record, call: TakeTask) -> bool:
         if record.removed:
@@ -140,13 +139,10 @@ class GuardedTasks:
     def _judged(self, packet: Packet, refusal: str) -> None:
         if refusal:
             self._not_believed(packet, refusal)
-        else:
-            self._take(packet, packet.body.guards)
-
-    def _take(self, packet: Packet, guards: Guards) -> None:
-        call = replace(packet.body, guards=guards)
+            return
+        call = packet.body
         place = self._host.places.get(call.task_id) or Place(call.task_id, Standing(Record(call.task_id)))
-        self._takings.called(place, call)
+        self._takings.called(place, call, self._own_guards(call.task_id))
 
     def _not_believed(self, packet: Packet, why: str) -> None:
         peer, task_id = agent_of(packet.source), packet.body.task_id

@@ -11,7 +11,7 @@ from pancakes.mesh.guarding.guard_messages import DenyLease, GuardAnswer, Pledge
 from pancakes.mesh.guarding.seizing import Seizing
 from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration.effect import Seize
-from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.guards import GuardianId, Guards
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.peer_talk import PeerTalk
@@ -52,11 +52,17 @@ class Takings:
             return
         self._begin(place, rules.given_away(self._host.agent, record, type, effect.source, commit), None)
 
-    def called(self, place: Place, call: TakeTask) -> None:
-        """A guardian says that the owner of a task is silent, and that this agent is to take it."""
+    def called(self, place: Place, call: TakeTask, own: Guards) -> None:
+        """A guardian says that the owner of a task is silent, and that this agent is to take it.
+
+        Args:
+            place: the place of the task.
+            call: what the guardian says.
+            own: the guards that this agent knows as a guardian itself.
+        """
         if place.taking is not None or self._called >= MOST_CALLED:
             return
-        seizing = rules.called(self._host.agent, place.standing.record, place.standing.volatile, call)
+        seizing = rules.called(self._host.agent, place.standing.record, place.standing.volatile, call, own)
         if seizing is None:
             return
         self._host.places.keep(place)
@@ -110,7 +116,7 @@ class Takings:
             except MigrationError as error:
                 self._host.log("warning", f"the pledge of {answer.guardian.agent} does not count: {error}")
                 return
-        known = taking.seizing.guards.members()
+        known = taking.seizing.members()
         taking.seizing = seizing = rules.told(taking.seizing, answer)
         if isinstance(answer, DenyLease):
             self._host.log("debug", f"{answer.guardian.agent} does not pledge {place.task_id}: {answer.reason}")
