@@ -14,6 +14,7 @@ from pancakes.packet import NEIGHBOURS, SYSCTRL, SYSTEM, Packet, join, packet_ty
 from pancakes.runtime.config import parse
 from pancakes.runtime.hosting import boot_memory
 from pancakes.runtime.hosting.ledgers import KEPT as LEDGERS
+from pancakes.runtime.kernel import unheard
 from pancakes.task import Task, Tick, every, on, reliable
 from pancakes.testing import registered
 
@@ -135,7 +136,8 @@ def trouble():
     for _ in range(2 * LEDGERS):  # so many accounts of moves are kept, on either side
         made.move("Walk")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(boot_memory, "MOST_AGENTS", 3)  # a bound that is reached here, and holds
+        patch.setattr(boot_memory, "MOST_AGENTS", 3)  # bounds that are reached here, and hold
+        patch.setattr(unheard, "MOST_TOLD", 3)
         for _ in range(2):
             made.one_round()
         yield made
