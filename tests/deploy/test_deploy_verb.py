@@ -202,7 +202,9 @@ def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts,
         # A configuration that is not sound with what is brought stops all before anything is touched.
         pids = running(robots)
         failed = deploy(rig, fleet, *ours, "--wheels", second, "--set", "c:task.Own.type=yard.Run")
-        assert failed.returncode == 1 and "nothing was brought to a host" in failed.stderr and "yard.Run" in failed.stderr
+        assert (
+            failed.returncode == 1 and "nothing was brought to a host" in failed.stderr and "yard.Run" in failed.stderr
+        )
         assert {name: files_of(host) for name, host in robots.hosts.items()} == before and running(robots) == pids
     finally:
         ended = rig.pancakes("down", "--fleet-file", str(fleet))
