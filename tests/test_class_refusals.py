@@ -357,3 +357,26 @@ def test_one_word_for_a_tuple_of_words_is_refused(module_of, name):
     said = refusal(module_of, f"class Robot(Task):\n    {name} = 'pose'\n")
     assert f"Robot.{name} is 'pose': write ('pose',)" in said
     assert "and no tuple of names" in refusal(module_of, f"class Robot(Task):\n    {name} = (1, '')\n")
+
+
+KEEPS = ["'latst'", "5", "None", "queue(0)", "queue(-1)", "queue('5')", "queue(2.5)", "queue(True)"]
+
+
+@pytest.mark.parametrize("keep", KEEPS)
+def test_keep_that_is_none_is_refused_where_it_is_written(module_of, keep):
+    """It would fail whoever publishes, and not the task that wrote it."""
+    said = refusal(module_of, f"class Robot(Task):\n    @on('system', keep={keep})\n    def seen(self, packet): ...\n")
+    assert said.startswith(("keep is ", "queue takes "))
+
+
+def test_keep_that_is_none_fails_the_task_that_subscribes(fleet):
+    class Subscribes(Task):
+        def on_start(self):
+            self.subscribe("system", Load, self.seen, keep="latest")
+            self.subscribe("system", Load, self.seen, keep="last")  # type: ignore[arg-type]
+
+        def seen(self, packet): ...
+
+    agent = fleet.start("a", tasks={"Subscribes": Subscribes})
+    agent.wait_for_event("task_given_up", task="Subscribes")
+    assert agent.publish("system", Load(0.5)), "who publishes has no part in it"

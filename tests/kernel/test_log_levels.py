@@ -35,6 +35,40 @@ def test_lines_are_said_as_logging_has_it() -> None:
     ]
 
 
+def test_a_line_that_is_none_is_said_all_the_same() -> None:
+    """As with logging: the mistake costs the line its form, and not the task its life."""
+    rig = VirtualRig()
+    log: Any = rig.source.log
+    log.error(ValueError("no echo"))
+    log.info("battery at %d%", 40)
+    log.info("%s and %s", "one")
+    log("info", 5)
+    assert [text for _, text in said(rig)] == ["no echo", "battery at %d% (40,)", "%s and %s ('one',)", "5"]
+
+
+def test_the_log_may_be_given_to_others() -> None:
+    class Opens(Task):
+        def on_start(self) -> None:
+            self.port = open_port(self.log, "/dev/ttyUSB0")
+            self.both = {"log": self.log, "name": "left"}
+            self.log(text="t", level="info")  # type: ignore[call-arg]
+
+        def reads(self) -> type:
+            class Reader:
+                def __init__(self) -> None:
+                    self.log: dict[str, str] = {}
+
+                def warn(self) -> None:
+                    self.log.clear()
+
+            return Reader
+
+    def open_port(*given: object) -> object:
+        return given
+
+    assert Opens
+
+
 def test_an_exception_is_said_with_its_traceback() -> None:
     rig = VirtualRig()
     try:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import Annotated, Any, Final, TypeAlias
 
@@ -124,6 +124,8 @@ def _checks_fields(
         return None
 
     def check_fields(value: Any) -> str:
+        if not isinstance(value, info.cls):  # a body that was made here was never decoded
+            return f" is {value!r}, which is no {info.cls.__name__}"
         for name, get, check in checks:
             if fault := check(get(value)):
                 return f".{name}{fault}"
@@ -137,6 +139,8 @@ def _checks_items(check: _Check | None) -> _Check | None:
         return None
 
     def check_items(value: Any) -> str:
+        if not isinstance(value, Iterable):
+            return f" is {value!r}, which is no list"
         for number, item in enumerate(value):
             if fault := check(item):
                 return f"[{number}]{fault}"

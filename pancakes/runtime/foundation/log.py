@@ -42,7 +42,7 @@ class Log:
         """
         if level not in LEVELS:
             raise PancakesError(f"the log has no level {level!r}{did_you_mean(level, LEVELS, _only(LEVELS))}")
-        self._say(level, text, traceback)
+        self._say(level, str(text), traceback)
 
     def debug(self, text: str, *arguments: Any) -> None:
         """Says what only who looks for a fault wants to know.
@@ -74,8 +74,15 @@ class Log:
         raise AttributeError(f"the log has no {name!r}{did_you_mean(name, _METHODS, _only(_METHODS))}")
 
 
-def _filled(text: str, arguments: tuple[Any, ...]) -> str:
-    return text % arguments if arguments else text
+def _filled(text: object, arguments: tuple[Any, ...]) -> str:
+    """Returns a line. As with logging, a mistake in it costs the line its form, and not the task its life."""
+    line = str(text)
+    if not arguments:
+        return line
+    try:
+        return line % arguments
+    except (TypeError, ValueError, KeyError):
+        return f"{line} {arguments!r}"
 
 
 def _only(words: tuple[str, ...]) -> str:
@@ -97,9 +104,12 @@ def check_levels(cls: type) -> None:
 
 
 def _unknown_levels(code: CodeType) -> Iterator[tuple[str, int]]:
-    """Yields what stands for a level in `self.log("...")` and `self.log. ...()`, with its line."""
+    """Yields what stands for a level in `self.log("...")` and `self.log. ...()`, with its line.
+
+    Of words, only those that are nearly a level, or mean one: the log may be given to another function with them.
+    """
     for inner in code.co_consts:
-        if isinstance(inner, CodeType):
+        if isinstance(inner, CodeType) and "self" not in inner.co_varnames[: inner.co_argcount]:
             yield from _unknown_levels(inner)
     if "log" not in code.co_names:
         return
@@ -110,7 +120,7 @@ def _unknown_levels(code: CodeType) -> Iterator[tuple[str, int]]:
         word = instruction.argval
         is_attribute = instruction.opname in ("LOAD_ATTR", "LOAD_METHOD")
         line = instruction.positions.lineno if instruction.positions is not None else None
-        is_word = instruction.opname == "LOAD_CONST" and isinstance(word, str)
+        is_word = instruction.opname == "LOAD_CONST" and isinstance(word, str) and bool(did_you_mean(word, _METHODS))
         if of_log and ((is_attribute and word not in _METHODS) or (is_word and word not in LEVELS)):
             yield word, line or code.co_firstlineno
         of_log = owner and is_attribute and word == "log"

@@ -34,7 +34,7 @@ class HostingService(Reference, Protocol):
     closing: bool
 
     def subscribe(
-        self, channel: str, body: type | str | None, handler: Callable[[Packet], None], keep: Keep | None = None
+        self, channel: str, body: type | str | None, handler: Callable[[Packet], None], keep: Keep = ...
     ) -> None: ...
 
     def feed_place(self, place: Place, event: AnyEvent | None) -> None:

@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from time import thread_time
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import pykka
 
@@ -21,8 +21,8 @@ from pancakes.runtime.kernel.call import Call
 from pancakes.runtime.kernel.channel_queue import ChannelQueue
 from pancakes.runtime.kernel.dispatch import TURN, is_for_program
 from pancakes.runtime.kernel.flag import Flag
-from pancakes.runtime.kernel.handlers import Subscription, period_of
-from pancakes.runtime.kernel.keep import Keep
+from pancakes.runtime.kernel.handlers import DEFAULT_KEEP, Subscription, period_of
+from pancakes.runtime.kernel.keep import Keep, keep_of
 from pancakes.runtime.kernel.mailbox import Mailbox
 from pancakes.runtime.kernel.plan import NO_HANDLERS, Handlers, plan_of
 from pancakes.runtime.kernel.pykka_actor import PykkaActor
@@ -176,21 +176,27 @@ class Component(PykkaActor):
             self.kernel.stream.undelivered += 1
 
     def subscribe(
-        self, channel: str, body: type | str | None, handler: Callable[[Packet], None], keep: Keep | None = None
+        self,
+        channel: str,
+        body: type | str | None,
+        handler: Callable[[Packet], None],
+        keep: Keep | Literal["latest"] = DEFAULT_KEEP,
     ) -> None:
         """Calls `handler` with each packet on `channel` from now on; for what is known at run time only.
 
         Raises:
             UnknownChannel: the stream has no such channel.
-            ClassError: the handler is `async def`, or cannot be called with a packet.
+            ClassError: the handler is `async def`, or cannot be called with a packet; or `keep` is nothing of that
+                kind.
         """
+        kept = keep_of(keep)
         check_called(handler, ("packet",), "subscribe calls it with a packet", "def handle(packet: Packet) -> None")
         name = body if body is None or isinstance(body, str) else type_name(body)
         if self.__shares_handlers:
             self.__handlers = {channel: Handlers(shared) for channel, shared in self.__handlers.items()}
             self.__shares_handlers = False
         self.__handlers.setdefault(channel, Handlers()).add(name, lambda component, packet: handler(packet))
-        self.kernel.stream.subscribe(self.address, self.actor_inbox, Subscription(channel, name, keep or Keep(256)))
+        self.kernel.stream.subscribe(self.address, self.actor_inbox, Subscription(channel, name, kept))
 
     def open_channel(self, name: str) -> None:
         """Adds a channel to the information stream; one that is there already is left alone."""

@@ -11,7 +11,7 @@ import msgspec
 from pancakes.errors import ClassError
 from pancakes.packet import type_name
 from pancakes.runtime.foundation.signatures import check_called
-from pancakes.runtime.kernel.keep import LATEST, Keep, queue
+from pancakes.runtime.kernel.keep import Keep, keep_of, queue
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -72,12 +72,12 @@ def on(
         addressed: only packets whose destination is this component.
 
     Raises:
-        ClassError: the method is `async def`, or cannot be called with a packet.
+        ClassError: the method is `async def`, or cannot be called with a packet; or `keep` is nothing of that kind.
     """
     if not isinstance(channel, str):
         raise ClassError(f'@on takes the name of a channel, not {channel!r}: write @on("system")')
     name = body if body is None or isinstance(body, str) else type_name(body)
-    subscription = Subscription(channel, name, LATEST if keep == "latest" else keep, addressed)
+    subscription = Subscription(channel, name, keep_of(keep), addressed)
 
     def mark(method: _F) -> _F:
         wanted = f"def {_name_of(method)}(self, packet: Packet) -> None"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
+
+from pancakes.errors import ClassError
 
 MOST_BYTES: Final = 16 * 1024 * 1024
 """So many bytes of bodies wait under a subscription, besides bodies lighter than `LIGHT_BYTES`; one may always wait."""
@@ -43,10 +45,37 @@ LATEST = Keep(1)
 
 
 def queue(limit: int) -> Keep:
-    """Up to `limit` packets wait; then the oldest falls out, and is counted."""
-    return Keep(limit)
+    """Up to `limit` packets wait; then the oldest falls out, and is counted.
+
+    Raises:
+        ClassError: the limit is no whole number of at least 1.
+    """
+    return Keep(_checked(limit, "queue"))
 
 
 def reliable(limit: int) -> Keep:
-    """Up to `limit` packets wait; then publishing raises `MailboxFull`, and no subscriber gets the packet."""
-    return Keep(limit, reliable=True)
+    """Up to `limit` packets wait; then publishing raises `MailboxFull`, and no subscriber gets the packet.
+
+    Raises:
+        ClassError: the limit is no whole number of at least 1.
+    """
+    return Keep(_checked(limit, "reliable"), reliable=True)
+
+
+def keep_of(keep: Keep | Literal["latest"]) -> Keep:
+    """Returns what a subscription is to do, as its author has written it.
+
+    Raises:
+        ClassError: it is nothing of that kind; it would fail whoever publishes.
+    """
+    if isinstance(keep, Keep):
+        return keep
+    if keep == "latest":
+        return LATEST
+    raise ClassError(f'keep is {keep!r}: write keep="latest", keep=queue(100) or keep=reliable(100)')
+
+
+def _checked(limit: int, name: str) -> int:
+    if type(limit) is not int or limit < 1:
+        raise ClassError(f"{name} takes how many packets wait at the most, a whole number from 1, and not {limit!r}")
+    return limit
