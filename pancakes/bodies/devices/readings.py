@@ -33,6 +33,12 @@ class MissRule(msgspec.Struct, frozen=True):
     within_s: Annotated[float, msgspec.Meta(gt=0, le=1e9)] = 30.0
 
 
+def share_of(missed: int, tries: int) -> str:
+    """Returns which share of the tries were missed, for people: `3.3 %`, `99.7 %`, `100 %`."""
+    percent = 100 * missed / tries
+    return f"{percent:.{2 if percent < 10 else 3}g} %"
+
+
 class Readings:
     """What has come of the tries of one device, since it was opened. Any thread.
 
@@ -131,7 +137,7 @@ class Readings:
         tries, missed = self._came + self._missed - self._tries_then, self._missed - self._missed_then
         lines: list[Line] = []
         if missed > self._told:
-            share = f"{missed} of {tries} {self._noun}s ({100 * missed / tries:.2g} %)"
+            share = f"{missed} of {tries} {self._noun}s ({share_of(missed, tries)})"
             lines = [("warning", f"{share} were missed in {now_s - self._since_s:.0f} s, the last one so: {self._why}")]
         self._too_many = missed >= rule.in_a_row and missed >= rule.share * tries
         self._begin_count(now_s if missed else math.inf, 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from pancakes.bodies.devices.readings import share_of
 from pancakes.tools.cli.verbs.finding import Finding
 
 MISSED_SHARE: Final = 0.01
@@ -27,7 +28,7 @@ def check_device(about: str, task: Mapping[str, Any]) -> Iterator[Finding]:
         yield Finding("warning", about, text, advice)
     tries = readings["came"] + readings["missed"]
     if readings["missed"] > MISSED_SHARE * tries:
-        share = f"{100 * readings['missed'] / tries:.2g} %"
+        share = share_of(readings["missed"], tries)
         text = (
             f"missed {readings['missed']} of {tries} readings or commands ({share}), the last one so: {readings['why']}"
         )
