@@ -79,6 +79,13 @@ def test_record_start_doubts_channels_and_tasks_that_are_not_there(rig):
         rows(rig, "stop")
 
 
+def test_record_start_doubts_packet_types_that_are_not_installed(rig):
+    rig.ready("a", agent=HERE)
+    result = rig.pancakes("record", "start", "--type", "tempreature", "--type", "pose", "--dry-run")
+    said = "no packet type 'tempreature' is installed here, did you mean 'temperature'?\n"
+    assert (result.returncode, result.stderr) == (0, said)
+
+
 def test_record_start_that_is_refused_records_nothing(rig):
     rig.ready("a", "[record]\nstart = false\nfree_mib = 1e9\n", agent='folders = [".", "/proc"]')
     for path in ("r.mcap", "/proc/nowhere/a.mcap"):

@@ -13,6 +13,7 @@ from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.tools.cli.asking import accepted, surveyed
 from pancakes.tools.cli.exit_codes import REFUSED
+from pancakes.tools.cli.listening import doubt_types
 from pancakes.tools.cli.name_types import agents
 from pancakes.tools.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_sections, show_text
@@ -55,6 +56,7 @@ def start(agents: tuple[str, ...], channels: tuple[str, ...], task: str, dry_run
         pancakes record start agent1 --path 'runs/{agent}.mcap' --channel system --channel ctrl
         pancakes record start --task agent1/ScanTarget
     """
+    doubt_types(given["types"])
     given |= {"channels": channels, "task": task}
     settings = {key: value for key, value in given.items() if value not in ("", (), None)}
     with ask.client() as client:
