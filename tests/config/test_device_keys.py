@@ -53,3 +53,12 @@ def test_what_makes_no_sense_is_named(keys, named):
 
 def test_an_actuator_is_never_silent():
     assert "is for sensors" in faults_of('[device.motors]\ndriver = "null.motors"\nsilent_s = 5\n')
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "silent_s", "said"),
+    [(0.05, 10, "must be longer than 20 s"), (1, 1, "must be longer than 1 s"), (0.05, 30, ""), (0, 10, "")],
+)
+def test_silence_is_longer_than_a_period(rate_hz, silent_s, said):
+    faults = faults_of(f'[device.load]\ndriver = "host.load"\nrate_hz = {rate_hz}\nsilent_s = {silent_s}\n')
+    assert said in faults and bool(said) == ("silent_s" in faults)

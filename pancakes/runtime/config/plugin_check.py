@@ -12,7 +12,7 @@ from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.packet import body_class, field_names, known_types
 from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.config.scanner import KeyPath
-from pancakes.runtime.config.tables import Config, TaskConfig
+from pancakes.runtime.config.tables import Config, DeviceConfig, TaskConfig
 from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.plugins import Plugins, UnknownPlugin, to_install
 from pancakes.settings import check_settings, known_keys
@@ -212,6 +212,8 @@ class _Check:
             silent_key = (*table, "silent_s")
             if found is not None and issubclass(found, Actuator) and self._places.has(*silent_key):
                 self._fault(silent_key, f"is for sensors, and {device.driver!r} is none")
+            elif found is not None:
+                self._check_silence(table, device, found)
         return device_types
 
     def _check_rate(self, table: KeyPath, driver: str, found: type[Driver]) -> None:
@@ -227,6 +229,16 @@ class _Check:
             self._fault(key, f"is not for {driver!r}, whose readings come when its hardware has them{hint}")
         elif given and issubclass(found, Actuator) and found.tick is Actuator.tick:
             self._fault(key, f"is not for {driver!r}, which does nothing at a rate")
+
+    def _check_silence(self, table: KeyPath, device: DeviceConfig, found: type[Driver]) -> None:
+        """A sensor that is silent before its next reading can come would be told as silent between any two."""
+        given = device.silent_s is not None
+        silent_s = device.silent_s if given else getattr(found, "silent_s", None)
+        if device.rate_hz and silent_s is not None and silent_s <= 1 / device.rate_hz:
+            apart = f"{1 / device.rate_hz:g} s, as far as two readings are apart at `rate_hz = {device.rate_hz:g}`"
+            text = f"must be longer than {apart}"
+            default = "" if given else f"; {device.driver!r} has {silent_s:g} s unless it is given"
+            self._fault((*table, "silent_s"), text + default)
 
     def _check_requires(self, task: TaskConfig, cls: Any | None, device_types: list[str] | None) -> None:
         if cls is None or device_types is None:
