@@ -77,11 +77,11 @@ class Problem(msgspec.Struct, frozen=True):
 
 
 class SettingsError(PancakesError):
-    """Settings do not fit. Carries all of their problems at once."""
+    """Settings, or the state of a task, do not fit. Carries all of their problems at once."""
 
-    def __init__(self, owner: str, problems: Sequence[Problem]) -> None:
+    def __init__(self, owner: str, problems: Sequence[Problem], noun: str = "settings") -> None:
         self.problems = tuple(problems)
-        super().__init__(f"bad settings for {owner}: " + "; ".join(str(problem) for problem in self.problems))
+        super().__init__(f"bad {noun} for {owner}: " + "; ".join(str(problem) for problem in self.problems))
 
     def plain(self) -> list[dict[str, Any]]:
         """Returns the problems as plain values: for each its `path`, and the `text` with what was probably meant."""
@@ -129,11 +129,28 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
     return odd + [problem for problem in problems if all(problem.path != it.path for it in odd)]
 
 
-def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = False, owner: str = "") -> _T:
+def why_unreadable(cls: type, plain: Mapping[str, Any], allow_nan: bool = False) -> list[Problem]:
+    """Returns why plain values that came of an instance of a class could not be made an instance again.
+
+    What is good costs no more than to make it; see `check_settings`.
+    """
+    try:
+        codecs.convert(plain, cls, array_of)
+        if allow_nan or next(_odd_in(plain, (), allow_nan), None) is None:
+            return []
+    except (Exception, SystemExit):  # as in `check_settings`
+        pass
+    return check_settings(cls, plain, allow_nan)
+
+
+def make_settings(
+    cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = False, owner: str = "", noun: str = "settings"
+) -> _T:
     """Makes settings from plain values; see `check_settings` for the other arguments.
 
     Args:
         owner: the name of the task, device or service that they are for; empty: an error names the class.
+        noun: what an error calls them.
 
     Raises:
         SettingsError: they do not fit; it names every mistake.
@@ -145,7 +162,7 @@ def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = 
             pass
     problems = check_settings(cls, settings, allow_nan)
     if problems:
-        raise SettingsError(owner or _owner(cls), problems)
+        raise SettingsError(owner or _owner(cls), problems, noun)
     return _convert(settings, cls)
 
 

@@ -55,7 +55,7 @@ from pancakes.runtime.supervision.task_messages import (
     TaskBegan,
     TaskEnded,
 )
-from pancakes.settings import SettingsError, change_settings, make_settings, plain_settings
+from pancakes.settings import SettingsError, change_settings, make_settings, plain_settings, why_unreadable
 
 if TYPE_CHECKING:
     from pancakes.runtime.kernel.kernel import Kernel
@@ -155,7 +155,7 @@ class Task(Component):
         super().__init__(kernel, address, mailbox)
         carried = carried or Carried(_NONE, _NONE)
         self.settings = make_settings(self.Settings, carried.settings, owner=self.name)
-        self.state = make_settings(self.State, carried.state, allow_nan=True)
+        self.state = make_settings(self.State, carried.state, allow_nan=True, owner=self.name, noun="state")
         self.__heard = Incoming(carried.heard)
         self.__rate_hz = rate_hz
         self.fence = fence
@@ -261,7 +261,7 @@ class Task(Component):
         """Returns what the task would carry to another actor now, as plain values. In the actor.
 
         Raises:
-            TypeError: its settings or its state cannot be written down.
+            TypeError: its settings or its state cannot be written down, or could not be read again.
         """
         return Carried(
             self.__plain_settings(),
@@ -282,7 +282,14 @@ class Task(Component):
     def __plain(self, name: str, value: Any, cls: type) -> Mapping[str, Any]:
         if not isinstance(value, cls):
             raise TypeError(f"`self.{name}` is of the class {type(value).__name__}, and not {cls.__qualname__}")
-        return plain_settings(value)
+        plain = plain_settings(value)
+        if cls is not Nothing:
+            # A task may assign anything to a field: what the next actor could not begin with must not replace what is
+            # good. As costly as to encode it, which follows each time.
+            problems = why_unreadable(cls, plain, allow_nan=name == "state")
+            if problems:
+                raise TypeError("; ".join(str(msgspec.structs.replace(it, path=(name, *it.path))) for it in problems))
+        return plain
 
     def take_letter(self, stream: str, seq: int, first: int, packet: Packet | None, sender: str = "") -> bool:
         """Handles a packet addressed to this task wherever it is, if it is the next of its stream. In the actor.

@@ -9,13 +9,14 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import pytest
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from pancakes.control import Describe, Migrate, Restart, Start, Stop
 from pancakes.packet import packet_type
+from pancakes.settings import SettingsError, make_settings
 from pancakes.task import Task, Tick, every
 from pancakes.testing import AgentInTest, FleetInTest
 
@@ -107,6 +108,48 @@ class HasNoSettings(Good):
         self.settings = None
 
 
+class KeepsWrongTypes(Good):
+    """Keeps what can be written down, and not be read again."""
+
+    @dataclass
+    class State:
+        n: int = 0
+        part: Annotated[float, Meta(ge=0, le=1)] = 0.5
+        side: Literal["left", "right"] = "left"
+        counts: list[int] = field(default_factory=list)
+
+    state: Any
+
+
+class KeepsNothing(KeepsWrongTypes):
+    def do_wrong(self) -> None:
+        self.state.side = None
+
+
+class KeepsTooMuchOfIt(KeepsWrongTypes):
+    def do_wrong(self) -> None:
+        self.state.part = 3.0
+
+
+class KeepsAnotherWord(KeepsWrongTypes):
+    def do_wrong(self) -> None:
+        self.state.side = "up"
+
+
+class KeepsTextAmongNumbers(KeepsWrongTypes):
+    def do_wrong(self) -> None:
+        self.state.counts = [1, "two"]
+
+
+class SetsItsSettingsWrong(Good):
+    @dataclass
+    class Settings:
+        speed: float = 1.0
+
+    def on_start(self) -> None:
+        self.settings.speed = None
+
+
 class CannotBeMadeAgain(Good):
     @dataclass
     class State:
@@ -131,6 +174,11 @@ BAD = [
     KeepsAnotherClass,
     HasNoState,
     HasNoSettings,
+    KeepsNothing,
+    KeepsTooMuchOfIt,
+    KeepsAnotherWord,
+    KeepsTextAmongNumbers,
+    SetsItsSettingsWrong,
     CannotBeMadeAgain,
     ExitsWhereItIsMade,
 ]
@@ -170,6 +218,12 @@ def test_bad_task_harms_no_other(asked: Callable[[str], object] | None) -> None:
         (KeepsAnotherClass, "`self.state` is of the class Chain, and not Keeps.State"),
         (HasNoState, "`self.state` is of the class NoneType, and not Keeps.State"),
         (HasNoSettings, "`self.settings` is of the class NoneType, and not Nothing"),
+        (KeepsNothing, "state.side: expected a string, got nothing"),
+        (KeepsTooMuchOfIt, "state.part: expected a number <= 1, not 3.0"),
+        (KeepsAnotherWord, "state.side: expected one of 'left', 'right', not 'up'"),
+        (KeepsTextAmongNumbers, "state.counts[1]: expected an integer, got a string"),
+        (SetsItsSettingsWrong, "settings.speed: expected a number, got nothing"),
+        (CannotBeMadeAgain, "state: "),
     ],
 )
 def test_bad_state_is_told_once_with_its_place(cls: type[Task], why: str) -> None:
@@ -179,6 +233,28 @@ def test_bad_state_is_told_once_with_its_place(cls: type[Task], why: str) -> Non
         told = [line for line in agent.lines("error") if "cannot be written down" in line]
         assert len(told) == 1, told
         assert told[0].startswith(f"what a/client/Bad carries cannot be written down: {why}")
+
+
+@pytest.mark.parametrize("value", [None, "x", 2.5])
+def test_bad_state_leaves_the_last_good_checkpoint(value: object) -> None:
+    with FleetInTest(1) as fleet:
+        agent = with_a_bad_task(fleet, KeepsWrongTypes)
+        agent.task("Bad").reschedule(0.001)  # from here on its state stays as it is
+        fleet.run_for(1.5)
+        n = agent.task("Bad").state.n
+        agent.task("Bad").state.n = value
+        fleet.run_for(1.5)
+        reply = agent.ask(Migrate("Bad", to="b"))
+        assert reply.reason and "state.n: expected an integer" in reply.reason
+        fleet.crash("a")
+        again = fleet.start("a", tasks={"Bad": KeepsWrongTypes, "Good": Good})
+        fleet.run_for(0.05)
+        assert again.task("Bad").state.n in (n, n + 1)
+
+
+def test_bad_state_of_a_record_is_called_state() -> None:
+    with pytest.raises(SettingsError, match=r"^bad state for Bad: n: expected an integer"):
+        make_settings(Keeps.State, {"n": "x"}, allow_nan=True, owner="Bad", noun="state")
 
 
 def test_bad_state_that_is_mended_is_written_again() -> None:

@@ -174,7 +174,7 @@ def test_a_later_version_of_a_class_reads_what_an_earlier_one_saved() -> None:
         fleet.crash("a")
         later = fleet.start("a", tasks={"Task": Later, "Other": Count})
         assert later.running() == ["Other"]
-        assert any("bad settings for Later.State: gone: unknown key" in line for line in later.lines("error"))
+        assert any("bad state for Task: gone: unknown key" in line for line in later.lines("error"))
         assert later.ask(Restart("Task", keep_state=False)).ok
         assert later.task("Task").state == Later.State()
 

@@ -214,7 +214,7 @@ class Arrivals:
                 return f"has a record of {task_id} in its service {here!r}, not in {snapshot.service!r}"
             spec = spec_of(snapshot, self._catalogue)
             make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
-            make_settings(spec.cls.State, snapshot.state, allow_nan=True)
+            make_settings(spec.cls.State, snapshot.state, allow_nan=True, owner=spec.name, noun="state")
             if outside := self._host.kernel.folders.refusal_of(spec.cls.Settings, snapshot.settings):
                 return f"bad settings for {spec.name}: {outside}"
         except (PancakesError, msgspec.ValidationError) as error:
