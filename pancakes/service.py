@@ -10,7 +10,9 @@ from typing import Any, ClassVar, Final
 from pancakes.control import Command, Describe, Hold
 from pancakes.errors import ClassError, ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
-from pancakes.runtime.foundation.own_names import check_made, check_own_names, is_own
+from pancakes.runtime.foundation.made_class import Made, check_made
+from pancakes.runtime.foundation.own_names import check_own_names
+from pancakes.runtime.foundation.user_classes import is_own
 from pancakes.runtime.kernel.component import COMPONENT_HOOKS, Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.kernel import Kernel
@@ -71,6 +73,7 @@ class Service(Component):
     only_name: ClassVar[str] = ""
     keeps_changes: ClassVar[bool] = False
     started_at_once: ClassVar[int] = STARTED_AT_ONCE
+    _made_as: ClassVar[Made] = Made(_MADE_WITH, "a service", "`def on_start(self)`")
 
     settings: Any
 
@@ -78,7 +81,7 @@ class Service(Component):
         """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
         check_own_names(cls, next(base for base in cls.__mro__ if is_own(base)), _HOOKS, ("settings",))
         super().__init_subclass__(**others)
-        check_made(cls, _MADE_WITH, "a service", "`def on_start(self)`")
+        check_made(cls)
         check_saved(cls, "Settings")
 
     def __init__(

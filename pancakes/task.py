@@ -29,7 +29,8 @@ from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.post import Incoming
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.packet import SYSCTRL, Fence, Packet
-from pancakes.runtime.foundation.own_names import check_made, check_own_names
+from pancakes.runtime.foundation.made_class import Made, check_made
+from pancakes.runtime.foundation.own_names import check_own_names
 from pancakes.runtime.kernel.component import COMPONENT_HOOKS, Component
 from pancakes.runtime.kernel.handlers import Tick, checked_period, every, on, period_of
 from pancakes.runtime.kernel.keep import queue, reliable
@@ -128,6 +129,7 @@ class Task(Component):
     offers: ClassVar[tuple[str, ...]] = ()
     Settings: ClassVar[type] = Nothing
     State: ClassVar[type] = Nothing
+    _made_as: ClassVar[Made] = Made(_MADE_WITH, "a task", "`def on_start(self)`")
 
     state: Any
 
@@ -135,7 +137,7 @@ class Task(Component):
         """Raises `ClassError` if the class cannot work: a method that Pancakes calls, what it saves and offers."""
         check_own_names(cls, Task, _HOOKS, ("settings", "state"))
         super().__init_subclass__(**others)
-        check_made(cls, _MADE_WITH, "a task", "`def on_start(self)`")
+        check_made(cls)
         check_words(cls, "requires", "offers")
         check_saved(cls, "Settings", "State")
         check_offers(cls.__qualname__, cls.State, cls.offers)

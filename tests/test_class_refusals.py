@@ -3,13 +3,17 @@
 import importlib.util
 import itertools
 import sys
+from dataclasses import dataclass
 
 import pytest
 from seeded import for_each
 
 from pancakes.bodies.devices.types import Load
-from pancakes.errors import ClassError
-from pancakes.task import Task
+from pancakes.errors import ClassError, ConfigError, PluginError
+from pancakes.runtime.config import parse
+from pancakes.runtime.plugins import Plugins
+from pancakes.service import Service
+from pancakes.task import Task, TaskSpec
 
 HEAD = """\
 from __future__ import annotations
@@ -380,3 +384,240 @@ def test_keep_that_is_none_fails_the_task_that_subscribes(fleet):
     agent = fleet.start("a", tasks={"Subscribes": Subscribes})
     agent.wait_for_event("task_given_up", task="Subscribes")
     assert agent.publish("system", Load(0.5)), "who publishes has no part in it"
+
+
+IN_A_MIXIN = [
+    ("Task", "async def on_start(self): ...", "Mixin.on_start is `async def`"),
+    ("Task", "def on_start(self, x): ...", "Mixin.on_start takes (self, x)"),
+    ("Task", "on_start = None", "Mixin.on_start is None"),
+    ("Task", "requires = 'pose'", "Mixin.requires is 'pose': write ('pose',)"),
+    ("Task", "@dataclass\n    class Settings:\n        what: Any = None", "Mixin.Settings.what may be anything"),
+    ("Task", "def seen(self):\n        self.log.wran('x')", "Mixin.seen: the log has no level 'wran'"),
+    ("Service", "@dataclass\n    class Settings:\n        what: Any = None", "Mixin.Settings.what may be anything"),
+    ("Service", "@staticmethod\n    def own_tasks(): ...", "Mixin.own_tasks is a staticmethod"),
+    ("Service", "def refuse_stop(self, kernel, name, arguments, for_s): ...", "Mixin.refuse_stop is a function"),
+    ("Sensor", "async def sample(self): ...", "Mixin.sample is `async def`"),
+    ("Sensor", "def hardware(self, settings): ...", "Mixin.hardware is a function"),
+    ("Cost", "def terms(self): ...", "Mixin.terms takes (self)"),
+]
+
+
+def test_what_a_class_may_not_have_a_mixin_may_not_bring(module_of):
+    def check(case):
+        base, part, said = case
+        assert said in refusal(module_of, f"class Mixin:\n    {part}\nclass Robot(Mixin, {base}): ...\n")
+
+    for_each(IN_A_MIXIN, check)
+
+
+def test_mixin_whose_part_stands_behind_is_not_judged(module_of):
+    module_of("""\
+class Mixin:
+    requires = "pose"
+    def on_start(self, x): ...
+class Robot(Mixin, Task):
+    requires = ("pose",)
+    def on_start(self):
+        Mixin.on_start(self, 1)
+class Static:
+    @staticmethod
+    def named(other):
+        other.name = "x"
+class Other(Static, Task): ...
+""")
+
+
+NO_FUNCTION = [
+    ("on_start = None", "is None"),
+    ("@property\n    def on_start(self): ...", "is a property"),
+    ("@staticmethod\n    def on_stop(): ...", "is a staticmethod"),
+    ("on_settings = 5", "is 5"),
+]
+
+
+@pytest.mark.parametrize(("part", "what"), NO_FUNCTION)
+def test_hook_that_is_no_function_is_refused(module_of, part, what):
+    said = refusal(module_of, f"class Robot(Task):\n    {part}\n")
+    assert what in said
+    assert "which Pancakes calls: write `def on_" in said
+
+
+def test_hook_of_a_class_between_hides_no_fault(module_of):
+    text = "class Base(Task):\n    def on_start(self): ...\nclass Robot(Base):\n    def on_start(self, x): ...\n"
+    assert "Robot.on_start takes (self, x)" in refusal(module_of, text)
+
+
+SET_PAST = [
+    ("def on_start(self):\n        self.name += 'x'", "sets self.name"),
+    ("def on_start(self):\n        for self.name in 'ab': ...", "sets self.name"),
+    ("def on_start(self):\n        other = Task\n        other.mine, self.agent = 1, 2", "sets self.agent"),
+    ("def on_start(self):\n        def inner():\n            self.name = 'x'\n        inner()", "sets self.name"),
+    ("def on_start(self):\n        [lambda: 1 for self.name in 'ab']", "sets self.name"),
+    ("def on_start(self):\n        del self.log", "deletes self.log"),
+    ("def on_start(self):\n        del self.state", "deletes self.state"),
+    ("@renamed\n    def on_start(self): ...", "sets self.name"),
+    (
+        "def speed(self): ...\n    def put(self, value):\n        self.name = value\n    speed = property(speed, put)",
+        "sets self.name",
+    ),
+    (
+        "@property\n    def v(self): ...\n    @v.setter\n    def v(self, value):\n        self.name = value",
+        "sets self.name",
+    ),
+    ("@cached_property\n    def speed(self):\n        self.name = 'x'", "sets self.name"),
+]
+WRAPS = """\
+import functools
+from functools import cached_property
+def renamed(method):
+    @functools.wraps(method)
+    def call(me):
+        me.name = "x"
+        return method(me)
+    return call
+"""
+
+
+def test_name_of_pancakes_is_set_by_no_way_round(module_of):
+    def check(case):
+        part, said = case
+        refused = refusal(module_of, f"{WRAPS}class Robot(Task):\n    {part}\n")
+        assert said in refused and "is Pancakes' own" in refused
+
+    for_each(SET_PAST, check)
+
+
+def test_what_only_looks_like_setting_an_own_name_is_taken(module_of):
+    module_of("""\
+class Robot(Task):
+    def on_start(self):
+        self.count = 1
+        self.count += 1
+        other = Gripper()
+        other.name = "x"
+        other.name += self.name
+        self.other = other
+        self.other.name += "x"
+        del self.other.name, self.count
+        self.state = self.settings
+        def inner(self):
+            self.name = "x"
+        class Held:
+            def __init__(self):
+                self.name = "x"
+""")
+
+
+UNMADE = [
+    ("Task", "def __new__(cls): return object.__new__(cls)", "Robot.__new__ takes (cls)"),
+    ("Task", "def __init__(self, *a, **k): self.mine = 1", "Robot.__init__ does not call"),
+    ("Service", "def __init__(self, *a, **k): self.mine = 1", "Robot.__init__ does not call"),
+    ("Sensor", "def __init__(self, *a, **k): self.mine = 1", "Robot.__init__ does not call"),
+    ("Cost", "def __init__(self, weight): ...", "Robot.__init__ takes (self, weight)"),
+]
+
+
+@pytest.mark.parametrize(("base", "part", "said"), UNMADE)
+def test_class_that_cannot_be_made_is_refused(module_of, base, part, said):
+    assert said in refusal(module_of, f"class Robot({base}):\n    {part}\n")
+    mixed_in = f"class Mixin:\n    {part}\nclass Robot(Mixin, {base}): ...\n"
+    assert said.replace("Robot", "Mixin") in refusal(module_of, mixed_in)
+
+
+def test_init_that_passes_on_what_it_is_given_is_taken(module_of):
+    module_of("""\
+class Counts:
+    def __new__(cls, *args, **others):
+        return super().__new__(cls)
+    def __init__(self, *args, **others):
+        super().__init__(*args, **others)
+        self.count = 1
+class Robot(Counts, Task): ...
+class Camera(Counts, Sensor):
+    type = "pose"
+    def sample(self): ...
+""")
+
+
+DECORATED = [
+    ("tasks", "@dataclass\nclass Robot(Task):\n    speed: float = 1.0\n"),
+    ("tasks", "@dataclass\nclass Robot(Task): ...\n"),
+    ("tasks", "@dataclass(init=False)\nclass Robot(Task): ...\n"),
+    ("tasks", "@dataclass\nclass Mixin:\n    speed: float = 1.0\nclass Robot(Mixin, Task): ...\n"),
+    ("services", "@dataclass\nclass Robot(Service):\n    speed: float = 1.0\n"),
+    ("drivers", "@dataclass\nclass Robot(Sensor):\n    type = 'x'\n    def sample(self): ...\n"),
+    ("costs", "@dataclass\nclass Robot(Cost):\n    weight: float\n    def terms(self, facts): ...\n"),
+]
+ABSTRACT = [
+    (
+        "drivers",
+        "class Robot(Actuator):\n    type = 'x'\n    def apply(self, command, ttl_s, source): ...\n",
+        "`def hold(",
+    ),
+    ("drivers", "class Robot(Sensor):\n    type = 'x'\n", "`def sample(self)`"),
+    ("costs", "class Robot(Cost): ...\n", "`def terms(self, facts)`"),
+    (
+        "tasks",
+        "from abc import ABC, abstractmethod\nclass Robot(Task, ABC):\n    @abstractmethod\n    def go(self): ...\n",
+        "`def go(self)`",
+    ),
+]
+
+
+def load(module_of, kind, text):
+    """Returns why a class that is made is refused when it is loaded."""
+    try:
+        cls = module_of(text).Robot
+        Plugins({(f"pancakes.{kind}", "mine"): cls}).get(f"pancakes.{kind}", "mine")
+    except (ClassError, PluginError) as error:
+        return str(error)
+    return ""
+
+
+def test_dataclass_for_a_class_that_pancakes_makes_is_refused(module_of):
+    def check(case):
+        said = load(module_of, *case)
+        assert "is decorated with @dataclass, and it is Pancakes that makes" in said
+        assert f"{module_of.path}:" in said
+
+    for_each(DECORATED, check)
+
+
+def test_class_that_lacks_methods_is_refused_when_loaded(module_of):
+    def check(case):
+        kind, text, instead = case
+        said = load(module_of, kind, text)
+        assert f"{module_of.path}:" in said and "Robot lacks" in said and instead in said
+
+    for_each(ABSTRACT, check)
+
+
+def test_check_of_a_configuration_refuses_what_cannot_be_made(module_of):
+    robot = module_of(DECORATED[0][1]).Robot
+    with pytest.raises(ConfigError, match="is decorated with @dataclass"):
+        parse(
+            '[agent]\nname = "a"\n[task.R]\ntype = "mine"\n',
+            "robot.toml",
+            plugins=Plugins({("pancakes.tasks", "mine"): robot}),
+            must_load=True,
+        )
+
+
+def test_task_that_a_service_cannot_make_is_given_up_at_once(fleet):
+    @dataclass
+    class Odd(Task):
+        speed: float = 1.0
+
+    class Silent(Task):
+        def __init__(self, *args, **others):
+            if not args:
+                super().__init__(*args, **others)
+
+    class Brings(Service):
+        def own_tasks(self):
+            return (TaskSpec("Odd", Odd), TaskSpec("Silent", Silent))
+
+    agent = fleet.start("a", services={"brings": Brings})
+    for name, said in (("Odd", "is decorated with @dataclass"), ("Silent", "does not call")):
+        assert said in str(agent.wait_for_event("task_given_up", task=name))
+        assert not agent.events("task_failed", task=name, then="restart")

@@ -18,7 +18,8 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from pancakes.errors import PluginError, chain_of
+from pancakes.errors import ClassError, PluginError, chain_of
+from pancakes.runtime.foundation.made_class import check_loaded
 from pancakes.runtime.foundation.suggestion import suggestion
 
 GROUPS: Final = {
@@ -225,10 +226,14 @@ def _check_group(group: str) -> None:
 
 def _load(group: str, name: str, offer: _Offer) -> Any:
     try:
-        return offer.load()
+        found = offer.load()
+        check_loaded(found)
+    except ClassError as error:  # its sentence says where
+        raise PluginError(f"the {GROUPS[group]} {name!r} cannot be loaded: {error}") from None
     except (Exception, SystemExit) as error:  # an import may raise anything, and a script even ends the process
         source = f"{offer.version.distribution} {offer.version.version} ({offer.value})"
         raise PluginError(f"the {GROUPS[group]} {name!r} of {source} cannot be loaded: {_line(error)}") from None
+    return found
 
 
 def to_install(group: str, name: str, known: Collection[str]) -> str:

@@ -18,7 +18,8 @@ from pancakes.errors import ClassError
 from pancakes.mesh.net.transport import Transport
 from pancakes.packet import Packet
 from pancakes.runtime.foundation.log import Log, check_levels
-from pancakes.runtime.foundation.own_names import check_made, check_own_names
+from pancakes.runtime.foundation.made_class import Made, check_made
+from pancakes.runtime.foundation.own_names import check_own_names
 from pancakes.runtime.foundation.signatures import check_overrides
 from pancakes.runtime.foundation.source_place import place_of_field
 from pancakes.runtime.supervision.saved_types import check_saved
@@ -119,6 +120,7 @@ class Driver(ABC):
     blocking: ClassVar[bool] = False
     networked: ClassVar[bool] = False
     rate: ClassVar[Rate] = "optional"
+    _made_as: ClassVar[Made] = Made(("context", "settings"), "a driver", "`def open(self)`")
 
     @dataclass
     class Settings:
@@ -130,7 +132,7 @@ class Driver(ABC):
         super().__init_subclass__(**others)
         check_overrides(cls)
         check_levels(cls)
-        check_made(cls, ("context", "settings"), "a driver", "`def open(self)`")
+        check_made(cls)
         check_saved(cls, "Settings")
         if cls.rate not in get_args(Rate):
             known = ", ".join(map(repr, get_args(Rate)))

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Final
 import msgspec
 
 from pancakes.errors import ClassError, MigrationError
+from pancakes.runtime.foundation.made_class import Made, check_made
 from pancakes.runtime.foundation.signatures import check_overrides
 
 CostChoice = str | dict[str, float]
@@ -89,11 +90,13 @@ class Cost(ABC):
 
     name: ClassVar[str]
     reads: ClassVar[tuple[str, ...]] = ()
+    _made_as: ClassVar[Made] = Made((), "a cost", "`def terms(self, facts)`")
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raises `ClassError` where `terms` cannot be called as Pancakes calls it, or `reads` is no tuple of names."""
         super().__init_subclass__(**others)
         check_overrides(cls)
+        check_made(cls)
         if not isinstance(cls.reads, tuple) or not all(isinstance(it, str) for it in cls.reads):
             raise ClassError(
                 f"{cls.__qualname__}.reads is {cls.reads!r}: write a tuple of device types, as `reads = ('pose',)`"

@@ -10,6 +10,7 @@ from typing import Any, Final, NoReturn
 
 from pancakes.errors import ClassError, PancakesError, traceback_of
 from pancakes.runtime.foundation.suggestion import did_you_mean
+from pancakes.runtime.foundation.user_classes import given_in
 
 Say = Callable[[str, str, str], None]
 """Takes a level, a line and a traceback."""
@@ -95,12 +96,12 @@ def check_levels(cls: type) -> None:
     Raises:
         ClassError: names the file, the line and the level.
     """
-    for name, function in vars(cls).items():
+    for part, name, function in given_in(cls):
         if isinstance(function, FunctionType):
             for word, line in _unknown_levels(function.__code__):
                 place = f"{function.__code__.co_filename}:{line}"
                 hint = did_you_mean(word, _METHODS, _only(LEVELS))
-                raise ClassError(f"{place}: {cls.__qualname__}.{name}: the log has no level {word!r}{hint}")
+                raise ClassError(f"{place}: {part.__qualname__}.{name}: the log has no level {word!r}{hint}")
 
 
 def _unknown_levels(code: CodeType) -> Iterator[tuple[str, int]]:

@@ -9,20 +9,19 @@ from __future__ import annotations
 import dis
 import inspect
 from collections.abc import Collection, Iterator
-from functools import cache
-from types import FunctionType
+from functools import cache, cached_property, partial, partialmethod, singledispatchmethod
+from types import CodeType, FunctionType
 from typing import Any, Final
 
 from pancakes.errors import ClassError
-from pancakes.runtime.foundation.signatures import takes
 from pancakes.runtime.foundation.source_place import place_of_field, place_of_function
+from pancakes.runtime.foundation.user_classes import is_own, parts_of
 
-_OWN: Final = "pancakes."
-
-
-def is_own(cls: type) -> bool:
-    """Returns whether a class is Pancakes' own, for which these names are meant."""
-    return f"{cls.__module__}.".startswith(_OWN)
+_VERBS: Final = {"STORE_ATTR": "sets", "DELETE_ATTR": "deletes"}
+_HOLD_FUNCTIONS: Final = (
+    *(FunctionType, property, classmethod, staticmethod, type(cache(len))),
+    *(cached_property, partial, partialmethod, singledispatchmethod),
+)
 
 
 def check_own_names(cls: type, base: type, hooks: Collection[str], kept: Collection[str] = ()) -> None:
@@ -40,48 +39,43 @@ def check_own_names(cls: type, base: type, hooks: Collection[str], kept: Collect
     if is_own(cls):
         return
     own = _names_of(base) - set(hooks)
-    _check(cls, base, own, hooks, kept)
-    for mixed_in in cls.__mro__[1:]:
-        if not issubclass(mixed_in, base) and not issubclass(base, mixed_in) and not is_own(mixed_in):
-            _check(mixed_in, base, own, hooks, kept)
+    for part in parts_of(cls):
+        _check(part, base, own, hooks, kept)
 
 
 def _check(cls: type, base: type, own: frozenset[str], hooks: Collection[str], kept: Collection[str]) -> None:
     what = f"Pancakes' own in a {base.__name__}: give it another name"
     for name, value in vars(cls).items():
-        function = inspect.unwrap(value) if callable(value) else getattr(value, "fget", None) or value
         if name in own:
-            place = place_of_function(function) if isinstance(function, FunctionType) else place_of_field(cls)
+            function = next(iter(_functions(value)), None)
+            place = place_of_function(inspect.unwrap(function)) if function else place_of_field(cls)
             open_to = ", ".join(sorted(it for it in hooks if it.startswith("on_")))
-            also = f" (its hooks are {open_to})" if open_to and isinstance(function, FunctionType) else ""
+            also = f" (its hooks are {open_to})" if open_to and callable(value) else ""
             raise ClassError(f"{place}: {cls.__qualname__}.{name} would replace a name that is {what}{also}")
-        if isinstance(function, FunctionType) and not own.isdisjoint(function.__code__.co_names):
-            for stored, line in _stores(function):
-                if stored in own and stored not in kept:
+        for function in () if isinstance(value, staticmethod) else _functions(value):
+            if own.isdisjoint(_names_in(function.__code__)):
+                continue
+            for stored, line, verb in _stores(function):
+                if stored in own and not (stored in kept and verb == "sets"):
                     place = f"{function.__code__.co_filename}:{line}"
-                    raise ClassError(f"{place}: {cls.__qualname__}.{name} sets self.{stored}, which is {what}")
+                    raise ClassError(f"{place}: {cls.__qualname__}.{name} {verb} self.{stored}, which is {what}")
 
 
-def check_made(cls: type, given: Collection[str], made: str, instead: str) -> None:
-    """Refuses a class whose `__init__` cannot be called as Pancakes calls it.
+def _functions(value: Any) -> Iterator[FunctionType]:
+    """The functions that something in a class is made of: those of a property, and what a decorator wraps."""
+    if isinstance(value, FunctionType):
+        yield value
+    for name in ("fget", "fset", "fdel", "func", "__func__", "__wrapped__"):
+        inner = getattr(value, name, None)
+        if isinstance(value, _HOLD_FUNCTIONS) and inner is not None:
+            yield from _functions(inner)
 
-    Args:
-        cls: the class that is made.
-        given: the names of the arguments.
-        made: what it is, as in `a task`.
-        instead: where what its author wants to do belongs.
 
-    Raises:
-        ClassError: says so, with the file and line.
-    """
-    function = vars(cls).get("__init__")
-    if is_own(cls) or function is None or takes(function, 1, given):
-        return
-    named = str(inspect.signature(function))
-    raise ClassError(
-        f"{place_of_function(function)}: {cls.__qualname__}.__init__ takes {named}, and it is Pancakes that makes"
-        f" {made}: leave it out, and write {instead}"
-    )
+def _names_in(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _names_in(inner)
 
 
 @cache
@@ -92,22 +86,39 @@ def _names_of(base: type) -> frozenset[str]:
         names.update(one.__dict__)
         for function in vars(one).values():
             if isinstance(function, FunctionType):
-                names.update(stored for stored, _ in _stores(function))
+                names.update(stored for stored, _, _ in _stores(function))
     return frozenset(name for name in names if not (name.startswith("__") and name.endswith("__")))
 
 
-def _stores(function: FunctionType) -> Iterator[tuple[str, int]]:
-    """The attributes that a method gives its first argument, with the lines in which it does."""
+def _stores(function: FunctionType) -> Iterator[tuple[str, int, str]]:
+    """The attributes that a method gives or takes from its first argument, with the lines, and which it does."""
     code = function.__code__
-    if not code.co_argcount:
-        return
-    first, before, line = code.co_varnames[0], None, code.co_firstlineno
+    if code.co_argcount:
+        yield from _stores_in(code, code.co_varnames[0])
+
+
+def _stores_in(code: CodeType, first: str) -> Iterator[tuple[str, int, str]]:
+    line = code.co_firstlineno
+    before: dis.Instruction | None = None
+    copied: dis.Instruction | None = None
+    augments_self = False
     for instruction in dis.get_instructions(code):
+        if instruction.opname in ("CACHE", "EXTENDED_ARG"):
+            continue
         line = _line(instruction) or line
-        if instruction.opname == "STORE_ATTR" and before is not None and _loads(before, first):
-            yield instruction.argval, line
-        if instruction.opname not in ("CACHE", "EXTENDED_ARG"):
-            before = instruction
+        verb = _VERBS.get(instruction.opname)
+        if before is None:
+            pass
+        elif verb is not None:
+            if _loads(before, first) or (before.opname == "SWAP" and augments_self):
+                yield instruction.argval, line, verb
+        elif instruction.opname == "LOAD_ATTR" and before.opname == "COPY" and before.argval == 1:
+            # `self.x += 1` keeps a copy of self below what it computes, and brings it to the top at the end.
+            augments_self = copied is not None and _loads(copied, first)
+        before, copied = instruction, before
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType) and first in inner.co_freevars:
+            yield from _stores_in(inner, first)
 
 
 def _loads(instruction: dis.Instruction, name: str) -> bool:
@@ -115,7 +126,8 @@ def _loads(instruction: dis.Instruction, name: str) -> bool:
     loaded: Any = instruction.argval
     if isinstance(loaded, tuple):
         loaded = loaded[-1]
-    return "LOAD" in instruction.opname and loaded == name
+    opname = instruction.opname
+    return "LOAD" in opname and ("FAST" in opname or "DEREF" in opname) and loaded == name
 
 
 def _line(instruction: dis.Instruction) -> int | None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection, Sequence
+from types import FunctionType
 from typing import Any, Final
 
 from pancakes.errors import ClassError
-from pancakes.runtime.foundation.source_place import place_of_function
+from pancakes.runtime.foundation.source_place import place_of_field, place_of_function
+from pancakes.runtime.foundation.user_classes import given_in, is_own
 
-_OWN: Final = "pancakes."
 _STARRED: Final = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
 
@@ -61,35 +62,63 @@ def check_runs(function: Any, write: str) -> None:
 def check_overrides(cls: type) -> None:
     """Refuses methods of a class that stand in for a method of Pancakes, and cannot be called as that one is.
 
+    Those that are mixed into it are judged as well.
+
     Raises:
-        ClassError: one is `async def`, does nothing when it is called, or takes other arguments.
+        ClassError: one is no function, is `async def`, does nothing when it is called, or takes other arguments.
     """
-    for name, function in vars(cls).items():
-        if name.startswith("_") or not inspect.isfunction(function):
+    for part, name, value in given_in(cls):
+        if name.startswith("_"):
             continue
-        original = next((vars(base)[name] for base in cls.__mro__[1:] if name in vars(base)), None)
-        if not inspect.isfunction(original) or not f"{original.__module__}.".startswith(_OWN):
-            continue
-        _check_override(function, original)
+        behind = cls.__mro__[cls.__mro__.index(part) + 1 :]
+        original = next((vars(base)[name] for base in behind if is_own(base) and name in vars(base)), None)
+        if isinstance(original, (FunctionType, classmethod, staticmethod)):
+            _check_override(part, name, value, original)
 
 
-def _check_override(function: Callable[..., Any], original: Callable[..., Any]) -> None:
-    write = f"def {function.__name__}({', '.join(map(str, _bare(original)))})"
-    if not inspect.iscoroutinefunction(original) and inspect.iscoroutinefunction(function):
+def definition_of(original: Any, name: str = "") -> str:
+    """Returns the `def` of a method, as a person would write it in its place."""
+    function = getattr(original, "__func__", original)
+    parameters = ", ".join(map(str, _bare(function))) if callable(function) else "self"
+    mark = f"@{type(original).__name__} " if isinstance(original, (classmethod, staticmethod)) else ""
+    return f"{mark}def {name or function.__name__}({parameters})"
+
+
+def _check_override(part: type, name: str, value: Any, original: Any) -> None:
+    write, meant = definition_of(original, name), getattr(original, "__func__", original)
+    function = getattr(value, "__func__", value)
+    if type(value) is not type(original) or not isinstance(function, FunctionType):
+        raise ClassError(
+            f"{_place(part, function)}: {part.__qualname__}.{name} is {_kind(value)}, and stands in for"
+            f" {meant.__qualname__}{_parameters(meant)}, which Pancakes calls: write `{write}`"
+        )
+    if not inspect.iscoroutinefunction(meant) and inspect.iscoroutinefunction(function):
         check_runs(function, write)
-    if original.__annotations__.get("return") in (None, "None"):
+    if meant.__annotations__.get("return") in (None, "None"):
         check_runs(function, write)
     count = _plain_count(function)
-    if count is not None and count == _plain_count(original):
+    if count is not None and count == _plain_count(meant):
         return
-    parameters = inspect.signature(original).parameters.values()
+    parameters = inspect.signature(meant).parameters.values()
     positional = [it for it in parameters if it.kind in (it.POSITIONAL_ONLY, it.POSITIONAL_OR_KEYWORD)]
     named = [it.name for it in parameters if it.kind is it.KEYWORD_ONLY]
     if not takes(function, len(positional), named):
         raise ClassError(
             f"{_head(function)} takes {_parameters(function)}, and stands in for"
-            f" {original.__qualname__}{_parameters(original)}, which Pancakes calls: write `{write}`"
+            f" {meant.__qualname__}{_parameters(meant)}, which Pancakes calls: write `{write}`"
         )
+
+
+def _place(part: type, function: Any) -> str:
+    function = getattr(function, "fget", None) or function
+    return place_of_function(function) if isinstance(function, FunctionType) else place_of_field(part)
+
+
+def _kind(value: Any) -> str:
+    """What stands in a class in the place of a method."""
+    if isinstance(value, (FunctionType, classmethod, staticmethod, property, type)) or callable(value):
+        return f"a {type(value).__name__}"
+    return repr(value)
 
 
 def _plain_count(function: Any) -> int | None:

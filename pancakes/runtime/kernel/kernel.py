@@ -22,6 +22,7 @@ from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock, SkewedCl
 from pancakes.runtime.folders import Folders
 from pancakes.runtime.foundation.frames import package_of
 from pancakes.runtime.foundation.local_time import LocalTime
+from pancakes.runtime.foundation.made_class import check_instance, check_loaded
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.counter import Counter
 from pancakes.runtime.kernel.dead_letters import DeadLetters
@@ -170,7 +171,9 @@ class Kernel:
         Raises:
             ValueError: a component runs at this address already.
         """
+        check_loaded(cls)
         component = cls(self, address, **arguments)
+        check_instance(component, "actor_stopped")
         if exited is not None or not keeps_subscriptions:
             component.exited = exited or self._release
         self.registry.add(component)

@@ -27,6 +27,7 @@ from pancakes.runtime.foundation.arrays import (
     unaliased,
 )
 from pancakes.runtime.foundation.source_place import place_of_field
+from pancakes.runtime.foundation.user_classes import given_in
 from pancakes.settings import fault_of_class
 
 _I = msgspec.inspect
@@ -53,12 +54,14 @@ def check_saved(owner: type, *names: str) -> None:
 
     Args:
         owner: a class of tasks, services or drivers.
-        names: which of its attributes are such classes: `Settings`, `State`. Those that it inherits were judged before.
+        names: which of its attributes are such classes: `Settings`, `State`. Those that it inherits from such a class
+            were judged before; those that are mixed into it are judged here.
 
     Raises:
         ClassError: says for each fault in which file and line it is, and what to write instead.
     """
-    faults = [fault for name in names if name in vars(owner) for fault in _faults_of(owner, name, vars(owner)[name])]
+    given = [(part, name, value) for part, name, value in given_in(owner) if name in names]
+    faults = [fault for part, name, value in given for fault in _faults_of(part, name, value)]
     if faults:
         raise ClassError("\n".join(faults))
 
@@ -69,13 +72,14 @@ def check_words(owner: type, *names: str) -> None:
     Raises:
         ClassError: names the attribute, and what to write.
     """
-    for name in names:
-        value = vars(owner).get(name, ())
+    for part, name, value in given_in(owner):
+        if name not in names:
+            continue
         if isinstance(value, str):
-            raise ClassError(f"{place_of_field(owner)}: {owner.__qualname__}.{name} is {value!r}: write ({value!r},)")
+            raise ClassError(f"{place_of_field(part)}: {part.__qualname__}.{name} is {value!r}: write ({value!r},)")
         if not isinstance(value, Sequence) or not all(isinstance(word, str) and word for word in value):
             raise ClassError(
-                f"{place_of_field(owner)}: {owner.__qualname__}.{name} is {value!r}, and no tuple of names"
+                f"{place_of_field(part)}: {part.__qualname__}.{name} is {value!r}, and no tuple of names"
             )
 
 
