@@ -202,6 +202,30 @@ def test_a_stop_after_it_was_given_up_calls_the_next_try_off(thing, fleet, path)
     assert it.state() == "stopped"
 
 
+def test_what_was_given_up_for_good_is_stopped_after_a_stop(thing):
+    it = thing(policy="no", again_s=0.0)
+    assert it.state() == "failed"
+    assert it.agent.ask(Stop(it.target, dry_run=True)).ok and it.state() == "failed"
+    assert it.agent.ask(Stop(it.target)).ok
+    assert it.state() == "stopped" and it.row().get("rest", "") in ("", "stopped")
+    assert not it.agent.ask(Stop(it.target)).ok
+
+
+def test_what_was_given_up_before_a_reboot_is_stopped_after_a_stop(fleet, path):
+    it = Thing("client", fleet, path, {"policy": "no"})
+    assert it.state() == "failed"
+    fleet.run_for(1.0)
+    fleet.crash("a")
+    it.agent = fleet.restart("a")
+    assert it.row()["rest"] == "failed"
+    assert it.agent.ask(Stop(it.target)).ok
+    assert (it.state(), it.row()["rest"]) == ("stopped", "stopped")
+    fleet.run_for(1.0)
+    fleet.crash("a")
+    it.agent = fleet.restart("a")
+    assert (it.state(), it.row()["rest"]) == ("stopped", "stopped")
+
+
 @pytest.mark.parametrize("body", [Start, Restart])
 @pytest.mark.parametrize("restart", [{"pause_s": 9.0}, {"at_most": 0, "again_s": 9.0}])
 def test_a_start_while_it_waits_is_tried_at_once_and_once_only(thing, fleet, path, body, restart):

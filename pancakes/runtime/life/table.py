@@ -214,8 +214,10 @@ def _stop(life: Life, event: StopAsked, at: Moment) -> Outcome:
 def _stop_at_rest(life: Life, event: StopAsked, at: Moment) -> Outcome:
     if event.again:
         return _ask(life, event.asker)
-    answer = [Answer(event.asker)] if event.asker is not None else []
-    return life, [LetGo(), *answer]
+    if event.asker is None:
+        return life, [LetGo()]
+    # What is written down of it may still say that it was given up.
+    return _meant(life, event), [LetGo(), WriteRest()]
 
 
 def _stop_refused(life: Life, event: StopAsked, at: Moment) -> Outcome:
@@ -228,15 +230,15 @@ def _stop_refused(life: Life, event: StopAsked, at: Moment) -> Outcome:
 
 
 def _stop_due(life: Life, event: StopAsked, at: Moment) -> Outcome:
-    """It has failed, and its next try is called off."""
+    """It has failed: its next try, if one is due, is called off."""
     if event.again:
         return _ask(life, event.asker)
-    if life.restarts.due_s is None:
-        if event.asker is None:
-            return life, [LetGo()]
-        # That it is given up may not be written down yet.
-        return replace(life, wanted=False, asker=event.asker), [LetGo(), WriteRest()]
-    return _rest(replace(_meant(life, event), restarts=life.restarts.forgotten()), [])
+    if life.restarts.due_s is None and event.asker is None:
+        return life, [LetGo()]
+    stopped = replace(_meant(life, event), restarts=life.restarts.forgotten())
+    if life.restarts.due_s is None:  # it came to rest when it was given up, and was told of then
+        return replace(stopped, state=State.STOPPED), [LetGo(), WriteRest()]
+    return _rest(stopped, [])
 
 
 def _stop_stopping(life: Life, event: StopAsked, at: Moment) -> Outcome:
@@ -271,7 +273,7 @@ _LATE: Final[Mapping[type, Rule]] = {Overdue: _nothing, TryDue: _nothing, Retry:
 _RULES: Final[Mapping[State, Mapping[type, Rule]]] = {
     State.STOPPED: {StartAsked: _start, StopAsked: _stop_at_rest, Written: _written},
     State.REFUSED: {StartAsked: _start, StopAsked: _stop_refused, Retry: _retry},
-    State.FAILED: {StartAsked: _start, StopAsked: _stop_due, TryDue: _try_again, Written: _written},
+    State.FAILED: {StartAsked: _start, StopAsked: _stop_due, TryDue: _try_again},
     State.RESTARTING: {StartAsked: _start, StopAsked: _stop_due, TryDue: _try_again},
     State.ASKED: {
         StartAsked: _nothing,

@@ -359,7 +359,10 @@ class Root(Component):
         else:
             place.for_s = body.for_s
             place.wakes_s = self.now() + body.for_s if body.for_s is not None else None
-        event = StopAsked(request, again=isinstance(body, Restart))
+        again = isinstance(body, Restart)
+        how_long = "" if again or body.for_s is None else f", for {body.for_s:g} s"
+        reason = f"{'restart ' if again else ''}asked for by {request.by}{how_long}"
+        event = StopAsked(request, reason, again)
         if name != NETWORK:
             self._services.feed(place, event)
             return
@@ -371,7 +374,7 @@ class Root(Component):
 
     def _refuse_stop(self, place: ServicePlace, body: Stop, request: Request) -> None:
         due = place.life.restarts.due_s is not None  # its next try, which a stop calls off
-        if place.life.state is not State.RUNNING and not due:
+        if place.life.state not in (State.RUNNING, State.FAILED) and not due:
             raise ControlRefused(f"{place.address} is {place.life.word}, not running")
         if body.for_s is not None and not 0 < body.for_s < math.inf:
             raise ControlRefused(f"{place.address} cannot be stopped for {body.for_s} s")

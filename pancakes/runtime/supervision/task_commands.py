@@ -80,7 +80,7 @@ def start(service: Commanded, slot: Slot, body: Start, request: Request) -> None
 
 def stop(service: Commanded, slot: Slot, body: Stop, request: Request) -> None:
     """Stops a task; the answer comes once it has ended."""
-    if slot.life.state is State.STOPPED:
+    if slot.life.state is State.STOPPED and slot.rest != State.FAILED.value:  # as its record may say
         raise ControlRefused(f"{slot.address} is stopped already")
     if body.for_s is not None:
         raise ControlRefused(f"{slot.address} is a task: only a service can be stopped for a time")
