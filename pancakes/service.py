@@ -73,7 +73,7 @@ class Service(Component):
     only_name: ClassVar[str] = ""
     keeps_changes: ClassVar[bool] = False
     started_at_once: ClassVar[int] = STARTED_AT_ONCE
-    _made_as: ClassVar[Made] = Made(_MADE_WITH, "a service", "`def on_start(self)`")
+    _made_as: ClassVar[Made] = Made(_MADE_WITH, "a service", "`def on_start(self)`", gives="actor_stopped")
 
     settings: Any
 

@@ -129,7 +129,7 @@ class Task(Component):
     offers: ClassVar[tuple[str, ...]] = ()
     Settings: ClassVar[type] = Nothing
     State: ClassVar[type] = Nothing
-    _made_as: ClassVar[Made] = Made(_MADE_WITH, "a task", "`def on_start(self)`")
+    _made_as: ClassVar[Made] = Made(_MADE_WITH, "a task", "`def on_start(self)`", gives="actor_stopped")
 
     state: Any
 

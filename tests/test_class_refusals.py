@@ -512,7 +512,7 @@ UNMADE = [
     ("Task", "def __new__(cls): return object.__new__(cls)", "Robot.__new__ takes (cls)"),
     ("Task", "def __init__(self, *a, **k): self.mine = 1", "Robot.__init__ does not call"),
     ("Service", "def __init__(self, *a, **k): self.mine = 1", "Robot.__init__ does not call"),
-    ("Sensor", "def __init__(self, *a, **k): self.mine = 1", "Robot.__init__ does not call"),
+    ("Sensor", "def __new__(cls): return object.__new__(cls)", "Robot.__new__ takes (cls)"),
     ("Cost", "def __init__(self, weight): ...", "Robot.__init__ takes (self, weight)"),
 ]
 
@@ -536,6 +536,19 @@ class Robot(Counts, Task): ...
 class Camera(Counts, Sensor):
     type = "pose"
     def sample(self): ...
+class Gauge(Sensor):
+    type = "load"
+    def __init__(self, context, settings):
+        self.mine = settings
+    def sample(self): ...
+@dataclass
+class Near(Cost):
+    weight: float = 1.0
+    def terms(self, facts): ...
+class Far(Cost):
+    def __init__(self):
+        self.weight = 2.0
+    def terms(self, facts): ...
 """)
 
 
@@ -613,11 +626,17 @@ def test_task_that_a_service_cannot_make_is_given_up_at_once(fleet):
             if not args:
                 super().__init__(*args, **others)
 
+    class Gone(Task):
+        def __new__(cls, *args, **others):
+            made = super().__new__(cls)
+            return None if args else made
+
     class Brings(Service):
         def own_tasks(self):
-            return (TaskSpec("Odd", Odd), TaskSpec("Silent", Silent))
+            return [TaskSpec(cls.__name__, cls) for cls in (Odd, Silent, Gone)]
 
     agent = fleet.start("a", services={"brings": Brings})
-    for name, said in (("Odd", "is decorated with @dataclass"), ("Silent", "does not call")):
+    wanted = {"Odd": "is decorated with @dataclass", "Silent": "__init__ does not call", "Gone": "__new__ does not"}
+    for name, said in wanted.items():
         assert said in str(agent.wait_for_event("task_given_up", task=name))
         assert not agent.events("task_failed", task=name, then="restart")

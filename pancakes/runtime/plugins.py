@@ -229,11 +229,16 @@ def _load(group: str, name: str, offer: _Offer) -> Any:
         found = offer.load()
         check_loaded(found)
     except ClassError as error:  # its sentence says where
-        raise PluginError(f"the {GROUPS[group]} {name!r} cannot be loaded: {error}") from None
+        raise PluginError(f"the {GROUPS[group]} {name!r}{_source(offer)} cannot be loaded: {error}") from None
     except (Exception, SystemExit) as error:  # an import may raise anything, and a script even ends the process
-        source = f"{offer.version.distribution} {offer.version.version} ({offer.value})"
-        raise PluginError(f"the {GROUPS[group]} {name!r} of {source} cannot be loaded: {_line(error)}") from None
+        raise PluginError(f"the {GROUPS[group]} {name!r}{_source(offer)} cannot be loaded: {_line(error)}") from None
     return found
+
+
+def _source(offer: _Offer) -> str:
+    """Where a plug-in comes from, for a sentence; nothing for one that was registered in code."""
+    version = offer.version
+    return f" of {version.distribution} {version.version} ({offer.value})" if version.distribution else ""
 
 
 def to_install(group: str, name: str, known: Collection[str]) -> str:

@@ -22,11 +22,14 @@ class Made(NamedTuple):
         given: the names of the arguments.
         what: what it is, as in `a task`.
         instead: where what its author wants to do belongs.
+        gives: an attribute that the `__init__` of Pancakes gives each instance, and that nothing works without; empty:
+            it may be left out.
     """
 
     given: tuple[str, ...]
     what: str
     instead: str
+    gives: str = ""
 
 
 def check_made(cls: type) -> None:
@@ -43,15 +46,17 @@ def check_made(cls: type) -> None:
         function = getattr(vars(owner)[name], "__func__", vars(owner)[name])
         if not isinstance(function, FunctionType):
             continue
+        fits = takes(function, 1, made.given)
+        if fits and (not made.gives or _calls_on(function, name)):
+            continue
         _check_dataclass(owner, made)
         head = f"{place_of_function(function)}: {owner.__qualname__}.{name}"
-        if not takes(function, 1, made.given):
+        if not fits:
             raise ClassError(
                 f"{head} takes {inspect.signature(function, follow_wrapped=False)}, and it is Pancakes that makes"
                 f" {made.what}: leave it out, and write {made.instead}"
             )
-        if not _calls_on(function, name):
-            raise ClassError(_silent(head, name, made))
+        raise ClassError(_silent(head, name, made))
 
 
 def check_loaded(cls: Any) -> None:
@@ -65,31 +70,32 @@ def check_loaded(cls: Any) -> None:
     """
     if not isinstance(cls, type) or is_own(cls) or not hasattr(cls, MADE_AS):
         return
-    for part in cls.__mro__:
-        if not is_own(part) and part in (owner_of(cls, "__init__"), owner_of(cls, "__hash__")):
-            _check_dataclass(part, getattr(cls, MADE_AS))
     check_made(cls)
+    made: Made = getattr(cls, MADE_AS)
+    compared = owner_of(cls, "__hash__")
+    if made.gives and compared is not None:
+        _check_dataclass(compared, made)  # it takes the hash away, by which actors are known
     lacking = sorted(getattr(cls, "__abstractmethods__", ()))
     if lacking:
         wanted = ", ".join(f"`{definition_of(getattr(cls, name), name)}`" for name in lacking)
         raise ClassError(f"{place_of_field(cls)}: {cls.__qualname__} lacks {', '.join(lacking)}: write {wanted}")
 
 
-def check_instance(made: object, attribute: str) -> None:
+def check_instance(cls: Any, instance: object) -> None:
     """Refuses what came of a class whose `__init__` did not go on to that of Pancakes.
 
     Args:
-        made: the instance.
-        attribute: what that gives each instance.
+        cls: what was called; all but a class that Pancakes makes is passed over.
+        instance: what came of it.
 
     Raises:
-        ClassError: it has it not.
+        ClassError: it is no instance, or has not got that.
     """
-    cls = type(made)
-    if attribute in vars(made) or not hasattr(cls, MADE_AS):
+    made: Made | None = getattr(cls, MADE_AS, None)
+    if made is None or made.gives in getattr(instance, "__dict__", ()):
         return
-    head = f"{place_of_field(cls)}: {cls.__qualname__}.__init__"
-    raise ClassError(_silent(head, "__init__", getattr(cls, MADE_AS)))
+    name = "__init__" if isinstance(instance, cls) else "__new__"
+    raise ClassError(_silent(f"{place_of_field(cls)}: {cls.__qualname__}.{name}", name, made))
 
 
 def _silent(head: str, name: str, made: Made) -> str:
@@ -102,10 +108,11 @@ def _silent(head: str, name: str, made: Made) -> str:
 
 def _check_dataclass(cls: type, made: Made) -> None:
     if "__dataclass_fields__" in vars(cls):
+        has_settings = made.gives or "settings" in made.given
+        instead = f"declare what may be set in `@dataclass class Settings`, and write {made.instead}"
         raise ClassError(
             f"{place_of_field(cls)}: {cls.__qualname__} is decorated with @dataclass, and it is Pancakes that makes"
-            f" {made.what}: leave it out, let what may be set stand in `@dataclass class Settings`, and write"
-            f" {made.instead}"
+            f" {made.what}: leave that out, {instead if has_settings else 'or give its fields defaults'}"
         )
 
 

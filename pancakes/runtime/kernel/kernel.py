@@ -173,7 +173,7 @@ class Kernel:
         """
         check_loaded(cls)
         component = cls(self, address, **arguments)
-        check_instance(component, "actor_stopped")
+        check_instance(cls, component)
         if exited is not None or not keeps_subscriptions:
             component.exited = exited or self._release
         self.registry.add(component)
