@@ -203,7 +203,7 @@ class Agent:
         self.kernel.life, self.kernel.first_number = f"{journal.uuid}/{journal.boot}", first_number(journal.life)
         self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use
         self._config_file = FileMark(config.path if virtual is None else "")
-        self._warnings = RecentWarnings()
+        self._warnings = RecentWarnings(self.kernel.tasks)
         self.kernel.stream.tap(LOG, lambda packet: self._warnings.hear(packet, self.kernel.host.now()), ("line",))
         disk = Disk(journal, store, self.skipped)
         self.records = Records(disk)

@@ -184,7 +184,7 @@ WRONG: list[tuple[dict[str, Any], str, str, str]] = [
     ),
     ({"journal_fault": "No space left"}, "error", "a", "keeps nothing that its tasks do: No space left"),
     (
-        {"tasks": [task(state="stopped", rest="", reason="motors is held by a/client/B")]},
+        {"tasks": [task(state="stopped", waits=True, reason="motors is held by a/client/B")]},
         "warning",
         "a/Scan",
         "does not run: motors is held by a/client/B",

@@ -195,16 +195,24 @@ class Mover:
             self._host.reply(move.answer, over.reason, over.result)
         if move is not None and over.reason and not move.dry_run:
             rule = place.slot.spec.rule if place.slot is not None and move.answer is None else None
-            self._refused(place, rule, f"{over.task_id} stays on {self._host.agent}: {over.reason}")
+            why = f"{over.task_id} stays on {self._host.agent}: {over.reason}"
+            self._refused(place, rule, why, "info" if move.answer is not None else "warning")
         if place.account is None or over.reason:
             return None
         place.account = None
         return PartConcluded()
 
-    def _refused(self, place: Place, rule: MigrationRule | None, why: str) -> None:
-        """No agent takes a task now. Where its rule has asked, that says what is done then."""
+    def _refused(self, place: Place, rule: MigrationRule | None, why: str, level: str = "warning") -> None:
+        """No agent takes a task now. Where its rule has asked, that says what is done then.
+
+        Args:
+            place: the task's place.
+            rule: the rule that asked for the move; None: a person did, or a program.
+            why: why it stays, as a sentence.
+            level: that of the sentence on `log`; one who has asked is told it anyway.
+        """
         host, slot = self._host, place.slot
-        host.log("warning", why)
+        host.log(level, why)
         place.ask_again_s = host.kernel.host.now() + (rule.again_s if rule is not None else AGAIN_S)
         other = host.slots.get(rule.otherwise) if rule is not None and rule.otherwise else None
         if slot is None or other is None or other.life.state not in RESTS:

@@ -38,6 +38,8 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
         "task": entry.name,
         "type": entry.type,
         "state": life.word,
+        # It is wanted, and starts by itself once it can: what it lacks is in `reason`.
+        "waits": life.state is State.REFUSED,
         "rest": entry.rest,
         "rate_hz": first.rate_hz if first is not None else None,
         "incarnation": life.incarnation,

@@ -165,7 +165,11 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
     for why in agent["mesh"].get("near_only", ()):
         yield Finding("warning", name, f"is not reached from other machines: {why}", ADVICE)
     for service in agent["services"]:
-        yield from _check_tries(f"{name}/{service['service']}", "service", service)
+        about = f"{name}/{service['service']}"
+        yield from _check_tries(about, "service", service)
+        if service["state"] == "stopped" and service["reason"]:
+            text = f"does not run, and none of its tasks: {service['reason']}"
+            yield Finding("warning", about, text, f"to start it: pancakes service start {about}")
     if agent["dead_letters"]:
         text = f"readers failed at {_count(agent['dead_letters'], 'packet')}, given up after that"
         yield Finding("warning", name, text, f"see which and why: pancakes log --from {name} --level warning")
@@ -247,7 +251,7 @@ def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding
         text = "does not run: it was given up before its agent was last started"
         advice = f"the agent's log from then says why (pancakes log); then: pancakes {noun} start {about}"
         yield Finding("error", about, text, advice)
-    elif row["state"] == "stopped" and row.get("rest") == "" and row["reason"]:
+    elif row.get("waits") and row["rest"] == "":
         advice = f"mend that: it starts once it can; pancakes {noun} info {about}"
         yield Finding("warning", about, f"does not run: {row['reason']}", advice)
     elif row["state"] == "restarting":

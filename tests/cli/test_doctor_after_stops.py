@@ -1,0 +1,62 @@
+"""What `pancakes doctor` says of what a person has stopped, asked of an agent in a test."""
+
+import pytest
+
+from pancakes.control import Describe, Start, Stop
+from pancakes.service import Service
+from pancakes.task import Task
+from pancakes.testing import FleetInTest
+from pancakes.tools.cli.verbs.agent_checks import check_fleet
+
+
+class Plain(Service):
+    """A service that keeps no records of its tasks."""
+
+
+class Blind(Task):
+    """Wants a device that is not there."""
+
+    requires = ("pose",)
+
+
+@pytest.fixture
+def agent(tmp_path):
+    with FleetInTest() as fleet:
+        tasks = {name: {"type": Task, "service": service} for name, service in (("Home", "client"), ("Odd", "plain"))}
+        tasks["Blind"] = {"type": Blind, "service": "plain", "start": False}
+        yield fleet.start(
+            "a", tasks=tasks, devices={"load": {"type": "host.load", "rate_hz": 1.0}}, services={"plain": Plain}
+        )
+
+
+def findings(agent):
+    found = check_fleet([agent.ask(Describe()).result], (), lambda name, target: None)
+    return [(finding.level, finding.about, finding.text, finding.advice) for finding in found]
+
+
+def test_tasks_and_devices_that_were_stopped_are_in_order(agent):
+    assert [row[:2] for row in findings(agent)] == [("ok", "a")]
+    for target in ("client/Home", "plain/Odd", "device/load"):
+        assert agent.ask(Stop(target)).ok
+    assert [row[:2] for row in findings(agent)] == [("ok", "a")]
+
+
+def test_a_start_that_was_refused_is_in_order_for_the_others(agent):
+    assert not agent.ask(Start("Blind")).ok
+    assert [row[:2] for row in findings(agent)] == [("ok", "a")]
+
+
+def test_a_service_that_was_stopped_is_named_with_who_asked(agent):
+    assert agent.ask(Stop("plain")).ok
+    (found,) = findings(agent)
+    assert found[:2] == ("warning", "a/plain")
+    assert "asked for by " in found[2] and "pancakes service start a/plain" in found[3]
+    assert agent.ask(Start("plain")).ok
+    assert [row[:2] for row in findings(agent)] == [("ok", "a")]
+
+
+def test_what_waits_for_a_device_is_named():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Blind": {"type": Blind, "service": "plain"}}, services={"plain": Plain})
+        found = findings(agent)
+    assert ("warning", "a/Blind") in [row[:2] for row in found]
