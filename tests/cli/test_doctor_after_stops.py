@@ -60,3 +60,17 @@ def test_what_waits_for_a_device_is_named():
         agent = fleet.start("a", tasks={"Blind": {"type": Blind, "service": "plain"}}, services={"plain": Plain})
         found = findings(agent)
     assert ("warning", "a/Blind") in [row[:2] for row in found]
+
+
+class Boom(Task):
+    def on_start(self):
+        raise ValueError("the wheel came off")
+
+
+def test_a_task_that_was_given_up_is_named_once_and_no_more_after_a_stop():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Boom": {"type": Boom, "restart": {"at_most": 1}}})
+        fleet.run_for(5.0)
+        assert [row[:2] for row in findings(agent)] == [("error", "a/Boom")]
+        assert agent.ask(Stop("Boom")).ok
+        assert [row[:2] for row in findings(agent)] == [("ok", "a")]

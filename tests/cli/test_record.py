@@ -93,6 +93,8 @@ def test_record_start_that_is_refused_records_nothing(rig):
         assert (result.returncode, result.stdout) == (1, "") and path in result.stderr
         assert rows(rig, "list") == [{"agent": "a", "done": result.stderr.strip().partition(": ")[2], "path": None}]
     assert not (rig.directory / "r.mcap").exists()
+    found = json.loads(rig.pancakes("doctor", "--no-machine", "--format", "json").stdout)
+    assert not [row["text"] for row in found if "ecord" in row["about"] + row["text"]], "whoever asked was told"
 
 
 def test_record_goes_on_after_a_kill_and_not_after_a_stop(rig):

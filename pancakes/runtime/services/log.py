@@ -23,7 +23,7 @@ from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
 from pancakes.runtime.life.life import State
 from pancakes.runtime.life.life_effect import Answer
-from pancakes.runtime.life.life_event import Written
+from pancakes.runtime.life.life_event import Finished, Written
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.life.restart import RestartSpec
 from pancakes.runtime.services.log_record import line_of, record_of
@@ -255,6 +255,13 @@ class LogService(Service):
         super().take_up(slot, kept)
         if slot.name == RECORDER and self._goes_on.first:
             slot.carried = Carried({**self._record, **self._goes_on.settings}, {"goes_on": self._goes_on.first})
+
+    def feed(self, slot: Slot, event: Any) -> None:
+        life = slot.life
+        if slot.name == RECORDER and life.state is State.STARTING and life.asker and isinstance(event, Finished):
+            # Whoever asked is told why, and nothing is amiss: it did not record before, and does not now.
+            event = replace(event, failed=False)
+        super().feed(slot, event)
 
     def answer(self, slot: Slot, effect: Answer) -> None:
         if effect.reason or slot.name != RECORDER or slot.life.state is not State.RUNNING:

@@ -101,9 +101,13 @@ def check_fleet(
 
 def _check_warnings(agent: dict[str, Any], findings: Sequence[Finding]) -> Iterator[Finding]:
     """Tells what an agent has warned of lately, unless a finding says so already."""
+    in_error = {finding.about for finding in findings if finding.level == "error"}
     for line in agent.get("warnings", ()):
         if any(finding.text in line["text"] or line["text"] in finding.text for finding in findings):
             continue
+        name, _, target = line["text"].partition(" ")[0].partition("/")
+        if f"{name}/{target.rpartition('/')[2]}" in in_error:
+            continue  # how it came to that, try by try
         times = f"{line['count']} times, last " if line["count"] > 1 else ""
         text = f"warned {times}{line['ago_s']:.0f} s ago: {line['text']}"
         advice = f"see what led to it: pancakes log --from {agent['agent']} --level warning"
