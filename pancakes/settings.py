@@ -28,7 +28,7 @@ from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import array_of, check_items, is_array, is_array_type, is_number
 from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.foundation.units import key_for, written_for
-from pancakes.runtime.foundation.user_folders import NoHome, at_home
+from pancakes.runtime.foundation.user_folders import NoPath, at_home
 
 _T = TypeVar("_T")
 
@@ -125,7 +125,7 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
         odd = [Problem(path, text) for path, text in _odd_in(settings, (), allow_nan)]
     except (TypeError, NameError, RecursionError) as error:  # a type that msgspec cannot check, or cannot resolve
         return [Problem((), f"{cls.__qualname__} cannot be checked: {error}")]
-    odd += [Problem(path, text) for path, text in _homeless(cls, settings)]
+    odd += [Problem(path, text) for path, text in _no_paths(cls, settings)]
     return odd + [problem for problem in problems if all(problem.path != it.path for it in odd)]
 
 
@@ -317,11 +317,12 @@ def _with_paths_at_home(cls: type, plain: Mapping[str, Any]) -> Mapping[str, Any
     """Returns plain values in which each path of a file (see `FilePath`) that begins with `~` is a whole one.
 
     Raises:
-        NoHome: nothing says where that is.
+        NoPath: nothing says where that is, or it is no path.
     """
     for key, path in list(paths_in(cls, plain)):
-        if path.startswith("~"):
-            plain = _with(plain, key, at_home(path))
+        whole = at_home(path)
+        if whole != path:
+            plain = _with(plain, key, whole)
     return plain
 
 
@@ -369,12 +370,12 @@ def _names_files(kind: Any, within: tuple[Any, ...]) -> bool:
     return any(_names_files(it, within) for it in get_args(kind))
 
 
-def _homeless(cls: type, settings: Any) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """The paths that begin at a home of which nothing says where it is."""
+def _no_paths(cls: type, settings: Any) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """The paths that are none, and those that begin at a home of which nothing says where it is."""
     for path, text in paths_in(cls, settings) if _may_name_files(cls) else ():
         try:
             at_home(text)
-        except NoHome as error:
+        except NoPath as error:
             yield path, str(error)
 
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pancakes.runtime.foundation.user_folders import NoHome, at_home
+from pancakes.runtime.foundation.user_folders import NoPath, at_home
 from pancakes.settings import dotted, paths_in, plain_settings
 
 
@@ -40,7 +40,7 @@ class Folders:
     def _holds(self, path: str) -> bool:
         try:
             real = self._real(path)
-        except (ValueError, NoHome):  # no path has a NUL in it
+        except (ValueError, NoPath):
             return False
         below = (folder for folder in self._folders if real != folder)  # a name may get an end yet: FOLDER.mcap
         return real in self._files or any(os.path.commonpath((real, folder)) == folder for folder in below)

@@ -234,7 +234,7 @@ def open_to(path: int | Path, group: str, mode: int) -> None:
 
     try:
         number = grp.getgrnam(group).gr_gid
-    except KeyError:
+    except (KeyError, ValueError):  # ValueError: a NUL is in it
         raise PancakesError(f"there is no group {group!r} on this machine, which [agent] local_group names") from None
     if os.stat(path).st_gid != number:
         os.chown(path, -1, number)

@@ -1,5 +1,6 @@
 """`pancakes-agent` and a configuration that is not sound: every mistake at once, as sentences, exit code 4."""
 
+import pytest
 from cli.processes import Rig
 from click.testing import CliRunner
 
@@ -53,3 +54,56 @@ def test_agent_needs_a_file_that_is_there(rig: Rig):
     assert said.everything() == "agent.toml: file: there is no such file, did you mean 'agent1.toml'?"
     usage = CliRunner().invoke(agent, [])
     assert usage.exit_code == 2 and "--config" in usage.output
+
+
+@pytest.mark.parametrize(
+    ("config", "key"),
+    [
+        ({"agent.state_dir": r"a\u0000b"}, "[agent] state_dir"),
+        ({"agent.folders": [r"a\u0000b"]}, "[agent] folders[0]"),
+        ({"record.path": r"a\u0000b"}, "[record] path"),
+        ({"service.network.settings.keys": r"a\u0000b"}, "[service.network] settings.keys"),
+        ({"service.log.settings.file": r"~/a\u0000b"}, "[service.log] settings.file"),
+    ],
+)
+def test_path_with_a_nul_in_it_is_refused(rig: Rig, config: dict[str, object], key: str):
+    path = rig.config("a")
+    sets = [word for name, value in config.items() for word in ("--set", f"{name}={_toml(value)}")]
+    for check in ((), ("--check",)):
+        agent = rig.agent(path, *sets, *check)
+        assert agent.ended() == 4
+        assert f"{key}: has a NUL in it, which no path may have" in agent.everything()
+
+
+def _toml(value: object) -> str:
+    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else f'"{value}"'
+
+
+@pytest.mark.parametrize(
+    ("set_", "key", "why"),
+    [
+        ('agent.state_dir="/etc/passwd"', "[agent] state_dir", "/etc/passwd is no directory"),
+        ('agent.state_dir="/etc/passwd/a/b"', "[agent] state_dir", "/etc/passwd is no directory"),
+        ('agent.listen=["tcp://192.0.2.7:7401"]', "[agent] listen", "tcp://192.0.2.7:7401: cannot assign requested"),
+        ('agent.listen=["tcp://no-such.invalid:7401"]', "[agent] listen", "tcp://no-such.invalid:7401: "),
+        ('agent.listen=["local:///etc/passwd/x"]', "[agent] listen", "/etc/passwd is no directory"),
+        ('agent.local_group="no-such-group"', "[agent] local_group", "there is no group 'no-such-group'"),
+        (r'agent.local_group="a\u0000b"', "[agent] local_group", r"there is no group 'a\x00b'"),
+    ],
+)
+def test_what_cannot_start_on_this_machine_is_a_warning(rig: Rig, set_: str, key: str, why: str):
+    path = rig.config("a")
+    checked = rig.agent(path, "--set", set_, "--check")
+    assert checked.ended() == 0
+    line = next(line for line in checked.everything().splitlines() if line.startswith("warning: ") and key in line)
+    assert "on this machine it does not start: " in line and why in line
+    started = rig.agent(path, "--set", set_)
+    assert started.ended() in (1, 4), "the warning is true"
+    assert "defect" not in started.everything() and "Traceback" not in started.everything()
+
+
+def test_addresses_of_this_machine_are_no_doubt(rig: Rig):
+    path = rig.config("a")
+    for listen in ("tcp://127.0.0.1:7401", "tcp://0.0.0.0:0", "tcp://[::1]:0", "local://a"):
+        checked = rig.agent(path, "--set", f'agent.listen=["{listen}"]', "--check")
+        assert checked.ended() == 0 and "warning" not in checked.everything()

@@ -228,5 +228,5 @@ def _number(group: str) -> int:
 
     try:
         return grp.getgrnam(group).gr_gid
-    except KeyError:
+    except (KeyError, ValueError):  # ValueError: a NUL is in it
         return -1

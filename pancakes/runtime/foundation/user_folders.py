@@ -11,7 +11,11 @@ from pathlib import Path
 from pancakes.errors import PancakesError
 
 
-class NoHome(PancakesError):
+class NoPath(PancakesError):
+    """A text is the path of nothing; the sentence says why."""
+
+
+class NoHome(NoPath):
     """A folder of the user is needed, and nothing says where it is; the sentence names what to set."""
 
 
@@ -23,8 +27,11 @@ def at_home(path: str, user: str = "") -> str:
         user: whose home `~` is; empty: that of the user of this process.
 
     Raises:
+        NoPath: it has a NUL in it.
         NoHome: nothing says where that is.
     """
+    if "\0" in path:
+        raise NoPath("has a NUL in it, which no path may have")
     if not path.startswith("~"):
         return path
     name, slash, rest = path.partition("/")

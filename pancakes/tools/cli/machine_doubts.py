@@ -24,8 +24,10 @@ def machine_doubts(config: Config, plugins: Plugins) -> list[Fault]:
     """
     from pancakes.runtime.config.doubts import doubts_of
     from pancakes.runtime.transport_settings import keys_for, network_settings
+    from pancakes.tools.cli.start_doubts import start_doubts
 
     found = doubts_of(config)
+    found += [config.places.fault(key, f"{NOT_HERE}: {why}") for key, why in start_doubts(config)]
     try:
         keys_for(config, network_settings(config), plugins)
     except ConfigError as error:
