@@ -78,9 +78,7 @@ def check_words(owner: type, *names: str) -> None:
         if isinstance(value, str):
             raise ClassError(f"{place_of_field(part)}: {part.__qualname__}.{name} is {value!r}: write ({value!r},)")
         if not isinstance(value, Sequence) or not all(isinstance(word, str) and word for word in value):
-            raise ClassError(
-                f"{place_of_field(part)}: {part.__qualname__}.{name} is {value!r}, and no tuple of names"
-            )
+            raise ClassError(f"{place_of_field(part)}: {part.__qualname__}.{name} is {value!r}, and no tuple of names")
 
 
 def check_offers(owner: str, state: type, offers: tuple[str, ...]) -> None:
