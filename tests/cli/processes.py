@@ -109,6 +109,14 @@ class Running:
         assert self._said_to is not None
         self._said_to.close()
 
+    def wait_for_file(self, path: Path) -> None:
+        """Waits until a file is there, while the process runs."""
+        until_s = time.monotonic() + PATIENCE_S
+        while not path.exists():
+            assert self.process.poll() is None, self.everything()
+            assert time.monotonic() < until_s, f"{path} is not there"
+            time.sleep(0.01)
+
     def signalled(self, number: int) -> tuple[int, float]:
         """Sends a signal and waits for the end; returns the exit code, and the seconds that it took."""
         began_s = time.monotonic()

@@ -1,13 +1,17 @@
 """An agent as a process: how it begins, how it ends, and what it survives."""
 
+import os
 import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 
 import pytest
-from cli.processes import INSECURE, READY, Rig, Running
+from cli.processes import INSECURE, PATIENCE_S, READY, Rig, Running
+from harness.programs import AGENT
 
 from pancakes.tools.cli.agent_process import TWICE_S
 
@@ -145,7 +149,7 @@ def test_agent_whose_root_fails_ends_and_answers(rig: Rig):
 def test_agent_that_cannot_run_says_why_though_it_does_not_end(rig: Rig) -> None:
     stuck = (
         "import time; from pancakes.tools.cli.agent_process import Orders; orders = Orders(); orders.begin();"
-        " orders.give_up('its port is in use'); orders.wait(60, print); time.sleep(60)"
+        " orders.give_up('its port is in use'); orders.wait(60, print, print); time.sleep(60)"
     )
     running = rig.run("-c", stuck)
     assert running.ended() == 1
@@ -287,3 +291,39 @@ def test_agent_of_the_example_for_everybody_runs(rig: Rig, request: pytest.Fixtu
     rig.entry(agent.pid)
     assert "host.memory" in rig.pancakes("task", "list", "single").stdout
     assert agent.signalled(signal.SIGTERM)[0] == 0
+
+
+def test_hangup_begins_a_moved_log_file_again(rig: Rig):
+    """As `postrotate` of logrotate sends it; no other line comes meanwhile."""
+    agent = rig.agent(rig.config("a", '[service.log]\nsettings = { file = "a.jsonl" }'))
+    agent.hear(READY)
+    path = rig.directory / "a.jsonl"
+    for number in (1, 2):  # twice: it is no wish to end at once
+        path.rename(rig.directory / f"moved.{number}.jsonl")
+        agent.process.send_signal(signal.SIGHUP)
+        agent.hear("SIGHUP: ")
+        agent.hear("was moved or removed by another program: a new one begins")
+        agent.wait_for_file(path)
+    assert agent.signalled(signal.SIGTERM)[0] == 0
+
+
+def test_hangup_of_its_terminal_ends_an_agent(rig: Rig):
+    config = rig.config("a")
+    ours, its = os.openpty()
+    agent = subprocess.Popen(
+        [sys.executable, "-m", AGENT, "--config", str(config)],
+        stdin=its,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=rig.environment,
+        cwd=rig.directory,
+    )
+    with agent:
+        try:
+            assert agent.stderr is not None and any(READY in line for line in agent.stderr)
+            agent.send_signal(signal.SIGHUP)
+            assert agent.wait(PATIENCE_S) == 0
+        finally:
+            agent.kill()
+            os.close(its)
+            os.close(ours)

@@ -64,6 +64,9 @@ class Orders:
 
     From then on it has `STOP_S` to end: one that a stuck task or driver delays is ended all the same. Before it has
     begun there is nothing to end in order, and the process ends at once.
+
+    SIGHUP ends it if a terminal is its standard input: that one closes. Else another program has moved its files, and
+    it goes on.
     """
 
     def __init__(self) -> None:
@@ -76,9 +79,11 @@ class Orders:
         os.set_blocking(self._wake_writer, False)
         signal.set_wakeup_fd(self._wake_writer, warn_on_full_buffer=False)
         signal.signal(signal.SIGALRM, self._too_late)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        self._hung_up = False
+        at_hangup = self._heard if os.isatty(0) else self._hear_hangup
+        for number, hear in ((signal.SIGINT, self._heard), (signal.SIGTERM, self._heard), (signal.SIGHUP, at_hangup)):
             if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
-                signal.signal(number, self._heard)
+                signal.signal(number, hear)
 
     def begin(self) -> None:
         """The agent begins: from here on it is ended in order."""
@@ -89,18 +94,22 @@ class Orders:
         self._reasons.append(reason)
         os.write(self._wake_writer, b"\0")
 
-    def wait(self, every_s: float, meanwhile: Callable[[], None]) -> str:
+    def wait(self, every_s: float, meanwhile: Callable[[], None], at_hangup: Callable[[], None]) -> str:
         """Waits until the agent is to stop; returns why it cannot go on, empty where it was told to.
 
         Args:
             every_s: how often `meanwhile` is called.
             meanwhile: what this thread does besides.
+            at_hangup: called after a SIGHUP that does not end the agent.
         """
         while not self._reasons:
             if select.select([self._wake_reader], [], [], every_s)[0]:
                 os.read(self._wake_reader, 1)
             else:
                 meanwhile()
+            if self._hung_up:
+                self._hung_up = False
+                at_hangup()
         if not self._seen:
             signal.setitimer(signal.ITIMER_REAL, STOP_S)
         return self._reasons[0]
@@ -118,6 +127,9 @@ class Orders:
             signal.setitimer(signal.ITIMER_REAL, STOP_S)
         self._seen[number] = self._now()
         self._reasons.append("")
+
+    def _hear_hangup(self, number: int, frame: FrameType | None) -> None:
+        self._hung_up = True
 
     def _too_late(self, number: int, frame: FrameType | None) -> None:
         reason = self._reasons[0] if self._reasons else ""
@@ -145,7 +157,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     if manager is not None:
         _when_ready(running, lambda: manager.say(READY=1, STATUS=f"{running.name} is ready"))
         _feed_watchdog(running, manager)
-    reason = orders.wait(LOOK_S, lambda: _renew(registration, running))
+    reason = orders.wait(LOOK_S, lambda: _renew(registration, running), lambda: _tell_of_hangup(running))
     if manager is not None:
         manager.say(STOPPING=1, STATUS=reason or f"{running.name} ends")
     # From now on no command finds the agent, which is about to end.
@@ -219,6 +231,11 @@ def _renew(registration: Registration | None, running: Agent) -> None:
         running.kernel.log(
             "info", f"`pancakes` finds {running.name} again: its entry in the runtime directory was gone"
         )
+
+
+def _tell_of_hangup(running: Agent) -> None:
+    """Says that a SIGHUP came: the log file and the recording look with each line whether they were moved."""
+    running.kernel.log("info", "SIGHUP: the log file and the recording begin again if another program has moved them")
 
 
 def _when_ready(running: Agent, tell: Callable[[], None]) -> None:
