@@ -1,5 +1,6 @@
 """The recorder in an agent: it is started and stopped by packets, sees everything, and harms nobody."""
 
+import os
 import time
 from dataclasses import dataclass
 from itertools import pairwise
@@ -277,6 +278,24 @@ def test_a_recording_whose_file_is_moved_goes_on_in_a_further_file_and_says_so(f
     moved = [entry.packet.body.cpu for entry in before.entries() if entry.topic == "/a/system/load"]
     assert moved[-1] >= 20 and all(reading.whole for reading in before.readings)
     assert len([entry for entry in after.entries() if entry.topic == "/a/system/load"]) >= 15
+
+
+@pytest.mark.parametrize("left", [0, 100])
+def test_a_recording_whose_file_is_truncated_goes_on_in_a_further_file_and_says_so(fleet, tmp_path, left):
+    """As `: > r.mcap` does, and `copytruncate` of logrotate."""
+    agent = fleet.start("a", tasks={"Count": Count})
+    record(agent, tmp_path / "r.mcap")
+    fleet.run_for(2.0)
+    os.truncate(tmp_path / "r.mcap", left)
+    fleet.run_for(2.0)
+    assert agent.ask(Stop(RECORDER)).ok
+    (told,) = [line for line in agent.lines("warning") if "truncated" in line]
+    assert str(tmp_path / "r.mcap") in told and str(tmp_path / "r.002.mcap") in told
+    assert (tmp_path / "r.mcap").stat().st_size == left, "no hole is written behind what is left"
+    for path in (tmp_path / "r.002.mcap", tmp_path):
+        after = RecordingReader(path)
+        assert len([entry for entry in after.entries() if entry.topic == "/a/system/load"]) >= 8
+        assert after.readings[-1].whole
 
 
 def test_a_recording_that_began_before_the_clock_was_set_is_dated_once_it_is(tmp_path, monkeypatch):

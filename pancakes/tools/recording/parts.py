@@ -31,7 +31,7 @@ class RecordingParts:
 
     Attributes:
         first: the path of the first file.
-        moved: a sentence on each file that another program has moved or removed while it was written.
+        moved: a sentence on each file that another program has moved, removed or truncated while it was written.
 
     Raises:
         RecordingError: nothing can be written there, or too little is free on the disk.
@@ -93,12 +93,7 @@ class RecordingParts:
         """
         self._writer.flush()
         is_large = self._writer.size_bytes() >= self._split_bytes
-        if not self._writer.is_there():
-            path = self._writer.path
-            self._split()
-            now = self._writer.path
-            self.moved.append(f"{path} was moved or removed by another program: the recording goes on in {now}")
-        elif is_large:
+        if is_large or not self._writer.is_there() or self._writer.is_truncated():
             self._split()
         if is_large or self._writer.size_bytes() - self._synced_bytes >= SYNC_BYTES:
             lacking = self.sync()
@@ -158,12 +153,18 @@ class RecordingParts:
         return sum(size for _, size in self._done) + self._writer.size_bytes()
 
     def _split(self) -> None:
-        number, is_there = part_number(self._writer.path) + 1, self._writer.is_there()
+        path, is_there = self._writer.path, self._writer.is_there()
+        number = part_number(path) + 1
+        why = "" if is_there else "was moved or removed by another program"
+        if is_there and self._writer.is_truncated():
+            why = "was truncated by another program, and the last second of what was said is lost with it"
         self._writer.close()
         if is_there:
-            self._done.append((self._writer.path, self._writer.path.stat().st_size))
+            self._done.append((path, path.stat().st_size))
         self.first.parent.mkdir(parents=True, exist_ok=True)  # it may have been moved as well
         self._writer = RecordingWriter(part_path(self.first, number), self._about)
+        if why:
+            self.moved.append(f"{path} {why}: the recording goes on in {self._writer.path}")
 
 
 def part_path(first: Path, number: int) -> Path:

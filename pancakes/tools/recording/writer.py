@@ -60,6 +60,8 @@ class RecordingWriter:
                 self._file.close()
             raise
         self._has_failed = False
+        self._flushed_bytes = self._file.tell()
+        self._left_bytes: int | None = None
         self._chunk_bytes = 0
         self._packet_channels: dict[tuple[str, str, str], int] = {}
         self._channels: dict[tuple[str, str], int] = {}
@@ -102,6 +104,14 @@ class RecordingWriter:
         """Returns whether what is written still is the file of its name."""
         return is_still_at(self._file.fileno(), self.path)
 
+    def is_truncated(self) -> bool:
+        """Returns whether another program has made the file shorter. Nothing is written to it from then on."""
+        if self._left_bytes is None:
+            size = os.fstat(self._file.fileno()).st_size
+            if size < self._flushed_bytes:
+                self._left_bytes = size
+        return self._left_bytes is not None
+
     def size_bytes(self) -> int:
         """Returns how large the file was after the last `flush`."""
         return self._file.tell()
@@ -113,8 +123,11 @@ class RecordingWriter:
             OSError: the disk is full, ...
         """
         self._chunk_bytes = 0
+        if self.is_truncated():
+            return  # behind what is left, there would be a hole
         try:
             self._mcap.flush()
+            self._flushed_bytes = self._file.tell()
         except OSError:
             self._has_failed = True
             raise
@@ -132,12 +145,14 @@ class RecordingWriter:
         if self._file.closed:
             return  # the next file could not be begun
         try:
-            if not self._has_failed:
+            if not self._has_failed and not self.is_truncated():
                 self._mcap.finish()
                 self._file.flush()
                 self.sync()
         finally:
             self._file.close()
+            if self._left_bytes is not None and self.path.exists():
+                os.truncate(self.path, self._left_bytes)  # what was noted since then lay behind a hole
 
     def _add_message(self, channel: int, time_ns: int, data: bytes, sequence: int) -> None:
         self._mcap.add_message(channel, time_ns, data, time_ns, sequence)
