@@ -17,7 +17,7 @@ from deploy.ssh_hosts import BARE, SshHosts, free_port, with_sshd
 
 pytestmark = [with_sshd, pytest.mark.timeout(900)]
 AGAIN_S = 20.0  # 5 s on a machine that does nothing else
-WALK = '[task.Walk]\ntype = "yard.Walk"\nsettings = { broken = false }\nrestart = { policy = "temporary" }\n'
+WALK = '[task.Walk]\ntype = "yard.Walk"\nsettings = { broken = false }\nrestart = { policy = "no" }\n'
 BROKEN = MODULE.replace(
     "    @every", '    def on_start(self):\n        raise ValueError("it has no legs")\n\n    @every'
 )

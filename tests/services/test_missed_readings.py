@@ -242,8 +242,8 @@ def commanding(fleet, driver, *bodies, **keys):
         (Taker, Twist("fast", 0.0), "v_mps is 'fast'"),  # type: ignore[arg-type]
         (ArmDriver, Arm((0.0, math.nan)), "joints_rad[1] is nan"),
         (ArmDriver, Arm(grip=1.5), "grip is 1.5, above 1"),
-        (ArmDriver, Arm(None), "joints_rad is None, which is no list"),
-        (ArmDriver, Arm(goal="home"), "goal is 'home', which is no Twist"),
+        (ArmDriver, Arm(None), "joints_rad is None, which is no list"),  # type: ignore[arg-type]
+        (ArmDriver, Arm(goal="home"), "goal is 'home', which is no Twist"),  # type: ignore[arg-type]
         (ArmDriver, Arm(named={"elbow": math.inf}), "named['elbow'] is inf"),
         (ArmDriver, Arm(speed=math.nan), "speed is nan"),
         (ArmDriver, Arm(goal=Twist(0.0, math.nan)), "goal.omega_radps is nan"),

@@ -32,7 +32,9 @@ def cell(*texts: str) -> nbformat.NotebookNode:
 
 def test_notebook_prints_what_is_kept_of_it():
     done = subprocess.run([sys.executable, str(SCRIPT), "--check"], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    # On a busy machine libzmq may say at the very end that a file descriptor of its own had nothing to read.
+    said = [line for line in done.stderr.splitlines() if "src/signaler.cpp" not in line]
+    assert (done.returncode, said) == (0, [])
 
 
 def test_notebook_names_a_cell_that_prints_something_else(notebook):

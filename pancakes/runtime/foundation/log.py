@@ -16,6 +16,8 @@ Say = Callable[[str, str, str], None]
 """Takes a level, a line and a traceback."""
 LEVELS: Final = ("debug", "info", "warning", "error")
 _METHODS: Final = (*LEVELS, "exception")
+_MEANT: Final = frozenset((*LEVELS, "warn", "err", "critical", "fatal", "notice", "trace", "verbose"))
+"""What other programs call their levels."""
 
 
 class Log:
@@ -107,7 +109,7 @@ def check_levels(cls: type) -> None:
 def _unknown_levels(code: CodeType) -> Iterator[tuple[str, int]]:
     """Yields what stands for a level in `self.log("...")` and `self.log. ...()`, with its line.
 
-    Of words, only those that are nearly a level, or mean one: the log may be given to another function with them.
+    Of words, only those that others have for a level: the log may be given to another function with any.
     """
     for inner in code.co_consts:
         if isinstance(inner, CodeType) and "self" not in inner.co_varnames[: inner.co_argcount]:
@@ -121,7 +123,7 @@ def _unknown_levels(code: CodeType) -> Iterator[tuple[str, int]]:
         word = instruction.argval
         is_attribute = instruction.opname in ("LOAD_ATTR", "LOAD_METHOD")
         line = instruction.positions.lineno if instruction.positions is not None else None
-        is_word = instruction.opname == "LOAD_CONST" and isinstance(word, str) and bool(did_you_mean(word, _METHODS))
+        is_word = instruction.opname == "LOAD_CONST" and isinstance(word, str) and word.lower() in _MEANT
         if of_log and ((is_attribute and word not in _METHODS) or (is_word and word not in LEVELS)):
             yield word, line or code.co_firstlineno
         of_log = owner and is_attribute and word == "log"

@@ -360,7 +360,7 @@ class Root(Component):
             place.for_s = body.for_s
             place.wakes_s = self.now() + body.for_s if body.for_s is not None else None
         again = isinstance(body, Restart)
-        how_long = "" if again or body.for_s is None else f", for {body.for_s:g} s"
+        how_long = f", for {body.for_s:g} s" if isinstance(body, Stop) and body.for_s is not None else ""
         reason = f"{'restart ' if again else ''}asked for by {request.by}{how_long}"
         event = StopAsked(request, reason, again)
         if name != NETWORK:
