@@ -168,6 +168,20 @@ def type_name(body: Any) -> str:
     return name
 
 
+def type_of(body: Any) -> str:
+    """Returns the type name of the body of a packet that is made.
+
+    Raises:
+        LocalProtocolError: its class was never registered with `packet_type`, or it is a class itself.
+    """
+    name = _NAMES.get(type(body))
+    if name is None:
+        if isinstance(body, type):
+            raise LocalProtocolError(f"{body.__qualname__} is a class: publish an instance, {body.__qualname__}(...)")
+        return type_name(body)
+    return name
+
+
 def body_class(name: str) -> type | None:
     """Returns the class registered under `name`, or None."""
     return _CLASSES.get(name)

@@ -13,7 +13,7 @@ from pancakes.errors import LocalProtocolError, PancakesError
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.transport import Transport
 from pancakes.mesh.wire.link_messages import Hello, Identity
-from pancakes.packet import SYSCTRL, Packet, body_class, type_name
+from pancakes.packet import SYSCTRL, Packet, body_class, type_name, type_of
 from pancakes.runtime.clock import Clock
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ class Door:
             PancakesError: it cannot travel, or the agent is not connected any more.
         """
         number = next(self._numbers)
-        self.send(Packet(channel, type_name(body), self.name, destination or agent, stamp, number, body))
+        self.send(Packet(channel, type_of(body), self.name, destination or agent, stamp, number, body))
 
     def send(self, packet: Packet) -> None:
         """Sends a packet as it is to the connected agent that its destination names.

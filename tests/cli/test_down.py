@@ -52,6 +52,13 @@ def test_down_ends_only_agents_that_are_meant(rig: Rig):
     assert (a.ended(), quiet.ended(), b.process.poll()) == (0, 0, None)
 
 
+def test_down_names_an_agent_that_there_is_not(rig: Rig):
+    rig.ready("lamp")
+    result = rig.pancakes("down", "lamp", "lmp", "--format", "json")
+    assert (result.returncode, rows(result.stdout)) == (3, [("lamp", "ended")])
+    assert "there is no agent 'lmp', did you mean 'lamp'?" in result.stderr
+
+
 def test_down_names_an_agent_that_does_not_answer(rig: Rig, freeze: Callable[[Running], None]):
     _, b = pair(rig)
     freeze(b)

@@ -268,3 +268,9 @@ def test_a_component_that_logs_does_not_fail_where_a_reader_of_log_has_no_room(v
 def test_a_kernel_without_a_mesh_and_a_disk_has_used_neither(virtual):
     assert virtual.kernel.mission_packets_sent() == 0
     assert virtual.kernel.disk_use() == (0, 0)
+
+
+def test_a_class_is_not_published_in_place_of_an_instance(virtual):
+    diary = virtual.spawn(Diary, "a/client/Diary")
+    with pytest.raises(LocalProtocolError, match=r"Number is a class: publish an instance, Number\(\.\.\.\)"):
+        diary.publish("system", Number)

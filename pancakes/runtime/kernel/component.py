@@ -13,7 +13,7 @@ import pykka
 
 from pancakes.errors import ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.events import Event, LogLine
-from pancakes.packet import CTRL, LOG, Cause, Fence, Packet, type_name
+from pancakes.packet import CTRL, LOG, Cause, Fence, Packet, type_name, type_of
 from pancakes.runtime.foundation.local_time import READER, LocalTime
 from pancakes.runtime.foundation.log import Log, check_levels
 from pancakes.runtime.foundation.signatures import check_called, check_overrides
@@ -152,7 +152,7 @@ class Component(PykkaActor):
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
         sent_s, seq = self.kernel.now(), self.__seq.take()
-        packet = Packet(channel, type_name(body), self.address, to, sent_s, seq, body, cause, fence)
+        packet = Packet(channel, type_of(body), self.address, to, sent_s, seq, body, cause, fence)
         self.kernel.stream.publish(packet)
         return packet
 

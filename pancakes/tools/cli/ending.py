@@ -68,11 +68,7 @@ class Ending:
     def end(self, at: Where, names: Sequence[str], here: dict[tuple[str, str], RunningAgent]) -> None:
         """Ends agents that are found from some addresses (none: on this machine)."""
         with Client(at, self.timeout_s) as client:
-            try:
-                found = client.survey(*names)
-                described, silent = found.agents, found.silent
-            except Unreachable as error:
-                described, silent = [], str(error).splitlines()
+            described, silent = _described(client, names)
             answered = {(told["fleet"], told["agent"]) for told in described}
             # An agent that was named together with an address may be on another machine. Its namesake here is another.
             mute = [] if at.addresses else [it for key, it in here.items() if it.name in names and key not in answered]
@@ -150,6 +146,18 @@ class Ending:
         """Something went wrong, which the exit code tells."""
         show_text(sentence, err=True)
         self.code = max(self.code, code)
+
+
+def _described(client: Client, names: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
+    """Returns what agents say of themselves, and a sentence for each that says nothing; one hides no other."""
+    try:
+        found = client.survey(*names)
+    except Unreachable as error:
+        if len(names) < 2:
+            return [], str(error).splitlines()
+        parts = [_described(client, [name]) for name in names]
+        return [told for part, _ in parts for told in part], [sentence for _, part in parts for sentence in part]
+    return list(found.agents), list(found.silent)
 
 
 def _target(described: dict[str, Any], here: dict[tuple[str, str], RunningAgent]) -> Target:
