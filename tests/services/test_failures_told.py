@@ -45,6 +45,7 @@ class Unstarted(Task):
 
 class Unmade(Task):
     def __init__(self, *args, **others):
+        super().__init__(*args, **others)
         paint({})
 
 

@@ -341,6 +341,7 @@ def test_what_a_task_that_was_given_up_had_subscribed_to_holds_nobody_up(fleet, 
 def test_a_task_whose_class_cannot_be_made_is_given_up_as_well(fleet, service):
     class Broken(Task):
         def __init__(self, *args, **others):
+            super().__init__(*args, **others)
             raise RuntimeError("cannot be made")
 
     agent = start(fleet, service, Broken=Broken)
