@@ -10,10 +10,11 @@ import errno
 import os
 import selectors
 import socket
-import time
 from collections.abc import Sequence
 from itertools import zip_longest
 from typing import Any, Final
+
+from pancakes.runtime.clock import MonotonicClock
 
 PACE_S: Final = 0.25
 """So long after one address the next is tried, if there is no answer yet."""
@@ -51,13 +52,13 @@ def connect(host: str, port: int, within_s: float) -> socket.socket:
     found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     places = by_turns([(family, place) for family, _, _, _, place in found])
     tries: dict[socket.socket, None] = {}
-    began_s = next_s = time.monotonic()
+    began_s = next_s = MonotonicClock.now()
     until_s, step_s = began_s + within_s, pace_s(len(places), within_s)
     failure: OSError = TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
     with selectors.DefaultSelector() as selector:
         try:
             while places or tries:
-                now_s = time.monotonic()
+                now_s = MonotonicClock.now()
                 if now_s >= until_s:
                     raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
                 if places and (now_s >= next_s or not tries):

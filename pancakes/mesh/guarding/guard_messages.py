@@ -171,7 +171,7 @@ class YieldLease(msgspec.Struct, frozen=True):
         beat: the number of its last asking; a lease that was granted on a later one does not end.
         boot: in which life of its agent the guardian was heard last; one that has begun anew since cannot know on which
             asking it granted what, so the lease does not end.
-        given: whether it has given the task to another agent, or stands still for one, which is about to ask.
+        given: whether it has given the task to another agent, or is frozen for one, which is about to ask.
     """
 
     task_id: TaskId
