@@ -12,6 +12,7 @@ import os
 import re
 import stat
 import sys
+import time
 from functools import cache
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -31,6 +32,8 @@ _SUFFIX: Final = ".json"
 _TEMPORARY: Final = ".tmp"
 _NAME: Final = re.compile(r".+\.\d+\.json(\.tmp)?", re.DOTALL)
 """Files of these names are written by agents, `NAME.PID.json`."""
+_WRITTEN_S: Final = 60.0
+"""A temporary file as young as this is left alone: its agent may be about to lock it, in seconds."""
 _LIMIT_BYTES: Final = 65_536
 _KINDS: Final = {
     stat.S_IFDIR: "a directory",
@@ -275,7 +278,10 @@ def _read(path: Path, found: Found) -> None:
         OSError: it cannot be opened.
     """
     owner = os.stat(path.parent).st_uid
-    oddity = _oddity(os.lstat(path), owner)
+    status = os.lstat(path)
+    oddity = _oddity(status, owner)
+    if not oddity and path.name.endswith(_TEMPORARY) and abs(time.time() - status.st_mtime) < _WRITTEN_S:
+        return  # even to ask for its lock would keep its agent from it
     if oddity:
         found.odd.append(f"{printable(str(path))} is {oddity}, no agent's entry")
         return

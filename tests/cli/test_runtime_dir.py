@@ -67,10 +67,24 @@ def test_runtime_dir_is_cleared_of_dead_agents_only(directory: Path):
     Registration(ENTRY).remove()
     (directory / f"b.{os.getpid()}.json").write_text('{"name": "b"}')
     (directory / "c.7.json.tmp").write_text("{")
+    os.utime(directory / "c.7.json.tmp", (0.0, 0.0))
     (directory / "notes.txt").write_text("mine")
 
     assert entries() == []
     assert list(directory.iterdir()) == [directory / "notes.txt"]
+
+
+def test_entry_that_is_just_being_written_is_left_alone(directory: Path, monkeypatch: pytest.MonkeyPatch):
+    lock = fcntl.flock
+
+    def looked_at_first(handle: int, operation: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", lock)
+        assert entries() == []
+        lock(handle, operation)
+
+    monkeypatch.setattr(fcntl, "flock", looked_at_first)
+    Registration(ENTRY)
+    assert entries() == [ENTRY]
 
 
 def test_runtime_dir_is_for_its_user_only(directory: Path):
