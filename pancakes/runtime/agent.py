@@ -438,6 +438,7 @@ class Agent:
             "roster": self._roster_number(),
             "roster_fault": fault._asdict() if (fault := self.mesh.roster_fault) is not None else None,
             "config_file": {"path": self.config.path, "changed": self._config_file.changed()},
+            "plugins": self._plugins.brings_tasks(),
             "journal_fault": self.store.fault(),
             "kept_of_peers": kept_of_peers(self.name, self.records.all().values(), self._registers.all()),
             "warnings": self._warnings.told(self.kernel.host.now()),

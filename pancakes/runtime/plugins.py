@@ -174,6 +174,11 @@ class Plugins:
         """
         return self._find(group, name).version
 
+    def brings_tasks(self) -> dict[str, str]:
+        """Returns the version of each distribution that offers task types. Imports nothing."""
+        offers = (offer for several in self._offers("pancakes.tasks").values() for offer in several)
+        return dict(sorted({offer.version for offer in offers if offer.version.distribution}))
+
     def load_packets(self) -> list[PluginError]:
         """Imports all that registers body types of packets.
 

@@ -120,6 +120,7 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
         "held": False,
         "insecure": "",
         "roster": None,
+        "plugins": {"pancakes-x": "1.0"},
         "services": [{"service": "client", "state": "running", "reason": ""}],
         "tasks": [task()],
         "dead_letters": 0,
@@ -165,6 +166,14 @@ def test_doctor_names_builds_that_differ():
 
 
 STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "refused": "", "rests": False}
+
+
+def test_agent_without_a_plugin_of_others_is_named():
+    bare = agent("bare", plugins={})
+    found = found_in(agent("a"), bare, agent("stranger", fleet="other", plugins={}))
+    assert [(finding.level, finding.about) for finding in found if "pancakes-x" in finding.text] == [
+        ("warning", "bare")
+    ]
 
 
 WRONG: list[tuple[dict[str, Any], str, str, str]] = [

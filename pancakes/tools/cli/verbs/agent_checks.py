@@ -78,6 +78,7 @@ def check_fleet(
         text = f"agents run the versions {', '.join(sorted(versions))}, and this command is {__version__}"
         yield Finding("warning", "agents", text, "update them: tasks move between equal versions only")
     yield from _check_builds(agents)
+    yield from _check_plugins(agents)
     for agent in agents:
         findings = [
             *_check_roster(agent, agents, rosters.get(agent["fleet"], 0)),
@@ -147,6 +148,17 @@ def _check_builds(agents: Sequence[dict[str, Any]]) -> Iterator[Finding]:
         told = "; ".join(f"{version} on {', '.join(names)}" for version, names in sorted(by_version.items()))
         advice = "pancakes deploy FLEET brings one version to all of its hosts"
         yield Finding("warning", "agents", f"agents of a fleet run different versions: {told}", advice)
+
+
+def _check_plugins(agents: Sequence[dict[str, Any]]) -> Iterator[Finding]:
+    """Names the agents that lack a distribution with task types which others of their fleet have."""
+    for agent in agents:
+        others = [other for other in agents if other["fleet"] == agent["fleet"]]
+        for name in sorted({it for other in others for it in other["plugins"]} - set(agent["plugins"])):
+            having = ", ".join(other["agent"] for other in others if name in other["plugins"])
+            text = f"lacks the plug-in {name}, which {having} has: no task of it can migrate there"
+            advice = f"install {name} in the environment of {agent['agent']} (pancakes deploy does), and start it again"
+            yield Finding("warning", agent["agent"], text, advice)
 
 
 def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
