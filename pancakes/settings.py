@@ -508,8 +508,15 @@ def _item_kind(origin: Any, arguments: tuple[Any, ...], index: int) -> Any:
 
 
 def _choices(kind: Any) -> tuple[Any, ...]:
-    kind = _container(kind, None)
-    return get_args(kind) if get_origin(kind) is Literal else ()
+    """Returns the words that a type is made of, also one of several lists of them; none if other values do as well."""
+    while get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
+    if get_origin(kind) is Literal:
+        return get_args(kind)
+    if get_origin(kind) not in (Union, types.UnionType):
+        return ()
+    arms = [_choices(arm) for arm in get_args(kind) if arm is not type(None)]
+    return tuple(dict.fromkeys(it for arm in arms for it in arm)) if all(arms) else ()
 
 
 def _phrase(message: str, value: Any) -> str:

@@ -85,6 +85,19 @@ def test_all_mistakes_come_at_once_each_with_its_path():
     ]
 
 
+def test_words_of_several_lists_are_all_named():
+    @dataclass
+    class Rules:
+        may: tuple[Annotated[Literal["look", "end"] | Literal["*"], Meta()], ...] = ()
+        least: Literal["look", "end"] | None = None
+        most: Literal["all"] | float = 1.0
+
+    assert problems({"may": ["*", "lok"], "least": "edn", "most": 2}, Rules) == [
+        "may[1]: expected one of 'look', 'end', '*', not 'lok', did you mean 'look'?",
+        "least: expected one of 'look', 'end', not 'edn', did you mean 'end'?",
+    ]
+
+
 def test_a_key_that_is_there_already_is_not_suggested_again():
     assert problems({"gait": "trot", "gate": "trot"}) == ["gate: unknown key"]
 

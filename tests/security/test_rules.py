@@ -171,11 +171,11 @@ def test_the_file_of_rules_keeps_what_a_person_wrote(tmp_path):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("[[access.allow]]\nwho = ['x']\nmay = ['fly']\n", "Invalid enum value 'fly'"),
-        ("[[access.allow]]\nwho = ['x']\n", "missing required field `may`"),
-        ("[[access.deny]]\nwho = ['x']\n", "unknown field `deny`"),
-        ("[[access.allow]]\nwho = ['x']\nmay = ['look']\nfrom = ['y']\n", "unknown field `from`"),
-        ("[[access.allow]]\nwho = 'x'\nmay = ['look']\n", "Expected `array`"),
+        ("[[access.allow]]\nwho = ['x']\nmay = ['fly']\n", "may[0]: expected one of 'look', 'change'"),
+        ("[[access.allow]]\nwho = ['x']\n", "access.allow[0].may: is missing"),
+        ("[[access.deny]]\nwho = ['x']\n", "access.deny: unknown key"),
+        ("[[access.allow]]\nwho = ['x']\nmay = ['look']\nfrom = ['y']\n", "access.allow[0].from: unknown key"),
+        ("[[access.allow]]\nwho = 'x'\nmay = ['look']\n", "access.allow[0].who: expected a list"),
         ("[access", "not sound"),
     ],
 )

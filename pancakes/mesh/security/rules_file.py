@@ -13,6 +13,7 @@ from pancakes.mesh.security.rules import DEFAULT, EVERY, AccessRule
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED
 from pancakes.runtime.foundation.toml_values import toml_values
+from pancakes.settings import check_settings
 
 RULES: Final = "rules.toml"
 _HEAD: Final = """\
@@ -37,11 +38,15 @@ def read_rules(folder: Path) -> tuple[AccessRule, ...]:
     """
     path = folder / RULES
     try:
-        return codecs.convert(toml_values(path.read_text(encoding="utf-8")), _File).access.allow
+        values = toml_values(path.read_text(encoding="utf-8"))
+        faults = check_settings(_File, values)
+        if not faults:
+            return codecs.convert(values, _File).access.allow
     except OSError as error:
         raise PancakesError(f"the rules {path} cannot be read: {error.strerror or error}") from None
     except (*MALFORMED, ValueError) as error:
         raise PancakesError(f"the rules {path} are not sound: {error}") from None
+    raise PancakesError(f"the rules {path} are not sound: {'; '.join(map(str, faults))}")
 
 
 def begin_rules(folder: Path) -> None:
