@@ -115,6 +115,40 @@ def test_class_refusal_of_a_method_names_line_and_remedy(module_of):
     for_each(METHODS, check)
 
 
+MARKED = [
+    ("Task", "@every(hz=1)\n    @every(hz=2)\n    def go(self, it): ...", "twice with @every"),
+    ("Task", "@every(hz=1)\n    @on('system')\n    def go(self, it): ...", "both @on and @every"),
+    ("Service", "@on('system')\n    @every(hz=1)\n    def go(self, it): ...", "both @on and @every"),
+    ("Task", "@on('system')\n    @on('system')\n    def go(self, it): ...", "twice with @on('system')"),
+    ("Task", "@on('system', 'pose')\n    @on('system')\n    def go(self, it): ...", "twice with @on('system')"),
+    ("Task", "@every(hz=1)\n    def on_start(self, it=None): ...", "calls on_start itself"),
+    ("Task", "@on('system')\n    def on_settings(self, it=None): ...", "calls on_settings itself"),
+    ("Service", "@every(hz=1)\n    def on_stop(self, it=None): ...", "calls on_stop itself"),
+    ("Task", "@property\n    @every(hz=1)\n    def go(self, it): ...", "leave @property out"),
+    ("Task", "@classmethod\n    @on('system')\n    def go(self, it): ...", "leave @classmethod out"),
+    ("Sensor", "type = 'pose'\n    @every(hz=1)\n    def go(self, it): ...", "Leave @every out"),
+    ("Cost", "name = 'mine'\n    @on('system')\n    def go(self, it): ...", "Leave @on out"),
+]
+
+
+def test_a_mark_at_the_wrong_place_is_refused(module_of):
+    def check(case):
+        base, method, why = case
+        text = f"class Robot({base}):\n    {method}\n"
+        said = refusal(module_of, text)
+        name = method.partition("def ")[2].partition("(")[0]
+        assert said.startswith(f"{module_of.path}:{line_of(text, f'def {name}(')}: Robot.{name} is decorated ")
+        assert why in said
+
+    for_each(MARKED, check)
+
+
+def test_a_method_may_listen_to_several_packets(module_of):
+    module_of(
+        "class R(Task):\n    @on('system', 'a')\n    @on('system', 'b')\n    @on('log')\n    def go(self, it): ...\n"
+    )
+
+
 @pytest.mark.parametrize("mark", ["on", "every"])
 def test_a_mark_without_its_brackets_is_refused(module_of, mark):
     assert f"write @{mark}(" in refusal(module_of, f"class Robot(Task):\n    @{mark}\n    def go(self, it): ...\n")

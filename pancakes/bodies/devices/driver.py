@@ -19,6 +19,7 @@ from pancakes.mesh.net.transport import Transport
 from pancakes.packet import Packet
 from pancakes.runtime.foundation.log import Log, check_levels
 from pancakes.runtime.foundation.made_class import Made, check_made
+from pancakes.runtime.foundation.marks import check_marks
 from pancakes.runtime.foundation.own_names import check_own_names
 from pancakes.runtime.foundation.signatures import check_overrides
 from pancakes.runtime.foundation.source_place import place_of_field
@@ -131,6 +132,7 @@ class Driver(ABC):
         check_own_names(cls, Driver, _HOOKS)
         super().__init_subclass__(**others)
         check_overrides(cls)
+        check_marks(cls, "a driver")
         check_levels(cls)
         check_made(cls)
         check_saved(cls, "Settings")

@@ -15,6 +15,7 @@ import msgspec
 
 from pancakes.errors import ClassError, MigrationError
 from pancakes.runtime.foundation.made_class import Made, check_made
+from pancakes.runtime.foundation.marks import check_marks
 from pancakes.runtime.foundation.signatures import check_overrides
 
 CostChoice = str | dict[str, float]
@@ -96,6 +97,7 @@ class Cost(ABC):
         """Raises `ClassError` where `terms` cannot be called as Pancakes calls it, or `reads` is no tuple of names."""
         super().__init_subclass__(**others)
         check_overrides(cls)
+        check_marks(cls, "a cost")
         check_made(cls)
         if not isinstance(cls.reads, tuple) or not all(isinstance(it, str) for it in cls.reads):
             raise ClassError(

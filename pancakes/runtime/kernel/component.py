@@ -16,6 +16,7 @@ from pancakes.events import Event, LogLine
 from pancakes.packet import CTRL, LOG, Cause, Fence, Packet, type_name, type_of
 from pancakes.runtime.foundation.local_time import READER, LocalTime
 from pancakes.runtime.foundation.log import Log, check_levels
+from pancakes.runtime.foundation.marks import check_marks
 from pancakes.runtime.foundation.signatures import check_called, check_overrides
 from pancakes.runtime.kernel.call import Call
 from pancakes.runtime.kernel.channel_queue import ChannelQueue
@@ -76,6 +77,7 @@ class Component(PykkaActor):
         """Raises `ClassError` where a method cannot be called as Pancakes calls it."""
         super().__init_subclass__(**others)
         check_overrides(cls)
+        check_marks(cls)
         check_levels(cls)
 
     def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None) -> None:

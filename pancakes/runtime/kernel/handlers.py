@@ -10,7 +10,9 @@ import msgspec
 
 from pancakes.errors import ClassError
 from pancakes.packet import type_name
+from pancakes.runtime.foundation.marks import PERIOD, SUBSCRIPTIONS
 from pancakes.runtime.foundation.signatures import check_called
+from pancakes.runtime.foundation.source_place import place_of_function
 from pancakes.runtime.kernel.keep import Keep, keep_of, queue
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -72,7 +74,8 @@ def on(
         addressed: only packets whose destination is this component.
 
     Raises:
-        ClassError: the method is `async def`, or cannot be called with a packet; or `keep` is nothing of that kind.
+        ClassError: the method is `async def`, or cannot be called with a packet; it has an `@every`, or listens to such
+            packets already; or `keep` is nothing of that kind.
     """
     if not isinstance(channel, str):
         raise ClassError(f'@on takes the name of a channel, not {channel!r}: write @on("system")')
@@ -82,8 +85,15 @@ def on(
     def mark(method: _F) -> _F:
         wanted = f"def {_name_of(method)}(self, packet: Packet) -> None"
         check_called(method, ("self", "packet"), "@on calls it with a packet", wanted)
-        marks = (*getattr(method, "__subscriptions__", ()), subscription)
-        method.__subscriptions__ = marks  # type: ignore[attr-defined]
+        before = getattr(method, SUBSCRIPTIONS, ())
+        if hasattr(method, PERIOD):
+            raise _both(method)
+        if any(it.channel == channel and (it.type == name or None in (it.type, name)) for it in before):
+            raise ClassError(
+                f"{_head(method)} is decorated twice with @on({channel!r}) for the same packets, with each of which it"
+                " would be called twice: leave one of them out"
+            )
+        setattr(method, SUBSCRIPTIONS, (*before, subscription))
         return method
 
     return mark
@@ -99,14 +109,21 @@ def every(*bare: Never, hz: float | None = None, period_s: float | None = None) 
 
     Raises:
         ClassError: neither a rate nor a period is given, or both, or one that no timer can have; or the method is
-            `async def`, or cannot be called with a `Tick`.
+            `async def`, or cannot be called with a `Tick`; or it has an `@on` or another `@every`.
     """
     period = _period(bare, hz, period_s)
 
     def mark(method: _F) -> _F:
         wanted = f"def {_name_of(method)}(self, tick: Tick) -> None"
         check_called(method, ("self", "tick"), "@every calls it with a Tick", wanted)
-        method.__period__ = period  # type: ignore[attr-defined]
+        if hasattr(method, PERIOD):
+            raise ClassError(
+                f"{_head(method)} is decorated twice with @every, and a method has one rate: leave one of them out, or"
+                " write a second method"
+            )
+        if hasattr(method, SUBSCRIPTIONS):
+            raise _both(method)
+        setattr(method, PERIOD, period)
         return method
 
     return mark
@@ -154,17 +171,24 @@ def checked_period(period_s: float) -> float:
 def subscriptions_of(cls: type) -> list[tuple[Subscription, str]]:
     """Returns what the methods of a class listen to, as (subscription, method name), in the order of the class."""
     return [
-        (subscription, name)
-        for name in _names(cls)
-        for subscription in getattr(getattr(cls, name), "__subscriptions__", ())
+        (subscription, name) for name in _names(cls) for subscription in getattr(getattr(cls, name), SUBSCRIPTIONS, ())
     ]
 
 
 def periods_of(cls: type) -> dict[str, Period]:
     """Returns the time-driven methods of a class, in the order of the class."""
-    return {
-        name: period for name in _names(cls) if (period := getattr(getattr(cls, name), "__period__", None)) is not None
-    }
+    return {name: period for name in _names(cls) if (period := getattr(getattr(cls, name), PERIOD, None)) is not None}
+
+
+def _both(method: Any) -> ClassError:
+    return ClassError(
+        f"{_head(method)} is decorated with both @on and @every, and one gives it a Packet, the other a Tick: write two"
+        " methods, which may call a third"
+    )
+
+
+def _head(method: Any) -> str:
+    return f"{place_of_function(method)}: {getattr(method, '__qualname__', method).rpartition('<locals>.')[2]}"
 
 
 def _name_of(method: Any) -> str:
