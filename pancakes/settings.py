@@ -371,7 +371,7 @@ def _names_files(kind: Any, within: tuple[Any, ...]) -> bool:
 
 
 def _no_paths(cls: type, settings: Any) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """The paths that are none, and those that begin at a home of which nothing says where it is."""
+    """The paths that are none, have a variable in them, or begin at a home of which nothing says where it is."""
     for path, text in paths_in(cls, settings) if _may_name_files(cls) else ():
         try:
             at_home(text)

@@ -9,10 +9,12 @@ from pancakes.errors import ConfigError
 from pancakes.runtime.config import parse
 from pancakes.runtime.folders import Folders
 from pancakes.runtime.foundation.user_folders import NoHome, at_home
+from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.state_dir import state_dir_of
 from pancakes.settings import FilePath, change_settings, check_settings, make_settings
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
+from pancakes.tools.launch.fleet_plan import make_fleet
 from pancakes.tools.recording.settings import RecordingSettings
 
 HEAD = 'schema = 1\n[agent]\nname = "a"\n'
@@ -64,6 +66,35 @@ def test_a_home_of_which_nobody_knows_is_a_fault() -> None:
     assert problem.path == ("rows", "r", "file")
     with pytest.raises(NoHome, match=r"nothing says where ~nobody-of-that-name is: write the whole path"):
         at_home("~/x", "nobody-of-that-name")
+
+
+@pytest.mark.parametrize("path", ["$HOME/robot", "${HOME}/robot", "/srv/$USER", "runs/x-${ROBOT_1}.mcap"])
+def test_a_variable_in_a_path_is_a_fault_and_no_folder(path: str) -> None:
+    text = (
+        f"{HEAD}state_dir = '{path}'\nfolders = ['{path}']\n[record]\npath = '{path}'\n[service.network.settings]\n"
+        f"keys = '{path}'\n[service.log.settings]\nfile = '{path}'\n"
+    )
+    with pytest.raises(ConfigError) as raised:
+        parse(text, "a.toml", plugins=Plugins())
+    assert [it.key for it in raised.value.faults] == [
+        "[agent] state_dir",
+        "[agent] folders[0]",
+        "[record] path",
+        "[service.network] settings.keys",
+        "[service.log] settings.file",
+    ]
+    assert all("stays as it is written: write `~`" in it.problem for it in raised.value.faults)
+
+
+def test_a_dollar_that_begins_no_variable_is_part_of_a_path() -> None:
+    assert at_home("/srv/100$/a$-b.csv") == "/srv/100$/a$-b.csv"
+
+
+def test_a_variable_in_a_fleet_file_is_a_fault(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text('schema = 1\n[fleet]\n[agent.a]\nconfig = "$HOME/a.toml"\n')
+    with pytest.raises(ConfigError, match=r"fleet\.toml:4: \[agent\.a\] config: has \$HOME in it"):
+        make_fleet([file], (), None, None)
 
 
 class Notes(Task):

@@ -6,9 +6,13 @@ A container's user may have neither HOME nor an entry in the passwd file. Only w
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
+from typing import Final
 
 from pancakes.errors import PancakesError
+
+_VARIABLE: Final = re.compile(r"\$(?:\w+|\{\w+\})")
 
 
 class NoPath(PancakesError):
@@ -27,18 +31,23 @@ def at_home(path: str, user: str = "") -> str:
         user: whose home `~` is; empty: that of the user of this process.
 
     Raises:
-        NoPath: it has a NUL in it.
+        NoPath: it has a NUL in it, or a variable, which nothing would replace.
         NoHome: nothing says where that is.
     """
     if "\0" in path:
         raise NoPath("has a NUL in it, which no path may have")
+    found = _VARIABLE.search(path)
+    if found:
+        raise NoPath(
+            f"has {found[0]} in it, which stays as it is written: write `~` for the home folder, or the whole path"
+        )
     if not path.startswith("~"):
         return path
     name, slash, rest = path.partition("/")
-    found = os.path.expanduser(f"~{user}{slash}{rest}" if name == "~" and user else path)
-    if found.startswith("~"):
-        raise NoHome(f"nothing says where {found.partition('/')[0]} is: write the whole path")
-    return found
+    whole = os.path.expanduser(f"~{user}{slash}{rest}" if name == "~" and user else path)
+    if whole.startswith("~"):
+        raise NoHome(f"nothing says where {whole.partition('/')[0]} is: write the whole path")
+    return whole
 
 
 def user_folder(variable: str, below_home: str, what_for: str, instead: str = "") -> Path:

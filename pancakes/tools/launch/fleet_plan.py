@@ -15,7 +15,7 @@ from pancakes.runtime.config.key_places import set_text
 from pancakes.runtime.config.override import apply_set
 from pancakes.runtime.config.toml_source import read_tables, tables_of, text_of
 from pancakes.runtime.config.toml_text import value_text
-from pancakes.runtime.foundation.user_folders import NoHome, at_home
+from pancakes.runtime.foundation.user_folders import NoHome, NoPath, at_home
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.runtime_dir import RunningAgent, entries
 from pancakes.runtime.state_dir import state_dir_of
@@ -210,7 +210,11 @@ def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
         return
     found = load_fleet(str(path))
     for name, table in found.agents.items():
-        file = path.parent / at_home(table.config or f"{name}.toml")
+        try:
+            file = path.parent / at_home(table.config or f"{name}.toml")
+        except NoPath as error:
+            faults.append(found.places.fault(("agent", name, "config"), str(error)))
+            continue
         if not file.is_file():
             faults.append(found.places.fault(("agent", name, "config"), f"there is no file {file}"))
             continue
