@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import ipaddress
+import os
 import signal
 import socket
 import threading
@@ -162,6 +163,16 @@ def test_mqtt_names_an_unusable_password_file(tmp_path: Path, mode: int | None, 
     settings = {"user": "robot", "password_file": str(path)}
     with threaded_agent("a", services=service("mqtt://127.0.0.1:9", **settings)) as agent:
         assert problem in agent.wait_for_event("service_failed", service="mqtt")["error"]
+
+
+@pytest.mark.parametrize("key", ["password_file", "ca", "certificate"])
+def test_mqtt_names_a_pipe_in_the_place_of_a_file(tmp_path: Path, key: str) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path, 0o600)
+    settings = {"user": "robot", **({"key": str(path)} if key == "certificate" else {}), key: str(path)}
+    with threaded_agent("a", services=service("mqtts://127.0.0.1:9", **settings)) as agent:
+        error = agent.wait_for_event("service_failed", service="mqtt")["error"]
+        assert f"{key}: {path} cannot be read: it is a pipe, and no file" in error
 
 
 def test_mqtt_names_a_qos_that_is_not_granted(mosquitto: Brokers) -> None:

@@ -293,6 +293,13 @@ def test_only_files_are_files_of_a_recording(tmp_path):
     assert read(tmp_path)[0] == [pose(0)]
 
 
+def test_a_pipe_is_no_recording(tmp_path):
+    os.mkfifo(tmp_path / "pipe.mcap")
+    for use in (read, repair):
+        with pytest.raises(RecordingError, match=r"pipe\.mcap"):
+            use(tmp_path / "pipe.mcap")
+
+
 def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):
     written(tmp_path / "r.mcap", [pose(0)])
 

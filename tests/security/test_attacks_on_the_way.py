@@ -144,6 +144,15 @@ def test_a_key_that_is_a_link_to_another_file_is_refused(rig):
         Keys(folder)
 
 
+@pytest.mark.parametrize("file", ["key.pem", "fleet.pem", "roster.json"])
+def test_a_pipe_among_the_keys_keeps_nobody_waiting(rig, file):
+    folder = rig.enrol("a")
+    (folder / file).unlink()
+    os.mkfifo(folder / file, 0o600)
+    with pytest.raises(PancakesError, match=rf"{file} (is no file|cannot be used: it is a pipe, and no file)"):
+        Keys(folder)
+
+
 def test_a_new_key_of_another_agent_is_not_taken_and_the_old_one_stays(rig):
     folder = rig.enrol("a")
     keys = Keys(folder)

@@ -1,6 +1,7 @@
 """The log file and the console: how large they become, and what is told where they cannot be written."""
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -196,6 +197,13 @@ def test_a_full_disk_is_told_once_and_the_agent_goes_on():
         assert agent.ask(Stop("Chatty")).ok
         assert len([line for line in agent.lines("error") if "log file" in line]) == 1
         assert not agent.events("task_failed")
+
+
+def test_a_pipe_as_log_file_is_told_and_the_agent_ends_as_ever(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with threaded_agent("a", tasks={"Careful": Careful}, services=log_of(file=str(tmp_path / "pipe"))) as agent:
+        agent.wait_until(lambda: any("cannot be written: it is a pipe" in it for it in agent.lines("error")))
+        assert agent.ask(Stop("Careful")).ok
 
 
 def test_where_the_file_goes_and_how_large_it_becomes_may_be_changed_while_it_runs(fleet, tmp_path):

@@ -1,6 +1,7 @@
 """A log file of bounded size, on a real disk and after a real SIGKILL."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -107,6 +108,18 @@ def test_a_disk_that_is_full_is_an_error_and_the_next_line_may_be_written(path):
         with pytest.raises(OSError, match="No space left"):
             full.write(LINE)
     full.close()
+
+
+def test_a_pipe_is_no_log_file_and_keeps_nobody_waiting(path):
+    path.parent.mkdir()
+    os.mkfifo(path)  # opening it would wait for a reader
+    file = RotatedFile(str(path), 1000, 2)
+    with pytest.raises(OSError, match="it is a pipe, and no file"):
+        file.write("lost")
+    path.unlink()
+    file.write("kept")
+    file.close()
+    assert lines(path) == ["kept"]
 
 
 def test_a_place_that_comes_to_be_is_written(path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -214,6 +215,9 @@ def test_what_is_wrong_is_said_with_what_to_do(rig, tmp_path):
         transport_with(rig, routers=["tcp/127.0.0.1:1"], silent_s=0.1).listen("zenoh://x:1", rig.ear)
     with pytest.raises(PancakesError, match="none.json5 cannot be used for Zenoh"):
         transport_with(rig, file=str(tmp_path / "none.json5")).listen("zenoh://x:1", rig.ear)
+    os.mkfifo(tmp_path / "pipe.json5")
+    with pytest.raises(PancakesError, match=r"pipe\.json5 cannot be used for Zenoh: .*it is a pipe, and no file"):
+        transport_with(rig, file=str(tmp_path / "pipe.json5")).listen("zenoh://x:1", rig.ear)
     ear = rig.ear()
     transport_with(rig, routers=["tcp/127.0.0.1:1"], dial_s=3).dial("zenoh://x:1", ear)
     rig.until(lambda: ear.closed_for)

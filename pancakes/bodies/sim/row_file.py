@@ -9,6 +9,7 @@ from typing import ClassVar, TextIO
 
 from pancakes.bodies.devices.pace import Pace
 from pancakes.bodies.sim.quantities import Positive
+from pancakes.runtime.foundation.plain_file import check_plain
 from pancakes.runtime.foundation.same_file import is_still_at
 from pancakes.settings import FilePath
 from pancakes.task import Task, Tick, every
@@ -73,6 +74,7 @@ class RowFile(Task):
     def _open(self) -> None:
         path = Path(self.settings.path)
         path.parent.mkdir(parents=True, exist_ok=True)
+        check_plain(path)
         self._file = path.open("w", encoding="utf-8", newline="")
         self._file.write(self.header + "\n")
         self._file.flush()

@@ -19,6 +19,7 @@ from pancakes.mesh.security.key_files import FLEET, write_private
 from pancakes.mesh.security.roster import MOST_BYTES, Roster, SignedRoster, signed_bytes
 from pancakes.runtime.clock import wall_ns
 from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.plain_file import read_plain
 
 AUTHORITY: Final = "authority.key"
 """In the operator's folder: the authority's private key."""
@@ -59,8 +60,8 @@ class Authority:
 
     def __init__(self, directory: Path, password: bytes | None = None) -> None:
         try:
-            key = serialization.load_pem_private_key((directory / AUTHORITY).read_bytes(), password)
-            certificate = x509.load_pem_x509_certificate((directory / FLEET).read_bytes())
+            key = serialization.load_pem_private_key(read_plain(directory / AUTHORITY), password)
+            certificate = x509.load_pem_x509_certificate(read_plain(directory / FLEET))
         except OSError as error:
             raise PancakesError(f"the authority in {directory} cannot be used: {error.strerror or error}") from None
         except (TypeError, ValueError):
@@ -173,7 +174,7 @@ def is_locked(directory: Path) -> bool:
         PancakesError: there is none.
     """
     try:
-        return _LOCKED in (directory / AUTHORITY).read_bytes()
+        return _LOCKED in read_plain(directory / AUTHORITY)
     except OSError as error:
         raise PancakesError(f"the authority in {directory} cannot be used: {error.strerror or error}") from None
 
@@ -189,7 +190,7 @@ def signed_by(authorities: Path, signed: SignedRoster) -> bool:
         PancakesError: the file cannot be read.
     """
     try:
-        certificates = x509.load_pem_x509_certificates(authorities.read_bytes())
+        certificates = x509.load_pem_x509_certificates(read_plain(authorities))
         signature = bytes.fromhex(signed.signature)
     except OSError as error:
         raise PancakesError(f"{authorities} cannot be read: {error.strerror or error}") from None

@@ -15,6 +15,7 @@ from pathlib import Path
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.mesh.security.key_files import FLEET, ROSTER, write_private
 from pancakes.mesh.security.roster import FALSE, MOST_BYTES, UNKEPT, read_signed
+from pancakes.runtime.foundation.plain_file import read_plain
 
 
 class FalseRoster(PancakesError):
@@ -43,7 +44,7 @@ def check(folder: Path, text: bytes) -> None:
         raise FalseRoster(f"the roster {roster.number} was not signed by the authority of the fleet {roster.fleet}")
     path = folder / ROSTER
     try:
-        kept = read_signed(path.read_bytes())[1].number if path.exists() else 0
+        kept = read_signed(read_plain(path))[1].number if path.exists() else 0
         if kept < roster.number:
             write_private(path, text)
     except (OSError, ValueError) as error:

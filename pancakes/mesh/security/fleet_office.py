@@ -18,6 +18,7 @@ from pancakes.mesh.security.roster import LATEST_S, Revoked, Roster
 from pancakes.mesh.security.rules import AccessRule
 from pancakes.mesh.security.rules_file import add_rule, begin_rules, read_rules
 from pancakes.runtime.clock import wall_ns
+from pancakes.runtime.foundation.plain_file import read_plain
 
 
 class FleetOffice:
@@ -81,7 +82,7 @@ class FleetOffice:
         given = self._authority.certify(key, role, name, groups, days)
         entry = Entry(name, role, tuple(groups), given.serial, wall_ns() / 1e9, given.ends_s, came_from)
         self._keep(replace(self._register, entries=(*self._register.entries, entry)))
-        authority, roster = (self.folder / FLEET).read_bytes(), (self.folder / ROSTER).read_bytes()
+        authority, roster = read_plain(self.folder / FLEET), read_plain(self.folder / ROSTER)
         return KeyFiles(self.fleet, role, name, given.pem, authority, roster)
 
     def enrol_with_key(

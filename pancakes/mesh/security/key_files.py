@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.security.roster import read_signed
+from pancakes.runtime.foundation.plain_file import read_plain
 
 KEY: Final = "key.pem"
 """The certificate of the bearer, and the private key."""
@@ -77,7 +78,7 @@ class KeyFiles(NamedTuple):
 def number_of(path: Path) -> int:
     """Returns the number of the roster in a file; 0 where there is none that can be read."""
     try:
-        return _number(path.read_bytes())
+        return _number(read_plain(path))
     except OSError:
         return 0
 

@@ -13,6 +13,7 @@ from pancakes.mesh.security.certified import Certified, certified
 from pancakes.mesh.security.key_files import FLEET, KEY, ROSTER
 from pancakes.mesh.security.roster import Roster, fault_of_certified, fault_of_news, read_signed
 from pancakes.runtime.clock import wall_ns
+from pancakes.runtime.foundation.plain_file import check_plain, read_plain
 
 _NO_CHECK_TIME: Final = 0x200000
 """X509_V_FLAG_NO_CHECK_TIME, which Python does not name: a robot without a clock wakes up in 1970."""
@@ -104,7 +105,7 @@ class Keys:
 def _kept(path: Path) -> tuple[Roster | None, bytes]:
     """Returns the roster beside the keys. It was checked before it came there, and is believed like them."""
     try:
-        text = path.read_bytes()
+        text = read_plain(path)
         return read_signed(text)[1], text
     except FileNotFoundError:
         return None, b""
@@ -136,6 +137,7 @@ def _context(protocol: int, folder: Path) -> ssl.SSLContext:
     for file, load in ((FLEET, context.load_verify_locations), (KEY, context.load_cert_chain)):
         path = folder / file
         try:
+            check_plain(path)
             load(path)
         except ssl.SSLError as error:
             raise PancakesError(f"the key file {path} cannot be used: {(error.reason or str(error)).lower()}") from None

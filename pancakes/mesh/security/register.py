@@ -12,6 +12,7 @@ from pancakes.mesh.security.certified import CertifiedRole
 from pancakes.mesh.security.key_files import write_private
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED
+from pancakes.runtime.foundation.plain_file import read_plain
 
 REGISTER: Final = "register.json"
 
@@ -98,7 +99,7 @@ def read_register(folder: Path) -> Register:
     """
     path = folder / REGISTER
     try:
-        return _DECODE(path.read_bytes())
+        return _DECODE(read_plain(path))
     except FileNotFoundError:
         return Register()
     except OSError as error:

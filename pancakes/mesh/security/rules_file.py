@@ -12,6 +12,7 @@ from pancakes.mesh.security.key_files import write_private
 from pancakes.mesh.security.rules import DEFAULT, EVERY, AccessRule
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED
+from pancakes.runtime.foundation.plain_file import read_plain
 from pancakes.runtime.foundation.toml_values import toml_values
 from pancakes.settings import check_settings
 
@@ -38,7 +39,7 @@ def read_rules(folder: Path) -> tuple[AccessRule, ...]:
     """
     path = folder / RULES
     try:
-        values = toml_values(path.read_text(encoding="utf-8"))
+        values = toml_values(read_plain(path).decode())
         faults = check_settings(_File, values)
         if not faults:
             return codecs.convert(values, _File).access.allow
@@ -62,7 +63,7 @@ def add_rule(folder: Path, rule: AccessRule) -> None:
     """
     read_rules(folder)
     path = folder / RULES
-    write_private(path, path.read_bytes().rstrip(b"\n") + b"\n" + _text(rule).encode())
+    write_private(path, read_plain(path).rstrip(b"\n") + b"\n" + _text(rule).encode())
 
 
 def _text(rule: AccessRule) -> str:

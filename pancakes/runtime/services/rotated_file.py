@@ -11,6 +11,7 @@ from logging import LogRecord, makeLogRecord
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
+from pancakes.runtime.foundation.plain_file import check_plain
 from pancakes.runtime.foundation.same_file import is_still_at
 
 
@@ -64,6 +65,7 @@ class _Handler(RotatingFileHandler):
 
     def _open(self) -> TextIOWrapper:
         Path(self.baseFilename).parent.mkdir(parents=True, exist_ok=True)
+        check_plain(self.baseFilename)
         file = super()._open()
         if self._is_torn():
             file.write(self.terminator)

@@ -13,6 +13,7 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk, McapRecord, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from pancakes.runtime.foundation.plain_file import check_plain
 from pancakes.runtime.runtime_dir import is_locked
 from pancakes.tools.recording.recorded_packet import RecordingError
 
@@ -94,6 +95,7 @@ def opened(path: Path) -> BinaryIO:
         RecordingError: it cannot be read.
     """
     try:
+        check_plain(path)
         return path.open("rb")
     except OSError as error:
         raise RecordingError(f"the recording {path} cannot be read: {error.strerror or error}") from None

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 import msgspec
 
 from pancakes.errors import PancakesError
+from pancakes.runtime.foundation.plain_file import check_plain
 from pancakes.settings import FilePath
 
 PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
@@ -108,6 +109,7 @@ def password_of(settings: BrokerSettings) -> str:
     path = Path(settings.password_file)
     try:
         mode = path.stat().st_mode
+        check_plain(path)
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeError) as error:
         raise PancakesError(f"password_file: {path} cannot be read: {getattr(error, 'strerror', error)}") from None
@@ -124,3 +126,7 @@ def check_files(settings: BrokerSettings) -> None:
         path = getattr(settings, name)
         if path and not os.access(path, os.R_OK):
             raise PancakesError(f"{name}: {path} cannot be read")
+        try:
+            check_plain(path)
+        except OSError as error:
+            raise PancakesError(f"{name}: {path} cannot be read: {error.strerror or error}") from None

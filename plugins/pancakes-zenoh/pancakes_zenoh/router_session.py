@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import queue
 import random
 import re
@@ -20,6 +19,7 @@ from typing import Any, Final, Protocol
 import zenoh
 
 from pancakes.errors import PancakesError
+from pancakes.runtime.foundation.plain_file import check_plain
 from pancakes_zenoh.link_frames import LONGEST_PHRASE, PIECE_BYTES
 
 RETRY_S: Final = 1.0
@@ -276,7 +276,9 @@ def session_config(mode: str, routers: Sequence[str], file: str, session: str, s
         PancakesError: the file is of no use, or a router's address is none; the sentence says why.
     """
     try:
-        config = zenoh.Config.from_file(os.path.expanduser(file)) if file else zenoh.Config()
+        if file:
+            check_plain(file)
+        config = zenoh.Config.from_file(file) if file else zenoh.Config()
         values: dict[str, Any] = {
             "mode": mode,
             # An agent speaks to the routers that it was told of, and to no other.
