@@ -10,12 +10,18 @@ from cli.invoked import invoked
 from cli.processes import Rig
 
 from pancakes.tools.cli.main import COMMANDS, pancakes
+from pancakes.tools.cli.options import Duration
 
 BODY = '{"voltage_v": 7.4, "level": 0.75}'
 # With a part of the sentence if that is the verb's own.
 FAULTS = """
 agent list --at 127.0.0.1
 agent list --timeout 0
+agent list --timeout 1_0
+agent list --timeout 2hours  # write it as 30s, 500ms, 2min or 1h
+agent list --timeout 2h  # '2h' is more than 3600s
+demo field --duration 500ms  # '500ms' is less than 1s
+task rate a/Count 1_0
 agent lisst
 agent info
 agent info x/north/a  # names no agent: write it as AGENT or FLEET/AGENT
@@ -153,6 +159,24 @@ def test_format_is_an_option_of_every_verb():
         if "--format" not in {option for parameter in command.params for option in parameter.opts}
     ]
     assert without == []
+
+
+def test_each_option_that_takes_seconds_takes_a_unit_as_well():
+    others = {
+        f"{' '.join(words)} {parameter.opts[0]}"
+        for words, command in verbs(pancakes)
+        for parameter in command.params
+        if isinstance(parameter.type, click.FloatRange | click.types.FloatParamType)
+        and (parameter.name or "").endswith(("_s", "timeout", "duration"))
+    }
+    assert others == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("2", 2.0), ("2s", 2.0), ("500ms", 0.5), (".5", 0.5), ("5min", 300.0), ("1h", 3600.0)]
+)
+def test_a_time_is_written_with_its_unit_or_in_seconds(text, seconds):
+    assert Duration(most_s=3600.0).convert(text, None, None) == seconds
 
 
 def test_usage_faults_are_exit_code_2():

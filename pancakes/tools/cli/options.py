@@ -35,28 +35,44 @@ class AgentAddress(click.ParamType):
 
 
 class Duration(click.ParamType):
-    """A time such as `30s`, `500ms`, `2min` or `1h`; a number alone means seconds. It becomes seconds."""
+    """A time such as `30s`, `500ms`, `2min` or `1h`; a number alone means seconds. It becomes seconds.
+
+    Args:
+        least_s: it is at least so long; 0 itself is none.
+        most_s: it is at most so long.
+    """
 
     name = "duration"
 
     _UNITS_S: ClassVar = {"": 1.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
+    def __init__(self, least_s: float = 0.0, most_s: float = math.inf) -> None:
+        self._least_s = least_s
+        self._most_s = most_s
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         if isinstance(value, float):
             return value
-        found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*(|ms|s|min|h)", str(value).strip())
+        found = re.fullmatch(r"([0-9]+\.?[0-9]*|\.[0-9]+)\s*(|ms|s|min|h)", str(value).strip())
         if found is None or float(found[1]) == 0.0:
             self.fail(f"{value!r} is no time: write it as 30s, 500ms, 2min or 1h", param, ctx)
-        return float(found[1]) * self._UNITS_S[found[2]]
+        duration_s = float(found[1]) * self._UNITS_S[found[2]]
+        if duration_s < self._least_s:
+            self.fail(f"{value!r} is less than {self._least_s:g}s", param, ctx)
+        if duration_s > self._most_s:
+            self.fail(f"{value!r} is more than {self._most_s:g}s", param, ctx)
+        return duration_s
 
 
 class FiniteRange(click.FloatRange):
-    """A number within bounds; unlike click's own, it takes neither NaN nor infinity."""
+    """A number within bounds; unlike click's own, it takes neither NaN nor infinity, nor `1_0` for 10."""
 
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number: float = super().convert(value, param, ctx)
+        if "_" in str(value):
+            self.fail(f"{value!r} is no number", param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value!r} is no finite number", param, ctx)
         return number
@@ -128,9 +144,9 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
         click.option("--fleet", metavar="NAME", default="", help="Only agents of this fleet."),
         click.option(
             "--timeout",
-            metavar="SECONDS",
-            type=FiniteRange(min=0.0, min_open=True, max=3600.0),
-            default=timeout_s,
+            metavar="TIME",
+            type=Duration(most_s=3600.0),
+            default=f"{timeout_s:g}s",
             show_default=True,
             help="How long to wait for answers.",
         ),

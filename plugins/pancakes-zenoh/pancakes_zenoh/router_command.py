@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import click
 
 from pancakes.errors import PancakesError
+from pancakes.tools.cli.options import Duration
 from pancakes.tools.cli.output import show_text
 
 DEFAULT_LISTEN = "tcp/[::]:7447"
@@ -28,10 +29,10 @@ def zenoh() -> None:
 @click.option(
     "--silent",
     "silent_s",
-    default=2.0,
+    default="2s",
     show_default=True,
-    type=click.FloatRange(0.5, 60.0),
-    metavar="SECONDS",
+    type=Duration(0.5, 60.0),
+    metavar="TIME",
     help="Agents take it for gone once it is silent for so long.",
 )
 def router(listen: Sequence[str], connect: Sequence[str], file: str, silent_s: float) -> None:

@@ -10,7 +10,7 @@ from pancakes.creation import Create, Remove
 from pancakes.tools.cli.asking import accepted, meant, placed, show_done
 from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.name_types import TaskName, a_task
-from pancakes.tools.cli.options import Ask, FiniteRange, dry_run_option, orders_agents
+from pancakes.tools.cli.options import Ask, Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, show_text
 from pancakes.tools.cli.verbs.param_names import Changes, SettingChange, set_option
 from pancakes.tools.cli.verbs.task_completion import types
@@ -29,7 +29,7 @@ from pancakes.tools.cli.verbs.task_completion import types
 @set_option("Give it this setting. Repeatable.")
 @click.option("--rate", "rate_hz", metavar="HZ", type=FiniteRange(min=0.0), help="How often it ticks; 0: not yet.")
 @click.option("--guard", type=click.Choice(["3", "5"]), help="Have so many agents guard it.")
-@click.option("--lease", "lease_s", metavar="SECONDS", type=FiniteRange(min=0.0), help="How long its leases are.")
+@click.option("--lease", "lease_s", metavar="TIME", type=Duration(), help="How long its leases are.")
 @click.option(
     "--key",
     "keys",

@@ -17,7 +17,7 @@ from pancakes.errors import PancakesError
 from pancakes.runtime.plugins import Plugins, UnknownPlugin
 from pancakes.tools.cli import interpreter
 from pancakes.tools.cli.interrupts import end_by_signals, event_at
-from pancakes.tools.cli.options import FiniteRange, agent_sets_option, format_option
+from pancakes.tools.cli.options import Duration, FiniteRange, agent_sets_option, format_option
 from pancakes.tools.cli.output import show_text
 from pancakes.tools.cli.verbs.demo_page import DemoPage
 from pancakes.tools.cli.verbs.demo_seeds import Seeds, nice_path, run_seeds
@@ -63,7 +63,12 @@ class DemoNames(click.ParamType):
     type=FiniteRange(0.01, 1000.0),
     help="Mission seconds a second (live, or with --view).",
 )
-@click.option("--duration", type=FiniteRange(1.0), help="Mission seconds; the demo's own length if left out.")
+@click.option(
+    "--duration",
+    metavar="TIME",
+    type=Duration(1.0),
+    help="How long, in mission time; the demo's own length if left out.",
+)
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
