@@ -27,7 +27,7 @@ from pancakes.mesh.way_facts import reachable_from
 from pancakes.mesh.wire.link_messages import Hello
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.foundation.suggestion import hint_of
-from pancakes.runtime.runtime_dir import entries, runtime_dir
+from pancakes.runtime.runtime_dir import entries, why_none
 
 Answers = dict[tuple[str, str], Reply]
 """Replies by the fleet and the name of the agent."""
@@ -253,12 +253,10 @@ class MeshClient:
 
     def _nowhere(self) -> str:
         """Returns a sentence to say where no agent runs."""
+        if not self._at:
+            return why_none(self._fleet)
         of = f" of the fleet {self._fleet}" if self._fleet else ""
-        if self._at:
-            return f"no agent{of} runs at {', '.join(self._at)}"
-        others = sorted({entry.fleet for entry in entries() if entry.role != "client"} - {self._fleet})
-        names = f"has only the fleet{'s' if len(others) > 1 else ''} {', '.join(others)}" if others else "names none"
-        return f"no agent{of} runs on this machine ({runtime_dir()} {names})"
+        return f"no agent{of} runs at {', '.join(self._at)}"
 
     def _follow(self, lead: Lead) -> None:
         """Finds out which agent is there, and reaches it through its fleet's door."""

@@ -154,6 +154,30 @@ class Found(msgspec.Struct, frozen=True):
     odd: list[str]
 
 
+def why_none(fleet: str) -> str:
+    """Returns a sentence to say where no agent of a fleet runs on this machine, with the fleets that do.
+
+    Args:
+        fleet: the fleet; empty: any.
+
+    Raises:
+        PancakesError: see `entries`.
+    """
+    of = f" of the fleet {fleet}" if fleet else ""
+    others = other_fleets(fleet)
+    names = f"has only the fleet{'s' if len(others) > 1 else ''} {', '.join(others)}" if others else "names none"
+    return f"no agent{of} runs on this machine ({runtime_dir()} {names})"
+
+
+def other_fleets(fleet: str) -> list[str]:
+    """Returns the other fleets of which agents run on this machine.
+
+    Raises:
+        PancakesError: see `entries`.
+    """
+    return sorted({entry.fleet for entry in entries() if entry.role != "client"} - {fleet})
+
+
 def entries() -> list[RunningAgent]:
     """Returns the agents that run on this machine, by name; what the dead left behind is cleared away.
 

@@ -33,7 +33,8 @@ WRONG = {
     "agent info a --fleet east": (3, "has only the fleets north, south)"),
     "agent list --fleet east": (3, "no agent of the fleet east runs on this machine"),
     "task info north/b/load": (3, "there is no agent 'north'"),
-    "down --fleet east": (0, "no agent of the fleet east runs on this machine"),
+    "down --fleet east": (1, "has only the fleets north, south)"),
+    "down --dry-run --fleet east": (1, "has only the fleets north, south)"),
 }
 
 
@@ -66,6 +67,12 @@ def test_fleet_that_is_wrong_is_a_sentence(shared: tuple[Rig, Running, Running])
     done = {line: rig.pancakes(*line.split()) for line in WRONG}
     found = {line: (it.returncode, it.stderr) for line, it in done.items()}
     assert {line: it for line, it in found.items() if it[0] != WRONG[line][0] or WRONG[line][1] not in it[1]} == {}
+
+
+def test_doctor_finds_a_fleet_of_which_no_agent_is_here(shared: tuple[Rig, Running, Running]):
+    rig, _, _ = shared
+    result = rig.pancakes("doctor", "--no-machine", "--fleet", "east")
+    assert result.returncode == 1 and "has only the fleets north, south)" in result.stdout
 
 
 def test_fleet_changes_reach_only_the_agent_that_is_meant(rig: Rig):

@@ -74,7 +74,7 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
     from pancakes.errors import PancakesError
     from pancakes.mesh.security.key_folders import rosters_here
     from pancakes.runtime.clock import wall_ns
-    from pancakes.runtime.runtime_dir import entries
+    from pancakes.runtime.runtime_dir import entries, other_fleets, why_none
     from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
     from pancakes.tools.cli.verbs.clock_checks import check_clocks
     from pancakes.tools.cli.verbs.finding import Finding
@@ -87,8 +87,13 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
             yield Finding("error", "agents", str(error), "without it no agent of this machine can be found")
             return
         if not there:
-            of = f" of the fleet {ask.where.fleet}" if ask.where.fleet else ""
-            yield Finding("ok", "agents", f"no agent{of} runs on this machine")
+            fleet = ask.where.fleet
+            if fleet and other_fleets(fleet):
+                yield Finding("error", "agents", why_none(fleet), "say --fleet as one of those, or leave it out")
+            else:
+                yield Finding(
+                    "ok", "agents", f"no agent{f' of the fleet {fleet}' if fleet else ''} runs on this machine"
+                )
             return
         yield from check_entries(there)
     with ask.client() as client:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from pancakes.runtime.runtime_dir import RunningAgent, entries
+from pancakes.errors import ControlRefused
+from pancakes.runtime.runtime_dir import RunningAgent, entries, other_fleets, why_none
 from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.ending import Ending
 from pancakes.tools.cli.name_types import agents
@@ -69,8 +70,10 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
         ending.end(ask.where, agents, here)
     else:
         if not here:
-            of = f" of the fleet {ask.where.fleet}" if ask.where.fleet else ""
-            show_text(f"no agent{of} runs on this machine", err=True)
+            fleet = ask.where.fleet
+            if fleet and other_fleets(fleet):
+                raise ControlRefused(why_none(fleet))
+            show_text(f"no agent{f' of the fleet {fleet}' if fleet else ''} runs on this machine", err=True)
         elif not ask.where.fleet:
             fleets = sorted({entry.fleet for entry in here.values()})
             of_each = "; ".join(f"{', '.join(_names(here, fleet))} of the fleet {fleet}" for fleet in fleets)
