@@ -485,10 +485,13 @@ class MeshClient:
             raise ControlRefused(f"the fleets {several} both have an agent {agent}: name one of them with --fleet")
 
     def _nobody(self, agent: str, names: list[str], silent: Iterable[tuple[Lead, str]]) -> str:
+        silent = list(silent)
         lines = [lead.silence(why) for lead, why in silent]
         there = f"there is no agent {agent!r}{hint_of(agent, names)}"
         if not names:
-            there = self._nowhere() if not lines else f"no agent knows of an agent {agent!r}"
+            there = f"no agent knows of an agent {agent!r}" if lines else self._nowhere()
+        if silent and not any(lead.name for lead, _ in silent) and not names:
+            return "\n".join(lines)  # nobody was reached who could know of it
         return "\n".join([*lines, there])
 
     def _until_s(self, timeout_s: float | None) -> float:

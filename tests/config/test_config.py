@@ -148,6 +148,12 @@ def test_a_missing_file_is_named_with_the_one_that_was_meant(tmp_path: Path):
     assert str(error.value) == f"{missing}: file: there is no such file, did you mean '{tmp_path / 'agent1.toml'}'?"
 
 
+def test_a_missing_file_is_never_answered_with_one_that_is_no_configuration(tmp_path: Path):
+    (tmp_path / "lamp.pid").write_text("1")
+    with pytest.raises(ConfigError, match="there is no such file$"):
+        load(tmp_path / "lamp")
+
+
 def test_a_directory_is_no_file(tmp_path: Path):
     with pytest.raises(ConfigError, match="is a directory, not a file"):
         load(tmp_path)

@@ -79,6 +79,15 @@ def test_a_fault_names_the_override_and_not_the_line():
     ]
 
 
+def test_a_mistyped_name_is_answered_with_the_one_in_the_file():
+    assert faults("task.ScanTargt.start=false") == [
+        "--set task.ScanTargt.start=false: [task.ScanTargt] type: is missing, did you mean 'ScanTarget'?"
+    ]
+    assert faults("service.netwrk.settings.sleep=1") == [
+        "--set service.netwrk.settings.sleep=1: [service.netwrk] type: is missing, did you mean 'network'?"
+    ]
+
+
 def test_a_table_that_was_replaced_has_no_lines_any_more():
     assert faults("task.ScanTarget={ typ = 'x' }") == [
         "--set task.ScanTarget={ typ = 'x' }: [task.ScanTarget] typ: unknown key, did you mean 'type'?",

@@ -63,5 +63,27 @@ def test_common_letters_do_not_lead_to_another_meaning():
     )
 
 
+def test_an_address_is_near_another_if_both_parts_are():
+    known = ["base/log", "base/client", "base/client/Beat", "base/client/Count"]
+
+    def check(case):
+        word, meant = case
+        assert suggestion(word, known) == meant
+
+    for_each(
+        [
+            ("base/nobody", ""),
+            ("base/lg", "base/log"),
+            ("bse/log", "base/log"),
+            ("base/client/Bet", "base/client/Beat"),
+            ("base/Beat", "base/client/Beat"),
+            ("base/clint/Beat", "base/client/Beat"),
+            ("other/Beat", ""),
+            ("beat", "base/client/Beat"),
+        ],
+        check,
+    )
+
+
 def test_where_nothing_is_known_nothing_is_meant():
     assert suggestion("pose", []) == ""

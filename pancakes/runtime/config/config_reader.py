@@ -232,11 +232,18 @@ class _ConfigReader:
             text, near = problem.text, problem.suggestion
             if text == "unknown key" and len(problem.path) == 1 and not near and "settings" in own:
                 text = f"unknown key; the {key[0]}'s own settings belong into its key `settings`"
+            if text == "is missing" and len(key) == 2 and self._places.is_set(*key):
+                near = self._other_name(*key)
             bad.add(problem.path[0] if problem.path else "")
             self._fault((*key, *problem.path), text, near)
         whole = "" not in bad  # else its parts are sound, and do not fit each other
         sound = {name: value for name, value in values.items() if whole and name in own and name not in bad}
         return codecs.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)
+
+    def _other_name(self, table: str, name: str) -> str:
+        """Returns the table of the file that a `--set` probably meant which has made one of its own; empty: none."""
+        others = {*self._values.get(table, ()), *(DEFAULT_SERVICES if table == "service" else ())} - {name}
+        return suggestion(name, others)
 
     def _check_name(self, key: KeyPath, name: str, client: bool = False) -> bool:
         fault = fault_of_name(name, client)

@@ -53,6 +53,10 @@ class KeyPlaces:
         """Returns whether the file or a `--set` itself has this key."""
         return key in self._lines or key in self._sets
 
+    def is_set(self, *key: str | int) -> bool:
+        """Returns whether a key is there only because of a `--set`."""
+        return key in self._sets
+
     def fault(self, key: KeyPath, problem: str, suggestion: str = "") -> Fault:
         """Returns a fault at a key."""
         return Fault(self.where(*key), key_text(key, self._named), problem, suggestion)

@@ -133,10 +133,10 @@ def text_of(path: str) -> str:
 
 
 def _neighbour(path: str) -> str:
-    """The file of a similar name in the same directory."""
+    """The configuration of a similar name in the same directory."""
     missing = Path(path)
     try:
-        near = suggestion(missing.name, [entry.name for entry in missing.parent.iterdir() if entry.is_file()])
+        near = suggestion(missing.name, [entry.name for entry in missing.parent.glob("*.toml") if entry.is_file()])
     except OSError:
         return ""
     return str(missing.with_name(near)) if near else ""

@@ -36,29 +36,37 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
     Upper and lower case are one. `ScanTarget` also finds `encirclement.ScanTarget`: leaving out what stands before the
     last dot is the commonest mistake with the names of plug-ins. A word with a dot is near another if both of its parts
-    are: what is called alike in another family is something else, such as the temperature of another thing.
+    are: what is called alike in another family is something else, such as the temperature of another thing. An address
+    is such a word as well, with a slash; one that leaves out the service finds its task.
     """
     folded = {name.lower(): name for name in sorted(known, reverse=True)}
     meant = SAME_AS.get(word.lower(), "")
     if meant in folded:
         return folded[meant]
-    family, dot, tail = word.lower().rpartition(".")
-    if not dot:
+    family, tail = _parted(word.lower())
+    if not family:
         near = _near(tail, folded)
         if near:
             return folded[near]
-        tails = {name.rpartition(".")[2]: name for name in folded}
+        tails = {_parted(name)[1]: name for name in folded}
         near = _near(tail, tails, 0.75)
         return folded[tails[near]] if near else ""
     families: dict[str, dict[str, str]] = {}
     for name in sorted(folded, reverse=True):
-        before, _, after = name.rpartition(".")
+        before, after = _parted(name)
         families.setdefault(before, {})[after] = folded[name]
     for near_family in _all_near(family, families, 0.75):
         near = _near(tail, families[near_family])
         if near:
             return families[near_family][near]
-    return families.get("", {}).get(tail, "")
+    within = (name for name in sorted(folded) if name.startswith(f"{family}/") and name.endswith(f"/{tail}"))
+    return families.get("", {}).get(tail, "") or folded.get(next(within, ""), "")
+
+
+def _parted(word: str) -> tuple[str, str]:
+    """Returns what stands before the last dot or slash of a word, and what stands behind it."""
+    at = max(word.rfind("."), word.rfind("/"))
+    return word[: max(at, 0)], word[at + 1 :]
 
 
 def _near(word: str, known: Iterable[str], alike: float = 0.6) -> str:
