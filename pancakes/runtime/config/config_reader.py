@@ -233,7 +233,7 @@ class _ConfigReader:
             if text == "unknown key" and len(problem.path) == 1 and not near and "settings" in own:
                 text = f"unknown key; the {key[0]}'s own settings belong into its key `settings`"
             if text == "is missing" and len(key) == 2 and self._places.is_set(*key):
-                near = self._other_name(*key)
+                near = self._other_name(str(key[0]), str(key[1]))
             bad.add(problem.path[0] if problem.path else "")
             self._fault((*key, *problem.path), text, near)
         whole = "" not in bad  # else its parts are sound, and do not fit each other
