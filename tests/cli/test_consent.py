@@ -46,6 +46,45 @@ def test_a_verb_that_loses_something_asks_on_a_terminal(rig: Rig, verb: str) -> 
     assert code == 0 and "removed" in shown
 
 
+STATED = """
+from dataclasses import dataclass
+from pancakes.task import Task
+
+class Count(Task):
+    @dataclass
+    class State:
+        n: int = 0
+"""
+
+
+@pytest.mark.parametrize("words", ["task restart a/Count --drop-state", "service restart a/client --drop-state"])
+def test_what_drops_a_state_asks_first(rig: Rig, words: str) -> None:
+    rig.install("count", POINTS, STATED)
+    rig.ready("a", '[task.Count]\ntype = "count.Count"\n')
+    refused = rig.pancakes(*words.split())
+    assert refused.returncode == 1 and "state is lost. With --force it is done" in refused.stderr
+    assert rig.pancakes(*words.split(), "--dry-run").returncode == 0
+    assert {row["incarnation"] for row in rig.listed("task", "list", "--long") if row["task"] == "Count"} == {1}
+    code, shown = answered(rig, "n", *words.split())
+    assert code == 1 and "state is lost. Do it? [y/N]" in shown
+    code, shown = answered(rig, "y", *words.split())
+    assert code == 0 and "restarted" in shown
+    assert rig.pancakes(*words.split(), "--force").returncode == 0
+    assert rig.pancakes(*words.replace("--drop-state", "--keep-state").split()).returncode == 0
+
+
+def test_revoke_asks_first(rig: Rig) -> None:
+    rig.keys.office("test").enrol_with_key("operator", "bob")
+    words = ("fleet", "revoke", "bob", "laptop stolen")
+    refused = rig.pancakes(*words)
+    assert refused.returncode == 1 and "believes operator/bob any more, for good. With --force" in refused.stderr
+    code, shown = answered(rig, "n", *words)
+    assert code == 1 and shown.endswith("nothing was done")
+    assert rig.pancakes("fleet", "can", "bob", "look", "a").returncode == 0
+    assert "no agent has heard" in rig.pancakes(*words, "--force").stderr
+    assert rig.pancakes("fleet", "can", "bob", "look", "a").returncode == 1
+
+
 def test_down_names_what_it_ends_and_asks_before_it_ends_several_fleets(rig: Rig) -> None:
     agents = [rig.ready("a"), rig.ready("b"), rig.ready("c", fleet="other")]
     what = "this ends c of the fleet other; a, b of the fleet test: --fleet names one of them"

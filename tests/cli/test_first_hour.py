@@ -73,7 +73,9 @@ def test_first_hour_of_two_robots_that_join_and_are_revoked(three):
     two.hear("agent1 (agent, tcp://")
     assert agents(laptop, robot2)["agent2"]["neighbours"] == ["agent1"]
 
-    lost = laptop.said("fleet", "revoke", "agent2", "lost in the field", "--tell", robot1.address, typed=ONCE)
+    lost = laptop.said(
+        "fleet", "revoke", "agent2", "lost in the field", "--force", "--tell", robot1.address, typed=ONCE
+    )
     assert "revoked" in lost and "The roster 2 is known to agent1." in lost, lost
     one.hear("agent2 is not believed any more: its certificate was revoked (roster 2): agent/agent2: lost in the field")
     assert agents(laptop, robot1)["agent1"]["neighbours"] == []

@@ -92,11 +92,11 @@ def test_fleet_revoke_leaves_no_rights(run: Run, tmp_path: Path):
     run("enrol", "bob", "--role", "observer", "--out", tmp_path / "bob")
     assert run("can", "bob", "look", "a").startswith("yes: ")
     with pytest.raises(PancakesError, match="no agent has heard of the roster 2 yet"):
-        run("revoke", "bob", "left")
+        run("revoke", "bob", "left", "--force")
     with pytest.raises(PancakesError, match="no: observer/bob was revoked: left"):
         run("can", "bob", "look", "a")
     with pytest.raises(PancakesError, match="no agent has heard of the roster 3 yet"):
-        run("revoke", "alice", "laptop stolen")
+        run("revoke", "alice", "laptop stolen", "--force")
     with pytest.raises(
         PancakesError, match=r"your keys for the fleet garage are of no use .* was revoked \(roster 3\)"
     ):

@@ -35,7 +35,7 @@ def findings(rig: Rig) -> dict[str, tuple[str, str]]:
     return {row["about"]: (row["level"], row["text"]) for row in rows if "roster" in row["text"]}
 
 
-@pytest.mark.parametrize("words", [("revoke", "bob", "laptop stolen"), ("sign",), ("allow", "b", "command")])
+@pytest.mark.parametrize("words", [("revoke", "bob", "laptop stolen", "--force"), ("sign",), ("allow", "b", "command")])
 def test_roster_that_an_agent_cannot_check_fails_and_is_told(rig: Rig, words: tuple[str, ...]):
     rig.keys.office("test").enrol_with_key("operator", "bob")
     agent = without_cryptography(rig, "a")
@@ -63,7 +63,7 @@ def test_roster_that_only_the_operator_has_is_told_by_doctor(rig: Rig):
 
 def test_revoke_that_no_agent_hears_fails(rig: Rig):
     rig.keys.office("test").enrol_with_key("operator", "bob")
-    done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen")
+    done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen", "--force")
     assert done.returncode == 1 and "no agent has heard of the roster" in done.stderr
     signed = rig.pancakes("fleet", "sign")
     assert signed.returncode == 0 and "no agent has heard of the roster" in signed.stderr
@@ -91,7 +91,7 @@ def test_roster_that_cannot_be_kept_is_obeyed_and_told(rig: Rig):
         pytest.skip("a small disk can be had by root only")
     try:
         rig.ready("a")
-        done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen")
+        done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen", "--force")
         assert done.returncode == 1, done.stdout
         assert "a goes by the roster 2 until it ends" in done.stderr and "cannot be kept" in done.stderr
         assert "No space left on device" in findings(rig)["a"][1] and findings(rig)["a"][0] == "error"

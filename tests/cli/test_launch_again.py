@@ -89,7 +89,9 @@ def test_launch_tells_where_a_task_has_gone_until_fresh(rig: Rig, field: Path):
     said = down(fleet)
     assert [line for line in said if line.startswith("gate | ") and "gate/client/Walk does not start" in line]
 
-    fleet = rig.launch(field, "--fresh")
+    refused = rig.pancakes("launch", str(field), "--fresh")
+    assert refused.returncode == 1 and "is lost. With --force it is done" in refused.stderr
+    fleet = rig.launch(field, "--fresh", "--force")
     fleet.hear("gate begins afresh")
     heard(fleet, "task_started task=Walk")
     assert tasks(rig, "gate") == {"Walk": ("running", "")}

@@ -136,7 +136,7 @@ def test_launch_fresh_forgets_what_agents_on_hosts_remember(rig: Rig, robots: Ss
     (state,) = robots.hosts["robot1"].home.glob(".local/state/pancakes/yard/a")
     (identity,) = state.glob("identity.*")
     before = identity.read_bytes()
-    again = rig.launch(path, "--fresh")
+    again = rig.launch(path, "--fresh", "--force")
     ready(again, "a")
     assert identity.read_bytes() != before
 

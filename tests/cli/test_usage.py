@@ -44,6 +44,7 @@ task adopt Count
 task create a/Count --type count.Count --guard 5 --key guard=3  # --guard and --key guard say the same: give one of them
 task fence a/wheels --set Circle  # 'Circle' is no task id: it must read birthplace/name
 task fence a/wheels --dry-run  # --dry-run is about what --set would do
+task fence a/wheels --force  # --force is about --set
 task revive d/Count --set x=1  # say --config FILE too
 service stop a
 service stop test/a/client/Count

@@ -100,7 +100,15 @@ def test_bare_hosts_become_a_fleet_with_keys_by_one_command(yard: Yard):
 
     # Each agent can check a roster, though nobody has asked for the extra `keys`.
     revoked = yard.rig.pancakes(
-        "fleet", "revoke", "bob", "laptop stolen", "--tell", f"127.0.0.1:{yard.ports['a']}", "--fleet", "yard"
+        "fleet",
+        "revoke",
+        "bob",
+        "laptop stolen",
+        "--force",
+        "--tell",
+        f"127.0.0.1:{yard.ports['a']}",
+        "--fleet",
+        "yard",
     )
     assert revoked.returncode == 0 and "is known to a, b, c" in revoked.stdout, revoked.stderr
 

@@ -137,7 +137,7 @@ class FleetOffice:
             last, here = (datetime.datetime.fromtimestamp(it).strftime("%d %B %Y") for it in (now.signed_s, now_s))
             raise PancakesError(
                 f"the last roster was signed on {last}, and by the clock of this machine it is {here}. Set that clock,"
-                " or, where it is right, say --force"
+                " or, where it is right, say --any-date"
             )
         revoked = tuple(Revoked(it.serial, it.who, it.revoked) for it in now.entries if it.revoked)
         roster = Roster(self.fleet, now.number + 1, now_s, revoked, read_rules(self.folder), force)

@@ -115,7 +115,7 @@ def fault_of_news(new: Roster, last: Roster | None, fleet: str, now_s: float) ->
         days = (new.signed_s - latest_s + LATEST_S) / 86_400
         return (
             f"the roster {new.number} is dated {days:.0f} days after the last one and the own clock: set that clock, or"
-            " that of the machine that signs; or sign it with pancakes fleet sign --force"
+            " that of the machine that signs; or sign it with pancakes fleet sign --any-date"
         )
     return ""
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from pancakes.client import Client
-from pancakes.control import Reply
 from pancakes.errors import ControlRefused
-from pancakes.tools.cli.asking import accepted
+
+if TYPE_CHECKING:
+    from pancakes.client import Client
+    from pancakes.control import Reply
 
 force_option = click.option("--force", is_flag=True, help="Do it without asking. Needed if this is no terminal.")
 """The option `--force` of verbs that lose something; its parameter is `force`."""
@@ -52,6 +53,8 @@ def accepted_if_meant(
         ControlRefused: the agent refuses it in any case, or it is not meant.
         Unreachable: the agent does not answer.
     """
+    from pancakes.tools.cli.asking import accepted  # only now: many a verb that asks needs no client
+
     if force or dry_run or not (sys.stdin.isatty() and sys.stderr.isatty()):
         return accepted(client, agent, body(force, dry_run))
     accepted(client, agent, body(True, True))

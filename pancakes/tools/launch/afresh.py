@@ -50,6 +50,12 @@ def check_alone(configs: Iterable[Config]) -> None:
         )
 
 
+def remembers(config: Config) -> bool:
+    """Returns whether an agent has something in its state directory."""
+    directory = state_dir_of(config)
+    return directory is not None and directory.is_dir() and any(directory.iterdir())
+
+
 def empty_state(config: Config) -> Path | None:
     """Removes what an agent that does not run remembers.
 

@@ -11,6 +11,7 @@ from pancakes.errors import MigrationError
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import join
 from pancakes.tools.cli.asking import accepted, order, placed
+from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.name_types import TASK_NAME, TaskName
 from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN
@@ -25,9 +26,10 @@ COLUMNS = ("actuator", "task_id", "seen", "brought_by", "owner", "owner_has", "o
 @click.command()
 @click.argument("name", metavar="AGENT/ACTUATOR", type=TASK_NAME)
 @click.option("--set", "task_id", metavar="BIRTHPLACE/NAME", default="", help="Set the fence for this task.")
+@force_option
 @dry_run_option
 @orders_agents
-def fence(name: TaskName, task_id: str, dry_run: bool, ask: Ask) -> None:
+def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) -> None:
     """Show which tasks have commanded an actuator, and whether it obeys those that have them now.
 
     An actuator obeys no epoch of a task lower than the highest that it has seen: so a copy that has lost its right
@@ -37,7 +39,8 @@ def fence(name: TaskName, task_id: str, dry_run: bool, ask: Ask) -> None:
     With --set the actuator goes to its safe hold, and the fence is set to the epoch under which the task runs now. The
     agent of the actuator asks all agents that it is connected to. It refuses where one of them does not answer, and
     where none has the task; of two that have it, the higher epoch counts. See first, with `pancakes task list`, that
-    the task runs once. `pancakes task migrations` keeps the account.
+    the task runs once. It asks first; if this is no terminal, nothing is done without --force.
+    `pancakes task migrations` keeps the account.
 
     \b
     Example:
@@ -47,6 +50,8 @@ def fence(name: TaskName, task_id: str, dry_run: bool, ask: Ask) -> None:
     """
     if dry_run and not task_id:
         raise click.UsageError("--dry-run is about what --set would do: say for which task")
+    if force and not task_id:
+        raise click.UsageError("--force is about --set: say for which task")
     if task_id:
         try:
             TaskId.parse(task_id)
@@ -55,6 +60,9 @@ def fence(name: TaskName, task_id: str, dry_run: bool, ask: Ask) -> None:
     with ask.client() as client:
         name = placed(client, name)
         if task_id:
+            if not (force or dry_run):
+                accepted(client, name.agent, SetFence(name.target, task_id, dry_run=True))
+                must_be_meant(f"{name} goes to its safe hold, and forgets which epoch of {task_id} it has seen", force)
             reply = accepted(client, name.agent, SetFence(name.target, task_id, dry_run))
             row = {**reply.result, "done": DRY_RUN if dry_run else "set", "number": reply.number}
             ask.show([row], tuple(row))

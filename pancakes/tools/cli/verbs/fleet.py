@@ -17,6 +17,7 @@ from pancakes.mesh.security.certified import PEOPLE, CertifiedRole
 from pancakes.mesh.security.key_files import KeyFiles
 from pancakes.mesh.security.rules import EVERY, RIGHTS, AccessRule, Bearer, Right, allows
 from pancakes.runtime.foundation.names import fault_of_name
+from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.options import Duration, format_option
 from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
 from pancakes.tools.cli.verbs.fleet_folder import founded, opened, spread
@@ -48,7 +49,7 @@ of_fleet = click.option(
     "--fleet", "fleet_name", metavar="NAME", default="", help="The fleet. [default: the only one that is founded here]"
 )
 may_be_dry = click.option("--dry-run", is_flag=True, help="Only say what would be done, and ask for no password.")
-forced = click.option("--force", is_flag=True, help="Agents are to believe it whatever its date.")
+any_date_option = click.option("--any-date", is_flag=True, help="Agents are to believe it whatever its date.")
 told_at = click.option(
     "--tell",
     "addresses",
@@ -267,11 +268,19 @@ def list_(fleet_name: str, format_: str) -> None:
 @click.argument("why", metavar="REASON")
 @of_fleet
 @told_at
-@forced
+@any_date_option
+@force_option
 @click.option("--dry-run", is_flag=True, help="Only show what would be revoked.")
 @format_option
 def revoke(
-    who: str, why: str, fleet_name: str, addresses: tuple[str, ...], force: bool, dry_run: bool, format_: str
+    who: str,
+    why: str,
+    fleet_name: str,
+    addresses: tuple[str, ...],
+    any_date: bool,
+    force: bool,
+    dry_run: bool,
+    format_: str,
 ) -> None:
     """Revoke all certificates of a machine or a person: a robot or a laptop is lost, or a person has left.
 
@@ -279,29 +288,34 @@ def revoke(
     it is linked again. The exit code is 1 if no agent has heard of it, or if one that was reached does not go by it;
     standard error says why.
 
+    Nobody can take that back, so it asks first; if this is no terminal, nothing is done without --force.
+
     \b
     Example:
         pancakes fleet revoke operator/alice "laptop stolen"
         pancakes fleet revoke agent1 "lost in the field" --tell 192.168.1.23:7401
     """
-    folder = founded(fleet_name)
-    if dry_run:
-        from pancakes.mesh.security.register import read_register
+    from pancakes.mesh.security.register import read_register
 
-        _show_entries(read_register(folder).of(who), DRY_RUN, format_)
+    folder = founded(fleet_name)
+    register = read_register(folder)
+    bearer = register.latest(who, folder.name)
+    if dry_run:
+        _show_entries(register.of(who), DRY_RUN, format_)
         return
+    must_be_meant(f"no agent of the fleet {folder.name} believes {bearer.role}/{bearer.name} any more, for good", force)
     office = opened(fleet_name)
-    _show_entries(office.revoke(who, why, force), "revoked", format_)
+    _show_entries(office.revoke(who, why, any_date), "revoked", format_)
     spread(office, addresses, must_be_heard=True, format_=format_)
 
 
 @fleet.command()
 @of_fleet
 @told_at
-@forced
+@any_date_option
 @may_be_dry
 @format_option
-def sign(fleet_name: str, addresses: tuple[str, ...], force: bool, dry_run: bool, format_: str) -> None:
+def sign(fleet_name: str, addresses: tuple[str, ...], any_date: bool, dry_run: bool, format_: str) -> None:
     """Sign the roster of the fleet again, and tell the agents.
 
     The exit code is 1 if an agent that was reached does not go by it; standard error says why.
@@ -320,7 +334,7 @@ def sign(fleet_name: str, addresses: tuple[str, ...], force: bool, dry_run: bool
         _tell(format_, row, f"The roster {number} of the fleet {folder.name} would be signed, with {rules} rules.")
         return
     office = opened(fleet_name)
-    roster = office.sign(force)
+    roster = office.sign(any_date)
     row = {"fleet": office.fleet, "roster": roster.number, "rules": len(roster.allow), "done": "signed"}
     _tell(format_, row, f"The roster {roster.number} of the fleet {office.fleet} is signed.")
     spread(office, addresses, format_=format_)
@@ -333,7 +347,7 @@ def sign(fleet_name: str, addresses: tuple[str, ...], force: bool, dry_run: bool
 @click.option("--at", metavar="PATTERN", multiple=True, help="At these agents. Repeatable. [default: at all]")
 @of_fleet
 @told_at
-@forced
+@any_date_option
 @click.option("--dry-run", is_flag=True, help="Only show the rule.")
 @format_option
 def allow(
@@ -343,7 +357,7 @@ def allow(
     at: tuple[str, ...],
     fleet_name: str,
     addresses: tuple[str, ...],
-    force: bool,
+    any_date: bool,
     dry_run: bool,
     format_: str,
 ) -> None:
@@ -360,7 +374,7 @@ def allow(
     rule = AccessRule((who,), rights, on or (EVERY,), at or (EVERY,))
     if not dry_run:
         office = opened(fleet_name)
-        office.allow(rule, force)
+        office.allow(rule, any_date)
     row = {"who": who, "may": list(rights), "on": list(rule.on), "at": list(rule.at)}
     show([{**row, "done": DRY_RUN if dry_run else "allowed"}], (*row, "done"), format_)
     if not dry_run:

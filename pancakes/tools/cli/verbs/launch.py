@@ -18,6 +18,7 @@ import click
 
 from pancakes.runtime.foundation.printable import printable_data
 from pancakes.tools.cli.agent_process import SHOW_TRACEBACKS
+from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.exit_codes import forget_output
 from pancakes.tools.cli.options import agent_sets_option, format_option
 from pancakes.tools.cli.output import show, show_text
@@ -54,6 +55,7 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
     help="Begin from empty state: the agents forget how far their tasks were, and where they are."
     " Refused while another agent of the fleet runs.",
 )
+@force_option
 @click.option(
     "--local", is_flag=True, help="Let the agents speak within this machine alone, by local://, without ports."
 )
@@ -66,6 +68,7 @@ def launch(
     hold: bool,
     traceback: bool,
     fresh: bool,
+    force: bool,
     local: bool,
     dry_run: bool,
     format_: str,
@@ -81,7 +84,8 @@ def launch(
     `pancakes deploy` has brought there or that is installed (docs/deployment.md). It ends with this command.
 
     An agent goes on where it was: a task that moved away, was stopped or failed does not start again with it. Each such
-    task is told, with the reason. With --fresh all begin as their files say.
+    task is told, with the reason. With --fresh all begin as their files say; if that loses something it asks first, and
+    needs --force if this is no terminal.
 
     An agent that fails is started again, at most three times within a minute unless the fleet file says otherwise.
     SIGINT or SIGTERM stops all of them in order, the same again at once. The exit code is 0 where all were stopped or
@@ -94,7 +98,7 @@ def launch(
         pancakes launch configs/encirclement --dry-run
     """
     from pancakes.runtime.plugins import Plugins
-    from pancakes.tools.launch.afresh import check_alone
+    from pancakes.tools.launch.afresh import check_alone, remembers
     from pancakes.tools.launch.fleet_plan import check_free, make_fleet
     from pancakes.tools.launch.hosts import open_hosts
 
@@ -107,6 +111,9 @@ def launch(
         check_hosts(members, hosts, fresh)
         if fresh:
             check_alone(member.config for member in members)
+            losing = [member.name for member in members if member.host or remembers(member.config)]
+            if losing:
+                must_be_meant(f"what is kept of the tasks of {', '.join(losing)} is lost", force, dry_run)
         if dry_run:
             _show(members, format_)
         else:

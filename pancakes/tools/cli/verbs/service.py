@@ -10,7 +10,8 @@ from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.runtime.foundation.suggestion import hint_of
 from pancakes.runtime.life.restart import tries
-from pancakes.tools.cli.asking import show_done, survey
+from pancakes.tools.cli.asking import accepted, show_done, survey
+from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.name_types import ServiceName, a_service, agents
 from pancakes.tools.cli.options import Ask, Duration, asks_agents, dry_run_option, keep_state_option, orders_agents
 from pancakes.tools.cli.output import show_json, show_sections
@@ -109,20 +110,27 @@ def stop(name: ServiceName, for_s: float | None, dry_run: bool, ask: Ask) -> Non
 @service.command()
 @a_service
 @keep_state_option("Whether its tasks go on with their state and settings, or begin as their configuration says.")
+@force_option
 @dry_run_option
 @orders_agents
-def restart(name: ServiceName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
+def restart(name: ServiceName, keep_state: bool, force: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a service and all of its tasks, start it, and wait until it runs.
+
+    With --drop-state it asks first; if this is no terminal, nothing is done without --force.
 
     \b
     Example:
         pancakes service restart agent1/device
-        pancakes service restart agent1/client --drop-state
+        pancakes service restart agent1/client --drop-state --force
     """
-    _order(ask, name, "restarted", Restart(name.target, keep_state, dry_run))
+    with ask.client() as client:
+        if not (keep_state or force or dry_run):
+            accepted(client, name.agent, Restart(name.target, keep_state, dry_run=True))
+            must_be_meant(f"all tasks of {name} begin as their configuration says: their state is lost", force)
+        show_done(ask, client, name, "restarted", Restart(name.target, keep_state, dry_run))
 
 
-def _order(ask: Ask, name: ServiceName, done: str, body: Start | Stop | Restart, **others: Any) -> None:
+def _order(ask: Ask, name: ServiceName, done: str, body: Start | Stop, **others: Any) -> None:
     """Has an agent do something with a service, and shows that it was done."""
     with ask.client() as client:
         show_done(ask, client, name, done, body, **others)

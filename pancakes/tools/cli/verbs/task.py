@@ -11,7 +11,8 @@ import click
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
 from pancakes.errors import NoAnswer
 from pancakes.runtime.life.restart import tries
-from pancakes.tools.cli.asking import order, placed, show_done, survey
+from pancakes.tools.cli.asking import accepted, order, placed, show_done, survey
+from pancakes.tools.cli.consent import force_option, must_be_meant
 from pancakes.tools.cli.name_types import TaskName, a_task, agents
 from pancakes.tools.cli.options import (
     Ask,
@@ -162,16 +163,25 @@ def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
 @task.command()
 @a_task
 @keep_state_option("Whether it goes on with its state and settings, or begins as its configuration says.")
+@force_option
 @dry_run_option
 @orders_agents
-def restart(name: TaskName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
+def restart(name: TaskName, keep_state: bool, force: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a task, start it, and wait until it runs.
+
+    With --drop-state it asks first; if this is no terminal, nothing is done without --force.
 
     \b
     Example:
-        pancakes task restart agent1/ScanTarget --drop-state
+        pancakes task restart agent1/ScanTarget
+        pancakes task restart agent1/ScanTarget --drop-state --force
     """
-    _order(ask, name, "restarted", lambda target: Restart(target, keep_state, dry_run))
+    with ask.client() as client:
+        name = placed(client, name)
+        if not (keep_state or force or dry_run):
+            accepted(client, name.agent, Restart(name.target, keep_state, dry_run=True))
+            must_be_meant(f"{name} begins as its configuration says: its state is lost", force)
+        show_done(ask, client, name, "restarted", Restart(name.target, keep_state, dry_run))
 
 
 @task.command(cls=TakesNumbers)
@@ -197,7 +207,7 @@ def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, ask: Ask) ->
     _order(ask, name, "rate changed", lambda target: Reschedule(target, rate_hz, timer, dry_run))
 
 
-def _order(ask: Ask, name: TaskName, done: str, body: Callable[[str], Start | Stop | Restart | Reschedule]) -> None:
+def _order(ask: Ask, name: TaskName, done: str, body: Callable[[str], Start | Stop | Reschedule]) -> None:
     """Has an agent do something with a task, given what asks for it by the task's target; shows that it was done."""
     with ask.client() as client:
         name = placed(client, name)
