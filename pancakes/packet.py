@@ -182,6 +182,11 @@ def type_of(body: Any) -> str:
     return name
 
 
+def is_of_type(body: Any, name: str) -> bool:
+    """Returns whether a body is an instance of a class that is registered under `name`."""
+    return _NAMES.get(type(body)) == name
+
+
 def body_class(name: str) -> type | None:
     """Returns the class registered under `name`, or None."""
     return _CLASSES.get(name)

@@ -1,8 +1,9 @@
 """A number with a unit, as the key that takes it wants it."""
 
+import pytest
 from seeded import for_each
 
-from pancakes.runtime.foundation.units import key_for, written_for
+from pancakes.runtime.foundation.units import key_for, number_in, whole_number_in, written_for
 
 
 def test_a_number_with_a_unit_is_written_as_its_key_takes_it() -> None:
@@ -31,6 +32,14 @@ def test_a_number_with_a_unit_is_written_as_its_key_takes_it() -> None:
         ],
         check,
     )
+
+
+def test_a_number_in_text_is_one_as_the_world_writes_it() -> None:
+    assert (number_in(" 1.5e1\n"), whole_number_in("-7")) == (15.0, -7)
+    for read in (number_in, whole_number_in):
+        for text in ("1_0", "ten", ""):
+            with pytest.raises(ValueError):
+                read(text)
 
 
 def test_an_unknown_key_with_a_unit_is_answered_with_the_key_that_takes_it() -> None:

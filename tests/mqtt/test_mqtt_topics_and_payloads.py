@@ -120,7 +120,7 @@ def test_numbers(value: Any, number: float | None) -> None:
     assert number_of(value) == number
 
 
-@pytest.mark.parametrize("value", [True, "hot", [1], {}, "nan", "inf", float("nan"), 10**400])
+@pytest.mark.parametrize("value", [True, "hot", "1_0", [1], {}, "nan", "inf", float("nan"), 10**400])
 def test_what_is_no_number_is_named(value: Any) -> None:
     with pytest.raises(BadPayload):
         number_of(value)

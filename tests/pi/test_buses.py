@@ -175,6 +175,7 @@ GOOD = "72 01 4b 46 7f ff 0e 10 57 : crc=57 YES\n72 01 4b 46 7f ff 0e 10 57 t=23
         ("50 05 4b 46 7f ff 0c 10 1c : crc=1c YES\n50 05 4b 46 7f ff 0c 10 1c t=85000\n", None),
         ("", None),
         (GOOD.replace("t=23125", "t="), None),
+        (GOOD.replace("t=23125", "t=23_125"), None),
     ],
 )
 def test_what_linux_tells_of_a_one_wire_thermometer(text: str, celsius: float | None) -> None:

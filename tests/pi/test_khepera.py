@@ -167,7 +167,7 @@ def test_lines_of_the_protocol() -> None:
     assert speeds(99_999, -99_999) == "D,l48000,l-48000"
     assert numbers_in(b"n,1,-2\r\n", "N") == [1, -2] and numbers_in(b"d\r\n", "D,l0,l0") == []
     assert volts_in([7, 1]) == 7.0001
-    for line in (b"", b"n,a", b"o,1", b"\xff", b"n,1.5", b"N,1"):
+    for line in (b"", b"n,a", b"o,1", b"\xff", b"n,1.5", b"N,1", b"n,1_0"):
         with pytest.raises(NoAnswer):
             numbers_in(line, "N")
     with pytest.raises(NoAnswer):

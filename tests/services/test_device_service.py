@@ -142,6 +142,31 @@ def test_a_sensor_is_sampled_at_its_rate_and_publishes_on_system(fleet):
     assert [packet.body.cpu for packet in readings] == [10.0 + n for n in range(1, 9)]
 
 
+class Confused(Sensor):
+    """Says that it brings a load, and brings a pose."""
+
+    type = "load"
+
+    def sample(self):
+        return Pose(0.0, 0.0, 0.0)
+
+
+class ConfusedByItself(Confused):
+    rate = "none"
+
+    def open(self):
+        self.context.deliver(Pose(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(("driver", "rate"), [(Confused, {"rate_hz": 1.0}), (ConfusedByItself, {})])
+def test_a_reading_of_another_class_is_named_with_both_and_never_published(fleet, driver, rate):
+    agent = fleet.start("a", devices={"cpu": {"type": driver, **rate}})
+    fleet.run_for(3.0)
+    why = f"{driver.__name__} brings a Pose, and its type is 'load', whose readings are each a Load"
+    assert [line for line in agent.lines("warning") if why in line] == [f"cpu: a reading is missed: {why}"]
+    assert agent.probe.packets(Pose) == []
+
+
 def test_its_rate_is_changed_by_a_packet(fleet):
     agent = fleet.start("a", devices={"cpu": {"type": Thermometer, "rate_hz": 4.0}})
     assert agent.ask(Reschedule("device/cpu", 1.0)).ok

@@ -52,6 +52,24 @@ _RATES: Final = ("rate", "frequency", "freq", "hz", "period", "interval", "every
 _NUMBER: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\s\d][^\s]*)?\s*")
 
 
+def number_in(text: str) -> float:
+    """Returns the number in a text that a device, a program or a person has written.
+
+    Raises:
+        ValueError: it is none; nor is `1_0`, which is 10 in Python only.
+    """
+    if "_" in text:
+        raise ValueError(f"could not convert string to float: {text!r}")
+    return float(text)
+
+
+def whole_number_in(text: str) -> int:
+    """As `number_in`, for a number without a fraction."""
+    if "_" in text:
+        raise ValueError(f"invalid literal for int(): {text!r}")
+    return int(text)
+
+
 def written_for(key: str, text: str) -> str:
     """Returns what to write for a key in place of a number in text, such as `rate_hz = 2`; empty: nothing is known.
 

@@ -18,7 +18,7 @@ from pancakes.control import Hold, SetFence
 from pancakes.errors import MailboxFull, NoPermit, PancakesError, describe
 from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.mesh.net.transport import Transport
-from pancakes.packet import CTRL, NETWORK, SYSTEM, Packet, agent_of
+from pancakes.packet import CTRL, NETWORK, SYSTEM, Packet, agent_of, body_class, is_of_type
 from pancakes.runtime.foundation.log import Log
 from pancakes.runtime.kernel.handlers import Tick, every, on
 from pancakes.runtime.kernel.mailbox import Mailbox
@@ -263,7 +263,7 @@ class DeviceTask(Task):
                     self._actuator.tick()
                 return
             reading = sensor.sample()
-            if reading is not None and (fault := fault_of_reading(reading)):
+            if reading is not None and (fault := self._fault_of(reading)):
                 raise PancakesError(fault)
         except Exception as error:
             if self.missed(describe(error, self.device.cls)):
@@ -273,13 +273,22 @@ class DeviceTask(Task):
             self._publish(reading)
 
     def deliver(self, reading: Any) -> None:
-        """Publishes a reading on `system`; one whose numbers are none is missed. Any thread."""
+        """Publishes a reading on `system`; one of another class, or whose numbers are none, is missed. Any thread."""
         if self.actor_stopped.is_set():
             return
-        if fault := fault_of_reading(reading):
+        if fault := self._fault_of(reading):
             self.missed(fault)
         else:
             self._publish(reading)
+
+    def _fault_of(self, reading: Any) -> str:
+        """Says why a body is no reading of this device; empty: it is one."""
+        driver = self.device.cls
+        wanted = body_class(driver.type)
+        if wanted is not None and not is_of_type(reading, driver.type):
+            brought = f"{driver.__qualname__} brings a {type(reading).__name__}"
+            return f"{brought}, and its type is {driver.type!r}, whose readings are each a {wanted.__name__}"
+        return fault_of_reading(reading)
 
     def missed(self, why: str) -> bool:
         """A reading, or a command, has failed; returns whether that was one too many. Any thread."""

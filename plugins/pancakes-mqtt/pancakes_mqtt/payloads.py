@@ -16,6 +16,7 @@ import msgspec
 
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
+from pancakes.runtime.foundation.units import number_in
 
 TRUE: Final = ("on", "true", "1", "yes", "online", "open", "detected", "occupied", "motion")
 FALSE: Final = ("off", "false", "0", "no", "offline", "closed", "clear", "not_detected", "none")
@@ -159,7 +160,7 @@ def number_of(value: Any) -> float | None:
     if isinstance(value, bool):
         raise BadPayload(f"{shown(value)} is no number")
     try:
-        number = float(value)
+        number = number_in(value) if isinstance(value, str) else float(value)
     except (TypeError, ValueError, OverflowError):
         raise BadPayload(f"{shown(value)} is no number") from None
     if not math.isfinite(number):

@@ -10,6 +10,7 @@ from typing import Final
 
 from pancakes.bodies.devices.levels import level_of
 from pancakes.errors import PancakesError
+from pancakes.runtime.foundation.units import whole_number_in
 
 END: Final = b"\r"
 VERSION: Final = "B"
@@ -50,7 +51,7 @@ def numbers_in(line: bytes, command: str) -> list[int]:
         head, *rest = line.decode("ascii").strip("\r\n").split(",")
         if head != command[0].lower():
             raise NoAnswer
-        return [int(number) for number in rest]
+        return [whole_number_in(number) for number in rest]
     except ValueError:  # UnicodeDecodeError too
         raise NoAnswer(f"{line[:40]!r} is no answer to {command}") from None
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from pancakes.bodies.devices.driver import Sensor
 from pancakes.bodies.devices.types import Temperature
 from pancakes.errors import PancakesError
+from pancakes.runtime.foundation.units import whole_number_in
 from pancakes.settings import FilePath
 from pancakes_pi.real_hardware import refuse_virtual_time
 
@@ -64,6 +65,6 @@ def celsius_in(text: str) -> float | None:
     if not first.endswith("YES") or first.startswith("50 05") or "t=" not in second:
         return None
     try:
-        return int(second.rpartition("t=")[2]) / 1000.0
+        return whole_number_in(second.rpartition("t=")[2]) / 1000.0
     except ValueError:
         return None
