@@ -134,10 +134,10 @@ def dear_first(items: list[pytest.Item], workers: int) -> list[pytest.Item]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Lets the processes that tests start be interrupted, and hypothesis be patient.
+    """Lets the processes that tests start hear signals, and hypothesis be patient.
 
-    A shell that started this one with `&` has SIGINT ignored, and children inherit that; one that is caught here is not
-    ignored there. And an example of hypothesis may take long on a machine that has other work, which is no fault of it.
+    A shell that started this one with `&` has SIGINT ignored, `nohup` has SIGHUP, and children inherit that; one that is
+    caught here is not ignored there. And an example of hypothesis may take long on a machine that has other work, which is no fault of it.
     """
     for name in SETS:
         config.addinivalue_line("markers", f"{name}: see tests/conftest.py")
@@ -147,6 +147,8 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.load_profile("patient")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda number, frame: None)  # this process goes on, as was asked
 
 
 def pytest_unconfigure() -> None:

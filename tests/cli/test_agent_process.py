@@ -51,6 +51,28 @@ def test_agent_hears_a_sigterm_after_it_was_frozen(rig: Rig, freeze: Callable[[R
     assert took_s < STOPPED_WITHIN_S
 
 
+SLOW = """
+import sys, threading
+from pancakes.task import Task
+
+class Slow(Task):
+    pass
+
+class Library:
+    def __del__(self, wait=threading.Event().wait):
+        wait(10)
+
+sys.modules["library"] = Library()  # which Python clears at its end
+"""
+
+
+def test_slow_end_of_python_ends_no_agent_that_had_stopped(rig: Rig):
+    rig.install("slow", "[pancakes.tasks]\nslow.Slow = plugin_slow:Slow\n", SLOW)
+    agent = rig.agent(rig.config("a", '[task.Slow]\ntype = "slow.Slow"\n'), true_start=True)
+    agent.hear(READY)
+    assert agent.signalled(signal.SIGTERM)[0] == 0
+
+
 STUCK = """
 import threading
 from pancakes.task import Task

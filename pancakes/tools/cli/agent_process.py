@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import os
 import select
 import signal
@@ -9,7 +11,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.tools.cli import interpreter
@@ -56,7 +58,7 @@ def run(path: str, sets: Sequence[str], check: bool, parent_pid: int | None, rea
     if orders is None:
         _check(config, plugins)
     else:
-        sys.exit(_run(config, plugins, orders, ready_fd))
+        orders.end(_run(config, plugins, orders, ready_fd))
 
 
 class Orders:
@@ -70,6 +72,10 @@ class Orders:
     """
 
     def __init__(self) -> None:
+        # Registered first, so called last. What follows it in Python's own end gives SIGALRM its default effect again,
+        # and on a slow machine an agent that had stopped in good order would die of it.
+        atexit.register(self._leave)
+        self._code: int | None = None
         self._begun = False
         self._reasons: deque[str] = deque()
         self._now = MonotonicClock().now
@@ -88,6 +94,11 @@ class Orders:
     def begin(self) -> None:
         """The agent begins: from here on it is ended in order."""
         self._begun = True
+
+    def end(self, code: int) -> NoReturn:
+        """Ends the process, which has stopped in good order."""
+        self._code = code
+        sys.exit(code)
 
     def give_up(self, reason: str) -> None:
         """Ends the wait with a reason, which is empty where the agent was asked to end. From any thread."""
@@ -113,6 +124,13 @@ class Orders:
         if not self._seen:
             signal.setitimer(signal.ITIMER_REAL, STOP_S)
         return self._reasons[0]
+
+    def _leave(self) -> None:
+        if self._code is not None:
+            for stream in (sys.stdout, sys.stderr):
+                with contextlib.suppress(OSError, ValueError):  # nobody reads it any more, or it is closed
+                    stream.flush()
+            os._exit(self._code)
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
         if not self._begun:
