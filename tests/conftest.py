@@ -136,8 +136,9 @@ def dear_first(items: list[pytest.Item], workers: int) -> list[pytest.Item]:
 def pytest_configure(config: pytest.Config) -> None:
     """Lets the processes that tests start hear signals, and hypothesis be patient.
 
-    A shell that started this one with `&` has SIGINT ignored, `nohup` has SIGHUP, and children inherit that; one that is
-    caught here is not ignored there. And an example of hypothesis may take long on a machine that has other work, which is no fault of it.
+    A shell that started this one with `&` has SIGINT ignored, `nohup` has SIGHUP, and children inherit that; one that
+    is caught here is not ignored there. And an example of hypothesis may take long on a machine that has other work,
+    which is no fault of it.
     """
     for name in SETS:
         config.addinivalue_line("markers", f"{name}: see tests/conftest.py")
