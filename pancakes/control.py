@@ -1,10 +1,10 @@
 """Control packets: how anything is asked for while an agent runs (paper §3.4).
 
-A task, a service, another agent and a person at a terminal all publish the same packets on `sysctrl`, and
-get a `Reply` whose `cause` is the packet that asked. There is no second way in.
+A task, a service, another agent and a person at a terminal all publish the same packets on `sysctrl`. Each gets a
+`Reply`, whose `cause` is the packet that asked. There is no other way to change a running system.
 
-A `target` is read on the agent that the packet reaches: `task`, `service/task` or `service`. Where a task bears the
-name of a service, `service/` means the service. More are in `pancakes.creation` and `pancakes.measurement`.
+A `target` is read on the agent that the packet reaches: `task`, `service/task` or `service`. If a task and a service
+have the same name, `service/` means the service. `CONTROLS` lists all control packets with the right that each needs.
 """
 
 from __future__ import annotations
@@ -14,9 +14,76 @@ from typing import Any, Final, Literal
 
 import msgspec
 
-from pancakes.creation import Create, Remove
-from pancakes.measurement import Measure
 from pancakes.packet import Cause, packet_type
+
+
+@packet_type("create")
+class Create(msgspec.Struct, frozen=True):
+    """Makes a task that no configuration file names, and starts it; the answer comes once it runs.
+
+    From then on it is like one that a file names: it outlives its agent's end, is moved and guarded, until `Remove`
+    asks for its end. The asker needs the right `host` on its type too. The reply's `result` is a mapping: `task_id`,
+    `epoch`, and `silent`, the agents that were asked in vain whether they know of such a task.
+
+    Attributes:
+        target: its name, or `service/name`; without a service, it is the Client Service's.
+        type: name of its class, such as `encirclement.ScanTarget`.
+        settings: plain values for its settings.
+        rate_hz: the rate of its first timer; None: as its class says.
+        keys: the other keys that its table `[task.NAME]` would have in a file, such as `guard` and `restart`.
+        dry_run: only says whether it would be done, and changes nothing.
+    """
+
+    target: str
+    type: str
+    settings: Mapping[str, Any] = {}
+    rate_hz: float | None = None
+    keys: Mapping[str, Any] = {}
+    dry_run: bool = False
+
+
+@packet_type("remove")
+class Remove(msgspec.Struct, frozen=True):
+    """Ends a task that no configuration file names, for good: it stops, and what was known of it is forgotten.
+
+    The answer comes once that is on disk. A later task of its name begins without its state.
+
+    Attributes:
+        target: the task.
+        dry_run: only says whether it would be done, and changes nothing.
+    """
+
+    target: str
+    dry_run: bool = False
+
+
+SHORTEST_S: Final = 0.1
+LONGEST_S: Final = 600.0
+"""The shortest and the longest measurement, in seconds of host time."""
+
+
+@packet_type("measure")
+class Measure(msgspec.Struct, frozen=True):
+    """Measures for some time what the processor time of an agent goes to; the reply comes at the end.
+
+    The `result` is a mapping, with all times in seconds of processor time, of the measurement alone:
+
+    - `agent`; `speed` (mission seconds for each second of host time); `span_s` (host time that it took); `processor_s`
+      (of the whole process); `turns` and `turn_s` (of all its actors);
+    - `host`: its computer: `id` (the same for all agents on it), `processors` (how many), `busy_share` (of all of
+      them), `yardstick_s` (a fixed piece of Python took so long: how fast they are);
+    - `battery`: `before` and `after`, what was left of it, 0 to 1; None where it has none or has not read it;
+    - `tasks`: a mapping for each task: `service`, `task`, `type`, `state`, `task_id` (empty where it cannot move),
+      `turns`, `turn_s`, and `timers`, each with `timer`, `rate_hz`, `ticks`, `missed`, `tick_s`, `tick_s2` (sum of the
+      squares of its ticks' times).
+
+    Turns are timed while something measures, and at no other time. In virtual time it is refused.
+
+    Attributes:
+        for_s: how long, in host time.
+    """
+
+    for_s: float = 5.0
 
 
 @packet_type("start")

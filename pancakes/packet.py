@@ -1,29 +1,79 @@
 """Packets: the only thing that tasks, services and agents say to each other (paper §3.1).
 
-A packet names its channel, its type, where it comes from and where it goes; its body is a frozen
-dataclass registered under the type's name, or a plain mapping where this process does not know the type.
+A packet has a channel, a type, a source and a destination. Its body is a frozen dataclass (or `msgspec.Struct`)
+registered under the type's name, or a plain mapping if this process does not know the type.
 
 Addresses read `agent/service/task`. A destination may be
 
-* empty: all that subscribe on this agent;
-* `agent`, `agent/service` or `agent/service/task`: all that subscribe there, under that address;
+* empty: all subscribers on this agent;
+* `agent`, `agent/service` or `agent/service/task`: all subscribers there, under that address;
 * `task:birthplace/name`: that task, on whatever agent it is now (see `task_address`);
 * `*`: every neighbour (not this agent).
+
+Source and number identify a packet for good: each life of an agent begins at another number.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
+from zlib import crc32
 
 import msgspec
 
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.foundation.arrays import as_list
-from pancakes.runtime.foundation.local_time import READER
-from pancakes.runtime.foundation.numbering import number_in_life
+from pancakes.util import codecs
+from pancakes.util.arrays import as_list
+
+_NUMBER_BITS: Final = 32
+_LIFE_BITS: Final = 21
+"""Together 53: more is not exact in JavaScript, nor in the JSON of many programs."""
+
+
+def first_number(life: str) -> int:
+    """Returns the number of the first packet of each source in a life of an agent.
+
+    Not of the boots that its journal has counted: these begin again after the disk was lost, and a disk that was
+    restored counts some of them twice. That two of the lives of one agent begin alike has a chance of 1 in 2 million.
+
+    Args:
+        life: what was drawn for this life, see `Journal.life`.
+    """
+    return ((crc32(life.encode()) % (1 << _LIFE_BITS)) << _NUMBER_BITS) + 1
+
+
+def number_in_life(seq: int) -> int:
+    """Returns the number of a packet among those of its source in one life of its agent, from 1: for people."""
+    return seq & ((1 << _NUMBER_BITS) - 1)
+
+
+class LocalTime(msgspec.Struct, frozen=True):
+    """When something happened elsewhere, on one's own clock.
+
+    Attributes:
+        time_s: the moment, in one's own mission time, in seconds; negative: before one's own mission began.
+        bound_s: the true moment lies no further from it, in mission seconds, as long as both clocks run evenly.
+    """
+
+    time_s: float
+    bound_s: float
+
+
+class Reader(Protocol):
+    """A task or service that reads a packet."""
+
+    def now(self) -> float:
+        """Returns the mission time of its agent, in seconds."""
+
+    def local_time(self, packet: Any) -> LocalTime | None:
+        """Returns when a packet was published, on the clock of its agent; None: that is not known."""
+
+
+READER: Final[ContextVar[Reader | None]] = ContextVar("READER", default=None)
+"""The task or service whose turn a thread gives now; None: it gives none."""
+
 
 SYSTEM: Final = "system"
 """Channel for sensor readings and other news about the system."""

@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from pancakes.runtime.clock import VirtualClock
-    from pancakes.simulation.probe import Probe
-    from pancakes.testing.agent_in_test import AgentInTest
-    from pancakes.testing.fleet_in_test import FleetInTest
-    from pancakes.testing.leaks import Leaks
+    from pancakes.simulation.agent_handle import Probe
+    from pancakes.testing import AgentInTest, FleetInTest, Leaks
+    from pancakes.util.clock import VirtualClock
 
     StartAgent = Callable[..., AgentInTest]
     ProbeOn = Callable[..., Probe]
@@ -106,7 +104,7 @@ def no_leaks(request: pytest.FixtureRequest) -> Iterator[Leaks]:
 
     All other fixtures of Pancakes use it. `@pytest.mark.pancakes(leaks=False)` switches it off for a test.
     """
-    from pancakes.testing.leaks import Leaks
+    from pancakes.testing import Leaks
 
     wanted = _marks(request.node).get("leaks", True)
     leaks = Leaks()
@@ -129,8 +127,8 @@ def pancakes_seed(request: pytest.FixtureRequest) -> int:
 @pytest.fixture
 def fleet(request: pytest.FixtureRequest, no_leaks: Leaks, pancakes_seed: int) -> Iterator[FleetInTest]:
     """Agents in virtual time on a network in memory, with faults on demand: a `pancakes.testing.FleetInTest`."""
-    from pancakes.mesh.net.memory import Quality
-    from pancakes.testing.fleet_in_test import FleetInTest
+    from pancakes.mesh.memory_network import Quality
+    from pancakes.testing import FleetInTest
 
     quality = {key: value for key, value in _marks(request.node).items() if key in _QUALITY}
     with FleetInTest(pancakes_seed, Quality(**quality)) as made:
@@ -151,7 +149,7 @@ def virtual_agent(fleet: FleetInTest) -> StartAgent:
 @pytest.fixture
 def threaded_agent(no_leaks: Leaks) -> Iterator[StartAgent]:
     """Starts agents on threads and in real time, with the same arguments as `virtual_agent`; the test ends them."""
-    from pancakes.testing.agent_in_test import threaded_agent
+    from pancakes.testing import threaded_agent
 
     started: list[AgentInTest] = []
     no_leaks.watch(lambda: started)
@@ -175,7 +173,7 @@ def any_agent(request: pytest.FixtureRequest) -> StartAgent:
 def probe(no_leaks: Leaks) -> ProbeOn:
     """Lets one more probe listen: `probe(agent, "ctrl", "system")`; without channels to all. The agent must run."""
     from pancakes.packet import join
-    from pancakes.simulation.probe import Probe
+    from pancakes.simulation.agent_handle import Probe
 
     made: list[Probe] = []
 
@@ -194,6 +192,6 @@ def probe(no_leaks: Leaks) -> ProbeOn:
 @pytest.fixture
 def virtual_clock() -> VirtualClock:
     """A clock that stands still at 0 s until a test moves it with `advance_to`."""
-    from pancakes.runtime.clock import VirtualClock
+    from pancakes.util.clock import VirtualClock
 
     return VirtualClock()

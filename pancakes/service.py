@@ -9,35 +9,49 @@ from typing import Any, ClassVar, Final
 
 from pancakes.control import Command, Describe, Hold
 from pancakes.errors import ClassError, ControlRefused, NoPermit, PancakesError, describe, traceback_of
+from pancakes.kernel.actor import COMPONENT_HOOKS, Component
+from pancakes.kernel.handlers import on
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.mailbox import Mailbox, Reference, tell
+from pancakes.kernel.registry import TaskEntry
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
-from pancakes.runtime.foundation.made_class import Made, check_made
-from pancakes.runtime.foundation.own_names import check_own_names
-from pancakes.runtime.foundation.user_classes import is_own
-from pancakes.runtime.kernel.component import COMPONENT_HOOKS, Component
-from pancakes.runtime.kernel.handlers import on
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.kernel.reference import Reference
-from pancakes.runtime.kernel.task_table import TaskEntry
-from pancakes.runtime.kernel.tell import tell
-from pancakes.runtime.life.life import CLOSES, Life, State
-from pancakes.runtime.life.life_effect import Answer, Tell
-from pancakes.runtime.life.life_event import Admitted, Began, Finished, LeaveRefused, Overdue, StartAsked, Written
-from pancakes.runtime.life.request import Request, request_of
-from pancakes.runtime.life.restart import Restarts
-from pancakes.runtime.supervision.answers import Answers
-from pancakes.runtime.supervision.closing import STUCK_S, Closing
-from pancakes.runtime.supervision.keeper import Keeper
-from pancakes.runtime.supervision.saved_types import check_saved
-from pancakes.runtime.supervision.service_messages import Close, ServiceEnded, ServiceReady
-from pancakes.runtime.supervision.slot import Failure, Slot
-from pancakes.runtime.supervision.startup import STARTED_AT_ONCE, Startup
-from pancakes.runtime.supervision.task_commands import CHANGES, COMMANDS, WAITING
-from pancakes.runtime.supervision.task_description import describe_in_detail, describe_task
-from pancakes.runtime.supervision.task_messages import Carried, Changed, TaskBegan, TaskEnded
-from pancakes.runtime.supervision.task_news import tell_of_task
 from pancakes.settings import SettingsError, make_settings
+from pancakes.supervision.lifecycle import (
+    CLOSES,
+    Admitted,
+    Answer,
+    Began,
+    Finished,
+    LeaveRefused,
+    Life,
+    Overdue,
+    Request,
+    StartAsked,
+    State,
+    Tell,
+    Written,
+    request_of,
+)
+from pancakes.supervision.messages import Carried, Changed, Close, ServiceEnded, ServiceReady, TaskBegan, TaskEnded
+from pancakes.supervision.restart import Restarts
+from pancakes.supervision.serializable_types import check_saved
+from pancakes.supervision.slots import (
+    CHANGES,
+    COMMANDS,
+    STARTED_AT_ONCE,
+    STUCK_S,
+    WAITING,
+    Closing,
+    Failure,
+    Slot,
+    Startup,
+    describe_in_detail,
+    describe_task,
+    tell_of_task,
+)
+from pancakes.supervision.supervisor import Answers, Keeper
 from pancakes.task import Nothing, TaskSpec
+from pancakes.util.class_checks import Made, check_made, check_own_names, is_own
 
 _HOOKS: Final = (*COMPONENT_HOOKS, "own_tasks", "refuse_stop", "Settings", "only_name")
 _MADE_WITH: Final = ("kernel", "address", "mailbox", "settings", "tasks", "owner", "kept")
@@ -48,7 +62,7 @@ class Service(Component):
 
     A service of one's own subclasses it, may bring tasks of its own (`own_tasks`), and is named in the entry point
     group `pancakes.services`. Control packets reach it as commands, one at a time and numbered. Each of its tasks has
-    a life (`pancakes.runtime.life`), which this actor feeds with events and whose effects it carries out.
+    a life (`pancakes.supervision`), which this actor feeds with events and whose effects it carries out.
 
     Args:
         kernel: the kernel.

@@ -24,11 +24,10 @@ import msgspec
 
 from pancakes.errors import PancakesError, describe
 from pancakes.packet import field_names, has_fields
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.foundation.arrays import array_of, check_items, is_array, is_array_type, is_number
-from pancakes.runtime.foundation.suggestion import suggestion
-from pancakes.runtime.foundation.units import key_for, written_for
-from pancakes.runtime.foundation.user_folders import NoPath, at_home
+from pancakes.util import codecs
+from pancakes.util.arrays import array_of, check_items, is_array, is_array_type, is_number
+from pancakes.util.files import NoPath, at_home
+from pancakes.util.text import key_for, suggestion, written_for
 
 _T = TypeVar("_T")
 

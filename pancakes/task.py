@@ -23,24 +23,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import msgspec
 
 from pancakes.control import Configure, Describe, Migrate, Reschedule, SetFence
+from pancakes.durable.delivery import Incoming
+from pancakes.durable.rules import CostChoice, GuardRule, MigrationRule
 from pancakes.errors import ControlRefused, PancakesError
-from pancakes.mesh.migration.cost import CostChoice
-from pancakes.mesh.migration.guard_rule import GuardRule
-from pancakes.mesh.migration.post import Incoming
-from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.kernel.actor import COMPONENT_HOOKS, Component
+from pancakes.kernel.handlers import Tick, checked_period, every, on, period_of, queue, reliable
+from pancakes.kernel.mailbox import Mailbox, Reference, tell
+from pancakes.kernel.registry import SettingsNote
 from pancakes.packet import SYSCTRL, Fence, Packet
-from pancakes.runtime.foundation.made_class import Made, check_made
-from pancakes.runtime.foundation.own_names import check_own_names
-from pancakes.runtime.kernel.component import COMPONENT_HOOKS, Component
-from pancakes.runtime.kernel.handlers import Tick, checked_period, every, on, period_of
-from pancakes.runtime.kernel.keep import queue, reliable
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.kernel.reference import Reference
-from pancakes.runtime.kernel.task_table import SettingsNote
-from pancakes.runtime.kernel.tell import tell
-from pancakes.runtime.life.restart import RestartSpec
-from pancakes.runtime.supervision.saved_types import check_offers, check_saved, check_words
-from pancakes.runtime.supervision.task_messages import (
+from pancakes.settings import SettingsError, change_settings, make_settings, plain_settings, why_unreadable
+from pancakes.supervision.messages import (
     Carried,
     Changed,
     ChangeTask,
@@ -56,10 +48,12 @@ from pancakes.runtime.supervision.task_messages import (
     TaskBegan,
     TaskEnded,
 )
-from pancakes.settings import SettingsError, change_settings, make_settings, plain_settings, why_unreadable
+from pancakes.supervision.restart import RestartSpec
+from pancakes.supervision.serializable_types import check_offers, check_saved, check_words
+from pancakes.util.class_checks import Made, check_made, check_own_names
 
 if TYPE_CHECKING:
-    from pancakes.runtime.kernel.kernel import Kernel
+    from pancakes.kernel.kernel import Kernel
 
 __all__ = ["Task", "TaskSpec", "Tick", "every", "on", "queue", "reliable"]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from pancakes.mesh.security.certified import CertifiedRole
-from pancakes.mesh.security.fleet_office import FleetOffice
+from pancakes.security.authority import FleetOffice
+from pancakes.security.roster import CertifiedRole
 
 
 class KeysInTest:

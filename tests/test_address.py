@@ -3,8 +3,8 @@
 import pytest
 from seeded import for_each
 
+from pancakes.config import Address, parse_address
 from pancakes.mesh.address import spelt
-from pancakes.runtime.config import Address, parse_address
 
 
 def test_address_parts():

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import pytest
 from seeded import for_each
 
-from pancakes.bodies.devices.types import Load
+from pancakes.config import parse
+from pancakes.devices import Load
 from pancakes.errors import ClassError, ConfigError, PluginError
-from pancakes.runtime.config import parse
-from pancakes.runtime.plugins import Plugins
 from pancakes.service import Service
 from pancakes.task import Task, TaskSpec
+from pancakes.util.plugins import Plugins
 
 HEAD = """\
 from __future__ import annotations
@@ -26,9 +26,9 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from pancakes.bodies.devices.driver import Actuator, Sensor
-from pancakes.mesh.migration.cost import Cost
-from pancakes.runtime.hosting.client import ClientService
+from pancakes.devices.driver import Actuator, Sensor
+from pancakes.durable.rules import Cost
+from pancakes.durable.client_service import ClientService
 from pancakes.service import Service
 from pancakes.task import Task, every, on, queue
 class Gripper: ...

@@ -13,9 +13,9 @@ import msgspec
 
 from pancakes import packet, settings
 
-from pancakes.runtime.foundation import schema
-from pancakes.tools.recording import message
-from pancakes.mesh.wire import codec, runs
+from pancakes.util import schema
+from pancakes.recording import message_format
+from pancakes.mesh import codec
 
 SOURCE = '''
 class Inner(msgspec.Struct, frozen=True):
@@ -67,12 +67,12 @@ for number in range(int(sys.argv[1])):
     plain = packet.body_to_plain(body)
     it = packet.Packet("system", kind, "a/client/t", "b", 0.0, 1, body)
     unmet = packet.Packet("system", kind, "a/client/t", "b", 0.0, 1, plain)  # to encode the body looks at its class
-    head = runs.head_of(it)
-    run = runs.messages_from_payload(b"\\x91" + runs.run_of(head, [runs.RowEncoder(b"").encode(unmet)]))
+    head = codec.head_of(it)
+    run = codec.messages_from_payload(b"\\x91" + codec.run_of(head, [codec.RowEncoder(b"").encode(unmet)]))
     letter = [codec.Encoder().packet(unmet)]
 
     def received(run=run, body=body):
-        packets, unfit = runs.packets_of(run[0])
+        packets, unfit = codec.packets_of(run[0])
         assert not unfit and packets[0].body == body, unfit
 
     def letters(letter=letter, body=body):
@@ -80,7 +80,7 @@ for number in range(int(sys.argv[1])):
         assert codec.packet_from_row(row).body == body
 
     def recorded(it=it, body=body, kind=kind):
-        assert message.packet_from_data("system", kind, message.data_of(it)).body == body
+        assert message_format.packet_from_data("system", kind, message_format.data_of(it)).body == body
 
     def given(made=made, plain=plain, body=body):
         assert settings.make_settings(made.Outer, plain) == body
@@ -89,7 +89,7 @@ for number in range(int(sys.argv[1])):
         assert settings.check_settings(made.Plain, {"inner": {"a": 1}}) == []
 
     def sent(it=it, head=head):
-        assert runs.RowEncoder(head).encode(it)
+        assert codec.RowEncoder(head).encode(it)
 
     def sketched(made=made):
         assert schema.schema_of(made.Outer)["properties"]["w"]
@@ -103,28 +103,28 @@ SHORT = """
 import contextlib, os, resource, sys
 from pancakes.errors import PancakesError
 from pancakes.packet import Packet, packet_type
-from pancakes.runtime.journal import JournalEntry
-from pancakes.runtime.journal.seal import seal
-from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.tools.recording import message
-from pancakes.runtime.hosting.checkpoints import plain_of
-from pancakes.runtime.supervision.task_messages import Carried
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.runs import RowEncoder, head_of
+from pancakes.journal import JournalEntry
+from pancakes.journal.journal import seal
+from pancakes.durable.record import TaskId
+from pancakes.durable.snapshot import Snapshot
+from pancakes.recording import message_format
+from pancakes.durable.hosting import plain_of
+from pancakes.supervision.messages import Carried
+from pancakes.mesh.codec import Encoder
+from pancakes.mesh.codec import RowEncoder, head_of
 
 LARGE = b"x" * 12_000_000
 it = Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, {"data": LARGE})
 listed = Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, [["some text"] * 60_000] * 30)
-data = message.data_of(Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, {"many": ["text\\n"] * 1_500_000}))
+data = message_format.data_of(Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, {"many": ["text\\n"] * 1_500_000}))
 TRIES = {
     "row": lambda: RowEncoder(head_of(it)).encode(it),
     "letter": lambda: Encoder().packet(listed),
     "seal": lambda: seal("journal", JournalEntry("task", "a/t", LARGE)),
     "snapshot": lambda: Snapshot(TaskId("a", "t"), "x.T", "1", "client", state={"data": LARGE}).encode(),
     "checkpoint": lambda: plain_of(Carried({}, {"data": LARGE}, {}, {})),
-    "recorded": lambda: message.data_of(listed),
-    "read": lambda: message.packet_from_data("system", "unknown to all", data),
+    "recorded": lambda: message_format.data_of(listed),
+    "read": lambda: message_format.packet_from_data("system", "unknown to all", data),
 }
 MIB = 2**20
 step, *names = sys.argv[1:]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.bodies.devices.host import HostProcessorLoad
+from pancakes.devices.builtin_drivers import HostProcessorLoad
 from pancakes.errors import LONGEST_TRACEBACK, PancakesError, describe, traceback_of
 from pancakes.task import Task
 

@@ -4,7 +4,7 @@ import hashlib
 
 import pytest
 
-from pancakes.runtime.foundation.digest import LONG_BYTES, sha256
+from pancakes.util.codecs import LONG_BYTES, sha256
 
 
 @pytest.mark.parametrize("length", [0, 300, LONG_BYTES - 1, LONG_BYTES, 3 * LONG_BYTES])

@@ -17,31 +17,31 @@ from harness.other_user import NOBODY, as_other_user, needs_root, reachable_fold
 from keys_in_test import KeysInTest
 from recording.files import pose, written
 
+from pancakes.config import load
 from pancakes.errors import ConfigError, PancakesError
-from pancakes.mesh.security.keys import Keys
-from pancakes.runtime.config import load
-from pancakes.runtime.journal import FileJournal, JournalError
-from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.runtime_dir import entries, runtime_dir
+from pancakes.journal import FileJournal, JournalError
+from pancakes.recording.reader import RecordingReader
+from pancakes.security.keys import Keys
 from pancakes.testing import threaded_agent
 from pancakes.tools.cli.agent_command import agent as pancakes_agent
 from pancakes.tools.cli.main import pancakes
-from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.util.plugins import Plugins
+from pancakes.util.runtime_dir import entries, runtime_dir
 
 for name in (
     "logging.handlers",
-    "pancakes.runtime.services.log_file",
+    "pancakes.services.log_file",
     "pancakes.tools.cli.verbs.agent",
     "pancakes.tools.cli.verbs.record",
     "pancakes.tools.cli.verbs.replay",
     "pancakes.tools.cli.verbs.rerun",
     "pancakes.tools.cli.verbs.why",
-    "pancakes.tools.recording.recorder",
-    "pancakes.tools.recording.recording",
-    "pancakes.tools.recording.summary",
-    "pancakes.tools.replay.selection",
-    "pancakes.tools.replay.stays",
-    "pancakes.tools.report.reactions",
+    "pancakes.recording.recorder",
+    "pancakes.recording.recording",
+    "pancakes.recording.reader",
+    "pancakes.tools.replay.replay",
+    "pancakes.tools.replay.recorded_run",
+    "pancakes.tools.report.command_latency",
 ):
     importlib.import_module(name)  # the other user may not be able to
 

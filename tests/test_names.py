@@ -8,15 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seeded import for_each
 
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import TaskId
 from pancakes.errors import LocalProtocolError, PancakesError
-from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.wire.link_messages import Identity, fault_of_address
-from pancakes.mesh.wire.runs import PacketRun, RowEncoder, Unfit, head_of, messages_from_payload, packets_of, run_of
+from pancakes.kernel.stream import InformationStream
+from pancakes.mesh.codec import PacketRun, RowEncoder, Unfit, head_of, messages_from_payload, packets_of, run_of
+from pancakes.mesh.messages import Identity, fault_of_address
 from pancakes.packet import Packet
-from pancakes.runtime.foundation.names import fault_of_name, nearest_name
-from pancakes.runtime.foundation.printable import printable, printable_data, printable_line
-from pancakes.runtime.kernel.stream import InformationStream
+from pancakes.util.text import fault_of_name, nearest_name, printable, printable_data, printable_line
 
 
 @pytest.mark.parametrize("name", ["a", "agent1", "_x", "go-home", "ScanTarget_2", "0", "x" * 64])

@@ -10,20 +10,19 @@ from typing import Any
 import msgspec
 import pytest
 
-from pancakes.bodies.sim.bus import Attach, Refused, ReplyReader, RequestReader
 from pancakes.control import Stop
+from pancakes.durable.ledger import Sequel
+from pancakes.durable.record import Record
+from pancakes.durable.snapshot import Snapshot
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
-from pancakes.mesh.migration.record import Record
-from pancakes.mesh.migration.sequel import Sequel
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.runs import messages_from_payload
+from pancakes.journal.journal import JournalEntry, Unbelievable, seal, unseal
+from pancakes.mesh.codec import frame, messages_from_payload
 from pancakes.packet import type_name
-from pancakes.runtime.journal.seal import JournalEntry, Unbelievable, seal, unseal
-from pancakes.runtime.runtime_dir import entries, runtime_dir
-from pancakes.tools.cli.json_bodies import BadBody, body_of
+from pancakes.recording.message_format import packet_from_data
+from pancakes.sim.hardware_bus import Attach, Refused, ReplyReader, RequestReader
+from pancakes.tools.cli.verbs.publish import BadBody, body_of
 from pancakes.tools.demo.mission_record import read_events
-from pancakes.tools.recording.message import packet_from_data
+from pancakes.util.runtime_dir import entries, runtime_dir
 
 DEPTH = 50_000
 LIST = b"\x91" * DEPTH + b"\xc0"

@@ -23,25 +23,22 @@ from typing import Any, ForwardRef
 import click
 import msgspec
 
-from pancakes.runtime.plugins import Plugins
 from pancakes.tools.cli.agent_command import agent as pancakes_agent
 from pancakes.tools.cli.main import pancakes
+from pancakes.util.plugins import Plugins
 
 HERE = Path(__file__).resolve().parent
 SNAPSHOT = HERE / "public_api.txt"
 MODULES = (
     "pancakes",
-    "pancakes.bodies.devices.driver",
-    "pancakes.bodies.devices.hardware",
-    "pancakes.bodies.devices.types",
+    "pancakes.devices",
+    "pancakes.devices.driver",
     "pancakes.client",
     "pancakes.control",
-    "pancakes.creation",
     "pancakes.errors",
     "pancakes.events",
     "pancakes.gym",
-    "pancakes.measurement",
-    "pancakes.mesh.migration.cost",
+    "pancakes.durable.rules",
     "pancakes.packet",
     "pancakes.pytest_plugin",
     "pancakes.service",

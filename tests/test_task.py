@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from pancakes.bodies.devices.types import Load, Pose, Twist
 from pancakes.control import Configure, Reply, Reschedule, Stop
-from pancakes.runtime.supervision.task_messages import Carried
+from pancakes.devices import Load, Pose, Twist
 from pancakes.settings import SettingsError
+from pancakes.supervision.messages import Carried
 from pancakes.task import Task, every, on, queue, reliable
 from pancakes.testing import FleetInTest, assert_published
 

@@ -7,13 +7,13 @@ from functools import partial
 
 import pytest
 
-from pancakes.bodies.devices.types import Load
 from pancakes.control import Migrate, Start, Stop
+from pancakes.devices import Load
+from pancakes.durable.rules import Cost
 from pancakes.events import LogLine
-from pancakes.mesh.migration.cost import Cost
-from pancakes.runtime.clock import SkewedClock, VirtualClock
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, Probe, assert_published, config_of, no_thread_left, threaded_agent
+from pancakes.util.clock import SkewedClock, VirtualClock
 
 
 class Blink(Task):

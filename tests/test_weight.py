@@ -13,9 +13,8 @@ import msgspec
 import pytest
 from seeded import for_each
 
-from pancakes import control, events
-from pancakes.bodies.devices import types as devices
-from pancakes.runtime.weight import LIGHT_BYTES, MOST_VALUES, SAMPLE, is_small, weigh, weight_of
+from pancakes import control, devices, events
+from pancakes.kernel.payload_size import LIGHT_BYTES, MOST_VALUES, SAMPLE, is_small, weigh, weight_of
 
 if TYPE_CHECKING:
     from collections.abc import Sized

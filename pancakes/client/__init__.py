@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pancakes.client.agent_row import AgentRow
-from pancakes.client.event_row import EventRow
-from pancakes.client.fleet_client import Client
-from pancakes.client.heard_packet import HeardPacket
-from pancakes.client.looks import Looks
-from pancakes.client.subscriber import Subscriber
-from pancakes.client.survey import Replies, Survey
-from pancakes.client.task_row import TaskRow
-from pancakes.client.where import Where
-from pancakes.mesh.migration.ledger import Ledger
+from pancakes.client.client import Client
+from pancakes.client.mesh_client import Replies, Survey, Where
+from pancakes.client.rates import Looks
+from pancakes.client.rows import AgentRow, EventRow, HeardPacket, TaskRow
+from pancakes.client.subscriptions import Subscriber
+from pancakes.durable.ledger import Ledger
 
 if TYPE_CHECKING:
-    from pancakes.client.async_client import AsyncClient
-    from pancakes.client.async_subscriber import AsyncSubscriber
+    from pancakes.client.async_client import AsyncClient, AsyncSubscriber
 
 __all__ = [
     "AgentRow",
@@ -43,7 +38,7 @@ def __getattr__(name: str) -> Any:
 
         return AsyncClient
     if name == "AsyncSubscriber":
-        from pancakes.client.async_subscriber import AsyncSubscriber
+        from pancakes.client.async_client import AsyncSubscriber
 
         return AsyncSubscriber
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

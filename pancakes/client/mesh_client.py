@@ -1,6 +1,7 @@
-"""How a program that is no agent reaches running agents: it finds them, asks them, and waits for their own answers.
+"""Find running agents, ask them by control packets, and wait for their replies: `MeshClient`, below `Client`.
 
-Its threads may wait, those of agents may not.
+A client starts from addresses, or from the runtime directory of this machine. Each agent that answers names its peers,
+so the client learns the whole fleet. Its threads may block; those of agents may not.
 """
 
 from __future__ import annotations
@@ -8,26 +9,109 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any
 
-from pancakes.client.door import Door
-from pancakes.client.fleet_way import FleetWay
-from pancakes.client.greeting import Greeting
-from pancakes.client.lead import Lead
-from pancakes.client.survey import Replies, Survey
-from pancakes.client.waits import Waits
-from pancakes.client.where import Where
-from pancakes.client.wishes import Wishes
+from pancakes.client.session import Door, FleetWay, Greeting, Waits, Wishes
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
-from pancakes.mesh.address import DEFAULT_FLEET, fleet_in, in_fleet, is_local
-from pancakes.mesh.net.peers import reachable
-from pancakes.mesh.security.key_folders import fleets_of_person
-from pancakes.mesh.way_facts import reachable_from
-from pancakes.mesh.wire.link_messages import Hello
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.foundation.suggestion import hint_of
-from pancakes.runtime.runtime_dir import entries, why_none
+from pancakes.mesh.address import DEFAULT_FLEET, dialled, fleet_in, in_fleet, is_local, reachable_from
+from pancakes.mesh.messages import Hello
+from pancakes.mesh.peers import reachable
+from pancakes.security.key_store import fleets_of_person
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.runtime_dir import entries, why_none
+from pancakes.util.text import fault_of_name, hint_of
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Where agents are looked for.
+
+    Attributes:
+        addresses: addresses to begin with (`tcp://127.0.0.1:7401`); none: what runs on this machine.
+        fleet: only agents of this fleet; empty: of any.
+    """
+
+    addresses: tuple[str, ...] = ()
+    fleet: str = ""
+
+    @classmethod
+    def of(cls, at: Where | str | Sequence[str]) -> Where:
+        """Returns the place that is meant by an address, by several, or by what is one already.
+
+        Raises:
+            PancakesError: one of them is no address at which an agent could be, or the fleet has no name.
+        """
+        if isinstance(at, Where):
+            if at.fleet and (fault := fault_of_name(at.fleet)):
+                raise PancakesError(fault)
+            return cls(_addresses(at.addresses), at.fleet)
+        return cls(_addresses((at,) if isinstance(at, str) else at))
+
+
+def _addresses(texts: Sequence[str]) -> tuple[str, ...]:
+    try:
+        return tuple(dict.fromkeys(dialled(text) for text in texts))
+    except ValueError as error:
+        raise PancakesError(str(error)) from None
+
+
+@dataclass
+class Survey:
+    """What the agents say about themselves.
+
+    Attributes:
+        agents: the result of `Describe` of each that answered, by fleet and name.
+        silent: a sentence for each that did not.
+        asleep: those of these sentences whose agent had said that its network would sleep.
+    """
+
+    agents: list[dict[str, Any]] = field(default_factory=list)
+    silent: list[str] = field(default_factory=list)
+    asleep: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Replies:
+    """What the agents answer that were all asked the same.
+
+    Attributes:
+        replies: the name of each that answered, and its reply, by fleet and name.
+        silent: a sentence for each that did not.
+    """
+
+    replies: list[tuple[str, Reply]]
+    silent: list[str]
+
+
+@dataclass
+class Lead:
+    """An agent that is known to be somewhere.
+
+    Attributes:
+        address: where; empty where it cannot be dialled.
+        fleet: its fleet; empty while that is not known.
+        name: its name, likewise.
+        failed: why it cannot be asked; empty while it can.
+        here: whether the runtime directory of this machine names it.
+    """
+
+    address: str
+    fleet: str = ""
+    name: str = ""
+    failed: str = ""
+    here: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.address})" if self.name and self.address else self.name or self.address
+
+    def silence(self, why: str) -> str:
+        """Returns a sentence that it gave no answer, and why; empty: that is not known."""
+        if why.startswith(f"{self.address} "):  # it names the address itself
+            return f"{self}{why.removeprefix(self.address)}"
+        return f"{self} did not answer" + (f": {why}" if why else "")
+
 
 Answers = dict[tuple[str, str], Reply]
 """Replies by the fleet and the name of the agent."""

@@ -1,1 +1,1 @@
-"""How agents meet, and hand tasks over."""
+"""Links between agents without a broker: wire format, connections, membership, clocks, and what peers may send."""

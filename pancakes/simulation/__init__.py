@@ -10,10 +10,9 @@
 Nothing here sleeps, and nothing takes the time of the machine.
 """
 
-from pancakes.mesh.net.memory import Quality
-from pancakes.simulation.agent_handle import AgentHandle, SimulationError
-from pancakes.simulation.faults import Faults
-from pancakes.simulation.probe import Probe
+from pancakes.fleet import Faults
+from pancakes.mesh.memory_network import Quality
+from pancakes.simulation.agent_handle import AgentHandle, Probe, SimulationError
 from pancakes.simulation.simulation import Simulation
 
 __all__ = ["AgentHandle", "Faults", "Probe", "Quality", "Simulation", "SimulationError"]

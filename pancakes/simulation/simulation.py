@@ -12,17 +12,16 @@ from typing import Any, Self
 
 from msgspec.structs import replace
 
-from pancakes.bodies.sim.state import BodyState, WorldState
-from pancakes.bodies.sim.world import World
+from pancakes.config import Config, load
 from pancakes.control import Begin
-from pancakes.mesh.net.memory import Quality
+from pancakes.fleet import Faults
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import LOG, SYSCTRL
-from pancakes.runtime.config import Config, load
-from pancakes.runtime.plugins import Plugins
+from pancakes.sim.world import World
+from pancakes.sim.world_state import BodyState, WorldState
 from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle, SimulationError
-from pancakes.simulation.built_fleet import BuiltFleet, has_met, meeting
-from pancakes.simulation.faults import Faults
-from pancakes.simulation.made_in_code import parts, registered, silent
+from pancakes.simulation.fleet_builder import BuiltFleet, has_met, meeting, parts, registered, silent
+from pancakes.util.plugins import Plugins
 
 READY_S = 120.0
 """How long, in virtual time, the agents have at a reset to become ready and to meet."""
@@ -80,8 +79,7 @@ class Simulation:
             PancakesError: there is no such demo, or what is set is not sound.
         """
         from pancakes.tools.demo import Comparison
-        from pancakes.tools.demo.demo_plan import find_configs, make_plan
-        from pancakes.tools.demo.launcher import fresh
+        from pancakes.tools.demo.launcher import find_configs, fresh, make_plan
 
         plugins = Plugins()
         found = plugins.get("pancakes.demos", name)

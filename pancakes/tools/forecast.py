@@ -41,7 +41,7 @@ class NotKnown(PancakesError):
 
 
 class MeasuredTimer(msgspec.Struct, frozen=True):
-    """What was measured of a time-driven method; see `pancakes.measurement.Measure`, as for all figures."""
+    """What was measured of a time-driven method; see `pancakes.control.Measure`, as for all figures."""
 
     timer: str
     rate_hz: float

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from pancakes.runtime.config.toml_text import key_text, value_text
+from pancakes.config.toml_writer import key_text, value_text
 
 COLUMNS: Final = ("param", "type", "default", "bounds", "unit", "description")
 
@@ -63,7 +63,7 @@ def rows_of(
     there is none), `required`, `bounds`, `unit` and `description`.
 
     Args:
-        schema: the object's schema, as `pancakes.runtime.foundation.schema` makes it.
+        schema: the object's schema, as `pancakes.util.schema` makes it.
         keys: the keys that lead to it.
         definitions: what its references lead to; None: its own `$defs`.
     """

@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.runtime.foundation.arrays import is_array
-from pancakes.runtime.foundation.printable import printable
 from pancakes.settings import dotted
+from pancakes.util.arrays import is_array
+from pancakes.util.text import printable
 
 MOST_CHARS: Final = 160
 """The text of one value is cut after so many characters."""

@@ -104,8 +104,8 @@ MAY_ASK = {
     "pancakes/pytest_plugin.py": "a test looks inside",
     "pancakes/simulation/agent_handle.py": "it looks between two turns, or a test looks inside",
     "pancakes/simulation/simulation.py": "it looks between two turns, on the thread that runs all turns",
-    "pancakes/testing/agent_in_test.py": "a test looks inside",
-    "pancakes/tools/recording/virtual_recorder.py": "it looks between two turns, on the thread that runs all turns",
+    "pancakes/testing.py": "a test looks inside",
+    "pancakes/recording/virtual_recorder.py": "it looks between two turns, on the thread that runs all turns",
     "pancakes/tools/replay/virtual_replay.py": "it looks between two turns, on the thread that runs all turns",
     "pancakes/tools/web/virtual_watch.py": "it looks between two turns, on the thread that runs all turns",
 }
@@ -183,22 +183,25 @@ def is_tell(call: ast.Call) -> bool:
 
 # Locks ---------------------------------------------------------------------------------------------------------------
 
-SHARED = ("pancakes/runtime/", "pancakes/service.py", "pancakes/task.py")
+SHARED = tuple(
+    f"pancakes/{package}/"
+    for package in ("agent", "config", "durable", "journal", "kernel", "services", "supervision", "util")
+) + ("pancakes/service.py", "pancakes/task.py")
 """Where the tables are that actors share."""
 
 MAY_CALL = {
-    "pancakes/runtime/hosting/host_state.py: self._reservations": "a table that this lock guards",
-    "pancakes/runtime/hosting/host_state.py: self._kernel.host": "the clock",
-    "pancakes/runtime/hosting/shared_outbox.py: self._encoder": "it is pure",
-    "pancakes/runtime/hosting/shared_outbox.py: self._outbox": "it is pure, and this lock guards it",
-    "pancakes/runtime/kernel/channel_queue.py: bounded": "the limits of this queue",
-    "pancakes/runtime/kernel/dead_letters.py: queue": "the keep of a queue is data",
-    "pancakes/runtime/kernel/pinned.py: wake": "a queue",
-    "pancakes/runtime/kernel/pool.py: worker": "a new thread, which waits for this lock only after its start",
-    "pancakes/runtime/kernel/stream.py: covers": "it compares two addresses",
-    "pancakes/runtime/kernel/stream.py: hint_of": "it compares names",
-    "pancakes/runtime/kernel/stream.py: mailbox": "the subscriptions of the mailbox, which this lock guards",
-    "pancakes/runtime/kernel/stream.py: reader": "the subscriptions of the mailbox, which this lock guards",
+    "pancakes/durable/host_state.py: self._reservations": "a table that this lock guards",
+    "pancakes/durable/host_state.py: self._kernel.host": "the clock",
+    "pancakes/durable/courier.py: self._encoder": "it is pure",
+    "pancakes/durable/courier.py: self._outbox": "it is pure, and this lock guards it",
+    "pancakes/kernel/mailbox.py: bounded": "the limits of this queue",
+    "pancakes/kernel/dead_letters.py: queue": "the keep of a queue is data",
+    "pancakes/kernel/dispatchers.py: wake": "a queue",
+    "pancakes/kernel/dispatchers.py: worker": "a new thread, which waits for this lock only after its start",
+    "pancakes/kernel/stream.py: covers": "it compares two addresses",
+    "pancakes/kernel/stream.py: hint_of": "it compares names",
+    "pancakes/kernel/stream.py: mailbox": "the subscriptions of the mailbox, which this lock guards",
+    "pancakes/kernel/stream.py: reader": "the subscriptions of the mailbox, which this lock guards",
 }
 """What may be called under a lock, as `file: object`, and what that is."""
 

@@ -16,18 +16,18 @@ import click
 from msgspec import NODEFAULT
 from msgspec.inspect import Field
 
-from pancakes.bodies.devices.driver import Driver
-from pancakes.bodies.devices.readings import MissRule
-from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.config import tables
+from pancakes.devices.driver import Driver
+from pancakes.devices.health import MissRule
+from pancakes.durable.rules import MigrationRule
 from pancakes.packet import has_fields, known_types
-from pancakes.runtime.config import tables
-from pancakes.runtime.foundation.codecs import type_info
-from pancakes.runtime.foundation.schema import dataclasses_of, field_notes, schema_of, summary_of
-from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
-from pancakes.runtime.plugins import Plugins
+from pancakes.supervision.restart import DeviceRestartSpec, RestartSpec
 from pancakes.task import Nothing
 from pancakes.tools.cli.agent_command import agent as pancakes_agent
 from pancakes.tools.cli.main import pancakes
+from pancakes.util.codecs import type_info
+from pancakes.util.plugins import Plugins
+from pancakes.util.schema import dataclasses_of, field_notes, schema_of, summary_of
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "reference"
 DISTRIBUTION = "pancakes-agents"

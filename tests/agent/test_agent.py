@@ -7,18 +7,18 @@ from typing import ClassVar
 import pytest
 from cli.processes import INSECURE
 
-from pancakes.bodies.devices.types import Load, Pose
+from pancakes.agent.agent import Agent
+from pancakes.config import parse
+from pancakes.config.state_dir import default_state_dir
 from pancakes.control import Describe
+from pancakes.devices import Load, Pose
 from pancakes.errors import PancakesError
 from pancakes.events import Event
 from pancakes.fleet import VirtualFleet
-from pancakes.mesh.net.loop import Loop
-from pancakes.mesh.net.memory import Quality
-from pancakes.mesh.net.tcp import TcpTransport
-from pancakes.mesh.security.keys import Keys
-from pancakes.runtime.agent import Agent
-from pancakes.runtime.config import parse
-from pancakes.runtime.state_dir import default_state_dir
+from pancakes.mesh.event_loop import Loop
+from pancakes.mesh.memory_network import Quality
+from pancakes.mesh.tcp import TcpTransport
+from pancakes.security.keys import Keys
 from pancakes.service import Service
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest, assert_published, config_of, no_thread_left, registered, threaded_agent

@@ -2,7 +2,7 @@
 
 import os
 
-from pancakes.runtime.file_mark import FileMark
+from pancakes.util.files import FileMark
 
 
 def test_file_has_changed_only_if_it_says_something_else(tmp_path):

@@ -1,8 +1,8 @@
 """An agent whose answer cannot be sent goes on."""
 
 from pancakes.control import Describe
-from pancakes.mesh.net.mesh import Mesh
-from pancakes.mesh.net.send_buffer import PeerBusy
+from pancakes.mesh.mesh import Mesh
+from pancakes.mesh.session import PeerBusy
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
 

@@ -1,7 +1,7 @@
 """What an agent warns of is there for those who ask afterwards."""
 
+from pancakes.agent.log_buffers import KEPT_S, MOST_LINES
 from pancakes.control import Describe, Migrate, Start, Stop
-from pancakes.runtime.recent_warnings import KEPT_S, MOST_LINES
 from pancakes.service import Service
 from pancakes.task import Task
 from pancakes.testing import FleetInTest

@@ -11,13 +11,13 @@ from typing import Any
 
 from cli.processes import PATIENCE_S, Rig, Running
 
-from pancakes.client.door import Answer, Door
+from pancakes.client.session import Answer, Door
 from pancakes.control import Follow, Reply
 from pancakes.events import Event
-from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.mesh.transport import SocketTransport
 from pancakes.packet import LOG, Packet
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.plugins import Plugins
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 RATE_HZ = 200.0
 CLIENTS = 4

@@ -11,10 +11,8 @@ from types import TracebackType
 from cli.processes import PATIENCE_S
 
 from pancakes.errors import RemoteProtocolError
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.framing import FrameReader, frame
-from pancakes.mesh.wire.link_messages import VERSION, Hello, LinkMessage, Ping, Pong, RefuseLink, Role, Welcome
-from pancakes.mesh.wire.runs import messages_from_payload
+from pancakes.mesh.codec import Encoder, FrameReader, frame, messages_from_payload
+from pancakes.mesh.messages import VERSION, Hello, LinkMessage, Ping, Pong, RefuseLink, Role, Welcome
 
 
 class Stranger:

@@ -269,7 +269,7 @@ HEAVY = (
     ),
     "websockets",
     # what only a recording, or a question about it, needs
-    *("pancakes.tools.recording.recording", "pancakes.runtime.services.traces"),
+    *("pancakes.recording.recording", "pancakes.services.traces"),
     # parts of Python, each of which takes milliseconds, and up to 4 MiB
     *("asyncio", "concurrent.futures", "configparser", "ctypes", "difflib", "encodings.idna"),
     *("http", "multiprocessing", "ssl", "subprocess", "unittest", "xml"),

@@ -9,12 +9,12 @@ import pytest
 from cli.live_output import LiveOutput
 from cli.processes import Rig, Running
 
-from pancakes.bodies.devices.types import Pose
+from pancakes.devices import Pose
 from pancakes.packet import Packet
-from pancakes.tools.cli.verbs.throughput import size_of
+from pancakes.tools.cli.verbs.channel import size_of
 
 SOURCE = """
-from pancakes.bodies.devices.types import Battery, Pose, Sonar
+from pancakes.devices import Battery, Pose, Sonar
 from pancakes.task import Task, every, on
 
 class Walk(Task):
@@ -272,8 +272,8 @@ def test_channel_pub_goes_on_at_a_rate(shared: tuple[Rig, Running]):
 
 
 ACTUATORS = """
-from pancakes.bodies.devices.driver import Actuator
-from pancakes.bodies.devices.types import Twist
+from pancakes.devices.driver import Actuator
+from pancakes.devices import Twist
 from pancakes.errors import PancakesError
 from pancakes.task import Task, every
 

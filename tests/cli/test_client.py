@@ -7,9 +7,9 @@ from cli.processes import Rig, Running
 from msgspec import Struct
 
 from pancakes.client import Client
-from pancakes.client.door import Door
-from pancakes.client.following import Following
 from pancakes.client.mesh_client import MeshClient
+from pancakes.client.session import Door
+from pancakes.client.subscriptions import Following
 from pancakes.control import Describe, Reschedule, Stop
 from pancakes.errors import Unreachable
 from pancakes.packet import packet_type

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pancakes.tools.cli.verbs.clock_checks import check_clocks
-from pancakes.tools.cli.verbs.finding import Finding
+from pancakes.tools.cli.verbs.agent_checks import Finding, check_clocks
 
 NOW_S = 1.8e9
 YEAR_S = 365.25 * 86_400

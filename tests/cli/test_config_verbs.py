@@ -8,7 +8,7 @@ import pytest
 from cli.invoked import invoked
 from cli.processes import Rig
 
-from pancakes.runtime.life.restart import RestartSpec
+from pancakes.supervision.restart import RestartSpec
 
 BAD = "[clock]\nsped = 1\n[device.x]\ndriver = 'host.lod'\n"
 

@@ -9,10 +9,9 @@ from typing import Any
 from cli.processes import Rig, Running
 
 from pancakes import __version__
-from pancakes.mesh.way_facts import Reach, WayFacts
-from pancakes.runtime.runtime_dir import RunningAgent
-from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
-from pancakes.tools.cli.verbs.finding import Finding
+from pancakes.mesh.address import Reach, WayFacts
+from pancakes.tools.cli.verbs.agent_checks import Finding, check_entries, check_fleet
+from pancakes.util.runtime_dir import RunningAgent
 
 
 def diagnosis(rig: Rig, *arguments: str) -> tuple[int, list[tuple[str, str, str]]]:

@@ -1,6 +1,6 @@
 """What `pancakes doctor` says of the fences of actuators."""
 
-from pancakes.tools.cli.verbs.fence_checks import check_fences
+from pancakes.tools.cli.verbs.agent_checks import check_fences
 
 ROW = {"actuator": "a/device/wheels", "task_id": "a/Circle", "brought_by": "z", "owner": "a", "reason": ""}
 

@@ -6,11 +6,11 @@ import signal
 
 from cli.processes import Rig
 
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.journal import FileJournal, JournalEntry
+from pancakes.journal import FileJournal, JournalEntry
+from pancakes.util import codecs
 
 SOURCE = """
-from pancakes.bodies.devices.types import Twist
+from pancakes.devices import Twist
 from pancakes.task import Task, every
 
 

@@ -12,13 +12,13 @@ import pytest
 from cli.processes import Rig
 from click.testing import CliRunner
 
-from pancakes.client.fleet_way import FleetWay
+from pancakes.client.session import FleetWay
 from pancakes.errors import PancakesError
-from pancakes.mesh.security import key_folders
-from pancakes.mesh.security.fleet_office import FleetOffice
-from pancakes.mesh.security.key_files import KEY
-from pancakes.runtime.clock import MonotonicClock
+from pancakes.security import key_store
+from pancakes.security.authority import FleetOffice
+from pancakes.security.key_store import KEY
 from pancakes.tools.cli.verbs.fleet import fleet
+from pancakes.util.clock import MonotonicClock
 
 Run = Callable[..., str]
 """Takes the words of a command; returns what it prints. Its refusal is an exception."""
@@ -39,10 +39,10 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
 
 
 def test_fleet_init_founds_none_in_the_place_of_another(run: Run):
-    key = (key_folders.fleets() / "garage" / "authority.key").read_bytes()
+    key = (key_store.fleets() / "garage" / "authority.key").read_bytes()
     with pytest.raises(PancakesError, match="there is a fleet garage in .* already"):
         run("init", "garage", "--no-password")
-    assert (key_folders.fleets() / "garage" / "authority.key").read_bytes() == key
+    assert (key_store.fleets() / "garage" / "authority.key").read_bytes() == key
 
 
 def test_fleet_of_several_must_be_named(run: Run):
@@ -75,15 +75,15 @@ def test_fleet_join_refuses_a_folder_that_does_not_fit(run: Run, tmp_path: Path)
     (tmp_path / "r1" / "fleet.pem").unlink()
     with pytest.raises(PancakesError, match="r1 is no folder of pancakes fleet enrol: No such file"):
         run("join", tmp_path / "r1")
-    assert key_folders.keys_of_agent("garage", "r1") is None
+    assert key_store.keys_of_agent("garage", "r1") is None
 
 
 def test_fleet_join_keeps_the_keys_of_another_person(run: Run, tmp_path: Path):
     run("enrol", "bob", "--role", "observer", "--out", tmp_path / "bob")
-    own = (key_folders.folder_of_person("garage") / KEY).read_bytes()
+    own = (key_store.folder_of_person("garage") / KEY).read_bytes()
     with pytest.raises(PancakesError, match="you are alice of the fleet garage already: remove .*me first"):
         run("join", tmp_path / "bob")
-    assert (key_folders.folder_of_person("garage") / KEY).read_bytes() == own
+    assert (key_store.folder_of_person("garage") / KEY).read_bytes() == own
     run("enrol", "r1", "--out", tmp_path / "r1")
     assert "This machine is r1 of the fleet garage" in run("join", tmp_path / "r1")
 

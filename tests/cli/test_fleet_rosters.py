@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from cli.processes import READY, Rig, Running
 
-from pancakes.mesh.security.key_files import ROSTER, write_private
+from pancakes.security.key_store import ROSTER, write_private
 
 MISSING = "import sys\nsys.modules['cryptography'] = None\n"
 

@@ -25,7 +25,7 @@ settings = { x_m = 1.0, y_m = 2.0, theta_rad = 0.5 }
 type = "ring.Ring"
 """
 SOURCE = """
-from pancakes.bodies.devices.types import Infrared
+from pancakes.devices import Infrared
 from pancakes.task import Task, every
 
 class Ring(Task):

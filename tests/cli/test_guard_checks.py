@@ -1,6 +1,6 @@
 """What `pancakes doctor` says of guarded tasks."""
 
-from pancakes.tools.cli.verbs.guard_checks import check_guards
+from pancakes.tools.cli.verbs.agent_checks import check_guards
 
 
 def guards(agent, **others):

@@ -7,8 +7,8 @@ import sys
 PRINTED = """
 import json
 import click
-from pancakes.runtime.config.config_schema import config_schema
-from pancakes.runtime.plugins import Plugins
+from pancakes.config.schema import config_schema
+from pancakes.util.plugins import Plugins
 from pancakes.tools.cli.agent_command import agent
 from pancakes.tools.cli.main import pancakes
 

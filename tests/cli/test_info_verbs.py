@@ -6,14 +6,14 @@ from contextlib import closing
 import pytest
 from cli.processes import Rig, Running
 
-from pancakes.runtime.life.life import WORDS
+from pancakes.supervision.lifecycle import WORDS
 from pancakes.tools.cli.verbs import service as service_verbs
 from pancakes.tools.cli.verbs import task as task_verbs
 
 SOURCE = """
 from dataclasses import dataclass
-from pancakes.bodies.devices.types import Pose
-from pancakes.runtime.kernel.keep import queue
+from pancakes.devices import Pose
+from pancakes.kernel.handlers import queue
 from pancakes.task import Task, every, on
 
 class Steer(Task):

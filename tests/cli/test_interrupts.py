@@ -6,7 +6,7 @@ import sys
 PATIENCE_S = 20.0
 HEAD = """
 import os, signal, sys, threading
-from pancakes.tools.cli.interrupts import event_at
+from pancakes.tools.cli.streaming import event_at
 """
 
 

@@ -181,9 +181,9 @@ def test_tunnel_to_an_agent_ends_with_its_program(rig: Rig, robots: SshHosts):
     program = """
 import sys, time
 from pathlib import Path
-from pancakes.tools.launch.fleet_plan import make_fleet
-from pancakes.tools.launch.hosts import open_hosts
-from pancakes.tools.launch.tunnels import tunnels
+from pancakes.tools.launch.fleet_file import make_fleet
+from pancakes.tools.launch.remote_hosts import open_hosts
+from pancakes.tools.launch.remote_hosts import tunnels
 
 with open_hosts(make_fleet([Path(sys.argv[1])], (), None, None)) as hosts, tunnels(hosts.values()) as ways:
     print("is open", list(ways), file=sys.stderr, flush=True)

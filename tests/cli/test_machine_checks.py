@@ -9,11 +9,9 @@ from typing import Any
 
 import pytest
 
-from pancakes.runtime.journal import FileJournal, JournalEntry
-from pancakes.runtime.journal.write_ahead import WRITE_AHEAD
-from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.runtime_dir import VARIABLE
-from pancakes.tools.cli.verbs.finding import Finding
+from pancakes.journal import FileJournal, JournalEntry
+from pancakes.journal.file_journal import WRITE_AHEAD
+from pancakes.tools.cli.verbs.agent_checks import Finding
 from pancakes.tools.cli.verbs.machine_checks import (
     check_files,
     check_plugins,
@@ -22,6 +20,8 @@ from pancakes.tools.cli.verbs.machine_checks import (
     check_sockets,
     check_state_dirs,
 )
+from pancakes.util.plugins import Plugins
+from pancakes.util.runtime_dir import VARIABLE
 
 
 def levels(findings: Iterator[Finding] | list[Finding]) -> list[tuple[str, str]]:

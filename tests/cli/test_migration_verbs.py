@@ -9,9 +9,8 @@ import pytest
 from cli.processes import Rig, Running
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.record import Phase, Record
-from pancakes.runtime.journal import FileJournal, JournalEntry
+from pancakes.durable.record import Epoch, Phase, Record
+from pancakes.journal import FileJournal, JournalEntry
 
 SOURCE = """
 import time

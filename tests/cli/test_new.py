@@ -15,8 +15,8 @@ from cli.invoked import invoked
 from click.testing import Result
 
 from pancakes.errors import PancakesError
-from pancakes.tools.cli.verbs import distribution
-from pancakes.tools.cli.verbs.distribution import KINDS, LONGEST, File, Names, files_of, write
+from pancakes.tools.cli.verbs import scaffold
+from pancakes.tools.cli.verbs.scaffold import KINDS, LONGEST, File, Names, files_of, write
 
 LONG = "abcdefghijklmnopqrstuvwxyzabcd"
 
@@ -110,7 +110,7 @@ class TestWhatIsWritten:
 
 def test_new_has_a_purpose_for_every_template():
     paths = {file.path for kind in KINDS for file in files_of(kind, Names.of("package"))}
-    assert paths == set(distribution.PURPOSES)
+    assert paths == set(scaffold.PURPOSES)
 
 
 def test_new_templates_are_installed_with_the_package():
@@ -174,7 +174,7 @@ def test_new_refuses_a_bad_name_and_leaves_nothing(tmp_path):
     for kind, name, why in (
         ("task", "numpy", "a module numpy is installed here already, in "),
         ("task", "pytest-timeout", "pytest_timeout"),
-        ("driver", "pose", "there is a packet type 'pose' already, pancakes.bodies.devices.types.Pose: choose another"),
+        ("driver", "pose", "there is a packet type 'pose' already, pancakes.devices.Pose: choose another"),
     ):
         refused = new(kind, name, "--into", str(tmp_path))
         assert refused.exit_code == 1 and why in refused.stderr, "it would hide what is installed"
@@ -196,7 +196,7 @@ def test_new_refuses_names_that_its_templates_use():
                 names.update(re.findall(r"^class (\w+)", file.text, re.MULTILINE))
                 names.update(re.findall(r"^([A-Z]\w+) = ", file.text, re.MULTILINE))
     classes = {name for name in names if name[0].isupper() and not name.isupper() and not name.startswith("Zz")}
-    assert classes == distribution.named_in_templates()
+    assert classes == scaffold.named_in_templates()
 
 
 def test_new_leaves_a_folder_that_exists_alone(tmp_path):

@@ -14,7 +14,7 @@ def test_plugin_list_names_who_offers_each():
     assert row == {
         "group": "drivers",
         "name": "host.load",
-        "class": "pancakes.bodies.devices.host:HostProcessorLoad",
+        "class": "pancakes.devices.builtin_drivers:HostProcessorLoad",
         "distribution": "pancakes-agents",
         "state": "ok",
         "reason": "",

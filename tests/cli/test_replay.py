@@ -7,10 +7,10 @@ import signal
 import pytest
 from cli.processes import READY
 
-from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.recording.reader import RecordingReader
 
 ANSWER = """
-from pancakes.bodies.devices.types import Load, Pose
+from pancakes.devices import Load, Pose
 from pancakes.task import Task, on
 
 
@@ -23,7 +23,7 @@ class Answer(Task):
 """
 ENTRY = "[pancakes.tasks]\nreplays.Answer = plugin_replays:Answer\nreplays.Walk = plugin_walk:Walk\n"
 WALK = """
-from pancakes.bodies.devices.types import Pose
+from pancakes.devices import Pose
 from pancakes.task import Task, every
 
 

@@ -4,12 +4,12 @@ import json
 
 import pytest
 
-from pancakes.tools.replay.ran_ticks import UNKNOWN_TICKS
+from pancakes.tools.replay.recorded_run import UNKNOWN_TICKS
 
 TASK = """
 from dataclasses import dataclass
 
-from pancakes.bodies.devices.types import Load
+from pancakes.devices import Load
 from pancakes.task import Task, every, on
 
 

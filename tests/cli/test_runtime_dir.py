@@ -13,7 +13,7 @@ import pytest
 from cli.processes import PATIENCE_S, Rig
 
 from pancakes.errors import PancakesError
-from pancakes.runtime.runtime_dir import Registration, RunningAgent, entries, is_locked, runtime_dir
+from pancakes.util.runtime_dir import Registration, RunningAgent, entries, is_locked, runtime_dir
 
 ENTRY = RunningAgent("a", "default", "agent", ("tcp://127.0.0.1:7401",), 42)
 

@@ -12,9 +12,9 @@ from cli.invoked import invoked
 from cli.processes import Rig
 from msgspec.structs import replace
 
-from pancakes.bodies.devices.hardware import Hardware
+from pancakes.devices.driver import Hardware
 from pancakes.errors import PancakesError
-from pancakes.tools.cli.service_unit import UnitFacts, unit_of, user_unit_of
+from pancakes.tools.cli.systemd_unit import UnitFacts, unit_of, user_unit_of
 
 FACTS = UnitFacts("a", "yard", ("/opt/pancakes/bin/pancakes-agent", "--config", "/etc/pancakes/a.toml"))
 EXPOSURE = 3.0

@@ -7,13 +7,13 @@ import threading
 from cli.processes import INSECURE, PATIENCE_S, Rig
 from cli.strangers import Strangers
 
-from pancakes.client.door import Door
+from pancakes.client.session import Door
 from pancakes.control import Describe
-from pancakes.mesh.net.newcomers import MAX_HANDSHAKES
-from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.mesh import MAX_HANDSHAKES
+from pancakes.mesh.peers import MAX_AGENTS, MAX_CLIENTS
+from pancakes.mesh.transport import SocketTransport
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 # On a machine with much else to do, a thread that answers for hundreds would be late with its answers to pings.
 RARE_PINGS = INSECURE.replace("true }", "true, heartbeat_s = 60.0 }")

@@ -2,9 +2,9 @@
 
 import pytest
 
-from pancakes.bodies.devices.types import Pose
+from pancakes.devices import Pose
 from pancakes.packet import Packet
-from pancakes.tools.cli.verbs.throughput import Throughput, size_of
+from pancakes.tools.cli.verbs.channel import Throughput, size_of
 
 POSE = Pose(1.0, 2.0, 0.5)
 

@@ -12,8 +12,8 @@ import msgspec
 import pytest
 from cli.processes import INSECURE, PATIENCE_S, Rig, Running
 
-from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.link_messages import HELLO_NUMBER, VERSION
+from pancakes.mesh.codec import frame
+from pancakes.mesh.messages import HELLO_NUMBER, VERSION
 
 OWNED = "\x1b]0;owned\x07 \x9b31m\u202egpj\r\x7f"
 """Sets a terminal's title, colours what follows, turns its direction, and overwrites the line."""

@@ -5,10 +5,10 @@ import json
 import pytest
 from cli.invoked import invoked
 
-from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.devices import Pose, Twist
 from pancakes.packet import Fence, Packet
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.recording.writer import RecordingWriter
+from pancakes.recording.mcap_writer import RecordingWriter
+from pancakes.recording.records import RecordedPacket
 
 MS = 1_000_000
 POSE = Pose(1.0, 2.0, 0.0)

@@ -82,7 +82,7 @@ def test_client_finds_late_agents_and_forgets_ended_ones(
 ):
     """An agent is found however short ago the client has looked for others."""
     with monkeypatch.context() as patch:
-        patch.setattr("pancakes.client.fleet_client.LOOK_S", 600.0)
+        patch.setattr("pancakes.client.client.LOOK_S", 600.0)
         client.tasks()
         later = counting.rig.ready("later")
         found = {row.agent for row in client.agents()}

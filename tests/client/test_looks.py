@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.client.looks import Looks
+from pancakes.client.rates import Looks
 
 
 def task(name: str = "Walk", ticks: int = 0, **others: Any) -> dict[str, Any]:

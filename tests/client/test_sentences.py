@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.client.sentences import sentence_of
+from pancakes.client.rows import sentence_of
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.client.publisher import destination_on
-from pancakes.client.target import channel_of, task_of
-from pancakes.client.task_row import TaskRow
-from pancakes.client.wishes import together
+from pancakes.client.client import channel_of, destination_on, task_of
+from pancakes.client.rows import TaskRow
+from pancakes.client.session import together
 from pancakes.control import Follow
 from pancakes.errors import PancakesError
 

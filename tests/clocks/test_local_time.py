@@ -6,7 +6,7 @@ import pytest
 from clocks.pulses import PulseReader, PulseTeller, PulseTold
 from seeded import for_each
 
-from pancakes.mesh.net.memory import Quality
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import Packet
 from pancakes.testing import FleetInTest
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from pancakes.config import load, parse
 from pancakes.errors import ConfigError
-from pancakes.runtime.config import load, parse
 
 MINIMAL = 'schema = 1\n[agent]\nname = "agent1"\n'
 

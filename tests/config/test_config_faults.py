@@ -3,8 +3,8 @@
 import pytest
 from seeded import for_each
 
+from pancakes.config import parse
 from pancakes.errors import ConfigError
-from pancakes.runtime.config import parse
 
 HEAD = 'schema = 1\n[agent]\nname = "agent1"\n'
 """Three lines that are sound: what the tests add begins on line 4."""

@@ -6,7 +6,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pancakes.runtime.config.scanner import lines_of_keys
+from pancakes.config.key_lines import lines_of_keys
 
 
 def test_tables_and_keys():

@@ -7,17 +7,17 @@ from typing import Annotated, Any
 import pytest
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import Actuator, Sensor
-from pancakes.bodies.devices.types import Battery, Pose
+from pancakes.config import load, parse
+from pancakes.devices import Battery, Pose
+from pancakes.devices.driver import Actuator, Sensor
+from pancakes.durable.client_service import ClientService
 from pancakes.errors import ConfigError
-from pancakes.mesh.net.tcp import TcpTransport
-from pancakes.runtime.config import load, parse
-from pancakes.runtime.hosting.client import ClientService
-from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.services.device import DeviceService
-from pancakes.runtime.services.network import NetworkService
+from pancakes.mesh.tcp import TcpTransport
 from pancakes.service import Service
+from pancakes.services.device import DeviceService
+from pancakes.services.network import NetworkService
 from pancakes.task import Task
+from pancakes.util.plugins import Plugins
 
 
 class Compass(Sensor):

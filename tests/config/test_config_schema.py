@@ -9,19 +9,16 @@ import pytest
 from msgspec.structs import replace
 from seeded import for_each
 
+from pancakes.config import AgentConfig, DeviceConfig, TaskConfig, load, parse, read_task
+from pancakes.config.effective import created_tables, effective, origin, table_of
+from pancakes.config.schema import config_schema
+from pancakes.config.toml_writer import document_text
+from pancakes.durable.record import Epoch, Phase, Record, TaskId, Wanted
+from pancakes.durable.rules import GuardRule, MigrationRule
+from pancakes.durable.snapshot import Snapshot
 from pancakes.errors import ConfigError
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.guard_rule import GuardRule
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.mesh.migration.rule import MigrationRule
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.runtime.config import AgentConfig, DeviceConfig, TaskConfig, load, parse, read_task
-from pancakes.runtime.config.config_schema import config_schema
-from pancakes.runtime.config.created_tables import created_tables, table_of
-from pancakes.runtime.config.effective import effective, origin
-from pancakes.runtime.config.toml_text import document_text
-from pancakes.runtime.plugins import Plugins
 from pancakes.task import Task
+from pancakes.util.plugins import Plugins
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "configs").glob("*/*.toml")) + [ROOT / "configs" / "single.toml"]

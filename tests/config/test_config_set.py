@@ -2,8 +2,8 @@
 
 import pytest
 
+from pancakes.config import Config, parse
 from pancakes.errors import ConfigError
-from pancakes.runtime.config import Config, parse
 
 TEXT = """schema = 1
 [agent]

@@ -2,10 +2,10 @@
 
 import pytest
 
-from pancakes.bodies.devices.readings import MissRule
+from pancakes.config import check_plugins, parse
+from pancakes.devices.health import MissRule
 from pancakes.errors import ConfigError
-from pancakes.runtime.config import check_plugins, parse
-from pancakes.runtime.plugins import Plugins
+from pancakes.util.plugins import Plugins
 
 HEAD = 'schema = 1\n[agent]\nname = "a"\n'
 

@@ -5,17 +5,17 @@ from pathlib import Path
 
 import pytest
 
+from pancakes.config import parse
+from pancakes.config.state_dir import state_dir_of
 from pancakes.errors import ConfigError
-from pancakes.runtime.config import parse
-from pancakes.runtime.folders import Folders
-from pancakes.runtime.foundation.user_folders import NoHome, at_home
-from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.state_dir import state_dir_of
+from pancakes.kernel.kernel import Folders
+from pancakes.recording.settings import RecordingSettings
 from pancakes.settings import FilePath, change_settings, check_settings, make_settings
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
-from pancakes.tools.launch.fleet_plan import make_fleet
-from pancakes.tools.recording.settings import RecordingSettings
+from pancakes.tools.launch.fleet_file import make_fleet
+from pancakes.util.files import NoHome, at_home
+from pancakes.util.plugins import Plugins
 
 HEAD = 'schema = 1\n[agent]\nname = "a"\n'
 

@@ -2,7 +2,7 @@
 
 from seeded import for_each
 
-from pancakes.runtime.foundation.suggestion import suggestion
+from pancakes.util.text import suggestion
 
 KNOWN = ["encirclement.GoHome", "encirclement.ScanTarget", "sim.ir", "sim.sonar", "pose"]
 

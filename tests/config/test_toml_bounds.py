@@ -4,9 +4,9 @@ import time
 
 import pytest
 
+from pancakes.config import parse
 from pancakes.errors import ConfigError
-from pancakes.runtime.config import parse
-from pancakes.runtime.foundation.toml_values import MOST_CHARACTERS, MOST_PARTS, toml_values
+from pancakes.util.toml import MOST_CHARACTERS, MOST_PARTS, toml_values
 
 HEAD = 'schema = 1\n\n[agent]\nname = "a"\n'
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pancakes.runtime.config.toml_text import document_text, key_text, value_text
+from pancakes.config.toml_writer import document_text, key_text, value_text
 
 KEYS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=8)
 SCALARS = (

@@ -3,7 +3,7 @@
 import pytest
 from seeded import for_each
 
-from pancakes.runtime.foundation.units import key_for, number_in, whole_number_in, written_for
+from pancakes.util.text import key_for, number_in, whole_number_in, written_for
 
 
 def test_a_number_with_a_unit_is_written_as_its_key_takes_it() -> None:

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pancakes.tools.demo import many_missions
-from pancakes.tools.demo.unattended import MissionWishes
+from pancakes.tools.demo import monte_carlo
+from pancakes.tools.demo.monte_carlo import MissionWishes
 
 
 def nothing() -> None:
@@ -18,7 +18,7 @@ def nothing() -> None:
 
 def some_break() -> None:
     """Seed 3 is killed, 4 ends its process, 5 fails in a way that no author thought of; the others are trivial."""
-    many_missions.fly_unattended = _fly
+    monte_carlo.fly_unattended = _fly
 
 
 def _fly(seed: int, out: Path, wishes: MissionWishes, said: list[str]) -> Mapping[str, Any]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from demo.flights import SCAN, Flight, fly
 
-from pancakes.runtime.plugins import Plugins
+from pancakes.util.plugins import Plugins
 
 KHEPERA_RADIUS_M, BUG_RADIUS_M, MOVER_RADIUS_M = 0.065, 0.06, 0.1
 KHEPERA_BASE_M, KHEPERA_WHEEL_MPS = 0.0885, 48_000 / 144.01 / 1000

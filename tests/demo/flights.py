@@ -15,11 +15,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from pancakes.runtime.plugins import Plugins
 from pancakes.tools.demo import Loss
 from pancakes.tools.demo.conductor import Mission
-from pancakes.tools.demo.demo_plan import find_configs, make_plan
-from pancakes.tools.demo.launcher import NetworkFaults, fresh, judge, run_of, run_virtual
+from pancakes.tools.demo.launcher import NetworkFaults, find_configs, fresh, judge, make_plan, run_of, run_virtual
+from pancakes.util.plugins import Plugins
 
 HEADER = ["t_s", "name", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "battery_v", "driven_by"]
 SCAN = "ScanTarget"

@@ -8,9 +8,8 @@ from click.testing import CliRunner, Result
 from demo.broken_seeds import nothing
 
 from pancakes.tools.cli.main import pancakes
-from pancakes.tools.demo.many_missions import MissionOutcome, fly_many
-from pancakes.tools.demo.seed_ranges import seeds_of
-from pancakes.tools.demo.unattended import MissionWishes
+from pancakes.tools.demo.monte_carlo import MissionOutcome, MissionWishes, fly_many
+from pancakes.tools.demo.seed_statistics import seeds_of
 
 RESULTS = ("events.jsonl", "trajectory.csv", "summary.json")
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from pancakes.runtime.plugins import Plugins
 from pancakes.tools.demo import Comparison
+from pancakes.util.plugins import Plugins
 
 ROOT = Path(__file__).parents[2]
 DEMOS = ("encirclement", "energy", "intruder", "pioneer", "rescue", "sensor-field")

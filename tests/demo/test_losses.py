@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from pancakes.runtime.clock import VirtualClock
 from pancakes.tools.demo import Loss
-from pancakes.tools.demo.losses import Losses, LossStep
+from pancakes.tools.demo.conductor import Losses, LossStep
+from pancakes.util.clock import VirtualClock
 
 LOSS = Loss("agent1", earliest_s=70.0, latest_s=110.0, away_s=60.0)
 

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pancakes.tools.cli.main import pancakes
-from pancakes.tools.demo.seed_ranges import seeds_of, text_of_seeds
-from pancakes.tools.demo.spreads import Spread, spreads_of
+from pancakes.tools.demo.seed_statistics import Spread, seeds_of, spreads_of, text_of_seeds
 
 FAILED, USAGE, BAD_CONFIGURATION = 1, 2, 4
 MISTAKES = [

@@ -13,7 +13,7 @@ from demo.broken_seeds import some_break
 from demo.many_missions import RESULTS, demo, flown
 from harness.programs import Program, pancakes
 
-from pancakes.tools.demo.unattended import MissionWishes
+from pancakes.tools.demo.monte_carlo import MissionWishes
 
 FAILED, INTERRUPTED = 1, 130
 

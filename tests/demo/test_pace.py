@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pancakes.tools.demo.timeliness import Ticks, hint_of, how_slow, late_ones, ticks_of, verdict_line
+from pancakes.tools.demo.conductor import Ticks, hint_of, how_slow, late_ones, ticks_of, verdict_line
 
 KEPT_UP = {"behind_max_s": 0.1, "late_tasks": []}
 

@@ -3,8 +3,8 @@
 import pytest
 from demo.flights import fly
 
-from pancakes.runtime.plugins import Plugins
-from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.recording.reader import RecordingReader
+from pancakes.util.plugins import Plugins
 
 FILES = ("trajectory.csv", "events.jsonl", "summary.json")
 

@@ -9,7 +9,7 @@ from demo.flights import read_flight
 from demo.live_demo import LiveDemo
 from demo.missions_in_processes import Started
 
-from pancakes.runtime.plugins import Plugins
+from pancakes.util.plugins import Plugins
 
 FILES = ("events.jsonl", "trajectory.csv", "summary.json")
 

@@ -8,12 +8,11 @@ from pathlib import Path
 
 from demo.flights import SCAN, fly
 
-from pancakes.runtime.plugins import Plugins
 from pancakes.tools.demo import Loss
 from pancakes.tools.demo.conductor import Mission
-from pancakes.tools.demo.demo_plan import find_configs, make_plan
-from pancakes.tools.demo.launcher import fresh, run_virtual
+from pancakes.tools.demo.launcher import find_configs, fresh, make_plan, run_virtual
 from pancakes.tools.web.virtual_watch import VirtualWatch
+from pancakes.util.plugins import Plugins
 
 EARLY = Loss("agent1", earliest_s=30.0, latest_s=30.0, away_s=15.0)
 """By then agent 1 has come to the circle, and has found the sensor node to be its centre."""

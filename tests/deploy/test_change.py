@@ -8,12 +8,11 @@ from typing import Any
 
 import pytest
 
-from pancakes.runtime.config import load
-from pancakes.tools.deploy.change import change_of, digest_of, effective_config
-from pancakes.tools.deploy.supply import Supply
+from pancakes.config import load
+from pancakes.tools.deploy.plan import Supply, change_of, digest_of, effective_config
 from pancakes.tools.deploy.wheels import Wheel
-from pancakes.tools.launch.hosts import HostedAgent
-from pancakes.tools.launch.member import Member
+from pancakes.tools.launch.fleet_file import Member
+from pancakes.tools.launch.remote_hosts import HostedAgent
 
 RUNS = {"manager": "systemd", "state": "active", "pid": 3, "restarts": 0}
 RESTS = {**RUNS, "state": "inactive", "pid": 0}

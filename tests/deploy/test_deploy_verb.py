@@ -19,7 +19,7 @@ from deploy.plugin_wheels import plugin_wheel
 from deploy.ssh_hosts import BARE, SshHost, SshHosts, free_port, with_sshd
 from deploy.user_systemd import RUNTIME, UserSystemd
 
-from pancakes.tools.launch.host_link import HostError, HostLink
+from pancakes.tools.launch.ssh import HostError, HostLink
 
 pytestmark = with_sshd
 PYENV = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv") / "versions"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.runtime.config import load
-from pancakes.runtime.plugins import Plugins
-from pancakes.tools.deploy.needed_extras import needed_extras
+from pancakes.config import load
+from pancakes.tools.deploy.plan import needed_extras
+from pancakes.util.plugins import Plugins
 
 LISTENS = 'listen = "tcp://127.0.0.1:0"\n'
 

@@ -13,7 +13,7 @@ from cli.processes import INSECURE, PATIENCE_S, Rig
 from deploy.ssh_hosts import BARE, INSTALLED, SshHosts, free_port, with_sshd
 
 from pancakes.errors import Unreachable
-from pancakes.tools.launch.host_link import HostLink
+from pancakes.tools.launch.ssh import HostLink
 
 pytestmark = with_sshd
 NOISE = {
@@ -75,7 +75,7 @@ def test_host_that_says_nothing_is_told(hosts: SshHosts):
 
 
 def test_host_that_falls_silent_is_told(hosts: SshHosts, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("pancakes.tools.launch.host_link.SILENT_S", 0.5)
+    monkeypatch.setattr("pancakes.tools.launch.ssh.SILENT_S", 0.5)
     bashrc(hosts, "")
     link = HostLink("robot1")
     python = link.obtain("look", 20.0, fleet_of={})["executable"]
@@ -97,8 +97,8 @@ def test_host_that_takes_a_connection_and_is_no_ssh_server_is_told(hosts: SshHos
 
 def test_agents_on_a_host_that_falls_silent_have_ended(rig: Rig, hosts: SshHosts):
     bashrc(hosts, "")
-    program = "from pancakes.tools.launch import host_link, host_agents\n"
-    program += "host_link.SILENT_S = host_agents.ALIVE_S = 0.5\n"
+    program = "from pancakes.tools.launch import remote_hosts, ssh\n"
+    program += "ssh.SILENT_S = remote_hosts.ALIVE_S = 0.5\n"
     program += "from pancakes.tools.cli.main import pancakes\npancakes()\n"
     running = rig.run("-c", program, "launch", str(fleet(rig, ["robot1"])), "--restart", "no", whole=True)
     running.hear("a0 is ready")

@@ -19,7 +19,7 @@ PATIENCE_S = 20.0
 RUN = """
 import sys
 from pathlib import Path
-from pancakes.tools.there.own_supervisor import Supervisor
+from pancakes.tools.remote_host.agent_supervisor import Supervisor
 Supervisor(Path(sys.argv[1]), watchdog_s=float(sys.argv[2]), pause_s=0.05).run()
 """
 SAY = """

@@ -15,7 +15,7 @@ from cli.processes import INSECURE, PATIENCE_S
 from deploy.ssh_hosts import BARE, INSTALLED, SshHost, SshHosts, with_sshd
 from deploy.user_systemd import RUNTIME, UserSystemd
 
-from pancakes.tools.launch.host_link import HostError, HostLink
+from pancakes.tools.launch.ssh import HostError, HostLink
 
 pytestmark = with_sshd
 AGENT = {"fleet": "yard", "name": "a"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from pancakes.client import TaskRow
-from pancakes.tools.deploy.steadiness import Steadiness
+from pancakes.tools.deploy.drain import Steadiness
 
 
 def row(state: str = "running", incarnation: int = 1, task: str = "T", reason: str = "", rest: str = "") -> TaskRow:

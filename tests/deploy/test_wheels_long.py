@@ -18,7 +18,7 @@ def test_wheels_are_made_of_what_is_installed_once(tmp_path: Path, monkeypatch: 
     assert {distribution_of(wheel) for wheel in wheels} >= {"pancakes-agents", "pancakes-encirclement"}
     (own,) = [wheel for wheel in wheels if distribution_of(wheel) == "pancakes-agents"]
     with zipfile.ZipFile(own.path) as archive:
-        assert "pancakes/tools/there/own_supervisor.py" in archive.namelist()
+        assert "pancakes/tools/remote_host/agent_supervisor.py" in archive.namelist()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))
     again = installed_wheels(tmp_path / "two")
     assert [(wheel.name, wheel.digest) for wheel in again] == [(wheel.name, wheel.digest) for wheel in wheels]

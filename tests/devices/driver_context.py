@@ -7,10 +7,10 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeVar
 
-from pancakes.mesh.net.memory import MemoryNetwork
-from pancakes.mesh.net.transport import Transport
-from pancakes.runtime.foundation.log import Log
-from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.events import Log
+from pancakes.kernel.virtual_time import VirtualDispatcher
+from pancakes.mesh.memory_network import MemoryNetwork
+from pancakes.mesh.transport import Transport
 
 _T = TypeVar("_T")
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from pancakes.bodies.devices.levels import level_at, level_of
+from pancakes.devices.validation import level_at, level_of
 from pancakes.errors import PancakesError
 
 

@@ -3,10 +3,10 @@
 import pytest
 from devices.driver_context import DriverContext
 
-from pancakes.bodies.devices.network_devices import NetworkMotors, NetworkPose
-from pancakes.bodies.devices.pace import Pace
-from pancakes.bodies.devices.types import Battery, Pose, Twist
 from pancakes.control import Hold
+from pancakes.devices import Battery, Pose, Twist
+from pancakes.devices.builtin_drivers import NetworkMotors, NetworkPose
+from pancakes.devices.driver import Pace
 from pancakes.packet import Packet, type_name
 from pancakes.settings import SettingsError, make_settings
 

@@ -5,21 +5,20 @@ import math
 import pytest
 from devices.driver_context import DriverContext
 
-from pancakes.bodies.devices import null
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.static import StaticPose
-from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.devices import Pose, Twist, builtin_drivers
+from pancakes.devices.builtin_drivers import StaticPose
+from pancakes.devices.driver import Sensor
 from pancakes.settings import SettingsError, make_settings
 
 
 @pytest.mark.parametrize(
     ("cls", "device_type"),
     [
-        (null.NullPose, "pose"),
-        (null.NullBattery, "battery"),
-        (null.NullInfrared, "ir"),
-        (null.NullSonar, "sonar"),
-        (null.NullMotion, "motion"),
+        (builtin_drivers.NullPose, "pose"),
+        (builtin_drivers.NullBattery, "battery"),
+        (builtin_drivers.NullInfrared, "ir"),
+        (builtin_drivers.NullSonar, "sonar"),
+        (builtin_drivers.NullMotion, "motion"),
     ],
 )
 def test_a_null_sensor_has_its_type_and_never_a_reading(cls, device_type):
@@ -31,7 +30,7 @@ def test_a_null_sensor_has_its_type_and_never_a_reading(cls, device_type):
 
 
 def test_null_motors_take_every_command():
-    motors = null.NullMotors(DriverContext(), null.NullMotors.Settings())
+    motors = builtin_drivers.NullMotors(DriverContext(), builtin_drivers.NullMotors.Settings())
     motors.open()
     motors.apply(Twist(0.1, 0.0), 0.5, "agent1/client/ScanTarget")
     motors.hold()
@@ -40,7 +39,7 @@ def test_null_motors_take_every_command():
 
 
 def test_a_null_device_of_ones_own_type_is_a_class_of_two_lines():
-    class NullGas(null.NullSensor):
+    class NullGas(builtin_drivers.NullSensor):
         type = "gas"
 
     gas: Sensor = NullGas(DriverContext(), NullGas.Settings())

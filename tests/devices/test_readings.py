@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from pancakes.bodies.devices.readings import MissRule, Readings
+from pancakes.devices.health import MissRule, Readings
 
 
 def test_whatever_time_a_reading_came_its_age_is_looked_at_a_few_times_only():

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.bodies.sim.trajectory import HEADER
+from pancakes.sim.csv_records import TRAJECTORY_HEADER
 from pancakes.testing import AgentInTest, FleetInTest
 from pancakes.tools.demo import Run
 
@@ -126,7 +126,7 @@ class MadeUp:
 
     def write(self) -> Run:
         """Writes the mission's files, and returns the run that the judge is given."""
-        rows = [HEADER]
+        rows = [TRAJECTORY_HEADER]
         for step in range(round(self.end_s * 10) + 1):
             t_s = step / 10
             for name, path in self.path_of.items():

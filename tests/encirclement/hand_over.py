@@ -11,11 +11,11 @@ import random
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from pancakes.bodies.devices.types import Pose, Twist
-from pancakes.bodies.sim.models import robot_model
-from pancakes.bodies.sim.physics import Physics
-from pancakes.bodies.sim.settings import ArenaSettings, ContentSettings, RobotSettings, SensorSettings
-from pancakes.bodies.sim.wayfinder import MoverSettings
+from pancakes.devices import Pose, Twist
+from pancakes.sim.bodies import ArenaSettings, ContentSettings, RobotSettings, SensorSettings
+from pancakes.sim.pedestrian import MoverSettings
+from pancakes.sim.robot_models import robot_model
+from pancakes.sim.world import Physics
 from pancakes_encirclement.angles import wrap
 from pancakes_encirclement.avoidance import Avoidance
 from pancakes_encirclement.circle import curvature

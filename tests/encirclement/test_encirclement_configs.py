@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from pancakes.runtime.config import Config, load
-from pancakes.runtime.plugins import Plugins
+from pancakes.config import Config, load
+from pancakes.util.plugins import Plugins
 from pancakes_encirclement.demos import AGENTS, ENCIRCLEMENT, INTRUDER, PIONEER, RESCUE
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Twist
 from pancakes.control import Reschedule, Stop
+from pancakes.devices import Battery, Infrared, Motion, Pose, Twist
 from pancakes_encirclement.packets import MotionDetected, NeighbourPose
 
 DEVICES = """

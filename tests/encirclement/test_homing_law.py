@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pancakes.bodies.devices.types import Twist
+from pancakes.devices import Twist
 from pancakes_encirclement.angles import wrap
 from pancakes_encirclement.homing import Homing
 

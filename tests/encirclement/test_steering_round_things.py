@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.devices import Pose, Twist
 from pancakes_encirclement.avoidance import Avoidance, blocked, free_bearing, room_ahead
 from pancakes_encirclement.homing import Homing
 from pancakes_encirclement.local_map import BEAM_RAD, LocalMap

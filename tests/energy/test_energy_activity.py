@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from pancakes.bodies.devices.types import Infrared, Motion, Pose
-from pancakes.bodies.energy.activity import Activity, RatePair, RateSupervision, Rule, SupervisorSettings, number_of
 from pancakes.control import Reschedule
+from pancakes.devices import Infrared, Motion, Pose
+from pancakes.energy.rate_supervisor import Activity, RatePair, RateSupervision, Rule, SupervisorSettings, number_of
 from pancakes.settings import SettingsError, make_settings
 
 RATES = {"device/ir": RatePair(10.0, 2.0)}

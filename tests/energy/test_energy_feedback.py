@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
-from pancakes.bodies.energy.feedback import Feedback, FeedbackSettings, slope
+from pancakes.energy.policies import Feedback, FeedbackSettings, slope
 
 
 class Pack:

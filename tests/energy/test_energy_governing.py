@@ -4,11 +4,10 @@ import math
 
 import pytest
 
-from pancakes.bodies.energy.feedback import FeedbackSettings
-from pancakes.bodies.energy.governing import Governing, GovernorSettings
-from pancakes.bodies.energy.knobs import Range, RateRange, Sleep
-from pancakes.bodies.energy.thresholds import Step
 from pancakes.control import Configure, Describe, Reschedule, Restart, Start, Stop
+from pancakes.energy.governor import Governing, GovernorSettings
+from pancakes.energy.orders import Range, RateRange, Sleep
+from pancakes.energy.policies import FeedbackSettings, Step
 
 STEPS = [Step(0.6, 0.5), Step(0.3, 0.0)]
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from pancakes.bodies.energy.governing import GovernorSettings
-from pancakes.bodies.energy.knobs import Range, RateRange, Sleep
+from pancakes.energy.governor import GovernorSettings
+from pancakes.energy.orders import Range, RateRange, Sleep
 from pancakes.settings import SettingsError, make_settings
 
 

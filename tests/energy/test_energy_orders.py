@@ -1,8 +1,7 @@
 """The book of orders: what is asked for, and above all what is not asked for again."""
 
-from pancakes.bodies.energy.knobs import Knob
-from pancakes.bodies.energy.orders import ANSWER_S, OrderBook
 from pancakes.control import Configure, Describe, Reschedule
+from pancakes.energy.orders import ANSWER_S, Knob, OrderBook
 
 IR, SONAR = Knob("device/ir"), Knob("sonar")
 SPEED, RADIUS = Knob("client/ScanTarget", "speed_mps"), Knob("client/ScanTarget", "radius_m")

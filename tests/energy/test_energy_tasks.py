@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.types import Battery, Load, Motion
-from pancakes.bodies.energy.governor import EnergyGovernor
-from pancakes.bodies.energy.rate_supervisor import RateSupervisor
 from pancakes.control import Configure, Describe, Reschedule, Restart, Start, Stop
+from pancakes.devices import Battery, Load, Motion
+from pancakes.devices.driver import Sensor
+from pancakes.energy.governor import EnergyGovernor
+from pancakes.energy.rate_supervisor import RateSupervisor
 from pancakes.events import Event
 from pancakes.packet import LOG, SYSTEM
 from pancakes.task import Task, Tick, every

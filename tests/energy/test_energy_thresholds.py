@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from pancakes.bodies.energy.thresholds import Step, Thresholds
+from pancakes.energy.policies import Step, Thresholds
 
 STEPS = (Step(0.8, 0.5), Step(0.5, 0.2), Step(0.2, 0.0))
 HYSTERESIS = 0.05

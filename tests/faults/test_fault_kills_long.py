@@ -26,8 +26,8 @@ def test_fault_kills_double_and_lose_no_task() -> None:
 
 
 FORGETFUL = """
-from pancakes.mesh.migration import core, source
-from pancakes.mesh.migration.record import Phase
+from pancakes.durable import core, source
+from pancakes.durable.record import Phase
 
 recover = core.recover
 core.recover = lambda record, *others: recover(

@@ -11,9 +11,9 @@ import pytest
 from torture import schedules
 from torture.schedules import run_schedule
 
-from pancakes.mesh.migration import core
-from pancakes.mesh.migration.record import Phase, Record
-from pancakes.runtime.config import Config
+from pancakes.config import Config
+from pancakes.durable import handoff
+from pancakes.durable.record import Phase, Record
 from pancakes.testing import config_of
 
 
@@ -75,31 +75,31 @@ def violations(seeds: range) -> Iterator[str]:
 
 def test_fault_schedules_convict_agents_that_take_back_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
     """They take back what they have given away."""
-    recover = core.recover
+    recover = handoff.recover
 
     def forgetful(record: Record, *others: Any) -> Any:
         if record.phase is Phase.COMMITTED:
-            from pancakes.mesh.migration.source import taken_back
+            from pancakes.durable.handoff import taken_back
 
             record = taken_back(record)
         return recover(record, *others)
 
-    monkeypatch.setattr(core, "recover", forgetful)
+    monkeypatch.setattr(handoff, "recover", forgetful)
     assert any(" runs on " in violation for violation in violations(range(1, 41)))
 
 
 def test_fault_schedules_convict_agents_that_forget_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is dormant may not be dropped by a time-out: it may have been given away."""
-    from pancakes.mesh.migration import candidate
+    from pancakes.durable import handoff
 
-    monkeypatch.setattr(candidate, "recover", lambda record, times: [])
-    monkeypatch.setattr(candidate, "resend", lambda record, event, times: [])
-    monkeypatch.setattr(candidate, "commit", lambda record, event, message: [])
+    monkeypatch.setattr(handoff, "recover_candidate", lambda record, times: [])
+    monkeypatch.setattr(handoff, "resend_candidate", lambda record, event, times: [])
+    monkeypatch.setattr(handoff, "commit", lambda record, event, message: [])
     assert any("after all healed" in violation for violation in violations(range(1, 6)))
 
 
 def test_fault_schedules_convict_tasks_that_forget_packets(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pancakes.mesh.migration.post import Incoming
+    from pancakes.durable.delivery import Incoming
 
     monkeypatch.setattr(Incoming, "is_old", lambda self, stream, seq: False)
     monkeypatch.setattr(Incoming, "is_next", lambda self, stream, seq, first: True)

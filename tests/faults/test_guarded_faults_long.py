@@ -9,7 +9,7 @@ from torture.strokes import KINDS
 from torture.takeover_tally import TakeoverTally
 
 UNGATED = """
-from pancakes.runtime.kernel.permits import Permits
+from pancakes.kernel.permits import Permits
 
 Permits.may_act = lambda permits, fence: True
 """

@@ -10,13 +10,13 @@ from pathlib import Path
 from torture.late_acts import LateTally, run_late_acts
 
 OPENED = """
-import pancakes.runtime.agent
-from pancakes.mesh.net.gate import OPEN
-from pancakes.runtime.hosting.guarded_tasks import GuardedTasks
-from pancakes.runtime.kernel.permits import Permits
+import pancakes.agent.agent
+from pancakes.mesh.session import OPEN
+from pancakes.durable.leases import GuardedTasks
+from pancakes.kernel.permits import Permits
 
 Permits.limited = lambda permits, fence, most_s: fence
-pancakes.runtime.agent.Gate = lambda *given: OPEN
+pancakes.agent.agent.Gate = lambda *given: OPEN
 GuardedTasks.may_write = lambda *given: None
 """
 """Agents that look at the permit before each turn, and when a task publishes, and not after that."""

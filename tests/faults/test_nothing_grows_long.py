@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import pytest
 from soak.held import held_by
 
+from pancakes.config import parse
 from pancakes.control import Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow
+from pancakes.durable import census
+from pancakes.durable.store import KEPT as LEDGERS
 from pancakes.errors import MailboxFull
 from pancakes.fleet import VirtualFleet
+from pancakes.kernel import dead_letters
 from pancakes.packet import NEIGHBOURS, SYSCTRL, SYSTEM, Packet, join, packet_type, type_name
-from pancakes.runtime.config import parse
-from pancakes.runtime.hosting import boot_memory
-from pancakes.runtime.hosting.ledgers import KEPT as LEDGERS
-from pancakes.runtime.kernel import unheard
 from pancakes.task import Task, Tick, every, on, reliable
 from pancakes.testing import registered
 
@@ -136,8 +136,8 @@ def trouble():
     for _ in range(2 * LEDGERS):  # so many accounts of moves are kept, on either side
         made.move("Walk")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(boot_memory, "MOST_AGENTS", 3)  # bounds that are reached here, and hold
-        patch.setattr(unheard, "MOST_TOLD", 3)
+        patch.setattr(census, "MOST_AGENTS", 3)  # bounds that are reached here, and hold
+        patch.setattr(dead_letters, "MOST_TOLD", 3)
         for _ in range(2):
             made.one_round()
         yield made

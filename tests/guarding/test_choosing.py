@@ -1,8 +1,7 @@
 """Whom the owner of a task chooses as its guardians."""
 
-from pancakes.mesh.guarding.choosing import CanGuard, choose
-from pancakes.mesh.migration.guards import GuardianId
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.messages import CanGuard, choose
+from pancakes.durable.record import GuardianId, TaskId
 
 TASK = TaskId("a", "Scan")
 A, B, C, D, E = (GuardianId(name, "j") for name in "abcde")

@@ -4,18 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from pancakes.mesh.guarding.guard_messages import (
-    NO_CHECKPOINT,
-    CheckpointBody,
-    CheckpointId,
-    DenyLease,
-    KeepLease,
-    LeaseKept,
-    Pledge,
-    SeizeTask,
-    YieldLease,
-)
-from pancakes.mesh.guarding.guardian_core import (
+from pancakes.durable.guarding import (
     AnswerAsker,
     GuardRegister,
     GuardsForgotten,
@@ -26,9 +15,28 @@ from pancakes.mesh.guarding.guardian_core import (
     handle,
     recover,
 )
-from pancakes.mesh.migration.epoch import MOST_STEP, Epoch
-from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards, forgotten_guards, newest
-from pancakes.mesh.migration.record import TaskId, Wanted
+from pancakes.durable.messages import (
+    NO_CHECKPOINT,
+    CheckpointBody,
+    CheckpointId,
+    DenyLease,
+    KeepLease,
+    LeaseKept,
+    Pledge,
+    SeizeTask,
+    YieldLease,
+)
+from pancakes.durable.record import (
+    MOST_STEP,
+    NO_GUARDS,
+    Epoch,
+    GuardianId,
+    Guards,
+    TaskId,
+    Wanted,
+    forgotten_guards,
+    newest,
+)
 
 TASK = TaskId("north", "Scan")
 ME = GuardianId("east", "j1")

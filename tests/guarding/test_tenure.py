@@ -3,17 +3,8 @@
 import pytest
 from msgspec.structs import replace
 
-from pancakes.mesh.guarding.guard_messages import (
-    NO_CHECKPOINT,
-    CheckpointBody,
-    CheckpointId,
-    DenyLease,
-    LeaseKept,
-    Pledge,
-    YieldLease,
-)
-from pancakes.mesh.guarding.seizing import Seizing, told
-from pancakes.mesh.guarding.tenure import (
+from pancakes.durable.guarding import (
+    Seizing,
     Tenure,
     answered,
     asked_again,
@@ -22,12 +13,20 @@ from pancakes.mesh.guarding.tenure import (
     keep_lease,
     kept_packets,
     may_ask,
+    told,
     yield_lease,
 )
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId
-from pancakes.mesh.migration.guards import GuardianId, Guards
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
+from pancakes.durable.handoff_events import ClaimHeard, GuardsChosen, PacketId
+from pancakes.durable.messages import (
+    NO_CHECKPOINT,
+    CheckpointBody,
+    CheckpointId,
+    DenyLease,
+    LeaseKept,
+    Pledge,
+    YieldLease,
+)
+from pancakes.durable.record import NO_EPOCH, Epoch, GuardianId, Guards, Phase, Record, TaskId, Wanted
 
 TASK = TaskId("a", "Scan")
 A, B, C, D = (GuardianId(name, "j") for name in "abcd")

@@ -20,18 +20,18 @@ import click
 import pytest
 from harness.guide import ROOT, Example, example, examples, guides
 
-from pancakes.bodies.devices.driver import Actuator, Sensor
-from pancakes.bodies.devices.types import Pose
+from pancakes.config import parse
+from pancakes.config.checks import check_plugins
+from pancakes.devices import Pose
+from pancakes.devices.driver import Actuator, Sensor
 from pancakes.packet import Packet
-from pancakes.runtime.config import parse
-from pancakes.runtime.config.plugin_check import check_plugins
-from pancakes.runtime.plugins import Plugins
-from pancakes.simulation.made_in_code import registered
+from pancakes.simulation.fleet_builder import registered
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
 from pancakes.tools.cli.agent_command import agent as pancakes_agent
 from pancakes.tools.cli.main import pancakes
 from pancakes.tools.launch.fleet_file import load_fleet
+from pancakes.util.plugins import Plugins
 
 ALL = [it for guide in guides() for it in examples(guide)]
 TOML = [it for it in ALL if it.language == "toml"]

@@ -1,6 +1,6 @@
 """The fork server's program for tests: it loads Pancakes once, and each child runs a module as `python -m` would.
 
-`python -m harness.forked_program FD PID`, as `pancakes.tools.cli.forking_program`, on which it stands. See
+`python -m harness.forked_program FD PID`, as `pancakes.tools.cli.fork_server`, on which it stands. See
 `harness.programs`.
 """
 
@@ -16,9 +16,19 @@ from typing import IO
 import msgpack
 from setproctitle import setproctitle
 
-from pancakes.tools.cli.forking_program import connected, load, serve
+from pancakes.tools.cli.fork_server import connected, load, serve
 
-LOADED = ("pancakes.runtime", "pancakes.mesh", "pancakes.client", "pancakes.tools.cli", "pancakes.tools.launch")
+LOADED = (
+    *(
+        "pancakes.agent",
+        "pancakes.durable",
+        "pancakes.journal",
+        "pancakes.mesh",
+        "pancakes.services",
+        "pancakes.client",
+    ),
+    *("pancakes.tools.cli", "pancakes.tools.launch"),
+)
 STANDARD_STREAMS = (0, 1, 2)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import msgpack
 
-from pancakes.tools.launch.fork_server import ForkServer
+from pancakes.tools.launch.process import ForkServer
 
 PANCAKES = "pancakes.tools.cli.main"
 AGENT = "pancakes.tools.cli.agent_command"

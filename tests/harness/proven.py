@@ -19,10 +19,9 @@ FILE = ROOT / "tests" / "proven.json"
 
 SUBJECTS: dict[str, tuple[str, ...]] = {
     "durable tasks": (
-        "pancakes/mesh/guarding",
-        "pancakes/mesh/migration",
-        "pancakes/runtime/hosting",
-        "pancakes/runtime/life",
+        "pancakes/durable",
+        "pancakes/supervision/lifecycle*.py",
+        "pancakes/supervision/restart.py",
         "trials/model",
         "tests/guarding/*_full.py",
         "tests/hosting/*_full.py",
@@ -31,7 +30,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     ),
     "ROS 2": ("plugins/pancakes-ros2", "tests/ros2"),
     "Zenoh": ("plugins/pancakes-zenoh", "tests/zenoh_links"),
-    "systemd": ("pancakes/tools/cli/service_unit.py", "pancakes/tools/cli/notify_socket.py", "tests/systemd_vm"),
+    "systemd": ("pancakes/tools/cli/systemd_unit.py", "pancakes/tools/cli/agent_process.py", "tests/systemd_vm"),
     "gpsd": ("plugins/pancakes-pi", "tests/pi"),
 }
 """Each subject with its files: paths below the root, or patterns."""

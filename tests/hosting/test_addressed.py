@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import pancakes.runtime.agent  # noqa: F401  # every component of an agent is imported
+import pancakes.agent.agent  # noqa: F401  # every component of an agent is imported
+from pancakes.kernel.actor import Component
 from pancakes.packet import NETWORK
-from pancakes.runtime.kernel.component import Component
 
 
 def components(of: type[Component] = Component) -> Iterator[type[Component]]:
     for cls in of.__subclasses__():
-        if cls.__module__.startswith("pancakes.runtime."):
+        if cls.__module__.startswith(("pancakes.durable.", "pancakes.services.")):
             yield cls
         yield from components(cls)
 

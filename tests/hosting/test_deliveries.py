@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.mesh.migration.post import Letter
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable import hosting
+from pancakes.durable.checkpoints import CameFor
+from pancakes.durable.client_service import ClientService
+from pancakes.durable.delivery import Letter
+from pancakes.durable.record import TaskId
+from pancakes.kernel.mailbox import tell
 from pancakes.packet import packet_type
-from pancakes.runtime.hosting import task_letters
-from pancakes.runtime.hosting.client import ClientService
-from pancakes.runtime.hosting.deliveries import CameFor
-from pancakes.runtime.kernel.tell import tell
-from pancakes.runtime.supervision.task_messages import Give, LetterGiven, LetterOutcome
+from pancakes.supervision.messages import Give, LetterGiven, LetterOutcome
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
 
@@ -31,7 +31,7 @@ class Sink(Task):
 
 
 def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_newest_are_not(monkeypatch):
-    monkeypatch.setattr(task_letters, "MOST_KNOWN", 4)
+    monkeypatch.setattr(hosting, "MOST_KNOWN", 4)
     with FleetInTest() as fleet:
         agent = fleet.start("a", tasks={"Sink": Sink})
         client = agent.component("client")

@@ -6,13 +6,11 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.control import Checkpoints
-from pancakes.mesh.guarding.guard_messages import CheckpointBody, CheckpointId
-from pancakes.mesh.guarding.guardian_core import GuardRegister
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.guards import GuardianId, Guards
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.runtime.hosting.held import is_meant, of_records, of_register
+from pancakes.durable.guardian import is_meant, of_records, of_register
+from pancakes.durable.guarding import GuardRegister
+from pancakes.durable.messages import CheckpointBody, CheckpointId
+from pancakes.durable.record import Epoch, GuardianId, Guards, Phase, Record, TaskId, Wanted
+from pancakes.durable.snapshot import Snapshot
 
 SCAN = TaskId("a", "Scan")
 SNAPSHOT = Snapshot(SCAN, "test.Scan", "1", "client").encode()

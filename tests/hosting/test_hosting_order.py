@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from pancakes.mesh.migration.effect import Ack, Persist, Resume, Send
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.event import Award, Checkpoint, Frozen, PacketId, Received
-from pancakes.mesh.migration.messages import Activated, Prepared, Reserved, Solicit
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.mesh.migration.volatile import Volatile
-from pancakes.runtime.hosting.hosting_effect import AskRoom, Prepare, TakeDown
-from pancakes.runtime.hosting.hosting_event import NotPersisted, Persisted, Room, StartConfigured, StoodStill
-from pancakes.runtime.hosting.machine import AnyEffect, AnyEvent, handle, idle
-from pancakes.runtime.hosting.now import Now
-from pancakes.runtime.hosting.standing import Standing
-from pancakes.runtime.life.life import Life, State
-from pancakes.runtime.life.life_event import Admitted, Began
-from pancakes.runtime.life.restart import Restarts, RestartSpec
+from pancakes.durable.handoff_events import Ack, Award, Checkpoint, Frozen, PacketId, Persist, Received, Resume, Send
+from pancakes.durable.messages import Activated, Prepared, Reserved, Solicit
+from pancakes.durable.record import Epoch, Phase, Record, TaskId, Volatile
+from pancakes.durable.state_machine import (
+    AnyEffect,
+    AnyEvent,
+    AskRoom,
+    NotPersisted,
+    Now,
+    Persisted,
+    Prepare,
+    Room,
+    Standing,
+    StartConfigured,
+    StoodStill,
+    TakeDown,
+    handle,
+    idle,
+)
+from pancakes.supervision.lifecycle import Admitted, Began, Life, State
+from pancakes.supervision.restart import Restarts, RestartSpec
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", "client")

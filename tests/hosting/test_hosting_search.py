@@ -13,8 +13,8 @@ from model.hosting_scenarios import SUITE
 from model.hosting_search import search
 from seeded import for_each
 
-from pancakes.mesh.migration.record import Phase
-from pancakes.runtime.life.life import State
+from pancakes.durable.record import Phase
+from pancakes.supervision.lifecycle import State
 
 NEVER: dict[State | None, str] = {
     None: "FROZEN",

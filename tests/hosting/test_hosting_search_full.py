@@ -11,8 +11,8 @@ from model.hosting_mutants import make
 from model.hosting_scenarios import SUITE
 from model.hosting_search import search
 
-from pancakes.mesh.migration.record import Phase
-from pancakes.runtime.life.life import State
+from pancakes.durable.record import Phase
+from pancakes.supervision.lifecycle import State
 
 pytestmark = pytest.mark.timeout(900)
 

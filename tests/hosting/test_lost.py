@@ -5,9 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.runtime.hosting.lost import Lost
+from pancakes.durable.record import NO_EPOCH, Epoch, Lost, Phase, Record, TaskId, Wanted
 
 SCAN = TaskId("a", "Scan")
 UNREAD = Lost(SCAN, "its record cannot be read")

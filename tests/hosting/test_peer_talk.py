@@ -5,12 +5,10 @@ from typing import Any, cast
 
 import pytest
 
+from pancakes.durable.hosting import PeerTalk
+from pancakes.durable.messages import AskLease, MayGuard
+from pancakes.durable.record import GuardianId, TaskId
 from pancakes.errors import PancakesError
-from pancakes.mesh.guarding.choosing import MayGuard
-from pancakes.mesh.guarding.taking_over import AskLease
-from pancakes.mesh.migration.guards import GuardianId
-from pancakes.mesh.migration.record import TaskId
-from pancakes.runtime.hosting.peer_talk import PeerTalk
 
 ASKED = MayGuard(TaskId("a", "Count"), "count")
 LOOKS = AskLease(TaskId("a", "Count"))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.runtime.hosting.place import Place
-from pancakes.runtime.hosting.places import Places
-from pancakes.runtime.hosting.standing import Standing
-from pancakes.runtime.life.life import Life
-from pancakes.runtime.life.restart import Restarts, RestartSpec
-from pancakes.runtime.supervision.slot import Slot
+from pancakes.durable.hosting import Place, Places
+from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.state_machine import Standing
+from pancakes.supervision.lifecycle import Life
+from pancakes.supervision.restart import Restarts, RestartSpec
+from pancakes.supervision.slots import Slot
 from pancakes.task import Task, TaskSpec
 
 MINE, OTHERS = TaskId("a", "Scan"), TaskId("z", "Scan")

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.runtime.hosting.records import Records
-from pancakes.runtime.journal import Disk, MemoryJournal, VirtualStore
-from pancakes.runtime.journal.memory_journal import MARK
+from pancakes.durable.record import NO_EPOCH, Epoch, Phase, Record, TaskId
+from pancakes.durable.store import Records
+from pancakes.journal import Disk, MemoryJournal, VirtualStore
+from pancakes.journal.journal import MARK
 
 TASK = TaskId("a", "Count")
 OLD, NEW = Epoch(3, "a"), Epoch(4, "a")

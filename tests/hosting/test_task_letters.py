@@ -1,8 +1,8 @@
 """What is known of the letters that have come for one task."""
 
-from pancakes.mesh.migration.event import PacketId
-from pancakes.mesh.migration.post import Letter
-from pancakes.runtime.hosting.task_letters import TaskLetters
+from pancakes.durable.delivery import Letter
+from pancakes.durable.handoff_events import PacketId
+from pancakes.durable.hosting import TaskLetters
 
 MIB = 1024 * 1024
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from pancakes.durable.commands import task_meant
+from pancakes.durable.record import Epoch, Phase, Record, TaskId, Wanted
 from pancakes.errors import ControlRefused
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.runtime.hosting.adoption import chosen
 
 SCAN, OTHER = TaskId("a", "Scan"), TaskId("z", "Scan")
 MINE = Epoch(3, "a")
@@ -19,14 +18,14 @@ COMING = Record(OTHER, Phase.PREPARED, seen=MINE, offer=Epoch(4, "c"), peer="c")
 
 def refusal(*records: Record, birthplace: str = "", verb: str = "adopt") -> str:
     with pytest.raises(ControlRefused) as refused:
-        chosen("a/client", "Scan", birthplace, records, (), verb)
+        task_meant("a/client", "Scan", birthplace, records, (), verb)
     return str(refused.value)
 
 
 def test_the_one_that_is_in_doubt_is_meant() -> None:
-    assert chosen("a/client", "Scan", "", (GIVEN,), ()) == GIVEN
-    assert chosen("a/client", "Scan", "z", (GIVEN, COMING), ()) == COMING
-    assert chosen("a/client", "Scan", "", (replace(OWNED, task_id=OTHER), GIVEN), ()) == GIVEN
+    assert task_meant("a/client", "Scan", "", (GIVEN,), ()) == GIVEN
+    assert task_meant("a/client", "Scan", "z", (GIVEN, COMING), ()) == COMING
+    assert task_meant("a/client", "Scan", "", (replace(OWNED, task_id=OTHER), GIVEN), ()) == GIVEN
 
 
 def test_of_two_in_doubt_the_birthplace_says_which() -> None:

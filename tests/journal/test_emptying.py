@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.runtime.journal import FileJournal, JournalEntry, JournalError, empty
+from pancakes.journal import FileJournal, JournalEntry, JournalError, empty
 
 
 def test_a_journal_is_removed_with_what_was_put_aside_and_all_else_stays(tmp_path: Path) -> None:

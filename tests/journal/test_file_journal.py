@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.runtime.journal import FileJournal, JournalEntry, JournalError, JournalLost
+from pancakes.journal import FileJournal, JournalEntry, JournalError, JournalLost
 
 SCAN = JournalEntry("task", "agent1/ScanTarget", b"x")
 
@@ -31,7 +31,7 @@ def test_another_process_is_refused_with_a_sentence(tmp_path: Path) -> None:
     holder = FileJournal(tmp_path)
     code = (
         "import sys, pathlib\n"
-        "from pancakes.runtime.journal import FileJournal, JournalError\n"
+        "from pancakes.journal import FileJournal, JournalError\n"
         "try: FileJournal(pathlib.Path(sys.argv[1]))\n"
         "except JournalError as error: print(error)\n"
     )
@@ -46,7 +46,7 @@ def test_a_process_that_was_killed_leaves_no_lock_and_no_half_entry(tmp_path: Pa
     # It dies between writing the temporary file and renaming it.
     code = (
         "import os, sys, pathlib, signal\n"
-        "from pancakes.runtime.journal import JournalEntry, FileJournal\n"
+        "from pancakes.journal import JournalEntry, FileJournal\n"
         "journal = FileJournal(pathlib.Path(sys.argv[1]), 'first')\n"
         "journal.write([JournalEntry('task', 'agent1/ScanTarget', b'old')])\n"
         "os.replace = lambda *names, **directories: os.kill(os.getpid(), signal.SIGKILL)\n"

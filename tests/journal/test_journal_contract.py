@@ -9,8 +9,8 @@ from typing import Protocol
 
 import pytest
 
-from pancakes.runtime.journal import FileJournal, Journal, JournalEntry, JournalError, MemoryJournal
-from pancakes.runtime.journal.memory_journal import MARK
+from pancakes.journal import FileJournal, Journal, JournalEntry, JournalError, MemoryJournal
+from pancakes.journal.journal import MARK
 
 
 class Disk(Protocol):

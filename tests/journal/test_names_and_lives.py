@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from pancakes import __version__
-from pancakes.mesh.migration.boots import Boot
-from pancakes.runtime.hosting.boot_memory import MOST_AGENTS, BootMemory
-from pancakes.runtime.journal import Disk, FileJournal, JournalEntry, JournalError, MemoryJournal, VirtualStore
-from pancakes.runtime.journal.journal import MOST_NAMES
+from pancakes.durable.census import MOST_AGENTS, BootMemory
+from pancakes.durable.ownership import Boot
+from pancakes.journal import Disk, FileJournal, JournalEntry, JournalError, MemoryJournal, VirtualStore
+from pancakes.journal.journal import MOST_NAMES
 
 
 def test_it_knows_the_names_under_which_it_was_opened_before(tmp_path: Path) -> None:
@@ -70,8 +70,8 @@ def test_so_many_agents_are_remembered_and_no_more() -> None:
 def test_journal_of_a_later_format_is_left_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both versions are named; nothing is put aside, so that the later one finds all of it."""
     with monkeypatch.context() as later:
-        later.setattr("pancakes.runtime.journal.journal.FORMAT", 2)
-        later.setattr("pancakes.runtime.journal.journal.__version__", "0.9.0")
+        later.setattr("pancakes.journal.journal.FORMAT", 2)
+        later.setattr("pancakes.journal.journal.__version__", "0.9.0")
         journal = FileJournal(tmp_path)
         journal.write([JournalEntry("task", "a/Count", b"x")])
         journal.close()

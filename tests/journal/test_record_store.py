@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from pancakes.runtime.journal import JournalEntry, JournalError, JournalLost, MemoryJournal, ThreadedStore, VirtualStore
+from pancakes.journal import JournalEntry, JournalError, JournalLost, MemoryJournal, ThreadedStore, VirtualStore
 
 
 class SlowJournal(MemoryJournal):

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.journal import Disk, JournalEntry, MemoryJournal, RecordTable, VirtualStore
+from pancakes.journal import Disk, JournalEntry, MemoryJournal, RecordTable, VirtualStore
+from pancakes.util import codecs
 
 
 class Rig:

@@ -13,7 +13,7 @@ ENTER = ("unshare", "--map-root-user", "--mount")
 HEAD = """
 import os, sys
 from pathlib import Path
-from pancakes.runtime.journal import FileJournal, JournalEntry, JournalError
+from pancakes.journal import FileJournal, JournalEntry, JournalError
 
 disk = Path(sys.argv[1])
 state = disk / "state"

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.runtime.journal import FileJournal, JournalEntry, JournalError, file
-from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead, seal_batch
+from pancakes.journal import FileJournal, JournalEntry, JournalError, file_journal
+from pancakes.journal.file_journal import WRITE_AHEAD, read_ahead, seal_batch
 
 LARGE = b"x" * 300_000
 
@@ -50,7 +50,7 @@ def test_what_was_written_outlives_a_crash_and_the_newest_counts(journal: FileJo
     assert not (again.directory / WRITE_AHEAD).exists()
 
 
-@pytest.mark.parametrize("size", [1, file.LARGE_BYTES // 40])
+@pytest.mark.parametrize("size", [1, file_journal.LARGE_BYTES // 40])
 def test_a_batch_costs_one_round_of_the_disk_however_many_entries_it_has(
     journal: FileJournal, monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
@@ -126,7 +126,7 @@ def test_of_a_journal_that_lost_its_identity_what_was_written_ahead_is_missing_t
 
 
 def test_a_long_file_is_begun_anew_and_nothing_is_lost(journal: FileJournal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(file, "MOST_AHEAD_BYTES", 4 * 2**20)
+    monkeypatch.setattr(file_journal, "MOST_AHEAD_BYTES", 4 * 2**20)
     for number in range(200):
         journal.write([entry(str(number % 7), bytes([number]) * 60_000)])
 
@@ -135,7 +135,7 @@ def test_a_long_file_is_begun_anew_and_nothing_is_lost(journal: FileJournal, mon
 
 
 def test_so_is_one_with_many_entries(journal: FileJournal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(file, "MOST_AHEAD", 20)
+    monkeypatch.setattr(file_journal, "MOST_AHEAD", 20)
     journal.write([entry(str(number), "1") for number in range(20)])
     assert len(list(journal.directory.glob("task.*"))) == 0
     journal.write([entry("1", "2"), entry("20", "1")])

@@ -27,15 +27,14 @@ if __name__ == "__main__":
 from kept.tasks import Count, Drive, Receiver, Sender
 
 from pancakes import __version__
-from pancakes.control import Configure, Guarding, Migrate, Reschedule, Start, Stop
-from pancakes.creation import Create, Remove
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.mesh.security.fleet_office import FleetOffice
-from pancakes.mesh.security.rules import AccessRule
+from pancakes.control import Configure, Create, Guarding, Migrate, Remove, Reschedule, Start, Stop
+from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.snapshot import Snapshot
+from pancakes.journal.file_journal import read_ahead
+from pancakes.journal.journal import JournalEntry, unseal
 from pancakes.packet import SYSCTRL
-from pancakes.runtime.journal.seal import JournalEntry, unseal
-from pancakes.runtime.journal.write_ahead import read_ahead
+from pancakes.security.authority import FleetOffice
+from pancakes.security.roster import AccessRule
 from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
 
 HERE = Path(__file__).resolve().parent

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.devices import Pose, Twist
 from pancakes.errors import MailboxFull
 from pancakes.packet import Packet, packet_type, task_address
 from pancakes.task import Task, Tick, every, on

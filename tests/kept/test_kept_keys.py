@@ -9,10 +9,10 @@ from cryptography import x509
 from kept.conftest import Kept
 from kept.make import LONG_AGO_NS
 
-from pancakes.mesh.security.fleet_office import FleetOffice
-from pancakes.mesh.security.key_files import FLEET as AUTHORITY_FILE
-from pancakes.mesh.security.key_files import KEY, ROSTER
-from pancakes.mesh.security.keys import Keys
+from pancakes.security.authority import FleetOffice
+from pancakes.security.key_store import FLEET as AUTHORITY_FILE
+from pancakes.security.key_store import KEY, ROSTER
+from pancakes.security.keys import Keys
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from kept.make import CLASSES, FLEET
 from kept.test_kept_state import began
 
 from pancakes.control import Describe
-from pancakes.runtime.journal import FileJournal
+from pancakes.journal import FileJournal
 from pancakes.testing import AgentInTest, threaded_agent
 from pancakes.tools.cli.main import pancakes
 

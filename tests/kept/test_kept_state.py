@@ -10,18 +10,17 @@ import pytest
 from kept.conftest import Kept
 from kept.make import FILES, plain, started
 
-from pancakes.bodies.devices.types import Twist
-from pancakes.control import Describe, Guarding, Migrations
-from pancakes.creation import Create
-from pancakes.mesh.migration.record import Phase, Record
+from pancakes.config import parse
+from pancakes.config.checks import check_plugins
+from pancakes.control import Create, Describe, Guarding, Migrations
+from pancakes.devices import Twist
+from pancakes.durable.record import Phase, Record
+from pancakes.journal import Disk, MemoryJournal, VirtualStore
+from pancakes.journal.journal import unseal
 from pancakes.packet import Fence, Packet
-from pancakes.runtime.config import parse
-from pancakes.runtime.config.plugin_check import check_plugins
-from pancakes.runtime.journal import Disk, MemoryJournal, VirtualStore
-from pancakes.runtime.journal.seal import unseal
-from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.services.wanted_recordings import wanted_recordings
+from pancakes.services.log import wanted_recordings
 from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.util.plugins import Plugins
 
 KINDS = {"boot", "fence", "guard", "identity", "ledger", "record", "recording"}
 """The kinds of entries that a journal has. A new one belongs into what is kept."""

@@ -4,9 +4,9 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.counter import Counter
-from pancakes.runtime.kernel.stream import InformationStream
+from pancakes.kernel.actor import Component
+from pancakes.kernel.kernel import Counter
+from pancakes.kernel.stream import InformationStream
 
 PATIENCE_S = 10.0
 

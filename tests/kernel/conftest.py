@@ -8,9 +8,8 @@ from kernel.actors import Actor, holding
 from kernel.hooked_pool import HookedPool
 from kernel.virtual_rig import VirtualRig
 
-from pancakes.runtime.kernel.guest import Guest
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.pool import WATCH_S
+from pancakes.kernel.dispatchers import WATCH_S, Guest
+from pancakes.kernel.kernel import Kernel
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 10.0
@@ -42,7 +41,7 @@ def pools(monkeypatch):
             super().__init__(*args)
             made.append(self)
 
-    monkeypatch.setattr("pancakes.runtime.kernel.kernel.PoolDispatcher", Listed)
+    monkeypatch.setattr("pancakes.kernel.kernel.PoolDispatcher", Listed)
     return made
 
 

@@ -6,10 +6,9 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from pancakes.runtime.clock import Clock
-from pancakes.runtime.kernel.mailbox import Runnable
-from pancakes.runtime.kernel.pool import PoolDispatcher
-from pancakes.runtime.kernel.shift import Shift
+from pancakes.kernel.dispatchers import PoolDispatcher, Shift
+from pancakes.kernel.mailbox import Runnable
+from pancakes.util.clock import Clock
 
 
 def _nothing() -> None:

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pykka
 
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.kernel.actor import Component
+from pancakes.kernel.kernel import Kernel
 
 OUTCOMES = "PYKKA_OUTCOMES"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.runtime.kernel.registry import DeviceEntry, Registry
+from pancakes.kernel.registry import DeviceEntry, Registry
 
 CIRCLE, HOME, REMOTE = "a/client/Circle", "a/client/Home", "b/device/wheels"
 

@@ -3,9 +3,9 @@
 import msgspec
 import pytest
 
-from pancakes.bodies.devices.types import Load
+from pancakes.devices import Load
+from pancakes.kernel.mailbox import Backlog
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.backlog import Backlog
 
 KIB = 1024
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from told_bounds import told
 
-from pancakes.runtime.kernel.keep import MOST_BYTES
-from pancakes.runtime.kernel.pool import HOGGED_S, MOST_WORKERS, WATCH_S
+from pancakes.kernel.dispatchers import HOGGED_S, MOST_WORKERS, WATCH_S
+from pancakes.kernel.handlers import MOST_BYTES
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,8 @@ from kernel.virtual_rig import Diary, Number, VirtualRig, Word
 
 from pancakes.errors import LocalProtocolError, MailboxFull, UnknownChannel
 from pancakes.events import Event, LogLine
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.handlers import every, on
-from pancakes.runtime.kernel.keep import reliable
+from pancakes.kernel.actor import Component
+from pancakes.kernel.handlers import every, on, reliable
 from pancakes.testing import assert_published
 
 

@@ -3,13 +3,11 @@
 import pytest
 from kernel.virtual_rig import Diary, Number, Word
 
-from pancakes.runtime.kernel.call import Call
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.dead_letters import ATTEMPTS
-from pancakes.runtime.kernel.dispatch import defer
-from pancakes.runtime.kernel.handlers import on
-from pancakes.runtime.kernel.keep import queue, reliable
-from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.kernel.actor import Component
+from pancakes.kernel.dead_letters import ATTEMPTS
+from pancakes.kernel.dispatchers import defer
+from pancakes.kernel.handlers import on, queue, reliable
+from pancakes.kernel.mailbox import Call, Mailbox
 
 
 def ends_of(virtual, cls, *bodies, address="a/client/T", mailbox=None):

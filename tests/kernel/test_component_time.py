@@ -8,17 +8,14 @@ import pytest
 from kernel.actors import put_back
 from kernel.virtual_rig import Diary, VirtualRig
 
-from pancakes.mesh.wire.clock_estimate import ClockOffset
-from pancakes.mesh.wire.link_messages import Timebase
-from pancakes.mesh.wire.peer_clock import PeerClock
-from pancakes.packet import Packet
-from pancakes.runtime.foundation.local_time import LocalTime
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.handlers import Tick, every
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.task_timer import HeardTick
-from pancakes.runtime.kernel.turn_meter import MeterReading, TurnMeter
-from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.kernel.actor import Component
+from pancakes.kernel.handlers import Tick, every
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.timer import HeardTick, MeterReading, TurnMeter
+from pancakes.kernel.virtual_time import VirtualDispatcher
+from pancakes.mesh.clock_sync import ClockOffset, PeerClock
+from pancakes.packet import LocalTime, Packet
+from pancakes.util.timebase import Timebase
 
 
 class Metronome(Component):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from kernel.actors import bounded
 
+from pancakes.kernel.dead_letters import ATTEMPTS, MOST_KNOWN, DeadLetters
+from pancakes.kernel.handlers import reliable
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import SYSTEM, Packet
-from pancakes.runtime.kernel.dead_letters import ATTEMPTS, MOST_KNOWN, DeadLetters
-from pancakes.runtime.kernel.keep import reliable
-from pancakes.runtime.kernel.mailbox import Mailbox
 
 
 def test_packets_that_fail_and_never_come_again_are_forgotten_and_the_newest_are_not():

@@ -10,13 +10,13 @@ import pytest
 
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.flag import Flag
-from pancakes.runtime.kernel.handlers import on
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.kernel.pinned import PinnedDispatcher
-from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.kernel.actor import Component
+from pancakes.kernel.dispatchers import PinnedDispatcher
+from pancakes.kernel.handlers import on
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.pykka_actor import Flag
+from pancakes.kernel.virtual_time import VirtualDispatcher
 from pancakes.testing import Probe, VirtualClock, assert_published, no_thread_left
 
 PATIENCE_S = 10.0
@@ -300,7 +300,7 @@ class Restless(Component):
 
 
 def test_an_endless_loop_at_one_moment_is_named_and_does_not_hang(monkeypatch):
-    monkeypatch.setattr("pancakes.runtime.kernel.virtual.MOST_TURNS", 1000)
+    monkeypatch.setattr("pancakes.kernel.virtual_time.MOST_TURNS", 1000)
     dispatcher = VirtualDispatcher()
     Kernel("a", virtual=dispatcher).spawn(Restless, "a/test")
     with pytest.raises(PancakesError, match="stands still at 0.0 s: after 1000 turns a/test still has work"):

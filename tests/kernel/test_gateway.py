@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import pytest
 
 from pancakes.errors import LocalProtocolError, MailboxFull, UnknownChannel
+from pancakes.kernel.actor import Component
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.virtual_time import VirtualDispatcher
 from pancakes.packet import Packet, packet_type
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 
 @packet_type("test_gateway.number")

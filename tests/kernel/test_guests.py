@@ -8,14 +8,12 @@ import pytest
 from kernel.hooked_pool import HookedPool
 
 from pancakes.events import LogLine
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.dispatch import defer
-from pancakes.runtime.kernel.guest import Guest
-from pancakes.runtime.kernel.handlers import every, on
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.pool import DOZE_LOOKS, WATCH_S, PoolDispatcher
+from pancakes.kernel.actor import Component
+from pancakes.kernel.dispatchers import DOZE_LOOKS, WATCH_S, Guest, PoolDispatcher, defer
+from pancakes.kernel.handlers import every, on
+from pancakes.kernel.kernel import Kernel
 from pancakes.testing import no_thread_left
+from pancakes.util.clock import MonotonicClock
 
 PATIENCE_S = 10.0
 

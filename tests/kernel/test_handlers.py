@@ -2,10 +2,20 @@
 
 import pytest
 
-from pancakes.bodies.devices.types import Battery, Pose
+from pancakes.devices import Battery, Pose
 from pancakes.errors import ClassError, LocalProtocolError
-from pancakes.runtime.kernel.handlers import Period, Subscription, every, on, period_of, periods_of, subscriptions_of
-from pancakes.runtime.kernel.keep import LATEST, Keep, reliable
+from pancakes.kernel.handlers import (
+    LATEST,
+    Keep,
+    Period,
+    Subscription,
+    every,
+    on,
+    period_of,
+    periods_of,
+    reliable,
+    subscriptions_of,
+)
 
 
 class Base:

@@ -12,12 +12,10 @@ from hypothesis import strategies as st
 from kernel.actors import bounded, drained, put_back
 
 from pancakes.errors import MailboxFull
+from pancakes.kernel.handlers import MOST_BYTES, Keep, Subscription, queue, reliable
+from pancakes.kernel.mailbox import ChannelQueue, Mailbox
+from pancakes.kernel.stream import InformationStream
 from pancakes.packet import Packet, packet_type
-from pancakes.runtime.kernel.channel_queue import ChannelQueue
-from pancakes.runtime.kernel.handlers import Subscription
-from pancakes.runtime.kernel.keep import MOST_BYTES, Keep, queue, reliable
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.kernel.stream import InformationStream
 
 
 @packet_type("heavy.blob")

@@ -4,10 +4,8 @@ import threading
 
 from kernel.actors import holding
 
-from pancakes.runtime.kernel import pool as pool_module
-from pancakes.runtime.kernel.guest import Guest
-from pancakes.runtime.kernel.pool import WATCH_S
-from pancakes.runtime.kernel.shift import Shift
+from pancakes.kernel import dispatchers as pool_module
+from pancakes.kernel.dispatchers import WATCH_S, Guest, Shift
 
 PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S

@@ -5,7 +5,7 @@ import time
 from collections import deque
 from typing import Any
 
-from pancakes.runtime.kernel.inbox import Inbox
+from pancakes.kernel.mailbox import Inbox
 
 PATIENCE_S = 10.0
 

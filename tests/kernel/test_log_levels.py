@@ -5,10 +5,10 @@ from typing import Any
 import pytest
 from kernel.virtual_rig import VirtualRig
 
-from pancakes.bodies.devices.driver import Actuator, Sensor
+from pancakes.devices.driver import Actuator, Sensor
 from pancakes.errors import ClassError, PancakesError
 from pancakes.events import LogLine
-from pancakes.runtime.kernel.component import Component
+from pancakes.kernel.actor import Component
 from pancakes.service import Service
 from pancakes.task import Task
 

@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 from kernel.actors import bounded, drained, put_back
 from pykka import ActorDeadError, ActorRef
 
+from pancakes.kernel.actor import Component
+from pancakes.kernel.handlers import LATEST, Keep, queue, reliable
+from pancakes.kernel.mailbox import ChannelQueue, Mailbox
+from pancakes.kernel.payload_size import LIGHT_BYTES
+from pancakes.kernel.pykka_actor import Flag
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.channel_queue import ChannelQueue
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.flag import Flag
-from pancakes.runtime.kernel.keep import LATEST, Keep, queue, reliable
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.weight import LIGHT_BYTES
 
 
 def packet(seq, type_name="pose", channel="system"):

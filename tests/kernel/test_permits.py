@@ -6,9 +6,9 @@ import pytest
 from kernel.virtual_rig import VirtualRig, Word
 
 from pancakes.errors import NoPermit
+from pancakes.kernel.actor import Component
+from pancakes.kernel.permits import PermitEnd, Permits
 from pancakes.packet import Fence
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.permits import PermitEnd, Permits
 
 FIRST = Fence("a/Scan", (1, "a"))
 LATER = Fence("a/Scan", (2, "b"))

@@ -12,21 +12,21 @@ import pytest
 from pykka.messages import ProxyCall, ProxyGetAttr, ProxySetAttr
 from seeded import for_each
 
-from pancakes.runtime.clock import MissionClock, MonotonicClock
-from pancakes.runtime.hosting.bidding import TaskMigrator
-from pancakes.runtime.hosting.client import ClientService
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.pykka_actor import ActorStop, Envelope
-from pancakes.runtime.kernel.timer import Timer
-from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.services.device import DeviceTask
-from pancakes.runtime.services.log import Console
-from pancakes.runtime.services.network import Discovery, NetworkClient
-from pancakes.runtime.services.root import Root
+from pancakes.durable.bidding import TaskMigrator
+from pancakes.durable.client_service import ClientService
+from pancakes.kernel.actor import Component
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.pykka_actor import ActorStop, Envelope
+from pancakes.kernel.timer import Timer
 from pancakes.service import Service
+from pancakes.services.device import DeviceTask
+from pancakes.services.log import Console
+from pancakes.services.network import Discovery, NetworkClient
+from pancakes.services.root import Root
 from pancakes.task import Task, every
 from pancakes.testing import no_thread_left, threaded_agent
+from pancakes.util.clock import MissionClock, MonotonicClock
+from pancakes.util.plugins import Plugins
 
 PATIENCE_S = 10.0
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pancakes.runtime.kernel.schedule import Due, Schedule
+from pancakes.kernel.timer import Due, Schedule
 
 
 class Ticking:

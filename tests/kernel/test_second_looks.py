@@ -8,14 +8,13 @@ from kernel.actors import Actor, bounded, put_back
 from msgspec import structs
 
 from pancakes.events import LogLine
+from pancakes.kernel import handlers as plan_module
+from pancakes.kernel import stream as stream_module
+from pancakes.kernel.dispatchers import Dispatcher, defer
+from pancakes.kernel.handlers import Subscription, queue
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.stream import Route
 from pancakes.packet import Packet
-from pancakes.runtime.kernel import plan as plan_module
-from pancakes.runtime.kernel import stream as stream_module
-from pancakes.runtime.kernel.dispatch import Dispatcher, defer
-from pancakes.runtime.kernel.handlers import Subscription
-from pancakes.runtime.kernel.keep import queue
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.kernel.route import Route
 
 
 class ByHand(Dispatcher):

@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass
 
+from pancakes.kernel.actor import Component
+from pancakes.kernel.handlers import on, plan_of
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.virtual_time import VirtualDispatcher
 from pancakes.packet import packet_type
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.handlers import on
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.plan import plan_of
-from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 
 @packet_type("test_shared_handlers.word")

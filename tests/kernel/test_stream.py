@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, rule
 
 from pancakes.errors import MailboxFull, UnknownChannel
+from pancakes.kernel.handlers import Subscription, queue, reliable
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.stream import MOST_ROUTES, InformationStream
 from pancakes.packet import CORE_CHANNELS, Packet
-from pancakes.runtime.kernel.handlers import Subscription
-from pancakes.runtime.kernel.keep import queue, reliable
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.kernel.stream import MOST_ROUTES, InformationStream
 
 
 def packet(channel="system", type_name="pose", to="", seq=1, source="a/client/Source"):

@@ -9,12 +9,11 @@ import pytest
 from kernel.actors import put_back
 
 from pancakes.errors import MailboxFull, UnknownChannel
+from pancakes.kernel.handlers import Subscription, queue, reliable
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.payload_size import LIGHT_BYTES
+from pancakes.kernel.stream import InformationStream
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.handlers import Subscription
-from pancakes.runtime.kernel.keep import queue, reliable
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.kernel.stream import InformationStream
-from pancakes.runtime.weight import LIGHT_BYTES
 
 
 class Dispatch:

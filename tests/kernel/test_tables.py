@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from pancakes.control import Configure, Describe
-from pancakes.runtime.kernel.task_table import SettingsNote
+from pancakes.kernel.registry import SettingsNote
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 

@@ -6,11 +6,10 @@ from typing import Any
 
 import pytest
 
-from pancakes.runtime.clock import MissionClock, MonotonicClock, VirtualClock
-from pancakes.runtime.kernel.schedule import Due
-from pancakes.runtime.kernel.timer import Timer, VirtualTimer
-from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.kernel.timer import Due, Timer, VirtualTimer
+from pancakes.kernel.virtual_time import VirtualDispatcher
 from pancakes.testing import no_thread_left
+from pancakes.util.clock import MissionClock, MonotonicClock, VirtualClock
 
 
 class Ticker:

@@ -5,10 +5,10 @@ from collections.abc import Callable
 
 import pytest
 
-from pancakes.runtime.clock import MissionClock, MonotonicClock
-from pancakes.runtime.kernel.guest import GUEST_S
-from pancakes.runtime.kernel.timer import ONE_BY_ONE_S, Timer
+from pancakes.kernel.dispatchers import GUEST_S
+from pancakes.kernel.timer import ONE_BY_ONE_S, Timer
 from pancakes.testing import no_thread_left
+from pancakes.util.clock import MissionClock, MonotonicClock
 
 PATIENCE_S = 10.0
 

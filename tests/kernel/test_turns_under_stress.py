@@ -10,12 +10,11 @@ import threading
 import pytest
 
 from pancakes.events import LogLine
+from pancakes.kernel.actor import Component
+from pancakes.kernel.handlers import every, on, queue, reliable
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.timer import TaskTimer
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.handlers import every, on
-from pancakes.runtime.kernel.keep import queue, reliable
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.task_timer import TaskTimer
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 20.0

@@ -2,10 +2,10 @@
 
 from kernel.virtual_rig import VirtualRig
 
-from pancakes.bodies.devices.types import Battery, Pose
 from pancakes.control import Reply
-from pancakes.runtime.kernel.registry import DeviceEntry
-from pancakes.runtime.kernel.unheard import MOST_TOLD
+from pancakes.devices import Battery, Pose
+from pancakes.kernel.dead_letters import MOST_TOLD
+from pancakes.kernel.registry import DeviceEntry
 
 POSE = Pose(0.0, 0.0, 0.0)
 

@@ -6,8 +6,8 @@ import threading
 import pytest
 from kernel.actors import holding
 
-from pancakes.runtime.kernel import pool as pool_module
-from pancakes.runtime.kernel.pool import DOZE_LOOKS, HOGGED_S, MOST_PASSED_S, WATCH_S
+from pancakes.kernel import dispatchers as pool_module
+from pancakes.kernel.dispatchers import DOZE_LOOKS, HOGGED_S, MOST_PASSED_S, WATCH_S
 
 PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S

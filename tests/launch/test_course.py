@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from pancakes.runtime.config import parse
-from pancakes.tools.launch.course import (
+from pancakes.config import parse
+from pancakes.tools.launch.fleet_file import Member, ProcessRestart
+from pancakes.tools.launch.supervisor import (
     ALL_END_S,
     END_S,
     READY_S,
@@ -15,7 +16,6 @@ from pancakes.tools.launch.course import (
     TellPerson,
     Terminate,
 )
-from pancakes.tools.launch.member import Member, ProcessRestart
 
 
 def member(name: str, *after: str, restart: ProcessRestart | None = None, hold: bool = False) -> Member:

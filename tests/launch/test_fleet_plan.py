@@ -8,10 +8,8 @@ from pathlib import Path
 import pytest
 
 from pancakes.errors import ConfigError, PancakesError
-from pancakes.runtime.runtime_dir import VARIABLE, Registration, RunningAgent
-from pancakes.tools.launch.fleet_file import fleet_schema
-from pancakes.tools.launch.fleet_plan import check_free, make_fleet
-from pancakes.tools.launch.member import Member, ProcessRestart
+from pancakes.tools.launch.fleet_file import Member, ProcessRestart, check_free, fleet_schema, make_fleet
+from pancakes.util.runtime_dir import VARIABLE, Registration, RunningAgent
 
 
 def write(path: Path, name: str = "", rest: str = "") -> Path:

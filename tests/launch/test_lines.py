@@ -1,6 +1,6 @@
 """Whatever a process prints, in whichever pieces, becomes lines."""
 
-from pancakes.tools.launch.lines import LONGEST, Lines
+from pancakes.tools.launch.supervisor import LONGEST, Lines
 
 
 def test_lines_are_put_together_from_pieces() -> None:

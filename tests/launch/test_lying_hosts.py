@@ -5,9 +5,8 @@ import sys
 import pytest
 
 from pancakes.errors import PancakesError
-from pancakes.tools.launch.host_link import LONGEST_LINE, HostLink
-from pancakes.tools.launch.hosts import HostLook
-from pancakes.tools.launch.ssh import VARIABLE
+from pancakes.tools.launch.remote_hosts import HostLook
+from pancakes.tools.launch.ssh import LONGEST_LINE, VARIABLE, HostLink
 
 DEEP = "[" * 100_000
 

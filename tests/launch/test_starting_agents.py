@@ -12,8 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from pancakes.tools.launch.fork_server import ForkServer
-from pancakes.tools.launch.process import AgentProcess, end_all
+from pancakes.tools.launch.process import AgentProcess, ForkServer, end_all
 
 PATIENCE_S = 30.0
 AGENT = f'schema = 1\n[agent]\nname = "a"\nfleet = "started-by-{os.getpid()}"\nstate_dir = ""\n'
@@ -102,7 +101,7 @@ def test_agents_outlive_their_fork_server_and_the_next_one_is_forked_by_another(
     first = start(AGENT)
     assert first.is_ready()
     for child in psutil.Process().children():
-        if "pancakes.tools.cli.forking_program" in child.cmdline():
+        if "pancakes.tools.cli.fork_server" in child.cmdline():
             child.kill()
     second = start(AGENT.replace('"a"', '"b"'))
     assert second.is_ready() and first.process.poll() is None
@@ -116,10 +115,10 @@ def test_fork_server_that_ends_at_once_raises_oserror() -> None:
 
 
 def test_a_fork_server_that_stands_still_is_given_up(server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pancakes.tools.launch.fork_server.ANSWER_S", 2.0)
+    monkeypatch.setattr("pancakes.tools.launch.process.ANSWER_S", 2.0)
     with open(os.devnull, "wb") as nothing:
         server.fork(["--version"], nothing.fileno(), None).wait(PATIENCE_S)
-        (child,) = [it for it in psutil.Process().children() if "pancakes.tools.cli.forking_program" in it.cmdline()]
+        (child,) = [it for it in psutil.Process().children() if "pancakes.tools.cli.fork_server" in it.cmdline()]
         child.suspend()
         with pytest.raises(TimeoutError):
             server.fork(["--version"], nothing.fileno(), None)

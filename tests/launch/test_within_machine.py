@@ -8,10 +8,10 @@ import pytest
 from click.testing import CliRunner
 
 from pancakes.errors import ConfigError
-from pancakes.runtime.plugins import Plugins
 from pancakes.tools.cli.main import pancakes
-from pancakes.tools.launch.fleet_plan import make_fleet
-from pancakes.tools.launch.within_machine import within_machine
+from pancakes.tools.launch.fleet_file import make_fleet
+from pancakes.tools.launch.ports import within_machine
+from pancakes.util.plugins import Plugins
 
 
 def agent(name: str, listen: object, *peers: str, **more: object) -> dict[str, object]:

@@ -8,9 +8,9 @@ import functools
 import pytest
 from model.life_search import search
 
-from pancakes.runtime.life.life import State
-from pancakes.runtime.life.restart import RestartSpec
-from pancakes.runtime.life.table import TABLE
+from pancakes.supervision.lifecycle import State
+from pancakes.supervision.lifecycle_table import TABLE
+from pancakes.supervision.restart import RestartSpec
 
 SPECS = {
     "always": RestartSpec("always", at_most=1),

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seeded import for_each
 
-from pancakes.runtime.life.restart import DeviceRestartSpec, Next, Restarts, RestartSpec, tries
+from pancakes.supervision.restart import DeviceRestartSpec, Next, Restarts, RestartSpec, tries
 
 
 def longest(low, high):

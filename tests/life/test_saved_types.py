@@ -10,7 +10,7 @@ import pytest
 from msgspec import Meta
 
 from pancakes.errors import ClassError
-from pancakes.runtime.supervision.saved_types import check_saved, fault_of_type
+from pancakes.supervision.serializable_types import check_saved, fault_of_type
 
 
 @dataclass

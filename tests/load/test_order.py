@@ -16,11 +16,10 @@ from torture.load_fleet import LoadedFleet
 from torture.proxy import Proxy
 
 from pancakes.errors import MailboxFull
+from pancakes.kernel.handlers import LATEST, Keep, Subscription, queue, reliable
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.stream import InformationStream
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.handlers import Subscription
-from pancakes.runtime.kernel.keep import LATEST, Keep, queue, reliable
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.kernel.stream import InformationStream
 
 KINDS = ("pose", "battery", "blob")
 CUTS = 3

@@ -9,13 +9,13 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
 from prometheus_client.parser import text_string_to_metric_families
 
-from pancakes.bodies.devices.types import Battery, Load, Pose
 from pancakes.control import Reschedule, Restart, Stop
+from pancakes.devices import Battery, Load, Pose
 from pancakes.events import Event
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task, every, on, queue
 from pancakes.testing import FleetInTest, threaded_agent
-from pancakes.tools.metrics.metrics_server import MOST_REQUESTS
+from pancakes.tools.metrics.prometheus import MOST_REQUESTS
 
 SERVICES = {"metrics": {"type": "metrics", "settings": {"port": 0}}}
 

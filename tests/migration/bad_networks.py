@@ -2,8 +2,8 @@
 
 import random
 
-from pancakes.mesh.migration.post import ForwardTo, Incoming, Outgoing, Receipt, Seek, name_to
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.delivery import ForwardTo, Incoming, Outgoing, Receipt, Seek, name_to
+from pancakes.durable.record import TaskId
 
 SCAN = TaskId("a", "Scan")
 STREAM = "me/1#secret"

@@ -4,19 +4,10 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.core import handle
-from pancakes.mesh.migration.effect import (
-    Effect,
-)
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.event import (
-    Received,
-)
-from pancakes.mesh.migration.messages import (
-    Solicit,
-)
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.mesh.migration.volatile import Volatile
+from pancakes.durable.handoff import handle
+from pancakes.durable.handoff_events import Effect, Received
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import NO_EPOCH, Epoch, Phase, Record, TaskId, Volatile
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", "client", ("pose", "motors"))

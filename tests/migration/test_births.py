@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.mesh.migration.birth import Birth, BirthFacts, Verdict, birth_of
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.knowledge import MOST_ASKED, TaskFact, fact_of, newest_fact, questions
-from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.durable.ownership import (
+    MOST_ASKED,
+    Birth,
+    BirthFacts,
+    TaskFact,
+    Verdict,
+    birth_of,
+    fact_of,
+    newest_fact,
+    questions,
+)
+from pancakes.durable.record import NO_EPOCH, Epoch, Phase, Record, TaskId
 
 TASK = TaskId("a", "Scan")
 THERE = TaskFact(TASK, "b", Epoch(1, "a"))

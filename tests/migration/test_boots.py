@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.mesh.migration.boots import MOST_JOURNALS, Boot, BootRemembered, BootsSeen
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.knowledge import TaskFact
-from pancakes.mesh.migration.old_copy import CopyVerdict, copied_task
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.ownership import (
+    MOST_JOURNALS,
+    Boot,
+    BootRemembered,
+    BootsSeen,
+    CopyVerdict,
+    TaskFact,
+    copied_task,
+)
+from pancakes.durable.record import Epoch, TaskId
 
 MET = Boot("disk", 5, "fifth")
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.capability import Capability, compatible
-from pancakes.mesh.migration.cost import ActiveTasks, CostFacts, HostLoad
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.migration.reservations import Reservation, Reservations
+from pancakes.durable.messages import Solicit
+from pancakes.durable.negotiation import Capability, Reservation, Reservations, compatible
+from pancakes.durable.record import Epoch, TaskId
+from pancakes.durable.rules import ActiveTasks, CostFacts, HostLoad
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", "client", ("pose", "motors"), moves_on_below=0.65)

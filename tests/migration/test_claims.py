@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.mesh.migration import claim
-from pancakes.mesh.migration.claim import Claims, OwnerClaim, claims_of, in_packets
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.durable import ownership
+from pancakes.durable.ownership import Claims, OwnerClaim, claims_of, in_packets
+from pancakes.durable.record import Epoch, Phase, Record, TaskId
 
 
 def claimed(name: str, epoch: int) -> OwnerClaim:
@@ -25,7 +24,7 @@ def test_the_highest_claim_on_a_task_counts_and_of_two_equal_ones_the_later() ->
 
 
 def test_of_too_many_tasks_the_first_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(claim, "MOST", 2)
+    monkeypatch.setattr(ownership, "MOST", 2)
     claims = Claims()
     for name in ("One", "Two"):
         claims.heard("b", claimed(name, 1))
@@ -40,7 +39,7 @@ def test_what_is_at_rest_for_a_hand_off_is_owned_still_and_what_was_given_away_i
 
 
 def test_many_claims_take_several_packets() -> None:
-    claims = [claimed(f"Scan{n}", n) for n in range(claim.IN_ONE_PACKET + 1)]
+    claims = [claimed(f"Scan{n}", n) for n in range(ownership.IN_ONE_PACKET + 1)]
     first, second = in_packets(claims)
     assert (*first.claims, *second.claims) == tuple(claims) and len(second.claims) == 1
     assert list(in_packets([])) == []

@@ -8,9 +8,10 @@ from importlib.metadata import entry_points
 import pytest
 from msgspec.structs import replace
 
-from pancakes.errors import ClassError, MigrationError
-from pancakes.mesh.migration.capability import Capability
-from pancakes.mesh.migration.cost import (
+from pancakes.durable.messages import Solicit
+from pancakes.durable.negotiation import Capability
+from pancakes.durable.record import TaskId
+from pancakes.durable.rules import (
     ActiveTasks,
     BusyHost,
     Cost,
@@ -24,8 +25,7 @@ from pancakes.mesh.migration.cost import (
     fault_of,
     fault_of_choice,
 )
-from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import TaskId
+from pancakes.errors import ClassError, MigrationError
 from pancakes.packet import body_from_plain
 
 ROBOT = HostLoad(3, battery_level=0.6, agent_share=0.25, host_share=0.5, lateness_share=0.01, rtt_s=0.02)

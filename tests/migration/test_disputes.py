@@ -6,31 +6,26 @@ import pytest
 from migration.handoff_samples import ABSENT, ASKED, COMMITTED, FROZEN, OWNER, PREPARED, RELEASED, RUNNING
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.claim import IN_ONE_PACKET, MOST, Claims, OwnerClaim, claims_of, in_packets
-from pancakes.mesh.migration.core import handle, recover
-from pancakes.mesh.migration.effect import (
+from pancakes.durable.handoff import handle, recover
+from pancakes.durable.handoff_events import (
+    AdoptionAsked,
     AttemptFailed,
+    ClaimHeard,
     Decline,
     Discard,
     Effect,
-    GiveWay,
-    Persist,
-    Remember,
-    StartTask,
-)
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.event import (
-    AdoptionAsked,
-    ClaimHeard,
     Ended,
     Event,
     ForgettingAsked,
+    GiveWay,
+    Persist,
     PersistFailed,
+    Remember,
     RunAsked,
+    StartTask,
 )
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.mesh.migration.rest import rest_of
-from pancakes.mesh.migration.volatile import Volatile
+from pancakes.durable.ownership import IN_ONE_PACKET, MOST, Claims, OwnerClaim, claims_of, in_packets
+from pancakes.durable.record import Epoch, Phase, Record, TaskId, Volatile, Wanted, rest_of
 
 ME = "agent1"
 HIGHER = Epoch(OWNER.epoch.n + 3, "agent3")

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from pancakes.mesh.migration.guard_rule import GuardRule
+from pancakes.durable.rules import GuardRule
 
 
 @pytest.mark.parametrize("guard", [3, 5])

@@ -4,33 +4,41 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.core import handle, recover
-from pancakes.mesh.migration.effect import (
-    AttemptFailed,
-    Discard,
-    HandedOver,
-    Persist,
-    Remember,
-    Seize,
-    Send,
-    StartTask,
-)
-from pancakes.mesh.migration.epoch import MORE_THAN_MOVES, NO_EPOCH, Epoch
-from pancakes.mesh.migration.event import (
+from pancakes.durable.handoff import handle, recover
+from pancakes.durable.handoff_events import (
     AdoptionAsked,
+    AttemptFailed,
     Born,
     Checkpoint,
     ClaimHeard,
+    Discard,
     GuardsChosen,
+    HandedOver,
     PermitGiven,
+    Persist,
     Received,
+    Remember,
     RunAsked,
+    Seize,
     Seized,
+    Send,
+    StartTask,
 )
-from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, GuardianSet, Guards
-from pancakes.mesh.migration.messages import Activated, Commit
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.mesh.migration.volatile import Volatile
+from pancakes.durable.messages import Activated, Commit
+from pancakes.durable.record import (
+    MORE_THAN_MOVES,
+    NO_EPOCH,
+    NO_GUARDS,
+    Epoch,
+    GuardianId,
+    GuardianSet,
+    Guards,
+    Phase,
+    Record,
+    TaskId,
+    Volatile,
+    Wanted,
+)
 
 TASK = TaskId("a", "Scan")
 A, B, C = (GuardianId(name, "j") for name in "abc")

@@ -30,50 +30,36 @@ from migration.handoff_samples import (
 )
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.core import recover
-from pancakes.mesh.migration.effect import (
+from pancakes.durable.handoff import recover
+from pancakes.durable.handoff_events import (
+    AdoptionAsked,
     After,
+    Arrived,
     AttemptFailed,
+    Award,
+    Concluded,
     Decline,
     Discard,
     Forward,
     Freeze,
+    FreezeFailed,
+    Frozen,
+    GiveUp,
     HandedOver,
+    InDoubt,
     LookForOwner,
     Persist,
+    Received,
     Remember,
+    Resend,
+    ReservationExpired,
     Resume,
     Send,
     StartTask,
     Warn,
 )
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.event import (
-    AdoptionAsked,
-    Arrived,
-    Award,
-    Concluded,
-    FreezeFailed,
-    Frozen,
-    GiveUp,
-    InDoubt,
-    Received,
-    Resend,
-    ReservationExpired,
-)
-from pancakes.mesh.migration.messages import (
-    Abort,
-    Activated,
-    Commit,
-    Nak,
-    Prepared,
-    Reserve,
-    Reserved,
-    Transfer,
-    Unknown,
-)
-from pancakes.mesh.migration.record import Phase, Record, Wanted
-from pancakes.mesh.migration.volatile import Volatile
+from pancakes.durable.messages import Abort, Activated, Commit, Nak, Prepared, Reserve, Reserved, Transfer, Unknown
+from pancakes.durable.record import Epoch, Phase, Record, Volatile, Wanted
 
 
 class TestSource:

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from pancakes.mesh.migration.ledger import Line
-from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.negotiation import Awarded, Exhausted, Negotiation
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.ledger import Line
+from pancakes.durable.messages import Solicit
+from pancakes.durable.negotiation import Awarded, Exhausted, Negotiation
+from pancakes.durable.record import TaskId
 
 REQUEST = Solicit(TaskId("agent1", "ScanTarget"), 1, "encirclement.ScanTarget", "0.1.0", "client", ("pose", "motors"))
 

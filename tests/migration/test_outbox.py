@@ -4,9 +4,8 @@ import gc
 
 import pytest
 
-from pancakes.mesh.migration.outbox import Outbox
-from pancakes.mesh.migration.post import ForwardTo, Outgoing, OutgoingLetter, Receipt
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.delivery import ForwardTo, Outbox, Outgoing, OutgoingLetter, Receipt
+from pancakes.durable.record import TaskId
 
 SINK = TaskId("a", "Sink")
 ME = "s/Source"

@@ -6,9 +6,7 @@ import pytest
 from migration.bad_networks import NAME, SCAN, STREAM, post_over_a_bad_network
 from seeded import for_each
 
-from pancakes.errors import MailboxFull
-from pancakes.mesh.migration.outbox import Outbox
-from pancakes.mesh.migration.post import (
+from pancakes.durable.delivery import (
     ASKED,
     IN_FLIGHT,
     LONGEST_S,
@@ -21,6 +19,7 @@ from pancakes.mesh.migration.post import (
     Incoming,
     Letter,
     LostLetters,
+    Outbox,
     Outgoing,
     OutgoingLetter,
     Receipt,
@@ -30,7 +29,8 @@ from pancakes.mesh.migration.post import (
     false_name,
     name_to,
 )
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.record import TaskId
+from pancakes.errors import MailboxFull
 from pancakes.packet import Packet
 
 

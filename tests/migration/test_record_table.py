@@ -22,33 +22,29 @@ from migration.handoff_samples import (
 )
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.candidate import would_take
-from pancakes.mesh.migration.core import TIMES, recover
-from pancakes.mesh.migration.effect import (
+from pancakes.durable.handoff import TIMES, recover, would_take
+from pancakes.durable.handoff_events import (
     Ack,
-    After,
-    AttemptFailed,
-    Decline,
-    Deliver,
-    Forward,
-    Persist,
-    Remember,
-    Resume,
-    StartTask,
-)
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.event import (
     AdoptionAsked,
+    After,
     Arrived,
+    AttemptFailed,
     Born,
     Checkpoint,
+    Decline,
+    Deliver,
     Ended,
     ForgettingAsked,
+    Forward,
     PacketId,
+    Persist,
     PersistFailed,
+    Remember,
+    Resume,
     RunAsked,
+    StartTask,
 )
-from pancakes.mesh.migration.record import Phase, Record, Wanted
+from pancakes.durable.record import NO_EPOCH, Epoch, Phase, Record, Wanted
 
 
 class TestLifeOnOneAgent:

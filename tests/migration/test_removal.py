@@ -6,26 +6,28 @@ import pytest
 from migration.handoff_samples import ABSENT, COMMITTED, FROZEN, OWNER, PREPARED, RELEASED, RUNNING
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.core import handle, recover
-from pancakes.mesh.migration.effect import Decline, Discard, Effect, Persist, Remember, Send, StartTask
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.event import (
+from pancakes.durable.handoff import handle, recover
+from pancakes.durable.handoff_events import (
     AdoptionAsked,
     Arrived,
     Born,
+    Decline,
+    Discard,
+    Effect,
     Event,
     ForgettingAsked,
+    Persist,
     PersistFailed,
     Received,
+    Remember,
     RemovalAsked,
     RunAsked,
+    Send,
+    StartTask,
 )
-from pancakes.mesh.migration.guards import GuardianId, Guards
-from pancakes.mesh.migration.knowledge import TaskFact, fact_of, newest_fact
-from pancakes.mesh.migration.messages import Activated, Commit, Transfer
-from pancakes.mesh.migration.record import Phase, Record, Wanted
-from pancakes.mesh.migration.rest import rest_of
-from pancakes.mesh.migration.volatile import Volatile
+from pancakes.durable.messages import Activated, Commit, Transfer
+from pancakes.durable.ownership import TaskFact, fact_of, newest_fact
+from pancakes.durable.record import Epoch, GuardianId, Guards, Phase, Record, Volatile, Wanted, rest_of
 
 ME = OWNER.task_id.birthplace
 AT_REST = Volatile()

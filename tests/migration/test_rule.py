@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.bodies.devices.types import Battery
-from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.devices import Battery
+from pancakes.durable.rules import MigrationRule
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,21 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
+from pancakes.durable import messages
+from pancakes.durable.messages import Abort, Piece, Reserve, Solicit, Transfer, addressed, is_for
+from pancakes.durable.record import Epoch, Phase, Record, TaskId, Wanted
+from pancakes.durable.snapshot import (
+    LIMIT_BYTES,
+    MOST_BYTES,
+    MOST_HALF,
+    PIECE_BYTES,
+    Assembly,
+    Posted,
+    PostedTo,
+    Snapshot,
+    cut,
+)
 from pancakes.errors import MigrationError, RemoteProtocolError
-from pancakes.mesh.migration import messages
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import Abort, Piece, Reserve, Solicit, Transfer, addressed, is_for
-from pancakes.mesh.migration.pieces import MOST_BYTES, MOST_HALF, PIECE_BYTES, Assembly, cut
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.mesh.migration.snapshot import LIMIT_BYTES, Posted, PostedTo, Snapshot
 from pancakes.packet import body_from_plain, known_types, type_name
 
 SCAN = TaskId("agent1", "ScanTarget")

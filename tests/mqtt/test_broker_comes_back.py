@@ -13,11 +13,10 @@ from pancakes_mqtt.bridge import MqttBridge
 from pancakes_mqtt.packets import BrokerTraffic, Number
 from pancakes_mqtt.sensors import MqttTemperature
 
-from pancakes.bodies.devices.types import Temperature
 from pancakes.control import Start, Stop
+from pancakes.devices import Temperature
+from pancakes.kernel.handlers import on, reliable
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.handlers import on
-from pancakes.runtime.kernel.keep import reliable
 from pancakes.task import Task
 from pancakes.testing import AgentInTest, threaded_agent
 

@@ -9,8 +9,8 @@ from mqtt.brokers import Mosquitto
 from pancakes_mqtt.actuators import MqttLight, MqttMotors, MqttSwitch
 from pancakes_mqtt.packets import Light, Switch
 
-from pancakes.bodies.devices.types import Twist
 from pancakes.control import Describe, Stop
+from pancakes.devices import Twist
 from pancakes.packet import CTRL
 from pancakes.settings import check_settings
 from pancakes.task import Task

@@ -10,8 +10,8 @@ from mqtt.brokers import Mosquitto
 from pancakes_mqtt.packets import Number
 from pancakes_mqtt.sensors import MqttBattery, MqttDistance, MqttMotion, MqttNumber, MqttPose, MqttTemperature
 
-from pancakes.bodies.devices.types import Battery, Motion, Pose, Sonar, Temperature
 from pancakes.control import Describe, Stop
+from pancakes.devices import Battery, Motion, Pose, Sonar, Temperature
 from pancakes.settings import check_settings
 from pancakes.testing import AgentInTest, threaded_agent
 

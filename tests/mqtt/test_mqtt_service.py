@@ -11,7 +11,7 @@ from mqtt.brokers import Mosquitto
 from pancakes_mqtt.bridge import MqttBridge
 from pancakes_mqtt.packets import BrokerTraffic, Number
 
-from pancakes.bodies.devices.types import Battery, Pose, Temperature
+from pancakes.devices import Battery, Pose, Temperature
 from pancakes.events import Event
 from pancakes.packet import NETWORK, SYSTEM
 from pancakes.settings import check_settings

@@ -10,7 +10,7 @@ from pancakes_mqtt.packets import Number
 from pancakes_mqtt.payloads import BadPayload, celsius_of, number_of, oddities, truth_of, value_at
 from pancakes_mqtt.topics import client_id_of, fault_of_filter, fault_of_topic, filled, means
 
-from pancakes.bodies.devices.types import Memory, Motion, Temperature
+from pancakes.devices import Memory, Motion, Temperature
 
 
 @pytest.mark.parametrize(

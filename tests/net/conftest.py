@@ -14,22 +14,21 @@ from typing import Any
 
 import pytest
 
-from pancakes.mesh.net.loop import TimerHandle
-from pancakes.mesh.net.memory import MemoryNetwork
-from pancakes.mesh.net.mesh import Mesh
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.net.transport import Connection, ConnectionHandler, Transport
-from pancakes.mesh.security.access import Access
-from pancakes.mesh.security.certified import CertifiedRole
-from pancakes.mesh.security.fleet_office import FleetOffice
-from pancakes.mesh.security.keys import Keys
-from pancakes.mesh.security.rules import AccessRule
-from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
-from pancakes.mesh.wire.link_messages import Identity, Role, Timebase
+from pancakes.mesh.codec import frame
+from pancakes.mesh.event_loop import TimerHandle
+from pancakes.mesh.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
+from pancakes.mesh.memory_network import MemoryNetwork
+from pancakes.mesh.mesh import Mesh
+from pancakes.mesh.messages import Identity, Role
+from pancakes.mesh.transport import Connection, ConnectionHandler, SocketTransport, Transport
 from pancakes.packet import Packet
-from pancakes.runtime.clock import Clock, MonotonicClock, VirtualClock
-from pancakes.runtime.plugins import Plugins
+from pancakes.security.access import Access
+from pancakes.security.authority import FleetOffice
+from pancakes.security.keys import Keys
+from pancakes.security.roster import AccessRule, CertifiedRole
+from pancakes.util.clock import Clock, MonotonicClock, VirtualClock
+from pancakes.util.plugins import Plugins
+from pancakes.util.timebase import Timebase
 
 PATIENCE_S = 20.0
 

@@ -1,9 +1,7 @@
 """Two agents that meet, and what a stranger sends."""
 
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.link_messages import VERSION, Hello
-from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
+from pancakes.mesh.codec import Encoder, RowEncoder, frame, head_of, run_of
+from pancakes.mesh.messages import VERSION, Hello
 
 
 def pair(rig, agent, **more):

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pancakes.mesh.net.alarm import Alarm
+from pancakes.mesh.links import Alarm
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from pancakes.mesh.net.buffers import NOT_SENT_BYTES, RECEIVE_BYTES, bound_buffers
+from pancakes.mesh.sockets import NOT_SENT_BYTES, RECEIVE_BYTES, bound_buffers
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "TCP_NOTSENT_LOWAT"), reason="this system has no such bounds")
 

@@ -10,11 +10,11 @@ import msgspec
 import pytest
 from seeded import for_each
 
+from pancakes.agent.agent import Agent
+from pancakes.config import ServiceConfig
 from pancakes.errors import PancakesError
-from pancakes.mesh.net.busy_poll import BUSY_POLL_S, STREAK, BusyPoll
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.runtime.agent import Agent
-from pancakes.runtime.config import ServiceConfig
+from pancakes.mesh.event_loop import BUSY_POLL_S, STREAK, BusyPoll
+from pancakes.mesh.transport import SocketTransport
 from pancakes.testing import config_of, no_thread_left, threaded_agent
 
 AWAKE_S = 0.0002
@@ -149,7 +149,7 @@ def test_timers_that_are_due_soon_are_no_dialogue(sockets: Sockets) -> None:
 
 def test_it_gives_way_each_time_that_nothing_is_ready(sockets: Sockets, monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
-    monkeypatch.setattr("pancakes.mesh.net.busy_poll.give_way", lambda: given.append(sockets.now_s))
+    monkeypatch.setattr("pancakes.mesh.event_loop.give_way", lambda: given.append(sockets.now_s))
     waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
     talk(sockets, waits, STREAK)
     assert not given

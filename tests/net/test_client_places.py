@@ -6,13 +6,7 @@ import math
 
 from seeded import for_each
 
-from pancakes.mesh.net.client_places import (
-    IDLE_S,
-    THIS_MACHINE,
-    ClientPlace,
-    machine_of,
-    who_makes_room,
-)
+from pancakes.mesh.admission import IDLE_S, THIS_MACHINE, ClientPlace, machine_of, who_makes_room
 
 
 def places(*rows):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pancakes.events  # noqa: F401 - it registers the type of a line of the log
-from pancakes.client.door import Door
+from pancakes.client.session import Door
 from pancakes.control import Describe, Reply
 from pancakes.packet import LOG, SYSCTRL, Packet
 

@@ -9,8 +9,8 @@ from net.conftest import MemoryRig
 from seeded import for_each
 
 from pancakes.errors import PeerLost
-from pancakes.mesh.net.address_book import RESTS_S
-from pancakes.mesh.net.few_links import (
+from pancakes.mesh.messages import AgentSeen, Goodbye, Gossip
+from pancakes.mesh.partial_mesh import (
     AVOIDED_S,
     FORGOTTEN_S,
     FRESH_S,
@@ -28,10 +28,9 @@ from pancakes.mesh.net.few_links import (
     LinkUse,
     MakeLink,
 )
-from pancakes.mesh.net.peers import MAX_AGENTS, QUIET_S
-from pancakes.mesh.net.send_buffer import PeerBusy
-from pancakes.mesh.net.sending import MOST_WAITED_FOR, MOST_WAITING_BYTES
-from pancakes.mesh.wire.link_messages import AgentSeen, Goodbye, Gossip
+from pancakes.mesh.peers import MAX_AGENTS, QUIET_S, RESTS_S
+from pancakes.mesh.sending import MOST_WAITED_FOR, MOST_WAITING_BYTES
+from pancakes.mesh.session import PeerBusy
 
 IN_USE, IDLE, STATIC = LinkUse(True, 0.0), LinkUse(True, REST_S), LinkUse(False, REST_S)
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from pancakes.mesh.net.gossip import Gossiper
-from pancakes.mesh.way_facts import Reach, WayFacts, nameable_from, reach_of, reachable_from
-from pancakes.mesh.wire.link_messages import AgentSeen, Gossip, Identity
+from pancakes.mesh.address import Reach, WayFacts, nameable_from, reach_of, reachable_from
+from pancakes.mesh.gossip import Gossiper
+from pancakes.mesh.messages import AgentSeen, Gossip, Identity
 
 LOCAL, LOOPBACK, FIELD = "local://a", "tcp://127.0.0.1:7401", "tcp://10.0.0.1:7401"
 

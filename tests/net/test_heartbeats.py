@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pancakes.mesh.way_facts import Reach, WayFacts
-from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.link import LinkTimes
-from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
+from pancakes.mesh.address import Reach, WayFacts
+from pancakes.mesh.codec import RowEncoder, frame, head_of, run_of
+from pancakes.mesh.link import LinkTimes
 from pancakes.packet import Packet
 from pancakes.testing import FleetInTest
 

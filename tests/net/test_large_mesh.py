@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pancakes.mesh.net.gossip import ADDRESSES as GOSSIP_ADDRESSES
-from pancakes.mesh.net.gossip import BEACON_ADDRESSES
+from pancakes.mesh.gossip import ADDRESSES as GOSSIP_ADDRESSES
+from pancakes.mesh.gossip import BEACON_ADDRESSES
 
 MANY = 3 * BEACON_ADDRESSES
 

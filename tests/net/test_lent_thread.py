@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from pancakes.mesh.net.loop import READ
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.plugins import Plugins
+from pancakes.kernel.actor import Component
+from pancakes.kernel.kernel import Kernel
+from pancakes.mesh.event_loop import READ
+from pancakes.mesh.transport import SocketTransport
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 PATIENCE_S = 20.0
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from pancakes.mesh.net.link_log import LinkLog
-from pancakes.mesh.wire.link import Over
+from pancakes.mesh.link import Over
+from pancakes.mesh.links import LinkLog
 
 STATIC = "tcp://10.0.0.9:7400"
 

@@ -15,13 +15,13 @@ import pytest
 from net.conftest import LocalRig
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.net import stream_transport
-from pancakes.mesh.net.local import LocalTransport
-from pancakes.mesh.net.loop import Loop
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.way_facts import Reach
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh import stream
+from pancakes.mesh.address import Reach
+from pancakes.mesh.event_loop import Loop
+from pancakes.mesh.local import LocalTransport
+from pancakes.mesh.transport import SocketTransport
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 STRANGER = 65534
 CONNECTS = """
@@ -129,7 +129,7 @@ def test_one_that_ends_takes_no_socket_of_another_away(rig, tmp_path):
 
 
 def test_an_agent_is_found_again_after_the_directory_of_a_persons_session_has_gone(rig, tmp_path, monkeypatch):
-    monkeypatch.setattr(stream_transport, "LOOK_S", 0.01)
+    monkeypatch.setattr(stream, "LOOK_S", 0.01)
     monkeypatch.delenv("PANCAKES_RUNTIME_DIR")
     session = tmp_path / "session"
     session.mkdir(mode=0o700)

@@ -10,10 +10,10 @@ from functools import partial
 
 import pytest
 
-from pancakes.mesh.net import loop as module
-from pancakes.mesh.net.loop import READ, Loop
-from pancakes.runtime.clock import MonotonicClock
+from pancakes.mesh import event_loop as module
+from pancakes.mesh.event_loop import READ, Loop
 from pancakes.testing import no_thread_left
+from pancakes.util.clock import MonotonicClock
 
 PATIENCE_S = 20.0
 

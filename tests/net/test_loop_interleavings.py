@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.mesh.net.loop import READ, Loop
+from pancakes.mesh.event_loop import READ, Loop
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 10.0

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from pancakes.mesh.net.memory import MemoryNetwork, Quality
+from pancakes.mesh.memory_network import MemoryNetwork, Quality
 
 
 def join(rig, a="a", b="b", address="tcp://b:1"):

@@ -10,14 +10,13 @@ import pytest
 from net.conftest import RIGS
 from net.meetings import pair, raw_hello
 
-from pancakes.bodies.devices.types import Pose
+from pancakes.devices import Pose
 from pancakes.errors import LocalProtocolError, PeerLost
-from pancakes.mesh.net.memory import Quality
-from pancakes.mesh.net.send_buffer import PeerBusy
-from pancakes.mesh.net.sending import Sending
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.framing import MAX_PAYLOAD_BYTES, frame
-from pancakes.mesh.wire.link import LinkTimes
+from pancakes.mesh.codec import MAX_PAYLOAD_BYTES, Encoder, frame
+from pancakes.mesh.link import LinkTimes
+from pancakes.mesh.memory_network import Quality
+from pancakes.mesh.sending import Sending
+from pancakes.mesh.session import PeerBusy
 from pancakes.packet import NEIGHBOURS, Packet
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 
-from pancakes.mesh.net.session import Session
+from pancakes.mesh.session import Session
 from pancakes.packet import NEIGHBOURS
 
 

@@ -7,13 +7,12 @@ from msgspec.structs import replace
 from net.conftest import BarePeer
 from net.meetings import message_of, pair, raw_hello
 
-from pancakes.bodies.devices.types import Pose
 from pancakes.control import Channels
-from pancakes.mesh.net.newcomers import MAX_HANDSHAKES
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.framing import MAX_PAYLOAD_BYTES, frame
-from pancakes.mesh.wire.link import LinkTimes
-from pancakes.mesh.wire.link_messages import Goodbye, RefuseLink, Welcome
+from pancakes.devices import Pose
+from pancakes.mesh.codec import MAX_PAYLOAD_BYTES, Encoder, frame
+from pancakes.mesh.link import LinkTimes
+from pancakes.mesh.mesh import MAX_HANDSHAKES
+from pancakes.mesh.messages import Goodbye, RefuseLink, Welcome
 from pancakes.packet import Packet, type_name
 
 
@@ -68,7 +67,7 @@ def test_packets_under_another_name_are_dropped_and_logged(rig, agent, channel):
 def test_a_peer_asks_for_a_thousand_things_at_once_and_no_more(rig, agent, monkeypatch):
     """What is no question is not counted. On a machine that has other work, so many more may come in the time."""
     rate = 1000 if rig.virtual else 10
-    monkeypatch.setattr("pancakes.mesh.net.trust.MOST_ASKED_HZ", rate)
+    monkeypatch.setattr("pancakes.mesh.trust.MOST_ASKED_HZ", rate)
     a, ear = agent("a"), rig.ear()
     rig.transport("0").dial(a.address, ear)
     rig.until(lambda: ear.connection)

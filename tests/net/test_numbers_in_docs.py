@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 from told_bounds import told
 
-from pancakes.mesh.net.address_book import MOST_OF_PEER
-from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS, MOST_DIALS
-from pancakes.mesh.wire.link import LinkTimes
+from pancakes.mesh.link import LinkTimes
+from pancakes.mesh.peers import MAX_AGENTS, MAX_CLIENTS, MOST_DIALS, MOST_OF_PEER
 
 TIMES = LinkTimes()
 

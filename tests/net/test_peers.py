@@ -7,11 +7,22 @@ import random
 
 import pytest
 
-from pancakes.mesh.net.address_book import FORGET_AFTER, MAX_LEARNT, MOST_OF_PEER, AddressBook
-from pancakes.mesh.net.link_decision import Admit, Dial, TurnDown
-from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS, MOST_DIALS, Peers, reachable
-from pancakes.mesh.wire.link import LinkTimes
-from pancakes.mesh.wire.link_messages import Goodbye, Hello
+from pancakes.mesh.link import LinkTimes
+from pancakes.mesh.messages import Goodbye, Hello
+from pancakes.mesh.peers import (
+    FORGET_AFTER,
+    MAX_AGENTS,
+    MAX_CLIENTS,
+    MAX_LEARNT,
+    MOST_DIALS,
+    MOST_OF_PEER,
+    AddressBook,
+    Admit,
+    Dial,
+    Peers,
+    TurnDown,
+    reachable,
+)
 
 
 def hello(name, listen=None, **more):

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pancakes.durable.snapshot import LIMIT_BYTES, PIECE_BYTES
 from pancakes.errors import MailboxFull
-from pancakes.mesh.migration.pieces import PIECE_BYTES
-from pancakes.mesh.migration.snapshot import LIMIT_BYTES
-from pancakes.mesh.net.send_buffer import (
+from pancakes.mesh.session import (
     MAX_BYTES,
     MAX_PACKETS,
     MOST_GONE,

@@ -15,11 +15,9 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from pancakes.errors import LocalProtocolError, PeerLost
-from pancakes.mesh.net.send_buffer import PeerBusy
-from pancakes.mesh.net.sending import MOST_WAYS, Sending, Way
-from pancakes.mesh.net.session import BATCH_BYTES
-from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.mesh.wire.runs import PacketRun, messages_from_payload, packets_of, run_of
+from pancakes.mesh.codec import MAX_MESSAGE_BYTES, PacketRun, frame, messages_from_payload, packets_of, run_of
+from pancakes.mesh.sending import MOST_WAYS, Sending, Way
+from pancakes.mesh.session import BATCH_BYTES, PeerBusy
 from pancakes.packet import NEIGHBOURS, Fence, Packet, packet_type
 
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 
-from pancakes.mesh.net.gate import Gate
-from pancakes.mesh.net.send_buffer import Message
-from pancakes.mesh.net.session import MOST_UNSENT_BYTES, Session, Train
-from pancakes.mesh.net.transport import Connection
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.link_messages import Identity, Pong
+from pancakes.mesh.codec import Encoder
+from pancakes.mesh.messages import Identity, Pong
+from pancakes.mesh.session import MOST_UNSENT_BYTES, Gate, Message, Session, Train
+from pancakes.mesh.transport import Connection
 from pancakes.packet import Fence
 
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.side_by_side import by_turns, connect, pace_s
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.sockets import by_turns, connect, pace_s
+from pancakes.mesh.transport import SocketTransport
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 SIX, FOUR = socket.AF_INET6, socket.AF_INET
 

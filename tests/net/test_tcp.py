@@ -13,11 +13,11 @@ import pytest
 from net.conftest import TcpRig
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.net.stream_transport import StreamTransport
-from pancakes.mesh.way_facts import reachable_from
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.address import reachable_from
+from pancakes.mesh.stream import StreamTransport
+from pancakes.mesh.transport import SocketTransport
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 
 @pytest.mark.parametrize("address", ["udp://127.0.0.1:1", "tcp://::1:80", "tcp://a:65536", "tcp://a", "tcp://a:²"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.mesh.wire.link_messages import Timebase
+from pancakes.util.timebase import Timebase
 
 
 def test_a_peers_clock_mission_and_day_are_described_as_they_stand_to_ones_own(memory_rig):

@@ -15,15 +15,13 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from net.conftest import Ear, TlsRig
 
-from pancakes.bodies.sim.bus import Drive, Request, encode
-from pancakes.bodies.sim.bus_server import BusServer
 from pancakes.errors import PancakesError
-from pancakes.mesh.net.handshakes import AT_ONCE, MOST_UNFINISHED, Handshakes
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.security.authority import new_key, pem_of_key
-from pancakes.mesh.security.fleet_office import FleetOffice
-from pancakes.mesh.security.key_files import KEY, write_private
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.admission import AT_ONCE, MOST_UNFINISHED, Handshakes
+from pancakes.mesh.transport import SocketTransport
+from pancakes.security.authority import FleetOffice, new_key, pem_of_key
+from pancakes.security.key_store import KEY, write_private
+from pancakes.sim.hardware_bus import BusServer, Drive, Request, encode
+from pancakes.util.plugins import Plugins
 
 
 @pytest.fixture
@@ -299,7 +297,7 @@ def test_without_keys_there_is_no_connection_over_tcp_unless_a_person_says_so(ri
 
 def test_a_handshake_that_takes_too_long_is_given_up(rig, listening, monkeypatch):
     there, address = listening
-    monkeypatch.setattr("pancakes.mesh.net.tls_layer.HANDSHAKE_S", 0.1)
+    monkeypatch.setattr("pancakes.mesh.tls.HANDSHAKE_S", 0.1)
     with raw(address):
         rig.until(lambda: there.closed_for)
     assert there.closed_for == ["no handshake within 0.1 s"] and there.connection is None
@@ -309,7 +307,7 @@ def test_a_key_is_used_for_so_many_bytes_and_then_there_is_a_new_link(rig, monke
     a = rig.agent("a")
     b = rig.agent("b", [a.address])
     rig.until(lambda: a.knows("b") and b.knows("a"))
-    monkeypatch.setattr("pancakes.mesh.net.tls_layer.MOST_BYTES", 20_000)
+    monkeypatch.setattr("pancakes.mesh.tls.MOST_BYTES", 20_000)
     b.say("a", "x" * 30_000)
     rig.until(lambda: a.downs and b.downs)
     assert "it has carried 20000 bytes, and begins anew with new keys" in a.downs[0][1] + b.downs[0][1]
@@ -381,8 +379,8 @@ def test_a_newcomer_comes_in_through_a_crowd_that_says_nothing(rig, listening):
 )
 def test_a_stranger_that_says_nothing_is_given_up_and_a_link_stays(rig, monkeypatch, at_once, rate_hz, crowd, given_up):
     there, here = rig.ear(), rig.ear()
-    monkeypatch.setattr("pancakes.mesh.net.handshakes.AT_ONCE", at_once + 1)
-    monkeypatch.setattr("pancakes.mesh.net.handshakes.RATE_HZ", rate_hz)
+    monkeypatch.setattr("pancakes.mesh.admission.AT_ONCE", at_once + 1)
+    monkeypatch.setattr("pancakes.mesh.admission.RATE_HZ", rate_hz)
     address = rig.transport("b").listen(rig.listen_at, lambda: there)
     rig.transport("a").dial(address, here)
     rig.until(lambda: here.connection and there.connection)

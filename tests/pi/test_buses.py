@@ -15,8 +15,8 @@ from pancakes_pi.buses import BusBattery, BusTemperature
 from pancakes_pi.one_wire import OneWireTemperature, celsius_in
 from pancakes_pi.registers import THERMOMETERS, VOLTMETERS
 
-from pancakes.bodies.devices.types import Battery, Temperature
 from pancakes.control import Describe
+from pancakes.devices import Battery, Temperature
 from pancakes.settings import check_settings
 from pancakes.testing import threaded_agent
 

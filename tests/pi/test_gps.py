@@ -18,8 +18,8 @@ from harness.debian_packages import need
 from pancakes_pi.gps import GpsPose
 from pancakes_pi.gps_reports import Origin, Position, pose_at, position_in, report_in
 
-from pancakes.bodies.devices.types import Pose
 from pancakes.control import Describe
+from pancakes.devices import Pose
 from pancakes.testing import AgentInTest, threaded_agent
 
 ORIGIN = {"lat_deg": 48.0, "lon_deg": 11.5}

@@ -12,8 +12,8 @@ from pancakes_pi.khepera import KheperaBattery, KheperaInfrared, KheperaMotors, 
 from pancakes_pi.khepera_lines import NoAnswer, numbers_in, ring_in, speeds, volts_in
 from pi.khepera_bench import KheperaBench
 
-from pancakes.bodies.devices.types import Battery, Infrared, Sonar, Twist
 from pancakes.control import Describe, Stop
+from pancakes.devices import Battery, Infrared, Sonar, Twist
 from pancakes.packet import CTRL
 from pancakes.task import Task
 from pancakes.testing import AgentInTest, threaded_agent

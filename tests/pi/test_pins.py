@@ -10,8 +10,8 @@ import pytest
 from gpiozero.pins.mock import MockFactory, MockPin, MockPWMPin, MockTriggerPin
 from pancakes_pi.pins import PinDistance, PinMotion, PinMotors
 
-from pancakes.bodies.devices.types import Motion, Sonar, Twist
 from pancakes.control import Stop
+from pancakes.devices import Motion, Sonar, Twist
 from pancakes.packet import CTRL
 from pancakes.settings import check_settings
 from pancakes.task import Task

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.runtime.plugins import Plugins
+from pancakes.util.plugins import Plugins
 
 METADATA = "Metadata-Version: 2.1\nName: far-tasks\nVersion: 3.1\nSummary: a: b\n\nName: not-this\n"
 

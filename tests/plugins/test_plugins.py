@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from pancakes.durable.installed import Installed
 from pancakes.errors import PluginError
-from pancakes.runtime.installed import Installed
-from pancakes.runtime.plugins import Plugins, UnknownPlugin
+from pancakes.util.plugins import Plugins, UnknownPlugin
 
 Install = Callable[..., None]
 

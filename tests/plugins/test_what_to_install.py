@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from pancakes.config import parse
 from pancakes.errors import ConfigError
-from pancakes.runtime.config import parse
-from pancakes.runtime.plugins import BROUGHT_BY, GROUPS, Plugins, UnknownPlugin
+from pancakes.util.plugins import BROUGHT_BY, GROUPS, Plugins, UnknownPlugin
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def core_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the core is installed."""
     found = [it for it in metadata.distributions() if it.metadata["Name"] == "pancakes-agents"]
-    monkeypatch.setattr("pancakes.runtime.plugins.distributions", lambda: iter(found))
+    monkeypatch.setattr("pancakes.util.plugins.distributions", lambda: iter(found))
 
 
 def test_the_table_has_all_that_the_distributions_beside_the_core_offer() -> None:

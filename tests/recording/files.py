@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from pancakes.bodies.devices.types import Pose
+from pancakes.devices import Pose
 from pancakes.packet import Packet
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.recording.recording_reader import RecordingReader
-from pancakes.tools.recording.writer import RecordingWriter
+from pancakes.recording.mcap_writer import RecordingWriter
+from pancakes.recording.reader import RecordingReader
+from pancakes.recording.records import RecordedPacket
 
 S = 1_000_000_000
 

@@ -8,15 +8,14 @@ from typing import Any
 import pytest
 from clocks.pulses import PulseTeller, PulseTold
 
-from pancakes.mesh.net.memory import Quality
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.memory_network import Quality
+from pancakes.recording.clock_alignment import Alignment, ClockLife, ClockNote, row_of
+from pancakes.recording.reader import RecordingReader, repair
+from pancakes.recording.records import NANOSECONDS
+from pancakes.recording.settings import RecordingSettings
+from pancakes.recording.virtual_recorder import VirtualRecorder
 from pancakes.testing import FleetInTest
-from pancakes.tools.recording.alignment import Alignment, ClockLife, ClockNote, row_of
-from pancakes.tools.recording.recorded_packet import NANOSECONDS
-from pancakes.tools.recording.recording_reader import RecordingReader
-from pancakes.tools.recording.repair import repair
-from pancakes.tools.recording.settings import RecordingSettings
-from pancakes.tools.recording.virtual_recorder import VirtualRecorder
+from pancakes.util.plugins import Plugins
 
 S = NANOSECONDS
 RATES = {"a": (1.0005, 5000.0), "b": (1.0, 0.0), "c": (0.999, 10.0)}

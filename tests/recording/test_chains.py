@@ -2,11 +2,11 @@
 
 import pytest
 
-from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.devices import Pose, Twist
 from pancakes.packet import Packet
-from pancakes.tools.recording.chains import Causes
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.report.reactions import Reactions
+from pancakes.recording.causal_chains import Causes
+from pancakes.recording.records import RecordedPacket
+from pancakes.tools.report.command_latency import Reactions
 
 MS = 1_000_000
 

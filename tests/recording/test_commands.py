@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from pancakes.bodies.devices.types import Pose, Twist
 from pancakes.control import Hold
+from pancakes.devices import Pose, Twist
 from pancakes.packet import Packet
-from pancakes.tools.recording.commands import CommandChains, body_text
-from pancakes.tools.recording.recorded_packet import RecordedPacket
+from pancakes.recording.causal_chains import CommandChains, body_text
+from pancakes.recording.records import RecordedPacket
 
 MS = 1_000_000
 POSE = Pose(1.0, 2.0, 0.0)

@@ -11,17 +11,14 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from recording.files import S, pose, read, written
 
-from pancakes.bodies.devices.types import Motion
+from pancakes.devices import Motion
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence
-from pancakes.tools.recording.message import packet_from_data
-from pancakes.tools.recording.parts import RecordingParts, part_path, parts_of
-from pancakes.tools.recording.recorded_packet import RecordedPacket, RecordingError
-from pancakes.tools.recording.recording_reader import RecordingReader
-from pancakes.tools.recording.repair import repair
-from pancakes.tools.recording.schemas import schema_for
-from pancakes.tools.recording.viewing import TRAIL_NS, Viewer
-from pancakes.tools.recording.writer import RecordingWriter
+from pancakes.recording.foxglove_messages import TRAIL_NS, Viewer
+from pancakes.recording.mcap_writer import RecordingParts, RecordingWriter, part_path, parts_of
+from pancakes.recording.message_format import packet_from_data, schema_for
+from pancakes.recording.reader import RecordingReader, repair
+from pancakes.recording.records import RecordedPacket, RecordingError
 
 
 def test_packets_come_out_as_they_went_in(tmp_path):
@@ -224,7 +221,7 @@ def test_a_repair_on_a_full_disk_leaves_the_file_as_it_was_and_can_be_done_later
             super().add_message(channel_id, log_time, data, publish_time, sequence)
 
     with monkeypatch.context() as meanwhile:
-        meanwhile.setattr("pancakes.tools.recording.repair.Writer", Filling)
+        meanwhile.setattr("pancakes.recording.reader.Writer", Filling)
         with pytest.raises(RecordingError, match="No space left on device"):
             repair(path)
     assert [(it.name, it.read_bytes()) for it in tmp_path.iterdir()] == [("r.mcap", before)]
@@ -427,7 +424,7 @@ def test_a_recording_ends_before_the_disk_is_full_and_does_not_begin_after_that(
 @pytest.mark.parametrize(("much", "split_mib"), [("SYNC_BYTES", 256.0), ("a new file", 0.02)])
 def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp_path, monkeypatch, much, split_mib):
     if much == "SYNC_BYTES":
-        monkeypatch.setattr("pancakes.tools.recording.parts.SYNC_BYTES", 20_000)
+        monkeypatch.setattr("pancakes.recording.mcap_writer.SYNC_BYTES", 20_000)
     parts = make_parts(tmp_path / "r.mcap", split_mib)
     synced = []
 
@@ -501,8 +498,8 @@ def test_viewers_are_shown_no_more_than_they_can_show():
 
 def test_recording_of_a_later_format_is_refused(tmp_path, monkeypatch):
     with monkeypatch.context() as later:
-        later.setattr("pancakes.tools.recording.writer.FORMAT", 2)
-        later.setattr("pancakes.tools.recording.writer.__version__", "0.9.0")
+        later.setattr("pancakes.recording.mcap_writer.FORMAT", 2)
+        later.setattr("pancakes.recording.mcap_writer.__version__", "0.9.0")
         RecordingWriter(tmp_path / "a.mcap", {"agent": "a"}).close()
     with pytest.raises(RecordingError, match=r"a.mcap is of the format 2, which Pancakes 0\.9\.0 has written"):
         read(tmp_path / "a.mcap")

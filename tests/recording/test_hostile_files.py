@@ -13,8 +13,8 @@ from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC, Writer
 from recording.files import pose, read, written
 
-from pancakes.tools.recording.mcap_records import Damage, records_of
-from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.recording.mcap_records import Damage, records_of
+from pancakes.recording.reader import RecordingReader
 
 GIB = 1 << 30
 ROW = {

@@ -6,12 +6,22 @@ import random
 import pytest
 
 from pancakes.control import Start, Stop
+from pancakes.recording.reader import RecordingReader
+from pancakes.recording.task_statistics import (
+    LEAST_S,
+    MOST,
+    STEP,
+    Latenesses,
+    TaskTicks,
+    TickRun,
+    TimerTicks,
+    bucket_of,
+    quantile_s,
+    ticks_of,
+)
 from pancakes.task import Task, Tick, every
 from pancakes.testing import FleetInTest
-from pancakes.tools.recording.figures import TaskTicks, TimerTicks, ticks_of
-from pancakes.tools.recording.latenesses import LEAST_S, MOST, STEP, Latenesses, TickRun, bucket_of, quantile_s
-from pancakes.tools.recording.recording_reader import RecordingReader
-from pancakes.tools.report.rate_figures import Rates
+from pancakes.tools.report.performance import Rates
 
 
 class Tick100(Task):

@@ -2,13 +2,13 @@
 
 import pytest
 
-from pancakes.bodies.devices.types import Load
 from pancakes.control import Start
+from pancakes.devices import Load
 from pancakes.packet import NEIGHBOURS
+from pancakes.recording.causal_chains import CommandChains
+from pancakes.recording.reader import RecordingReader
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
-from pancakes.tools.recording.commands import CommandChains
-from pancakes.tools.recording.recording_reader import RecordingReader
 
 
 class Sense(Task):

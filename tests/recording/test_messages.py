@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from recording.files import pose, read, written
 
-from pancakes.bodies.devices.types import Motion, Pose
+from pancakes.devices import Motion, Pose
 from pancakes.errors import LocalProtocolError
 from pancakes.packet import packet_type
-from pancakes.tools.recording.message import data_of, packet_from_data
-from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.recording.message_format import data_of, packet_from_data
+from pancakes.recording.reader import RecordingReader
 
 if TYPE_CHECKING:
     from fractions import Fraction

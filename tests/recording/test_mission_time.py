@@ -2,10 +2,10 @@
 
 import pytest
 
-from pancakes.bodies.devices.types import Load
+from pancakes.devices import Load
 from pancakes.packet import Packet
-from pancakes.tools.recording.mission_time import MissionTime
-from pancakes.tools.recording.recorded_packet import RecordedPacket
+from pancakes.recording.clock_alignment import MissionTime
+from pancakes.recording.records import RecordedPacket
 
 S = 1_000_000_000
 

@@ -9,21 +9,19 @@ from typing import Any
 import pytest
 from recording.files import made_files
 
-from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Describe, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.devices import Load, Pose
 from pancakes.events import Event
+from pancakes.kernel.kernel import Counter
+from pancakes.kernel.stream import InformationStream
 from pancakes.packet import NEIGHBOURS, packet_type
-from pancakes.runtime.kernel.counter import Counter
-from pancakes.runtime.kernel.stream import InformationStream
+from pancakes.recording.mcap_writer import RecordingParts, parts_of
+from pancakes.recording.reader import RecordingReader, Summary, TopicCount
+from pancakes.recording.recording import Recording
+from pancakes.recording.records import NANOSECONDS, TaskDescription
+from pancakes.recording.settings import RecordingSettings
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest, threaded_agent
-from pancakes.tools.recording.description import TaskDescription
-from pancakes.tools.recording.parts import RecordingParts, parts_of
-from pancakes.tools.recording.recorded_packet import NANOSECONDS
-from pancakes.tools.recording.recording import Recording
-from pancakes.tools.recording.recording_reader import RecordingReader
-from pancakes.tools.recording.settings import RecordingSettings
-from pancakes.tools.recording.summary import Summary, TopicCount
 
 RECORDER = "log/Recorder"
 

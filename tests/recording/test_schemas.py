@@ -6,15 +6,15 @@ import math
 import pytest
 from mcap.reader import make_reader
 
-from pancakes.bodies.devices.types import Infrared, Pose, Sonar
-from pancakes.bodies.sim.state import BodyState, WorldState
+from pancakes.devices import Infrared, Pose, Sonar
 from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, known_types
-from pancakes.runtime.plugins import Plugins
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.recording.schemas import schema_for, viewable
-from pancakes.tools.recording.viewing import Viewer
-from pancakes.tools.recording.writer import RecordingWriter
+from pancakes.recording.foxglove_messages import Viewer
+from pancakes.recording.mcap_writer import RecordingWriter
+from pancakes.recording.message_format import schema_for, viewable
+from pancakes.recording.records import RecordedPacket
+from pancakes.sim.world_state import BodyState, WorldState
+from pancakes.util.plugins import Plugins
 
 SIMPLE = {"boolean", "string", "number", "integer"}
 S = 1_000_000_000

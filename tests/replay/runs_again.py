@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pancakes.control import Start, Stop
-from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.recording.reader import RecordingReader
 from pancakes.tools.replay.comparison import RunComparison, Tolerance, compare
+from pancakes.tools.replay.recorded_run import Script, Stay, choose_stays, find_stays, read_script
 from pancakes.tools.replay.rerun import Outcome, Rerun
-from pancakes.tools.replay.script import Script, read_script
-from pancakes.tools.replay.stays import Stay, choose_stays, find_stays
 
 RECORDER = "log/Recorder"
 

@@ -2,7 +2,7 @@
 
 import math
 
-from pancakes.bodies.devices.types import Infrared, Load, Motion, Pose
+from pancakes.devices import Infrared, Load, Motion, Pose
 from pancakes.packet import Packet
 from pancakes.tools.replay.comparison import Stream, Tolerance, compare
 

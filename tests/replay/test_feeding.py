@@ -2,13 +2,12 @@
 
 import pytest
 
-from pancakes.bodies.devices.types import Load
 from pancakes.control import Describe
+from pancakes.devices import Load
 from pancakes.errors import ControlRefused, PeerLost, Unreachable
 from pancakes.packet import Packet
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.replay.feeding import Feeder
-from pancakes.tools.replay.selection import Live, Selection
+from pancakes.recording.records import RecordedPacket
+from pancakes.tools.replay.replay import Feeder, Live, Selection
 
 
 class Door:

@@ -2,14 +2,14 @@
 
 import pytest
 
-from pancakes.runtime.clock import MissionClock
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.kernel.actor import Component
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.virtual_time import VirtualDispatcher
+from pancakes.recording.task_statistics import TickRun
 from pancakes.task import every
-from pancakes.tools.recording.latenesses import TickRun
-from pancakes.tools.replay.late_timer import LateTimer
-from pancakes.tools.replay.ran_ticks import RanTicks
+from pancakes.tools.replay.recorded_run import RanTicks
+from pancakes.tools.replay.rerun import LateTimer
+from pancakes.util.clock import MissionClock
 
 
 class Target:

@@ -6,13 +6,10 @@ import pytest
 
 from pancakes.events import Event
 from pancakes.packet import Packet, type_name
+from pancakes.recording.records import RecordedPacket, TaskDescription
+from pancakes.recording.task_statistics import TaskTicks, TickRun, TimerTicks
 from pancakes.task import Tick
-from pancakes.tools.recording.description import TaskDescription
-from pancakes.tools.recording.figures import TaskTicks, TimerTicks
-from pancakes.tools.recording.latenesses import TickRun
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.replay.ran_ticks import RanTicks, TicksReader
-from pancakes.tools.replay.stays import STOPPED, Stay
+from pancakes.tools.replay.recorded_run import STOPPED, RanTicks, Stay, TicksReader
 
 ME = "a/client/Me"
 SECOND = 1_000_000_000

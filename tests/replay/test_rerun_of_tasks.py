@@ -9,19 +9,18 @@ from numpy.typing import NDArray
 from recording.files import made_files
 from replay.runs_again import recorded, run_again
 
-from pancakes.bodies.devices.types import Load, Pose, Temperature
 from pancakes.control import Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
+from pancakes.devices import Load, Pose, Temperature
 from pancakes.errors import PancakesError
 from pancakes.packet import task_address
-from pancakes.simulation.made_in_code import registered
+from pancakes.recording.reader import RecordingReader
+from pancakes.recording.records import RecordingError
+from pancakes.simulation.fleet_builder import registered
 from pancakes.task import Task, every, on
 from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
-from pancakes.tools.recording.recorded_packet import RecordingError
-from pancakes.tools.recording.recording_reader import RecordingReader
 from pancakes.tools.replay.comparison import StreamKey
-from pancakes.tools.replay.ran_ticks import UNKNOWN_TICKS
+from pancakes.tools.replay.recorded_run import UNKNOWN_TICKS, choose_stays, find_stays
 from pancakes.tools.replay.rerun import class_of
-from pancakes.tools.replay.stays import choose_stays, find_stays
 
 
 class Track(Task):

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from replay.runs_again import run_again
 
-from pancakes.runtime.plugins import Plugins
 from pancakes.tools.replay.comparison import StreamKey
+from pancakes.util.plugins import Plugins
 
 ROOT = Path(__file__).parents[2]
 

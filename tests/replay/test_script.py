@@ -3,15 +3,12 @@
 import pytest
 from msgspec.structs import replace
 
-from pancakes.bodies.devices.types import Load, Pose
+from pancakes.devices import Load, Pose
 from pancakes.events import Event
 from pancakes.packet import Packet, type_name
+from pancakes.recording.records import RecordedPacket, TaskDescription
 from pancakes.task import Task, on, queue
-from pancakes.tools.recording.description import TaskDescription
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.replay.script import read_script
-from pancakes.tools.replay.stays import choose_stays, find_stays
-from pancakes.tools.replay.steps import Change, Given
+from pancakes.tools.replay.recorded_run import Change, Given, choose_stays, find_stays, read_script
 
 ME = "a/client/Me"
 EPOCH_NS = 1_700_000_000_000_000_000

@@ -2,12 +2,12 @@
 
 import pytest
 
-from pancakes.bodies.devices.types import Load, Pose
+from pancakes.devices import Load, Pose
 from pancakes.errors import ControlRefused
 from pancakes.packet import Fence, Packet
-from pancakes.tools.recording.mission_time import MissionTime
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.replay.selection import Live, Selection, tally_of
+from pancakes.recording.clock_alignment import MissionTime
+from pancakes.recording.records import RecordedPacket
+from pancakes.tools.replay.replay import Live, Selection, tally_of
 
 
 def seen(time_s, agent, source, body=Load(0.5), kind="load", channel="system", to="", seq=None):  # noqa: B008

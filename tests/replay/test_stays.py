@@ -4,9 +4,8 @@ import pytest
 
 from pancakes.events import Event
 from pancakes.packet import Packet, type_name
-from pancakes.tools.recording.description import TaskDescription
-from pancakes.tools.recording.recorded_packet import RecordedPacket, RecordingError
-from pancakes.tools.replay.stays import choose_stays, find_stays
+from pancakes.recording.records import RecordedPacket, RecordingError, TaskDescription
+from pancakes.tools.replay.recorded_run import choose_stays, find_stays
 
 
 def seen(time_ns, agent, body, source, channel="log"):

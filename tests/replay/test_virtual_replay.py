@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import pytest
 from replay.runs_again import recorded
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.types import Load, Pose
+from pancakes.config import parse
+from pancakes.devices import Load, Pose
+from pancakes.devices.driver import Sensor
 from pancakes.errors import ConfigError
-from pancakes.runtime.config import parse
-from pancakes.simulation.made_in_code import registered
+from pancakes.recording.reader import RecordingReader
+from pancakes.simulation.fleet_builder import registered
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
-from pancakes.tools.recording.recording_reader import RecordingReader
-from pancakes.tools.replay.selection import Selection, tally_of
+from pancakes.tools.replay.replay import Selection, tally_of
 from pancakes.tools.replay.virtual_replay import VirtualReplay
 
 CONFIG = """

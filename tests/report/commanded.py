@@ -1,9 +1,8 @@
 """A command to an actuator, for tests of what a report tells of them."""
 
-from pancakes.bodies.devices.types import Twist
+from pancakes.devices import Twist
 from pancakes.packet import Packet
-from pancakes.tools.recording.chains import Chain, ChainStep
-from pancakes.tools.recording.commands import ActuatorCommand
+from pancakes.recording.causal_chains import ActuatorCommand, Chain, ChainStep
 
 MS = 1_000_000
 

@@ -5,16 +5,16 @@ from itertools import pairwise
 
 import pytest
 
-from pancakes.bodies.devices.types import Battery, Pose, Twist
-from pancakes.bodies.sim.state import BodyState, WorldState
 from pancakes.control import Hold
+from pancakes.devices import Battery, Pose, Twist
 from pancakes.events import Event, LogLine
 from pancakes.packet import Fence, Packet
-from pancakes.tools.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
-from pancakes.tools.recording.mission_time import MissionTime
-from pancakes.tools.recording.recorded_packet import RecordedPacket
+from pancakes.recording.clock_alignment import MissionTime
+from pancakes.recording.records import RecordedPacket
+from pancakes.recording.task_statistics import OneLink, OneTask, TaskFigures, TimerFigures
+from pancakes.sim.world_state import BodyState, WorldState
 from pancakes.tools.report.findings import Findings
-from pancakes.tools.report.series import MOST_POINTS, MOST_SLOTS, Counts, Distribution, TimeSeries
+from pancakes.tools.report.time_series import MOST_POINTS, MOST_SLOTS, Counts, Distribution, TimeSeries
 
 S = 1_000_000_000
 SCAN = "a/Scan"

@@ -10,16 +10,16 @@ from xml.etree import ElementTree
 import pytest
 from click.testing import CliRunner
 
-from pancakes.bodies.devices.types import Battery, Pose, Twist
-from pancakes.bodies.sim.state import BodyState, WorldState
+from pancakes.devices import Battery, Pose, Twist
 from pancakes.errors import PancakesError
 from pancakes.events import Event, LogLine
 from pancakes.packet import Fence, Packet
+from pancakes.recording.mcap_writer import RecordingWriter
+from pancakes.recording.records import RecordedPacket
+from pancakes.recording.task_statistics import OneLink, OneTask, TaskFigures, TimerFigures
+from pancakes.sim.world_state import BodyState, WorldState
 from pancakes.tools.cli.main import pancakes
-from pancakes.tools.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.recording.writer import RecordingWriter
-from pancakes.tools.report.making import make_report
+from pancakes.tools.report.html_report import make_report
 
 S = 1_000_000_000
 PICTURES = {

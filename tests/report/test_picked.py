@@ -7,10 +7,9 @@ import msgspec
 import pytest
 from report.commanded import command
 
-from pancakes.tools.recording.mission_time import MissionTime
-from pancakes.tools.report.picked import MOST_ACTUATORS, MOST_EVEN_EACH, MOST_SLOW, PickedCommands
-from pancakes.tools.report.picker import picker_html
-from pancakes.tools.report.reactions import Reactions
+from pancakes.recording.clock_alignment import MissionTime
+from pancakes.tools.report.command_latency import MOST_ACTUATORS, MOST_EVEN_EACH, MOST_SLOW, PickedCommands, Reactions
+from pancakes.tools.report.html_report import picker_html
 
 
 @pytest.fixture

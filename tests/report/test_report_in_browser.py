@@ -9,8 +9,8 @@ import pytest
 from report.commanded import command
 
 from pancakes.tools.report.findings import Findings
-from pancakes.tools.report.report_page import make_page
-from pancakes.tools.report.style import Picture
+from pancakes.tools.report.html_report import make_page
+from pancakes.tools.report.plots import Picture
 
 PHONE = {"width": 360, "height": 740}
 

@@ -7,8 +7,8 @@ import subprocess
 from pancakes_ros2.ros_message import RosMessage
 from ros2.environments import AGENTS, environment, python_of
 
-from pancakes.bodies.devices.types import Infrared, Pose, Temperature
 from pancakes.client import Client
+from pancakes.devices import Infrared, Pose, Temperature
 
 DESK = """
 [service.ros2]

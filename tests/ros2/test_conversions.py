@@ -24,7 +24,7 @@ from pancakes_ros2.conversion import (
     read_range,
 )
 
-from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Sonar, Temperature, Twist
+from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar, Temperature, Twist
 
 NOW = Moment(12, 34, "map")
 

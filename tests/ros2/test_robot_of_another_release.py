@@ -4,10 +4,10 @@ import time
 
 from ros2.environments import ROBOTS, python_of
 
-from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Sonar, Temperature
-from pancakes.bodies.sim.state import WorldState
 from pancakes.client import Client
 from pancakes.control import Migrate, Stop
+from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar, Temperature
+from pancakes.sim.world_state import WorldState
 from pancakes_encirclement.packets import MotionDetected
 
 ROBOT = """

@@ -23,16 +23,16 @@ from pancakes_ros2.task_node import TaskView
 from pancakes_ros2.task_nodes import place_of
 from pancakes_ros2.topic_row import TopicRow
 
-from pancakes.bodies.devices.types import Motion
+from pancakes.config import load
 from pancakes.control import Start, Stop
+from pancakes.devices import Motion
 from pancakes.errors import PancakesError
 from pancakes.packet import body_class
-from pancakes.runtime.config import load
-from pancakes.runtime.life.life import State
-from pancakes.runtime.plugins import Plugins
 from pancakes.settings import SettingsError, check_settings, make_settings
+from pancakes.supervision.lifecycle import State
 from pancakes.tools.cli.main import pancakes as program
 from pancakes.tools.demo import Run
+from pancakes.util.plugins import Plugins
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 

@@ -10,8 +10,8 @@ from types import ModuleType
 import pytest
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "lib" / "lints.py"
-LAYERS = ["pancakes.runtime", "pancakes.task", "pancakes_x"]
-KERNEL = "pancakes/runtime/kernel/a.py"
+LAYERS = ["pancakes.agent", "pancakes.kernel", "pancakes.task", "pancakes_x"]
+KERNEL = "pancakes/kernel/a.py"
 PLUGIN = "plugins/pancakes-x/pancakes_x/a.py"
 TEST = "tests/kernel/test_a.py"
 TASK = "class Task(Component[int]): ...\nclass Walk(base.Task): ...\n"

@@ -114,9 +114,9 @@ def test_a_line_that_the_first_test_runs_as_it_imports_the_module_belongs_to_all
 
 
 def test_a_line_of_the_module_belongs_to_a_test_whose_file_names_the_module(mutants):
-    assert mutants.names_module("tests/kernel/test_mailbox.py::test", "pancakes/runtime/kernel/flag.py")
-    assert not mutants.names_module("tests/kernel/test_mailbox.py::test", "pancakes/runtime/kernel/timer.py")
-    assert not mutants.names_module("no_such_file.py::test", "pancakes/runtime/kernel/flag.py")
+    assert mutants.names_module("tests/kernel/test_mailbox.py::test", "pancakes/kernel/pykka_actor.py")
+    assert not mutants.names_module("tests/kernel/test_mailbox.py::test", "pancakes/kernel/timer.py")
+    assert not mutants.names_module("no_such_file.py::test", "pancakes/kernel/pykka_actor.py")
 
 
 def test_a_mutant_is_known_as_equal_by_its_lines_wherever_they_stand(mutants):

@@ -5,13 +5,12 @@ from __future__ import annotations
 import pytest
 from services.counting import Count
 
-from pancakes.bodies.devices.types import Load
 from pancakes.control import Configure, Describe, Follow, Migrate, Reschedule, Revive, Shutdown, Start, Stop
-from pancakes.mesh.migration.claim import Owned, OwnerClaim
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.record import TaskId
+from pancakes.devices import Load
+from pancakes.durable.host_state import HostState
+from pancakes.durable.ownership import Owned, OwnerClaim
+from pancakes.durable.record import Epoch, TaskId
 from pancakes.packet import CTRL, NETWORK
-from pancakes.runtime.hosting.host_state import HostState
 from pancakes.testing import FleetInTest
 
 LOOK = """

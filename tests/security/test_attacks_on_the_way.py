@@ -13,8 +13,8 @@ import pytest
 from net.conftest import Agent, TlsRig
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.security.key_files import write_private
-from pancakes.mesh.security.keys import Keys
+from pancakes.security.key_store import write_private
+from pancakes.security.keys import Keys
 
 PATIENCE_S = 20.0
 

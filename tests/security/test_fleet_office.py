@@ -9,11 +9,10 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.security.authority import AUTHORITY, Authority, signed_by
-from pancakes.mesh.security.fleet_office import FleetOffice
-from pancakes.mesh.security.key_files import FLEET, ROSTER
-from pancakes.mesh.security.roster import LATEST_S, Revoked, Roster, SignedRoster, read_signed
-from pancakes.runtime.clock import wall_ns
+from pancakes.security.authority import AUTHORITY, Authority, FleetOffice, signed_by
+from pancakes.security.key_store import FLEET, ROSTER
+from pancakes.security.roster import LATEST_S, Revoked, Roster, SignedRoster, read_signed
+from pancakes.util.clock import wall_ns
 
 
 @pytest.fixture
@@ -49,7 +48,7 @@ def test_a_roster_is_not_signed_by_a_clock_that_is_far_from_the_last_one(
     office: FleetOffice, monkeypatch: pytest.MonkeyPatch, days: int
 ):
     elsewhere = wall_ns() + days * 86_400 * 10**9
-    monkeypatch.setattr("pancakes.mesh.security.fleet_office.wall_ns", lambda: elsewhere)
+    monkeypatch.setattr("pancakes.security.authority.wall_ns", lambda: elsewhere)
     assert abs(days) * 86_400 > LATEST_S
     with pytest.raises(PancakesError, match=r"the last roster was signed on .*, and by the clock .*\. Set that clock"):
         office.sign()

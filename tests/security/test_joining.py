@@ -22,10 +22,9 @@ from cryptography.hazmat.primitives.asymmetric import ed25519
 from cryptography.x509.oid import NameOID
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.security.authority import new_key, pem_of_key
-from pancakes.mesh.security.fleet_office import FleetOffice
-from pancakes.mesh.security.joining import MOST_BYTES, TRIES, Desk, JoinCode, join
-from pancakes.mesh.security.keys import Keys
+from pancakes.security.authority import FleetOffice, new_key, pem_of_key
+from pancakes.security.enrolment import MOST_BYTES, TRIES, Desk, JoinCode, join
+from pancakes.security.keys import Keys
 
 PATIENCE_S = 20.0
 

@@ -18,27 +18,31 @@ import pytest
 from keys_in_test import KeysInTest
 
 from pancakes.control import Guarding, Migrate
-from pancakes.mesh.guarding.guard_messages import (
+from pancakes.durable.arrivals import MOST_IN_DOUBT
+from pancakes.durable.delivery import Letter, Receipt
+from pancakes.durable.messages import (
     CheckpointBody,
     CheckpointId,
+    Commit,
     KeepLease,
     LeaseKept,
+    Nak,
     Pledge,
+    Prepared,
+    Reserve,
+    Reserved,
     SeizeTask,
+    Solicit,
+    TakeTask,
+    Transfer,
     YieldLease,
+    addressed,
 )
-from pancakes.mesh.guarding.taking_over import TakeTask
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.guards import GuardianId, Guards, forgotten_guards
-from pancakes.mesh.migration.messages import Commit, Nak, Prepared, Reserve, Reserved, Solicit, Transfer, addressed
-from pancakes.mesh.migration.pieces import cut
-from pancakes.mesh.migration.post import Letter, Receipt
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.mesh.wire.codec import Encoder
+from pancakes.durable.record import Epoch, GuardianId, Guards, Phase, TaskId, forgotten_guards
+from pancakes.durable.snapshot import Snapshot, cut
+from pancakes.mesh.codec import Encoder
 from pancakes.packet import Packet, packet_type, task_address
-from pancakes.runtime.hosting.arrivals import MOST_IN_DOUBT
-from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.supervision.messages import GUARDIAN
 from pancakes.task import Task, every, on
 from pancakes.testing import AgentInTest, threaded_agent
 

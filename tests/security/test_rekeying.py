@@ -19,7 +19,7 @@ def rig(tmp_path: Path) -> Iterator[TlsRig]:
 def test_an_agent_looks_again_and_again_whether_there_is_a_new_key_of_its_own(
     rig: TlsRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pancakes.mesh.net.rekeying.LOOK_S", 0.05)
+    monkeypatch.setattr("pancakes.mesh.trust.KEY_RELOAD_S", 0.05)
     a = rig.agent("a")
     b = rig.agent("b", [a.address])
     rig.until(lambda: a.knows("b") and b.knows("a"))

@@ -8,12 +8,15 @@ import math
 import pytest
 from seeded import for_each
 
-from pancakes.mesh.security.certified import NEVER_S, Certified, certified, fault_of_bearer
-from pancakes.mesh.security.roster import (
+from pancakes.security.roster import (
     LATEST_S,
     MOST_BYTES,
+    NEVER_S,
+    Certified,
     Revoked,
     Roster,
+    certified,
+    fault_of_bearer,
     fault_of_certified,
     fault_of_news,
     read_signed,

@@ -16,16 +16,15 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from msgspec.structs import replace
 from net.conftest import Agent, BarePeer, TlsRig
 
-from pancakes.mesh.net.links import Links
-from pancakes.mesh.net.rosters import MOST_CHECKS, keep
-from pancakes.mesh.security.authority import Authority, new_key, pem_of_key
-from pancakes.mesh.security.fleet_office import FleetOffice
-from pancakes.mesh.security.key_files import KEY, write_private
-from pancakes.mesh.security.keys import Keys
-from pancakes.mesh.security.roster import FALSE, LATEST_S, MOST_BYTES, Roster, read_signed
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.link_messages import RosterNumber, RosterText
-from pancakes.runtime.clock import wall_ns
+from pancakes.mesh.codec import Encoder
+from pancakes.mesh.links import Links
+from pancakes.mesh.messages import RosterNumber, RosterText
+from pancakes.mesh.trust import MOST_CHECKS, keep
+from pancakes.security.authority import Authority, FleetOffice, new_key, pem_of_key
+from pancakes.security.key_store import KEY, write_private
+from pancakes.security.keys import Keys
+from pancakes.security.roster import FALSE, LATEST_S, MOST_BYTES, Roster, read_signed
+from pancakes.util.clock import wall_ns
 
 
 @pytest.fixture
@@ -73,7 +72,7 @@ def test_a_newcomer_brings_the_roster_and_it_goes_from_peer_to_peer(rig):
 
 
 def test_an_agent_that_is_given_a_roster_tells_others_of_it_at_once(rig, monkeypatch):
-    monkeypatch.setattr("pancakes.mesh.net.rosters.LOOK_S", 600.0)
+    monkeypatch.setattr("pancakes.mesh.trust.LOOK_S", 600.0)
     a, b = two(rig)
     peer = speaks(rig, a)
     new = newer(rig)
@@ -140,7 +139,7 @@ class Held:
 
 def test_of_each_peer_one_roster_is_checked_at_a_time_and_of_all_so_many(rig, monkeypatch):
     held = Held(rig)
-    monkeypatch.setattr("pancakes.mesh.net.rosters.keep", held)
+    monkeypatch.setattr("pancakes.mesh.trust.keep", held)
     a = rig.agent("a")
     peers = [speaks(rig, a, f"y{number}") for number in range(MOST_CHECKS + 1)]
     texts = [signed(rig.directory / "authority", number=number) for number in range(90, 99)]
@@ -255,7 +254,7 @@ def test_a_roster_that_was_changed_ends_the_link(rig, old, new):
 
 def test_peers_are_told_the_number_again_and_again(rig, monkeypatch):
     """One whose roster could not be looked at just then gives it once more."""
-    monkeypatch.setattr("pancakes.mesh.net.rosters.LOOK_S", 0.05)
+    monkeypatch.setattr("pancakes.mesh.trust.LOOK_S", 0.05)
     a = rig.agent("a")
     peer = speaks(rig, a)
     rig.until(lambda: len(peer.numbers) > 2)
@@ -292,7 +291,7 @@ def test_a_roster_of_another_fleet_is_not_taken_whoever_has_signed_it(rig):
 
 def test_what_checks_a_roster_reads_no_more_than_one_may_have(rig):
     a = rig.agent("a")
-    command = [sys.executable, "-m", "pancakes.mesh.security.check_roster", str(keys_of(rig, a).folder)]
+    command = [sys.executable, "-m", "pancakes.security.check_roster", str(keys_of(rig, a).folder)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as checks:
         assert checks.stdin is not None and checks.stderr is not None
         checks.stdin.write(b" " * (MOST_BYTES + 1))
@@ -323,13 +322,13 @@ def test_a_person_whose_time_is_over_is_refused_and_told(rig):
 
 
 def test_a_person_whose_time_ends_while_the_link_stands_loses_it(rig, monkeypatch):
-    monkeypatch.setattr("pancakes.mesh.net.rosters.LOOK_S", 0.05)
+    monkeypatch.setattr("pancakes.mesh.trust.LOOK_S", 0.05)
     a = rig.agent("a")
     peer = BarePeer(rig.clock.now, "alice.1", role="client")
     rig.with_keys(rig.enrol("alice", "operator", days=1)).dial(a.address, peer)
     b = rig.agent("b", [a.address])
     rig.until(lambda: peer.is_up and a.knows("alice.1", "b"))
-    monkeypatch.setattr("pancakes.mesh.security.keys.wall_ns", lambda: wall_ns() + 2 * 86_400 * 10**9)
+    monkeypatch.setattr("pancakes.security.keys.wall_ns", lambda: wall_ns() + 2 * 86_400 * 10**9)
     why_ended = reason_of(rig, peer)
     assert "alice.1 is not believed any more: its certificate ended 24.0 hours ago" in why_ended
     assert a.knows("b") and b.knows("a"), "machines have no end"
@@ -368,7 +367,7 @@ def test_a_certificate_that_has_not_begun_shows_that_the_clock_is_late_and_is_be
 
 @pytest.mark.parametrize("now_ns", [0, 4_070_908_800 * 10**9], ids=["1970", "2099"])
 def test_whatever_the_clock_says_machines_get_their_links(rig, monkeypatch, now_ns):
-    monkeypatch.setattr("pancakes.mesh.security.keys.wall_ns", lambda: now_ns)
+    monkeypatch.setattr("pancakes.security.keys.wall_ns", lambda: now_ns)
     two(rig)
 
 
@@ -381,7 +380,7 @@ def test_whatever_the_clock_says_machines_get_their_links(rig, monkeypatch, now_
     ],
 )
 def test_the_time_of_a_person_is_over_where_the_clock_or_the_roster_says_so(rig, monkeypatch, now_ns, days, told):
-    monkeypatch.setattr("pancakes.mesh.security.keys.wall_ns", lambda: now_ns)
+    monkeypatch.setattr("pancakes.security.keys.wall_ns", lambda: now_ns)
     a = rig.agent("a")
     here = rig.ear()
     rig.with_keys(rig.enrol("alice", "operator", days=days)).dial(a.address, here)

@@ -9,11 +9,10 @@ from seeded import for_each
 
 from pancakes.control import CONTROLS, Describe, Shutdown, Stop
 from pancakes.errors import PancakesError
-from pancakes.mesh.security.access import Access, needs, right_of
-from pancakes.mesh.security.roster import Roster
-from pancakes.mesh.security.rules import DEFAULT, RIGHTS, AccessRule, Bearer, allows
-from pancakes.mesh.security.rules_file import RULES, add_rule, begin_rules, read_rules
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, SYSTEM, Packet
+from pancakes.security.access import Access, needs, right_of
+from pancakes.security.key_store import RULES, add_rule, begin_rules, read_rules
+from pancakes.security.roster import DEFAULT, RIGHTS, AccessRule, Bearer, Roster, allows
 
 R2 = Bearer("r2", "agent", ("field",))
 

@@ -12,9 +12,9 @@ from pancakes_sensor_field.duty_cycle import DutyCycle
 from pancakes_sensor_field.packets import Activity, AlarmCleared, AlarmRaised, Report, ReportPeriod
 from pancakes_sensor_field.watch import Watch
 
-from pancakes.bodies.devices.null import NullMotion, NullSensor, NullTemperature
-from pancakes.bodies.devices.types import Motion, Temperature
 from pancakes.control import Configure, Migrate, Stop
+from pancakes.devices import Motion, Temperature
+from pancakes.devices.builtin_drivers import NullMotion, NullSensor, NullTemperature
 from pancakes.packet import Packet, task_address
 from pancakes.testing import AgentInTest, FleetInTest
 

@@ -16,11 +16,10 @@ import pytest
 from pancakes_sensor_field.demos import AGENTS, SENSOR_FIELD
 from pancakes_sensor_field.verdict import judge_sensor_field
 
-from pancakes.runtime.config import Config, load
-from pancakes.runtime.plugins import Plugins
+from pancakes.config import Config, load
 from pancakes.tools.demo.conductor import Mission
-from pancakes.tools.demo.demo_plan import find_configs, make_plan
-from pancakes.tools.demo.launcher import NetworkFaults, fresh, judge, run_of, run_virtual
+from pancakes.tools.demo.launcher import NetworkFaults, find_configs, fresh, judge, make_plan, run_of, run_virtual
+from pancakes.util.plugins import Plugins
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "sensor-field"
 RESULTS = ("events.jsonl", "field.csv", "trajectory.csv", "summary.json")

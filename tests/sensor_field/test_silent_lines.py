@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from pancakes_sensor_field.drivers import TcpNodes
 
-from pancakes.mesh.net.transport import Connection, ConnectionHandler
+from pancakes.mesh.transport import Connection, ConnectionHandler
 from pancakes.testing import FleetInTest
 
 LINE = "tcp://127.0.0.1:7421"

@@ -17,7 +17,7 @@ from pancakes_sensor_field.mote import spoilt
 from pancakes_sensor_field.packets import LineReport, ReportPeriod
 from sensor_field.tiny_benches import BENCHES, NODES, bench_of
 
-from pancakes.bodies.devices.types import Motion, Temperature
+from pancakes.devices import Motion, Temperature
 from pancakes.settings import check_settings
 from pancakes.testing import threaded_agent
 

@@ -13,7 +13,7 @@ from pancakes_sensor_field.packets import Siren
 from pancakes_sensor_field.wires import Wires
 
 from pancakes.control import Configure, Describe, Stop
-from pancakes.mesh.net.transport import Connection, ConnectionHandler
+from pancakes.mesh.transport import Connection, ConnectionHandler
 from pancakes.packet import CTRL
 from pancakes.task import Task, Tick, every
 from pancakes.testing import FleetInTest

@@ -18,7 +18,7 @@ from typing import Any
 
 from pancakes_sensor_field.drivers import SerialNodes, TcpNodes, TinyMotion, TinyTemperature, UdpNodes
 
-from pancakes.mesh.net.transport import Connection, ConnectionHandler
+from pancakes.mesh.transport import Connection, ConnectionHandler
 from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
 
 NODES = {"shed": 7, "gate": 9}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pancakes.creation import Create
+from pancakes.control import Create
 from pancakes.task import Task, Tick, every
 from pancakes.testing import AgentInTest
 

@@ -9,8 +9,7 @@ from collections.abc import Iterable
 from seeded import for_each
 from services.created import Count
 
-from pancakes.control import Migrate
-from pancakes.creation import Create, Remove
+from pancakes.control import Create, Migrate, Remove
 from pancakes.testing import FleetInTest
 
 STEPS = 20

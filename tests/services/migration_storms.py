@@ -8,7 +8,7 @@ import random
 from dataclasses import dataclass
 
 from pancakes.control import Migrate, Restart, Start, Stop
-from pancakes.mesh.net.memory import Quality
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest

@@ -9,9 +9,9 @@ import msgspec
 from services.counting import Count
 from services.odd_values import OddValues
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.types import Pose
 from pancakes.control import Migrate, Shutdown, Start, Stop
+from pancakes.devices import Pose
+from pancakes.devices.driver import Sensor
 from pancakes.errors import PancakesError
 from pancakes.packet import known_types
 from pancakes.testing import FleetInTest
@@ -63,13 +63,13 @@ def say_odd_things(seed: int, channel: str, classes: list[type[msgspec.Struct]],
 
 def say_odd_control_packets(seed: int) -> None:
     """Check that no actor of Pancakes ends because of a control packet with odd values."""
-    classes = classes_of("pancakes.control", "pancakes.creation")
+    classes = classes_of("pancakes.control")
     assert len(classes) > 20
     assert say_odd_things(seed, "sysctrl", classes, ("",)) > AT_ONCE // 2
 
 
 def say_odd_messages(seed: int) -> None:
     """The same of messages between agents."""
-    classes = classes_of("pancakes.mesh.migration", "pancakes.mesh.guarding")
+    classes = classes_of("pancakes.durable")
     assert len(classes) > 30
     assert say_odd_things(seed, "network", classes, ACTORS) > AT_ONCE // 2

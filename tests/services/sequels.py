@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from pancakes.control import Migrate, Migrations, Stop
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.net.memory import Quality
+from pancakes.durable.record import Phase, TaskId
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest

@@ -4,10 +4,10 @@ import pytest
 from services.counting import Count
 
 from pancakes.control import Adopt, Describe, Migrate, Migrations, Stop
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.net.memory import Quality
+from pancakes.durable.record import Phase, TaskId
+from pancakes.fleet import DISK_FULL
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
-from pancakes.simulation.faults import DISK_FULL
 from pancakes.testing import FleetInTest
 
 

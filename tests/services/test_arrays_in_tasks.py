@@ -10,14 +10,14 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from pancakes.bodies.devices.types import Load, Pose
+from pancakes.config import parse
+from pancakes.config.effective import effective
 from pancakes.control import Configure, Describe, Migrate, Restart, Start, Stop
+from pancakes.devices import Load, Pose
 from pancakes.errors import ClassError, ConfigError
-from pancakes.runtime.config import parse
-from pancakes.runtime.config.effective import effective
-from pancakes.runtime.foundation.arrays import is_array, is_array_type, is_number, is_number_type
 from pancakes.task import Task, every, on
 from pancakes.testing import registered
+from pancakes.util.arrays import is_array, is_array_type, is_number, is_number_type
 
 
 def gains():

@@ -4,11 +4,11 @@ from typing import ClassVar
 
 import pytest
 
-from pancakes.bodies.devices.driver import Actuator
-from pancakes.bodies.devices.types import Twist
 from pancakes.control import Migrate, Start, Stop
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.net.memory import Quality
+from pancakes.devices import Twist
+from pancakes.devices.driver import Actuator
+from pancakes.durable.record import Phase, TaskId
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest

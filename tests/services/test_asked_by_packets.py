@@ -6,19 +6,8 @@ from typing import Annotated
 import pytest
 from msgspec import Meta
 
-from pancakes.bodies.devices.types import Load, Pose
-from pancakes.control import (
-    Channels,
-    Configure,
-    Describe,
-    Follow,
-    History,
-    Reschedule,
-    Restart,
-    Shutdown,
-    Start,
-    Stop,
-)
+from pancakes.control import Channels, Configure, Describe, Follow, History, Reschedule, Restart, Shutdown, Start, Stop
+from pancakes.devices import Load, Pose
 from pancakes.service import Service
 from pancakes.task import Task, every, on, queue
 from pancakes.testing import FleetInTest

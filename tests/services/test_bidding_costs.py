@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from pancakes.bodies.devices.types import Battery
 from pancakes.control import Migrate
-from pancakes.mesh.migration.cost import Cost
+from pancakes.devices import Battery
+from pancakes.durable.rules import Cost
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task
 from pancakes.testing import FleetInTest

@@ -9,12 +9,11 @@ import pytest
 from services.numbered import Sink
 
 from pancakes.control import Adopt, Describe, Forget, Migrate, Start, Stop
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.knowledge import AskTasks, TaskFact, TasksKnown, questions
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable import census
+from pancakes.durable.census import CENSUS
+from pancakes.durable.ownership import AskTasks, TaskFact, TasksKnown, questions
+from pancakes.durable.record import Epoch, TaskId
 from pancakes.packet import NETWORK
-from pancakes.runtime.hosting import census
-from pancakes.runtime.hosting.census_messages import CENSUS
 from pancakes.testing import AgentInTest, FleetInTest
 
 SINK = {"Sink": Sink}

@@ -10,26 +10,22 @@ from services.counting import Count
 from services.numbered import Sink
 
 from pancakes.control import Describe, Follow, Reply
-from pancakes.mesh.migration.boots import BootRemembered
-from pancakes.mesh.migration.claim import Owned, OwnerClaim
-from pancakes.mesh.migration.epoch import MOST_STEP, Epoch
-from pancakes.mesh.migration.knowledge import TaskFact, TasksKnown
-from pancakes.mesh.migration.messages import Abort, Nak, Reserve, Reserved, Solicit, Transfer, addressed
-from pancakes.mesh.migration.pieces import cut
-from pancakes.mesh.migration.post import Letter
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.mesh.migration.times import Times
-from pancakes.mesh.net.few_links import MOST_KNOWN, MOST_OF_PEER, FewLinks
-from pancakes.mesh.net.memory import Quality
+from pancakes.durable.arrivals import MOST_IN_DOUBT
+from pancakes.durable.delivery import Letter
+from pancakes.durable.handoff_events import Times
+from pancakes.durable.hosting import MOST_GIVEN, MOST_GIVEN_BYTES, TaskLetters
+from pancakes.durable.messages import Abort, Nak, Reserve, Reserved, Solicit, Transfer, addressed
+from pancakes.durable.ownership import BootRemembered, Owned, OwnerClaim, TaskFact, TasksKnown
+from pancakes.durable.record import MOST_STEP, Epoch, Phase, TaskId
+from pancakes.durable.snapshot import Snapshot, cut
+from pancakes.mesh.memory_network import Quality
+from pancakes.mesh.partial_mesh import MOST_KNOWN, MOST_OF_PEER, FewLinks
 from pancakes.packet import Fence, Packet, type_name
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.hosting.arrivals import MOST_IN_DOUBT
-from pancakes.runtime.hosting.task_letters import MOST_GIVEN, MOST_GIVEN_BYTES, TaskLetters
-from pancakes.runtime.services.fence_rule import MOST_OF_PEER as MOST_MARKS
-from pancakes.runtime.services.fence_rule import ClaimRefused, EpochClaim, Mark, May, judged
+from pancakes.services.fence_rule import MOST_OF_PEER as MOST_MARKS
+from pancakes.services.fence_rule import ClaimRefused, EpochClaim, Mark, May, judged
 from pancakes.testing import FleetInTest
-from pancakes.tools.cli.verbs.peer_checks import check_kept
+from pancakes.tools.cli.verbs.agent_checks import check_kept
+from pancakes.util import codecs
 
 COUNT = TaskId("a", "Count")
 
@@ -77,7 +73,7 @@ def test_a_place_of_which_nothing_came_is_forgotten(fleet):
 
 
 def test_tasks_that_were_brought_and_taken_back_leave_a_bounded_number_of_marks(fleet, monkeypatch):
-    monkeypatch.setattr("pancakes.runtime.hosting.arrivals.MOST_LEFT", 5)
+    monkeypatch.setattr("pancakes.durable.arrivals.MOST_LEFT", 5)
     b, declined = fleet.agents["b"], told_of(fleet, "c", Nak)
     for number in range(20):
         asked = place_for(fleet, f"T{number}")
@@ -144,7 +140,7 @@ def test_facts_that_an_agent_tells_are_kept_once(fleet):
 
 
 def test_an_agent_follows_channels_under_so_many_addresses(fleet, monkeypatch):
-    monkeypatch.setattr("pancakes.runtime.services.network.MOST_FOLLOWED", 5)
+    monkeypatch.setattr("pancakes.services.network.MOST_FOLLOWED", 5)
     c, replies = fleet.agents["c"], []
     c.kernel.stream.tap("sysctrl", lambda packet: replies.append(packet.body))
     for number in range(8):

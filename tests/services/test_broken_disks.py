@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.types import Pose
 from pancakes.control import Configure, Describe, Start, Stop
+from pancakes.devices import Pose
+from pancakes.devices.driver import Sensor
+from pancakes.journal.file_journal import WRITE_AHEAD
 from pancakes.packet import SYSCTRL
-from pancakes.runtime.journal.write_ahead import WRITE_AHEAD
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, threaded_agent
 

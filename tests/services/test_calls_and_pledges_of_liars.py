@@ -4,23 +4,24 @@ import pytest
 from services.counting import Count
 
 from pancakes.control import Guarding
-from pancakes.mesh.guarding.guard_messages import (
+from pancakes.durable.guarding import called, told
+from pancakes.durable.messages import (
     CheckpointBody,
     CheckpointId,
     DenyLease,
     KeepLease,
+    LeaseSeen,
+    Nak,
     Pledge,
+    Reserve,
     SeizeTask,
+    Solicit,
+    TakeTask,
+    addressed,
 )
-from pancakes.mesh.guarding.seizing import called, told
-from pancakes.mesh.guarding.taking_over import LeaseSeen, TakeTask
-from pancakes.mesh.migration.epoch import MOST_STEP, Epoch
-from pancakes.mesh.migration.guards import GuardianId, Guards, forgotten_guards
-from pancakes.mesh.migration.messages import Nak, Reserve, Solicit, addressed
-from pancakes.mesh.migration.record import Record, TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.mesh.migration.volatile import Volatile
-from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.durable.record import MOST_STEP, Epoch, GuardianId, Guards, Record, TaskId, Volatile, forgotten_guards
+from pancakes.durable.snapshot import Snapshot
+from pancakes.supervision.messages import GUARDIAN
 from pancakes.testing import FleetInTest
 
 COUNT, FREE = TaskId("a", "Count"), TaskId("a", "Free")
@@ -126,7 +127,7 @@ def test_guardian_does_not_let_go_of_a_task_whose_lease_runs(fleet):
 
 
 def test_made_up_tasks_are_guarded_only_up_to_a_bound_after_they_were_removed(fleet, monkeypatch):
-    monkeypatch.setattr("pancakes.runtime.hosting.guardian.MOST_FORGOTTEN", 5)
+    monkeypatch.setattr("pancakes.durable.guardian.MOST_FORGOTTEN", 5)
     b, me = fleet.agents["b"], guardian(fleet, "b")
     epoch = Epoch(0, "d")
     for number in range(20):

@@ -2,10 +2,10 @@
 
 import pytest
 
-from pancakes.bodies.devices.types import Pose
 from pancakes.control import Describe, Reply, Restart, Start, Stop
-from pancakes.runtime.hosting.client import ClientService
-from pancakes.runtime.kernel.handlers import on
+from pancakes.devices import Pose
+from pancakes.durable.client_service import ClientService
+from pancakes.kernel.handlers import on
 from pancakes.task import Task
 from pancakes.testing import AgentInTest, FleetInTest
 

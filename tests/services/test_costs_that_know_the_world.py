@@ -10,15 +10,15 @@ from typing import Any, ClassVar
 
 import pytest
 
-from pancakes.bodies.devices.types import Pose, Temperature, Twist
 from pancakes.control import Migrate
+from pancakes.devices import Pose, Temperature, Twist
+from pancakes.durable.bidding_messages import MIGRATOR
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import TaskId
+from pancakes.durable.rules import Cost, CostFacts
+from pancakes.durable.snapshot import OFFER_BYTES
 from pancakes.errors import ClassError
-from pancakes.mesh.migration.cost import Cost, CostFacts
-from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.migration.snapshot import OFFER_BYTES
 from pancakes.packet import CTRL
-from pancakes.runtime.hosting.bidding_messages import MIGRATOR
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, threaded_agent
 

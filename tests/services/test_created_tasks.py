@@ -9,11 +9,10 @@ import pytest
 from services.created import COUNT, Count, Drive, count_of
 from services.numbered import Sink
 
-from pancakes.control import Configure, Describe, Migrate, Migrations, Revive, Start, Stop
-from pancakes.creation import Create, Remove
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.net.memory import Quality
-from pancakes.simulation.faults import DISK_FULL
+from pancakes.control import Configure, Create, Describe, Migrate, Migrations, Remove, Revive, Start, Stop
+from pancakes.durable.record import Phase, TaskId
+from pancakes.fleet import DISK_FULL
+from pancakes.mesh.memory_network import Quality
 from pancakes.task import Task, Tick, every
 from pancakes.testing import FleetInTest, threaded_agent
 

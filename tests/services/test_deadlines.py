@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from pancakes.runtime.hosting.deadlines import Deadlines
-from pancakes.runtime.kernel.timer import OneShot
+from pancakes.durable.hosting import Deadlines
+from pancakes.kernel.timer import OneShot
 
 
 class Host:

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.bodies.devices.driver import Actuator, Sensor
-from pancakes.bodies.devices.types import Battery, Load, Pose, Twist
 from pancakes.control import Configure, Describe, Hold, Reschedule, Restart, Start, Stop
+from pancakes.devices import Battery, Load, Pose, Twist
+from pancakes.devices.driver import Actuator, Sensor
 from pancakes.events import Event
 from pancakes.packet import Fence, Packet
-from pancakes.runtime.services.device import SharedThings
+from pancakes.services.device import SharedThings
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest, assert_published
 

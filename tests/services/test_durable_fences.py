@@ -2,16 +2,16 @@
 
 import pytest
 
-from pancakes.bodies.devices.driver import Actuator
-from pancakes.bodies.devices.types import Twist
-from pancakes.bodies.sim.state import WorldState
 from pancakes.control import Migrate, Restart, Stop
-from pancakes.mesh.net.memory import Quality
+from pancakes.devices import Twist
+from pancakes.devices.driver import Actuator
+from pancakes.fleet import DISK_FULL
+from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import Fence, Packet
-from pancakes.runtime.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
-from pancakes.runtime.services.fence_rule import Mark
-from pancakes.runtime.services.fences import Fences
-from pancakes.simulation.faults import DISK_FULL
+from pancakes.services.fence import Fences
+from pancakes.services.fence_rule import Mark
+from pancakes.sim.world_state import WorldState
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 

@@ -5,15 +5,14 @@ from dataclasses import dataclass
 import pytest
 from services.counting import Count
 
-from pancakes.bodies.devices.driver import Actuator
-from pancakes.bodies.devices.types import Load, Twist
 from pancakes.control import Migrate, Restart, Start, Stop
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import Transfer, addressed
-from pancakes.mesh.migration.pieces import cut
-from pancakes.mesh.migration.record import Phase, TaskId, Wanted
-from pancakes.mesh.net.memory import Quality
-from pancakes.runtime.hosting.machine import idle
+from pancakes.devices import Load, Twist
+from pancakes.devices.driver import Actuator
+from pancakes.durable.messages import Transfer, addressed
+from pancakes.durable.record import Epoch, Phase, TaskId, Wanted
+from pancakes.durable.snapshot import cut
+from pancakes.durable.state_machine import idle
+from pancakes.mesh.memory_network import Quality
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
 

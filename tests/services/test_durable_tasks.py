@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Configure, Describe, Reschedule, Start, Stop
-from pancakes.mesh.migration.record import Record, Wanted
-from pancakes.runtime.hosting.client import ClientService
-from pancakes.runtime.hosting.machine import idle
-from pancakes.runtime.journal import JournalError, MemoryJournal
+from pancakes.devices import Load, Pose
+from pancakes.durable.client_service import ClientService
+from pancakes.durable.record import Record, Wanted
+from pancakes.durable.state_machine import idle
+from pancakes.fleet import DISK_FULL
+from pancakes.journal import JournalError, MemoryJournal
 from pancakes.service import Service
-from pancakes.simulation.faults import DISK_FULL
 from pancakes.task import Task, TaskSpec, every, on
 from pancakes.testing import FleetInTest, threaded_agent
 

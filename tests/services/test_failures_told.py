@@ -10,8 +10,8 @@ from typing import Annotated
 import pytest
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import Actuator, Driver, Sensor
 from pancakes.control import Configure, Describe, Start
+from pancakes.devices.driver import Actuator, Driver, Sensor
 from pancakes.errors import LONGEST_TRACEBACK
 from pancakes.service import Service
 from pancakes.task import Task, every

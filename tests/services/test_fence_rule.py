@@ -2,11 +2,10 @@
 
 import pytest
 
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.mesh.migration.whereabouts import TaskAt, whereabouts
+from pancakes.durable.ownership import TaskAt, whereabouts
+from pancakes.durable.record import Epoch, Phase, Record, TaskId
 from pancakes.packet import Fence
-from pancakes.runtime.services.fence_rule import (
+from pancakes.services.fence_rule import (
     MOST_ASKED,
     MOST_STEP,
     MOST_TASKS,

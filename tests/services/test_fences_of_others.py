@@ -3,13 +3,13 @@
 import pytest
 from services.test_durable_fences import Circle, Wheels
 
-from pancakes.bodies.devices.types import Twist
 from pancakes.control import Describe, Migrate, Migrations, SetFence, Start
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.whereabouts import TaskAt
-from pancakes.mesh.net.memory import Quality
+from pancakes.devices import Twist
+from pancakes.durable.ownership import TaskAt
+from pancakes.durable.record import Epoch
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import Fence, Packet
-from pancakes.runtime.services.fence_rule import Mark
+from pancakes.services.fence_rule import Mark
 from pancakes.testing import FleetInTest
 
 CLASSES = {"test.Circle": Circle}

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from pancakes.bodies.devices.driver import Sensor
 from pancakes.control import Configure, Migrate, Start
-from pancakes.runtime.folders import Folders
+from pancakes.devices.driver import Sensor
+from pancakes.kernel.kernel import Folders
 from pancakes.settings import FilePath, paths_in
 from pancakes.task import Task
 from pancakes.testing import FleetInTest

@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Follow, Unfollow
+from pancakes.devices import Load, Pose
 from pancakes.packet import NEIGHBOURS, Packet
-from pancakes.runtime.services.follower import LEAST_HZ, SOON_S
+from pancakes.services.network import LEAST_HZ, SOON_S
 from pancakes.testing import FleetInTest
 
 

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 from services.counting import Count
 
-from pancakes.control import Guarding, Migrations, Stop, Take
-from pancakes.creation import Create
+from pancakes.control import Create, Guarding, Migrations, Stop, Take
+from pancakes.durable.guardian import CALLED_S
 from pancakes.packet import NETWORK, Packet
-from pancakes.runtime.hosting.takeover import CALLED_S
 from pancakes.testing import FleetInTest
 
 GUARDED = {"type": "test.Count", "guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b", "c"]}

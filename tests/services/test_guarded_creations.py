@@ -8,9 +8,8 @@ import pytest
 from msgspec.structs import replace
 from services.created import COUNT, Count, count_of
 
-from pancakes.control import Configure, Guarding, Start, Stop
-from pancakes.creation import Create, Remove
-from pancakes.mesh.migration.record import TaskId
+from pancakes.control import Configure, Create, Guarding, Remove, Start, Stop
+from pancakes.durable.record import TaskId
 from pancakes.testing import AgentInTest, FleetInTest
 
 GUARDED = Create("Count", "test.Count", {"step": 2}, 5.0, {"guard": 3, "lease_s": 2.0})

@@ -6,12 +6,12 @@ import pytest
 from services.counting import Count
 from services.numbered import Numbered
 
-from pancakes.bodies.devices.driver import Actuator
-from pancakes.bodies.devices.types import Twist
 from pancakes.control import Describe, Guarding
-from pancakes.mesh.migration.record import TaskId
+from pancakes.devices import Twist
+from pancakes.devices.driver import Actuator
+from pancakes.durable.record import TaskId
+from pancakes.kernel.permits import PermitEnd
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.permits import PermitEnd
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 

@@ -4,25 +4,25 @@ import pytest
 from services.counting import Count
 
 from pancakes.control import Guarding
-from pancakes.mesh.guarding.guard_messages import (
+from pancakes.durable.messages import (
+    AskLease,
     CheckpointBody,
     CheckpointId,
     DenyLease,
     KeepLease,
     LeaseKept,
+    LeaseSeen,
     Pledge,
     SeizeTask,
+    TakeTask,
     YieldLease,
+    addressed,
 )
-from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen, TakeTask
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.guards import GuardianId, Guards, forgotten_guards
-from pancakes.mesh.migration.messages import addressed
-from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.mesh.security.access import Access
-from pancakes.mesh.security.rules import RIGHTS, AccessRule, Right
-from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.durable.record import Epoch, GuardianId, Guards, TaskId, forgotten_guards
+from pancakes.durable.snapshot import Snapshot
+from pancakes.security.access import Access
+from pancakes.security.roster import RIGHTS, AccessRule, Right
+from pancakes.supervision.messages import GUARDIAN
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")

@@ -3,14 +3,12 @@
 from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 
-from pancakes.bodies.devices.driver import Actuator
 from pancakes.control import Describe, Guarding, Reply, Stop, Take
-from pancakes.mesh.guarding.guard_messages import KeepLease, SeizeTask
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import addressed
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.net.memory import Quality
-from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.devices.driver import Actuator
+from pancakes.durable.messages import KeepLease, SeizeTask, addressed
+from pancakes.durable.record import Epoch, Phase, TaskId
+from pancakes.mesh.memory_network import Quality
+from pancakes.supervision.messages import GUARDIAN
 from pancakes.task import every
 from pancakes.testing import FleetInTest
 

@@ -6,7 +6,7 @@ A few storms; `test_guarded_storms_full.py` has many more.
 import pytest
 from torture.storms import DONE, Act, run_storms
 
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.record import TaskId
 from pancakes.testing import FleetInTest
 
 ACT = TaskId("a", "Act")

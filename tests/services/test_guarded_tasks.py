@@ -5,18 +5,15 @@ from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 
 from pancakes.control import Guarding, Migrate, Stop, Take
+from pancakes.durable.guardian import CALLED_S
+from pancakes.durable.messages import NO_CHECKPOINT, TakeTask, addressed
+from pancakes.durable.record import Epoch, Phase, TaskId
 from pancakes.errors import NoPermit
 from pancakes.events import Event
-from pancakes.mesh.guarding.guard_messages import NO_CHECKPOINT
-from pancakes.mesh.guarding.taking_over import TakeTask
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import addressed
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.runtime.foundation.numbering import number_in_life
-from pancakes.runtime.hosting.takeover import CALLED_S
-from pancakes.runtime.journal.memory_journal import MARK
-from pancakes.runtime.services.log_record import record_of as record_of_log
-from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.events import record_of as record_of_log
+from pancakes.journal.journal import MARK
+from pancakes.packet import number_in_life
+from pancakes.supervision.messages import GUARDIAN
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")

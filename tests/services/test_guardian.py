@@ -7,26 +7,25 @@ import gc
 import pytest
 from msgspec.structs import replace
 
-from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
-from pancakes.mesh.guarding.guard_messages import (
+from pancakes.durable import guardian
+from pancakes.durable.messages import (
+    CanGuard,
     CheckpointBody,
     CheckpointId,
     DenyLease,
     KeepLease,
     LeaseKept,
+    MayGuard,
     Pledge,
     SeizeTask,
     YieldLease,
 )
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.guards import GuardianId, Guards
-from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.security.access import Access
-from pancakes.mesh.security.rules import RIGHTS, AccessRule, Right
+from pancakes.durable.record import Epoch, GuardianId, Guards, TaskId
+from pancakes.journal.journal import MARK
 from pancakes.packet import NETWORK
-from pancakes.runtime.hosting import guardian
-from pancakes.runtime.journal.memory_journal import MARK
-from pancakes.runtime.supervision.guardian_messages import GUARDIAN
+from pancakes.security.access import Access
+from pancakes.security.roster import RIGHTS, AccessRule, Right
+from pancakes.supervision.messages import GUARDIAN
 from pancakes.testing import FleetInTest
 
 TASK = TaskId("a", "Scan")

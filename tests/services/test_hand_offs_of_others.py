@@ -5,24 +5,12 @@ from msgspec.structs import replace
 from services.counting import Count
 
 from pancakes.control import Checkpoints, Forget, Migrate, Stop
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import (
-    Bid,
-    Commit,
-    Nak,
-    Piece,
-    Reserve,
-    Reserved,
-    Solicit,
-    Transfer,
-    addressed,
-)
-from pancakes.mesh.migration.pieces import cut
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.durable.arrivals import MOST_IN_DOUBT
+from pancakes.durable.host_state import MOST_SLOTS
+from pancakes.durable.messages import Bid, Commit, Nak, Piece, Reserve, Reserved, Solicit, Transfer, addressed
+from pancakes.durable.record import Epoch, Phase, TaskId
+from pancakes.durable.snapshot import Snapshot, cut
 from pancakes.packet import Packet
-from pancakes.runtime.hosting.arrivals import MOST_IN_DOUBT
-from pancakes.runtime.hosting.host_state import MOST_SLOTS
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")

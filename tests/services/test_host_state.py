@@ -6,9 +6,8 @@ import pytest
 from services.counting import Count
 
 from pancakes.control import Migrate, Stop
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import Reserve, Solicit
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.messages import Reserve, Solicit
+from pancakes.durable.record import Epoch, TaskId
 from pancakes.testing import FleetInTest
 
 COUNT = {"Count": {"type": "test.Count"}}

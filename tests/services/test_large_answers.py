@@ -6,7 +6,7 @@ import pytest
 from cli.processes import INSECURE
 
 from pancakes.control import Configure, Describe, Restart
-from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES
+from pancakes.mesh.codec import MAX_MESSAGE_BYTES
 from pancakes.service import Service
 from pancakes.task import Task
 from pancakes.testing import FleetInTest, no_thread_left, threaded_agent

@@ -10,14 +10,12 @@ from typing import NamedTuple
 import pytest
 from services.counting import Count
 
-from pancakes.control import Describe, Migrate, Revive
-from pancakes.creation import Create
-from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
-from pancakes.mesh.migration.record import TaskId
+from pancakes.control import Create, Describe, Migrate, Revive
+from pancakes.durable.messages import CanGuard, MayGuard
+from pancakes.durable.record import TaskId
 from pancakes.packet import NETWORK
-from pancakes.runtime.supervision.guardian_messages import GUARDIAN
-from pancakes.testing import FleetInTest, threaded_agent
-from pancakes.testing.agent_in_test import AgentInTest
+from pancakes.supervision.messages import GUARDIAN
+from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
 
 INSECURE = "[service.network]\nsettings = { insecure = true }\n"
 LATE = "late_in_test.Slow"

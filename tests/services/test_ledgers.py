@@ -4,9 +4,9 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.control import Migrate, Migrations
-from pancakes.mesh.migration.ledger import Ledger, Line
-from pancakes.runtime.hosting.ledgers import KIND, Ledgers
-from pancakes.runtime.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
+from pancakes.durable.ledger import Ledger, Line
+from pancakes.durable.store import LEDGER, Ledgers
+from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
 
@@ -99,7 +99,7 @@ def test_the_newest_hundred_are_kept(disk):
     assert ledgers.plain() == before
     assert [row["number"] for row in before] == list(range(31, KEPT + 31))
     assert before[-1]["task_id"] == f"a/Task{KEPT + 29}"
-    assert len([name for name in disk if name.startswith(KIND)]) == KEPT
+    assert len([name for name in disk if name.startswith(LEDGER)]) == KEPT
     ledgers.add(ledger(), "", 0.0)
     assert ledgers.plain()[-1]["number"] == KEPT + 31
 
@@ -121,7 +121,7 @@ def test_the_account_of_a_hand_off_is_kept_once_also_over_a_restart(disk):
 def test_one_that_cannot_be_read_is_named_and_the_others_are_there(disk):
     ledgers, store, _ = opened(disk)
     ledgers.add(ledger(), "", 1.0)
-    store.persist(JournalEntry(KIND, "77", b"not an account"), lambda: None, print)
+    store.persist(JournalEntry(LEDGER, "77", b"not an account"), lambda: None, print)
     store.close()
 
     ledgers, _, (sentence,) = opened(disk)

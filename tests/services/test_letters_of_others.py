@@ -4,8 +4,8 @@ import pytest
 from msgspec.structs import replace
 from services.numbered import SINK, Numbered, Sink, numbers
 
-from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt
-from pancakes.mesh.wire.codec import Encoder
+from pancakes.durable.delivery import ForwardTo, Letter, Receipt
+from pancakes.mesh.codec import Encoder
 from pancakes.packet import Packet
 from pancakes.testing import FleetInTest
 

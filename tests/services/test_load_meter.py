@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from pancakes.control import Describe
-from pancakes.runtime.hosting.load import LoadMeter, MeasuredLoad, host_share, processor_time_s
+from pancakes.durable.host_state import LoadMeter, MeasuredLoad, host_share, processor_time_s
 from pancakes.task import Task, every
 from pancakes.testing import threaded_agent
 

@@ -9,7 +9,7 @@ import pytest
 
 from pancakes.control import Configure, History, Stop
 from pancakes.events import LogLine
-from pancakes.runtime.services.log import LogService
+from pancakes.services.log import LogService
 from pancakes.settings import check_settings
 from pancakes.task import Task, every
 from pancakes.testing import threaded_agent

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pancakes.bodies.devices.types import Pose
 from pancakes.control import Configure, Describe, History, Start, Stop
-from pancakes.events import Event, LogLine
+from pancakes.devices import Pose
+from pancakes.events import Event, LogLine, line_of, record_of
+from pancakes.kernel.payload_size import weigh
 from pancakes.packet import Packet, packet_type
-from pancakes.runtime.services.log import REMEMBERED_BYTES
-from pancakes.runtime.services.log_record import line_of, record_of
-from pancakes.runtime.weight import weigh
+from pancakes.services.log import REMEMBERED_BYTES
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, threaded_agent
 

@@ -9,8 +9,8 @@ import pytest
 from services.numbered import SINK, Numbered, Sink, Source, numbers, upto
 
 from pancakes.control import Guarding, Migrate, Revive, Start, Stop
-from pancakes.mesh.migration.post import StreamsBegan
-from pancakes.runtime.hosting.courier_messages import COURIER
+from pancakes.durable.courier import COURIER
+from pancakes.durable.delivery import StreamsBegan
 from pancakes.testing import FleetInTest
 
 GUARDED = {"type": "test.Sink", "guard": 3, "lease_s": 2.0, "checkpoint_s": 30.0, "guardians": ["b", "c"]}

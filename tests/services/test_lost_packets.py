@@ -2,11 +2,11 @@
 
 import pytest
 
-from pancakes.bodies.devices.types import Load, Memory, Pose
-from pancakes.client.looks import Looks
+from pancakes.client.rates import Looks
 from pancakes.control import Channels, Describe
+from pancakes.devices import Load, Memory, Pose
+from pancakes.recording.task_statistics import figures_of
 from pancakes.task import Task, on, queue
-from pancakes.tools.recording.figures import figures_of
 from pancakes.tools.web.fleet_model import FleetModel
 
 

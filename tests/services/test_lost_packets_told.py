@@ -2,9 +2,9 @@
 
 import pytest
 
-from pancakes.bodies.devices.null import NullMotors
-from pancakes.bodies.devices.types import Pose, Twist
 from pancakes.control import Describe, Stop
+from pancakes.devices import Pose, Twist
+from pancakes.devices.builtin_drivers import NullMotors
 from pancakes.packet import CTRL, SYSCTRL, SYSTEM, task_address
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest

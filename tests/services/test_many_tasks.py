@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pancakes.control import Command, Stop
 from pancakes.events import LogLine
 from pancakes.packet import SYSCTRL, Packet
-from pancakes.runtime.life.life import State
-from pancakes.runtime.supervision.startup import STARTED_AT_ONCE
 from pancakes.service import Service
+from pancakes.supervision.lifecycle import State
+from pancakes.supervision.slots import STARTED_AT_ONCE
 from pancakes.task import Task, TaskSpec, every
 from pancakes.testing import FleetInTest
 

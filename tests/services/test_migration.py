@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import pytest
 from seeded import for_each
 
-from pancakes.bodies.devices.types import Battery, Load, Pose, Twist
 from pancakes.control import Configure, Describe, Migrate, Migrations, Reschedule, Restart, Start, Stop
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.net.memory import Quality
+from pancakes.devices import Battery, Load, Pose, Twist
+from pancakes.durable.record import Phase, TaskId
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest

@@ -13,10 +13,9 @@ from typing import Any
 import pytest
 from services.numbered import SINK, Numbered, Sink
 
-from pancakes.control import Forget, Migrate, Revive, Stop
-from pancakes.creation import Create
+from pancakes.control import Create, Forget, Migrate, Revive, Stop
+from pancakes.durable.record import Phase, TaskId
 from pancakes.events import Event, LogLine
-from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.packet import LOG, NETWORK, Packet
 from pancakes.task import Task, Tick, every
 from pancakes.testing import FleetInTest

@@ -9,9 +9,9 @@ import numpy.typing
 import pytest
 from msgspec import Meta, Struct
 
-from pancakes.bodies.devices.driver import Actuator, Sensor
-from pancakes.bodies.devices.types import Battery, Sonar, Temperature, Twist
 from pancakes.control import Describe
+from pancakes.devices import Battery, Sonar, Temperature, Twist
+from pancakes.devices.driver import Actuator, Sensor
 from pancakes.events import Event, LogLine
 from pancakes.packet import packet_type
 from pancakes.task import Task, every

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Migrate, Restart, Start, Stop
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.runtime.hosting.client import ClientService
-from pancakes.runtime.kernel.handlers import on
-from pancakes.runtime.life.restart import RestartSpec
+from pancakes.devices import Load, Pose
+from pancakes.durable.client_service import ClientService
+from pancakes.durable.record import Phase, TaskId
+from pancakes.kernel.handlers import on
 from pancakes.service import Service
+from pancakes.supervision.restart import RestartSpec
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest
 

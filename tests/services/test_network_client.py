@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import msgspec
 import pytest
 
-from pancakes.bodies.devices.types import Pose
 from pancakes.control import Configure, Start, Stop
+from pancakes.devices import Pose
 from pancakes.packet import SYSTEM, packet_type
 from pancakes.testing import FleetInTest
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from soak.held import held_by
 
 from pancakes.control import Migrate
-from pancakes.mesh.migration.pieces import PIECE_BYTES
+from pancakes.durable.snapshot import PIECE_BYTES
 from pancakes.packet import SYSTEM, packet_type, task_address
 from pancakes.task import Task, Tick, every, on
 

@@ -8,12 +8,10 @@ import pytest
 from services.numbered import Sink
 
 from pancakes.control import Adopt, Describe, Migrate, Restart, Start
-from pancakes.mesh.migration.boots import BootRemembered
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.knowledge import TaskFact, TasksKnown
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.census import CENSUS
+from pancakes.durable.ownership import BootRemembered, TaskFact, TasksKnown
+from pancakes.durable.record import Epoch, TaskId
 from pancakes.packet import NETWORK
-from pancakes.runtime.hosting.census_messages import CENSUS
 from pancakes.testing import AgentInTest, FleetInTest
 
 TASKS = {"Sink": Sink, "Other": Sink}

@@ -4,11 +4,11 @@ import pytest
 from services.numbered import SINK, Moody, Numbered, Picky, Sink, Source, fails, numbers, upto
 
 from pancakes.control import Describe, Migrate, Restart, Start, Stop
+from pancakes.durable.courier import COURIER, Say
+from pancakes.durable.delivery import Letter
 from pancakes.errors import LocalProtocolError, MailboxFull
-from pancakes.mesh.migration.post import Letter
-from pancakes.mesh.net.memory import Quality
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.runtime.hosting.courier_messages import COURIER, Say
+from pancakes.mesh.codec import Encoder
+from pancakes.mesh.memory_network import Quality
 from pancakes.testing import FleetInTest, threaded_agent
 
 
@@ -183,7 +183,7 @@ class TestAcknowledgement:
         assert numbers(fleet) == upto(7)
 
     def test_a_lazy_task_acknowledges_no_more_ahead_than_can_be_kept(self, fleet, monkeypatch):
-        monkeypatch.setattr("pancakes.runtime.hosting.task_letters.KEPT", 10)
+        monkeypatch.setattr("pancakes.durable.hosting.KEPT", 10)
         agent = fleet.start("a", tasks={"Sink": Sink})
         fleet.run_for(1.01)
         for n in upto(200):
@@ -262,7 +262,7 @@ class TestASenderThatMoves:
         assert got == sorted(got)
 
     def test_that_has_sent_more_than_may_travel_stays_and_says_so(self, fleet, monkeypatch):
-        monkeypatch.setattr("pancakes.mesh.migration.snapshot.LIMIT_BYTES", 2000)
+        monkeypatch.setattr("pancakes.durable.snapshot.LIMIT_BYTES", 2000)
         s, _ = self.pair(fleet)
         fleet.network.set_quality("s", "a", Quality(latency_s=100.0))
         fleet.run_for(1.0)

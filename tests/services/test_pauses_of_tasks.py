@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.bodies.devices.types import Load
 from pancakes.control import Migrate
-from pancakes.mesh.net.memory import Quality
+from pancakes.devices import Load
+from pancakes.mesh.memory_network import Quality
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 

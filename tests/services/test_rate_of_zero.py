@@ -1,9 +1,8 @@
 """A rate of 0 lets a timer rest, wherever it is said: in the class, in a file, at its creation and while it runs."""
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.types import Load
-from pancakes.control import Describe, Reschedule
-from pancakes.creation import Create
+from pancakes.control import Create, Describe, Reschedule
+from pancakes.devices import Load
+from pancakes.devices.driver import Sensor
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.client.looks import Looks
-from pancakes.control import Configure, Describe, Migrate, Reschedule
-from pancakes.creation import Remove
+from pancakes.client.rates import Looks
+from pancakes.control import Configure, Describe, Migrate, Remove, Reschedule
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 

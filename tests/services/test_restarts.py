@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.types import Load
 from pancakes.control import Configure, Describe, Restart, Start, Stop
+from pancakes.devices import Load
+from pancakes.devices.driver import Sensor
 from pancakes.service import Service
 from pancakes.task import Task, TaskSpec, every
 from pancakes.testing import FleetInTest, threaded_agent

@@ -6,7 +6,7 @@ import pytest
 from services.numbered import Numbered, Sink
 
 from pancakes.control import Checkpoints, Describe, HeldCheckpoint, Migrate, Revive, Start
-from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.durable.record import Phase, TaskId
 from pancakes.packet import SYSCTRL, task_address
 from pancakes.testing import FleetInTest
 

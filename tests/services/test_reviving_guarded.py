@@ -10,8 +10,8 @@ from services.counting import Count
 from services.numbered import Sink
 
 from pancakes.control import Checkpoints, Describe, HeldCheckpoint, Revive
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.runtime.journal.memory_journal import MARK
+from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.journal.journal import MARK
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")

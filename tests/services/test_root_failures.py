@@ -5,13 +5,13 @@ from typing import Any, ClassVar
 
 import pytest
 
-from pancakes.bodies.devices.driver import Actuator
-from pancakes.bodies.devices.types import Load
 from pancakes.control import Describe, Reply, Restart, Start, Stop
+from pancakes.devices import Load
+from pancakes.devices.driver import Actuator
+from pancakes.durable.client_service import ClientService
 from pancakes.events import Event
-from pancakes.runtime.hosting.client import ClientService
-from pancakes.runtime.kernel.component import Component
-from pancakes.runtime.kernel.handlers import on
+from pancakes.kernel.actor import Component
+from pancakes.kernel.handlers import on
 from pancakes.service import Service
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest, no_thread_left, threaded_agent

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.runtime.services.rotated_file import RotatedFile
+from pancakes.services.log_file import RotatedFile
 
 LINE = "x" * 99
 
@@ -135,7 +135,7 @@ def test_a_place_that_comes_to_be_is_written(path):
 
 WRITES = """
 import sys
-from pancakes.runtime.services.rotated_file import RotatedFile
+from pancakes.services.log_file import RotatedFile
 
 file = RotatedFile(sys.argv[1], 2000, 4)
 for number in range(int(sys.argv[2]), 10**9):

@@ -1,7 +1,7 @@
 """Rules by which tasks move by themselves, where an agent has several."""
 
-from pancakes.bodies.devices.types import Battery
 from pancakes.control import Start, Stop
+from pancakes.devices import Battery
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task
 from pancakes.testing import FleetInTest

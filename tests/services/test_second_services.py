@@ -4,10 +4,10 @@ import urllib.request
 from dataclasses import dataclass
 from pathlib import Path
 
-from pancakes.bodies.devices.driver import Actuator, Sensor
-from pancakes.bodies.devices.types import Load, Twist
 from pancakes.control import Describe, Migrate, Start, Stop
-from pancakes.runtime.kernel.handlers import on
+from pancakes.devices import Load, Twist
+from pancakes.devices.driver import Actuator, Sensor
+from pancakes.kernel.handlers import on
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, no_thread_left, threaded_agent
 from pancakes.tools.metrics.metrics_service import MetricsService

@@ -7,12 +7,12 @@ from seeded import for_each
 from services.sequels import Circle, Home, follows_after_a_death, moving, two
 
 from pancakes.control import Migrate, Migrations
-from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.mesh.net.memory import Quality
+from pancakes.durable.bidding_messages import MIGRATOR, HasMoved, MoveOver, Negotiate
+from pancakes.durable.client_service import ClientService
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import Phase, TaskId
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
-from pancakes.runtime.hosting.bidding_messages import MIGRATOR, HasMoved, MoveOver, Negotiate
-from pancakes.runtime.hosting.client import ClientService
 from pancakes.service import Service
 from pancakes.task import Task
 from pancakes.testing import FleetInTest

@@ -6,23 +6,12 @@ from dataclasses import dataclass
 import pytest
 from services.counting import Count
 
-from pancakes.bodies.devices.types import Load, Pose
-from pancakes.control import (
-    Begin,
-    Configure,
-    Describe,
-    Follow,
-    Migrate,
-    Reschedule,
-    Restart,
-    Start,
-    Stop,
-    Unfollow,
-)
+from pancakes.control import Begin, Configure, Describe, Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow
+from pancakes.devices import Load, Pose
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
+from pancakes.kernel.handlers import on
 from pancakes.packet import SYSCTRL
-from pancakes.runtime.kernel.handlers import on
 from pancakes.service import Service
 from pancakes.task import Task, TaskSpec
 from pancakes.testing import FleetInTest, Probe, assert_published, no_thread_left, threaded_agent

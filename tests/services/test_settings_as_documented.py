@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from msgspec.structs import fields
 
-from pancakes.runtime.hosting.client import ClientService
-from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
-from pancakes.runtime.services.device import DeviceService
-from pancakes.runtime.services.log import LogService
-from pancakes.runtime.services.network import NetworkService
+from pancakes.durable.client_service import ClientService
 from pancakes.service import Service
+from pancakes.services.device import DeviceService
+from pancakes.services.log import LogService
+from pancakes.services.network import NetworkService
+from pancakes.supervision.restart import DeviceRestartSpec, RestartSpec
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "configuration.md"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.runtime.services.shares import WINDOW_S, Kind, LeftOut, Shares, sentence_of
+from pancakes.services.log_writer import WINDOW_S, Kind, LeftOut, Shares, sentence_of
 
 A, B = Kind("r/client/A", False), Kind("r/client/B", False)
 URGENT = Kind("r/client/A", True)

@@ -1,7 +1,7 @@
 """A sensor and its readers: one that is slow does not end the sensor."""
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.types import Load
+from pancakes.devices import Load
+from pancakes.devices.driver import Sensor
 from pancakes.task import Task, on, reliable
 from pancakes.testing import FleetInTest
 

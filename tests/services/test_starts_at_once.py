@@ -3,7 +3,7 @@
 import pytest
 
 from pancakes.control import Start, Stop
-from pancakes.mesh.migration.record import TaskId, Wanted
+from pancakes.durable.record import TaskId, Wanted
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task
 from pancakes.testing import FleetInTest

@@ -2,11 +2,11 @@
 
 import threading
 
-from pancakes.bodies.devices.driver import Actuator
 from pancakes.control import Describe, Migrate, Start
-from pancakes.runtime.clock import MonotonicClock
+from pancakes.devices.driver import Actuator
 from pancakes.task import Task, every
 from pancakes.testing import threaded_agent
+from pancakes.util.clock import MonotonicClock
 
 RELEASED = threading.Event()
 ENTERED = threading.Event()

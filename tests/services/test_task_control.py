@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import pytest
 from seeded import for_each
 
-from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Configure, Describe, Reschedule, Restart, Start, Stop
+from pancakes.devices import Load, Pose
 from pancakes.events import LogLine
 from pancakes.packet import SYSCTRL
 from pancakes.service import Service

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import pytest
 from services.talk import Talk
 
-from pancakes.control import Migrate, Start, Stop
-from pancakes.creation import Create, Remove
-from pancakes.mesh.guarding.guard_messages import KeepLease, LeaseKept, SeizeTask
+from pancakes.control import Create, Migrate, Remove, Start, Stop
+from pancakes.durable.messages import KeepLease, LeaseKept, SeizeTask
 from pancakes.task import Task, Tick, every
 from pancakes.testing import FleetInTest
 

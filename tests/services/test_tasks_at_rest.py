@@ -5,9 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pancakes.control import Describe, Migrate, Start, Stop
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.record import Record, TaskId
-from pancakes.mesh.migration.rest import rest_of
+from pancakes.durable.record import Epoch, Record, TaskId, rest_of
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 

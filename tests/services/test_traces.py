@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
-from pancakes.bodies.devices.types import Load, Pose, Twist
 from pancakes.control import Reply, Traces
+from pancakes.devices import Load, Pose, Twist
 from pancakes.packet import Packet
-from pancakes.runtime.services.traces import (
+from pancakes.services.traces import (
     CHAINS_STEP,
     LARGE_BYTES,
     LEASE_S,

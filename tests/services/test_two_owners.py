@@ -8,13 +8,11 @@ from services.numbered import Sink
 from services.test_what_other_versions_left import change_record
 
 from pancakes.control import Adopt, Describe, Forget, Migrate, Restart, Start, Stop
-from pancakes.mesh.migration.claim import Owned, OwnerClaim
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.durable.census import CENSUS, Census, NeighbourUp
+from pancakes.durable.ownership import Owned, OwnerClaim
+from pancakes.durable.record import Epoch, Phase, Record, TaskId
+from pancakes.durable.snapshot import Snapshot
 from pancakes.packet import NETWORK
-from pancakes.runtime.hosting.census import Census
-from pancakes.runtime.hosting.census_messages import CENSUS, NeighbourUp
 from pancakes.testing import FleetInTest
 
 TASKS = {"Sink": Sink}

@@ -2,8 +2,8 @@
 
 import pytest
 
-from pancakes.runtime.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
-from pancakes.runtime.services.wanted_recordings import KIND, NOTHING, WantedRecording, wanted_recordings
+from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
+from pancakes.services.log import KIND, NOTHING, WantedRecording, wanted_recordings
 
 PATH = "log/Recorder"
 

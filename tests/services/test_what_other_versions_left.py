@@ -9,12 +9,11 @@ import pytest
 from msgspec.structs import replace
 from services.counting import Count
 
-from pancakes.control import Describe, Guarding, Migrate, Restart, Start, Stop
-from pancakes.creation import Create
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.control import Create, Describe, Guarding, Migrate, Restart, Start, Stop
+from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.snapshot import Snapshot
+from pancakes.journal.journal import JournalEntry, seal, unseal
 from pancakes.packet import SYSCTRL
-from pancakes.runtime.journal.seal import JournalEntry, seal, unseal
 from pancakes.task import Task
 from pancakes.testing import AgentInTest, FleetInTest
 

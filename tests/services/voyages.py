@@ -5,7 +5,7 @@ import random
 from services.numbered import HOSTS, Sink, Source, fails, numbers, sent_by, upto
 
 from pancakes.control import Migrate, Stop
-from pancakes.mesh.net.memory import Quality
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.testing import FleetInTest
 

@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from pancakes.bodies.sim.arena import Arena
-from pancakes.bodies.sim.rays import Fan
-from pancakes.bodies.sim.robot import RangeSensor
+from pancakes.sim.arena import Arena, Fan
+from pancakes.sim.robot_models import RangeSensor
 
 DT_S = 0.01
 AHEAD = RangeSensor(0.05, 0.0, 0.0)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.bodies.sim.battery import BatteryModel, BatterySettings
+from pancakes.sim.battery import BatteryModel, BatterySettings
 
 
 def battery(**settings):

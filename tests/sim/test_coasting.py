@@ -5,9 +5,8 @@ import random
 
 import pytest
 
-from pancakes.bodies.sim.arena import Arena
-from pancakes.bodies.sim.disc import Disc
-from pancakes.bodies.sim.solver import Solver
+from pancakes.sim.arena import Arena, Solver
+from pancakes.sim.bodies import Disc
 
 DT_S = 0.01
 

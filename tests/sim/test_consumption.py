@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from pancakes.bodies.sim.battery import BatteryModel, BatterySettings
 from pancakes.control import Stop
+from pancakes.sim.battery import BatteryModel, BatterySettings
 from pancakes.testing import FleetInTest
 
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from pancakes.bodies.devices.types import Twist
 from pancakes.control import Describe
+from pancakes.devices import Twist
 from pancakes.packet import CTRL
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest

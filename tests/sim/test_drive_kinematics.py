@@ -4,10 +4,8 @@ import math
 
 import pytest
 
-from pancakes.bodies.devices.types import Twist
-from pancakes.bodies.sim.drive import Wheels
-from pancakes.bodies.sim.khepera import KHEPERA_III
-from pancakes.bodies.sim.pioneer import PIONEER_3DX
+from pancakes.devices import Twist
+from pancakes.sim.robot_models import KHEPERA_III, PIONEER_3DX, Wheels
 
 KHEPERA = KHEPERA_III.drive
 

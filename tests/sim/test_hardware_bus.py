@@ -7,19 +7,17 @@ from typing import Any
 import pytest
 from devices.driver_context import DriverContext
 
-from pancakes.bodies.devices.types import Battery, Pose, Twist
-from pancakes.bodies.sim import bus
-from pancakes.bodies.sim.bus_client import BusClient
-from pancakes.bodies.sim.bus_server import BusServer
-from pancakes.bodies.sim.drivers import DifferentialDrive, SimulatedBattery, SimulatedInfrared, SimulatedPose
+from pancakes.devices import Battery, Pose, Twist
 from pancakes.errors import PancakesError, RemoteProtocolError
-from pancakes.mesh.net.memory import MemoryNetwork
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.net.transport import ConnectionHandler
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.kernel.virtual import VirtualDispatcher
-from pancakes.runtime.plugins import Plugins
+from pancakes.kernel.virtual_time import VirtualDispatcher
+from pancakes.mesh.memory_network import MemoryNetwork
+from pancakes.mesh.transport import ConnectionHandler, SocketTransport
 from pancakes.settings import SettingsError, make_settings
+from pancakes.sim import hardware_bus
+from pancakes.sim.drivers import DifferentialDrive, SimulatedBattery, SimulatedInfrared, SimulatedPose
+from pancakes.sim.hardware_bus import BusClient, BusServer
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 ADDRESS = "tcp://127.0.0.1:7499"
 
@@ -32,7 +30,7 @@ class Rig:
         self.network = MemoryNetwork(self.dispatcher.call_at, self.dispatcher.clock.now, random.Random(1))
         self.world_transport = self.network.transport("world")
         self.requests = []
-        self.answers = {bus.Attach: bus.Attached("")}
+        self.answers = {hardware_bus.Attach: hardware_bus.Attached("")}
         self.world_log = []
 
     def open_world(self, transport=None):
@@ -77,9 +75,9 @@ def test_a_drive_sends_wheel_speeds_with_their_time_to_live_and_their_source(rig
     rig.run(1.0)
     drive.apply(Twist(0.1, 0.2), 0.5, "agent1/client/ScanTarget")
     rig.run(0.1)
-    (attach,) = rig.asked(bus.Attach)
+    (attach,) = rig.asked(hardware_bus.Attach)
     assert (attach.body, attach.type, attach.model) == ("agent1", "motors", "khepera3")
-    (command,) = rig.asked(bus.Drive)
+    (command,) = rig.asked(hardware_bus.Drive)
     assert (command.body, command.ttl_s, command.source) == ("agent1", 0.5, "agent1/client/ScanTarget")
     assert command.left_mps == pytest.approx(0.1 - 0.2 * 0.0885 / 2)
     assert command.right_mps == pytest.approx(0.1 + 0.2 * 0.0885 / 2)
@@ -91,7 +89,7 @@ def test_a_measured_wheel_base_takes_the_place_of_the_models(rig):
     rig.run(1.0)
     drive.apply(Twist(0.0, 1.0), 0.5, "x")
     rig.run(0.1)
-    assert rig.asked(bus.Drive)[0].right_mps == pytest.approx(0.05)
+    assert rig.asked(hardware_bus.Drive)[0].right_mps == pytest.approx(0.05)
 
 
 def test_hold_is_sent_at_once(rig):
@@ -100,12 +98,12 @@ def test_hold_is_sent_at_once(rig):
     rig.run(1.0)
     drive.hold()
     rig.run(0.1)
-    assert [halt.body for halt in rig.asked(bus.Halt)] == ["robot7"]
+    assert [halt.body for halt in rig.asked(hardware_bus.Halt)] == ["robot7"]
 
 
 def test_a_sample_is_asked_for_and_delivered_when_it_comes(rig):
     rig.open_world()
-    rig.answers[bus.Sample] = bus.Reading("pose", "pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
+    rig.answers[hardware_bus.Sample] = hardware_bus.Reading("pose", "pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
     context = Context(rig, device="pose")
     sensor = opened(SimulatedPose, context)
     rig.run(1.0)
@@ -123,25 +121,25 @@ def test_one_question_is_under_way_at_a_time(rig):
     for _ in range(3):  # nobody answers
         sensor.sample()
         rig.run(0.1)
-    assert len(rig.asked(bus.Sample)) == 1
+    assert len(rig.asked(hardware_bus.Sample)) == 1
 
 
 def test_the_battery_tells_how_many_packets_were_sent_and_whether_the_radio_listens(rig):
     rig.open_world()
-    rig.answers[bus.Sample] = bus.Reading("battery", "battery", {"voltage_v": 8.0, "level": 0.8})
+    rig.answers[hardware_bus.Sample] = hardware_bus.Reading("battery", "battery", {"voltage_v": 8.0, "level": 0.8})
     context = Context(rig, device="battery")
     context.packets = 42
     sensor = opened(SimulatedBattery, context)
     rig.run(1.0)
     sensor.sample()
     rig.run(0.1)
-    assert rig.asked(bus.Sample)[0].packets_sent == 42
-    assert rig.asked(bus.Sample)[0].listening is True
+    assert rig.asked(hardware_bus.Sample)[0].packets_sent == 42
+    assert rig.asked(hardware_bus.Sample)[0].listening is True
     assert context.readings == [Battery(8.0, 0.8)]
     context.awake = False
     sensor.sample()
     rig.run(0.1)
-    assert rig.asked(bus.Sample)[1].listening is False
+    assert rig.asked(hardware_bus.Sample)[1].listening is False
 
 
 def test_the_drivers_of_an_agent_share_one_connection(rig):
@@ -151,13 +149,15 @@ def test_the_drivers_of_an_agent_share_one_connection(rig):
         opened(cls, Context(rig, device=device, shared=shared))
     rig.run(1.0)
     assert len(shared) == 1
-    assert sorted(attach.device for attach in rig.asked(bus.Attach)) == ["ir", "pose"]
+    assert sorted(attach.device for attach in rig.asked(hardware_bus.Attach)) == ["ir", "pose"]
 
 
 def test_a_refusal_is_said_once(rig):
     rig.open_world()
-    rig.answers[bus.Attach] = bus.Refused("ir", "agent1 is a pioneer3dx, which has no infrared sensors")
-    rig.answers[bus.Sample] = rig.answers[bus.Attach]
+    rig.answers[hardware_bus.Attach] = hardware_bus.Refused(
+        "ir", "agent1 is a pioneer3dx, which has no infrared sensors"
+    )
+    rig.answers[hardware_bus.Sample] = rig.answers[hardware_bus.Attach]
     context = Context(rig, device="ir")
     sensor = opened(SimulatedInfrared, context)
     for _ in range(3):
@@ -175,7 +175,7 @@ def test_a_world_that_comes_later_is_found(rig):
     assert rig.requests == []
     rig.open_world()
     rig.run(2.0)
-    assert [request.body for request in rig.asked(bus.Attach)] == ["agent1"]
+    assert [request.body for request in rig.asked(hardware_bus.Attach)] == ["agent1"]
     assert ("info", f"reached the world at {ADDRESS}") in context.lines
 
 
@@ -207,7 +207,7 @@ def test_a_world_that_dies_is_said_to_be_gone_and_what_was_asked_is_forgotten(ri
     rig.run(3.0)
     sensor.sample()
     rig.run(0.1)
-    assert [type(request) for request in rig.requests] == [bus.Attach, bus.Sample]
+    assert [type(request) for request in rig.requests] == [hardware_bus.Attach, hardware_bus.Sample]
 
 
 def test_a_world_task_that_ends_closes_its_bus_and_is_said_to_be_gone_once(rig):
@@ -226,7 +226,7 @@ def test_a_closed_client_dials_no_more(rig):
     client.close()
     rig.open_world()
     rig.run(5.0)
-    assert not client.send(bus.Halt("agent1", "motors"))
+    assert not client.send(hardware_bus.Halt("agent1", "motors"))
 
 
 def test_garbage_closes_that_connection_and_no_other(rig):
@@ -256,21 +256,21 @@ def test_garbage_closes_that_connection_and_no_other(rig):
 
 @pytest.mark.parametrize("cut", [1, 3, 7])
 def test_requests_are_read_however_the_network_cuts_them(cut):
-    requests: list[bus.Request] = [
-        bus.Attach("a", "motors", "motors", "khepera3"),
-        bus.Drive("a", "motors", 0.1, 0.2, 0.5, "x"),
-        bus.Halt("a", "m"),
+    requests: list[hardware_bus.Request] = [
+        hardware_bus.Attach("a", "motors", "motors", "khepera3"),
+        hardware_bus.Drive("a", "motors", 0.1, 0.2, 0.5, "x"),
+        hardware_bus.Halt("a", "m"),
     ]
-    data = b"".join(bus.encode(request) for request in requests)
-    reader = bus.RequestReader()
+    data = b"".join(hardware_bus.encode(request) for request in requests)
+    reader = hardware_bus.RequestReader()
     assert [r for i in range(0, len(data), cut) for r in reader.feed(data[i : i + cut])] == requests
 
 
 def test_a_request_of_the_wrong_shape_is_refused():
     with pytest.raises(RemoteProtocolError, match="no request to a simulated world"):
-        bus.RequestReader().feed(bus.encode(bus.Reading("ir", "ir", {})))
+        hardware_bus.RequestReader().feed(hardware_bus.encode(hardware_bus.Reading("ir", "ir", {})))
     with pytest.raises(RemoteProtocolError, match="no reply of a simulated world"):
-        bus.ReplyReader().feed(bus.encode(bus.Halt("a", "motors")))
+        hardware_bus.ReplyReader().feed(hardware_bus.encode(hardware_bus.Halt("a", "motors")))
 
 
 def test_an_unknown_model_is_a_mistake_in_the_settings():
@@ -284,11 +284,11 @@ def test_it_works_over_tcp_as_well():
     served, answered = threading.Event(), threading.Event()
     insecure = {"tcp": {"insecure": True}}
     world, agent = (SocketTransport(MonotonicClock(), name, Plugins(), insecure) for name in ("world", "agent1"))
-    pose = bus.Reading("pose", "pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
+    pose = hardware_bus.Reading("pose", "pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
 
     def serve(request):
         served.set()
-        return pose if isinstance(request, bus.Sample) else None
+        return pose if isinstance(request, hardware_bus.Sample) else None
 
     try:
         address = BusServer(world, lambda function: function(), serve, lambda *line: None).listen("tcp://127.0.0.1:0")
@@ -318,8 +318,8 @@ def test_an_address_in_use_is_said(rig):
 
 def test_a_reading_arrives_as_what_it_was_and_one_that_does_not_fit_its_type_is_refused():
     def arrived(kind, value):
-        (answer,) = bus.ReplyReader().feed(bus.encode(bus.Reading("device", kind, value)))
-        assert isinstance(answer, bus.RawReading)
+        (answer,) = hardware_bus.ReplyReader().feed(hardware_bus.encode(hardware_bus.Reading("device", kind, value)))
+        assert isinstance(answer, hardware_bus.RawReading)
         return answer.body()
 
     assert arrived("pose", Pose(1.0, 2.0, 0.5)) == Pose(1.0, 2.0, 0.5)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from pancakes.bodies.sim.khepera import KHEPERA_III
+from pancakes.sim.robot_models import KHEPERA_III
 
 assert KHEPERA_III.ir is not None
 CURVE = KHEPERA_III.ir.curve

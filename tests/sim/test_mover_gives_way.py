@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from pancakes.bodies.sim.wayfinder import DECIDE_EVERY_S, MoverSettings, Obstacle, Wayfinder
+from pancakes.sim.pedestrian import DECIDE_EVERY_S, MoverSettings, Obstacle, Wayfinder
 
 ROBOT_RADIUS_M = 0.065
 HALF_WIDTH_M, HALF_HEIGHT_M = 2.5, 2.0

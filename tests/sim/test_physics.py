@@ -6,12 +6,11 @@ import time
 
 import pytest
 
-from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Sonar, Twist
-from pancakes.bodies.sim.battery import BatterySettings
-from pancakes.bodies.sim.drive import Wheels
-from pancakes.bodies.sim.khepera import KHEPERA_III
-from pancakes.bodies.sim.physics import Physics
-from pancakes.bodies.sim.settings import (
+from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar, Twist
+from pancakes.errors import PancakesError
+from pancakes.settings import SettingsError, check_settings, make_settings
+from pancakes.sim.battery import BatterySettings
+from pancakes.sim.bodies import (
     ArenaSettings,
     ContentSettings,
     MotionSettings,
@@ -19,9 +18,9 @@ from pancakes.bodies.sim.settings import (
     RobotSettings,
     SensorSettings,
 )
-from pancakes.bodies.sim.wayfinder import MoverSettings
-from pancakes.errors import PancakesError
-from pancakes.settings import SettingsError, check_settings, make_settings
+from pancakes.sim.pedestrian import MoverSettings
+from pancakes.sim.robot_models import KHEPERA_III, Wheels
+from pancakes.sim.world import Physics
 
 QUIET = NoiseSettings(wheel=0.0, ir_share=0.0, ir_raw=0.0, sonar_m=0.0)
 

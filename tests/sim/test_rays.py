@@ -6,10 +6,8 @@ import random
 import pymunk
 import pytest
 
-from pancakes.bodies.sim.arena import Arena
-from pancakes.bodies.sim.khepera import KHEPERA_III
-from pancakes.bodies.sim.rays import Fan
-from pancakes.bodies.sim.robot import IrRing, SonarRing
+from pancakes.sim.arena import Arena, Fan
+from pancakes.sim.robot_models import KHEPERA_III, IrRing, SonarRing
 
 HALF_M = (2.0, 1.5)
 INSET_M = 0.05

@@ -4,10 +4,8 @@ import math
 
 import pytest
 
-from pancakes.bodies.sim.khepera import KHEPERA_III
-from pancakes.bodies.sim.models import robot_model
-from pancakes.bodies.sim.pioneer import PIONEER_3DX
 from pancakes.errors import PancakesError
+from pancakes.sim.robot_models import KHEPERA_III, PIONEER_3DX, robot_model
 
 
 def degrees(ring):

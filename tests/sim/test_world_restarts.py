@@ -7,13 +7,13 @@ import pytest
 from pancakes_sensor_field.field import Field
 from pancakes_sensor_field.tiny_nodes import SimulatedTinyNodes
 
-from pancakes.bodies.devices.types import Pose, Twist
-from pancakes.bodies.sim.bus import Attach, Drive, encode
-from pancakes.bodies.sim.state import WorldState
-from pancakes.bodies.sim.world import World
 from pancakes.control import Describe, Restart, Start, Stop
-from pancakes.mesh.net.transport import ConnectionHandler
+from pancakes.devices import Pose, Twist
+from pancakes.mesh.transport import ConnectionHandler
 from pancakes.packet import Packet, packet_type
+from pancakes.sim.hardware_bus import Attach, Drive, encode
+from pancakes.sim.world import World
+from pancakes.sim.world_state import WorldState
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
 

@@ -7,19 +7,19 @@ from typing import Any
 
 import pytest
 
-from pancakes.bodies.sim import bus
-from pancakes.bodies.sim.motion_capture import MotionCapture, measured
-from pancakes.bodies.sim.state import BodyState, WorldState
-from pancakes.bodies.sim.trajectory import HEADER, Trajectory, row
-from pancakes.bodies.sim.world import World
 from pancakes.events import Event
-from pancakes.mesh.net.memory import MemoryNetwork
-from pancakes.mesh.net.transport import Connection, ConnectionHandler
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.virtual_time import VirtualDispatcher
+from pancakes.mesh.memory_network import MemoryNetwork
+from pancakes.mesh.transport import Connection, ConnectionHandler
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.kernel import Kernel
-from pancakes.runtime.kernel.virtual import VirtualDispatcher
-from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.settings import SettingsError, make_settings
+from pancakes.sim import hardware_bus
+from pancakes.sim.csv_records import TRAJECTORY_HEADER, Trajectory, row
+from pancakes.sim.motion_capture import MotionCapture, measured
+from pancakes.sim.world import World
+from pancakes.sim.world_state import BodyState, WorldState
+from pancakes.supervision.messages import Carried
 from pancakes.task import Task, on
 
 BUS = "tcp://127.0.0.1:7499"
@@ -80,7 +80,7 @@ class Robot(ConnectionHandler):
     def __init__(self, agent):
         self.replies: list[Any] = []
         self.connection: Connection | None = None
-        self._reader = bus.ReplyReader()
+        self._reader = hardware_bus.ReplyReader()
         agent.network.transport("agent1").dial(BUS, self)
 
     def opened(self, connection):
@@ -94,7 +94,7 @@ class Robot(ConnectionHandler):
 
     def send(self, request):
         assert self.connection is not None
-        self.connection.send(bus.encode(request))
+        self.connection.send(hardware_bus.encode(request))
 
 
 def test_states_come_at_exact_multiples_of_the_period():
@@ -126,7 +126,7 @@ def test_a_command_over_the_bus_moves_a_robot_until_it_is_stale():
     agent = WorldAgent()
     robot = Robot(agent)
     agent.run_until(1.0)
-    robot.send(bus.Drive("agent1", "motors", 0.1, 0.1, 0.5, "agent1/client/ScanTarget"))
+    robot.send(hardware_bus.Drive("agent1", "motors", 0.1, 0.1, 0.5, "agent1/client/ScanTarget"))
     agent.run_until(1.4)
     moving = agent.watcher.states[-1].bodies[0]
     assert (moving.v_mps, moving.driven_by) == (pytest.approx(0.1, rel=0.05), "ScanTarget")
@@ -140,13 +140,13 @@ def test_a_sample_over_the_bus_is_answered_and_what_cannot_be_is_refused():
     agent = WorldAgent()
     robot = Robot(agent)
     agent.run_until(1.0)
-    robot.send(bus.Sample("agent1", "ir", "ir"))
-    robot.send(bus.Sample("nobody", "ir2", "ir"))
-    robot.send(bus.Attach("agent1", "motors", "motors", "pioneer3dx"))
-    robot.send(bus.Attach("agent2", "motors", "motors", "khepera3"))
+    robot.send(hardware_bus.Sample("agent1", "ir", "ir"))
+    robot.send(hardware_bus.Sample("nobody", "ir2", "ir"))
+    robot.send(hardware_bus.Attach("agent1", "motors", "motors", "pioneer3dx"))
+    robot.send(hardware_bus.Attach("agent2", "motors", "motors", "khepera3"))
     agent.run_until(1.1)
     reading, nobody, wrong_model, attached = robot.replies
-    assert attached == bus.Attached("motors")
+    assert attached == hardware_bus.Attached("motors")
     assert (reading.device, reading.type, len(reading.body().ranges_m)) == ("ir", "ir", 9)
     assert (nobody.device, nobody.reason) == ("ir2", "the simulated world has no robot 'nobody', only agent1, agent2")
     assert "agent1 is a khepera3" in wrong_model.reason
@@ -156,7 +156,7 @@ def test_a_collision_is_an_event():
     agent = WorldAgent()
     robot = Robot(agent)
     agent.run_until(1.0)
-    robot.send(bus.Drive("agent1", "motors", 0.3, 0.3, 10.0, "agent1/client/ScanTarget"))
+    robot.send(hardware_bus.Drive("agent1", "motors", 0.3, 0.3, 10.0, "agent1/client/ScanTarget"))
     agent.run_until(6.0)
     (collision,) = [event for event in agent.watcher.events if event.kind == "collision"]
     assert collision.fields["names"] == ["agent1", "sensor"]
@@ -189,7 +189,7 @@ def test_the_trajectory_has_a_row_for_each_body_ten_times_a_second(tmp_path):
     agent.trajectory.actor_ref.stop(block=False)
     agent.dispatcher.settle()
     lines = path.read_text().splitlines()
-    assert lines[0] == HEADER
+    assert lines[0] == TRAJECTORY_HEADER
     rows = [line.split(",") for line in lines[1:]]
     assert len(rows) == 4 * 51
     assert [cells[1] for cells in rows[:4]] == ["agent1", "agent2", "sensor", "mover"]

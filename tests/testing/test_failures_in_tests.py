@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.runtime.kernel.component import Component
+from pancakes.kernel.actor import Component
 from pancakes.service import Service
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest, threaded_agent

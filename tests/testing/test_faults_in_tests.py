@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.bodies.devices.types import Load
 from pancakes.control import Describe
+from pancakes.devices import Load
 from pancakes.events import Event
 from pancakes.packet import NEIGHBOURS
 from pancakes.task import Task, every

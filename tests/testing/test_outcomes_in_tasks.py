@@ -9,7 +9,7 @@ pytest_plugins = ["pytester"]
 TASKS = """
 import pytest
 
-from pancakes.bodies.devices.types import Pose
+from pancakes.devices import Pose
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest, threaded_agent
 

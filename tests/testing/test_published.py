@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.bodies.devices.types import Load, Memory
+from pancakes.devices import Load, Memory
 from pancakes.task import Task, every
 from pancakes.testing import assert_published
 

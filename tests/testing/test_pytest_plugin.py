@@ -13,7 +13,7 @@ BLINK = """
 import pytest
 
 from pancakes.control import Stop
-from pancakes.bodies.devices.types import Load
+from pancakes.devices import Load
 from pancakes.task import Task, every
 from pancakes.testing import assert_published
 
@@ -229,7 +229,7 @@ def test_it():
 
 
 def test_nothing_that_an_agent_imports_imports_pytest():
-    code = "import sys, pancakes.runtime.agent, pancakes.tools.cli.agent_command, pancakes.tools.cli.main; "
+    code = "import sys, pancakes.agent.agent, pancakes.tools.cli.agent_command, pancakes.tools.cli.main; "
     code += "import pancakes.testing; "
     code += "from pancakes.testing import FleetInTest, threaded_agent; print('pytest' in sys.modules)"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

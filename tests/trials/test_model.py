@@ -23,7 +23,7 @@ from model.mutants import MUTANTS, Mutant
 from model.parts import Bounds
 from model.search import Result, Search
 
-from pancakes.mesh.guarding import guardian_core
+from pancakes.durable import guarding
 
 
 def test_model_command_searches_and_convicts(program: Any, tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_model_search_does_not_believe_itself(monkeypatch: pytest.MonkeyPatch) -
     rotten = (
         Mutant("rotten", "", ((MUTANTS[0].edits[0][0], "a text that nobody wrote", ""),)),
         HostingMutant("rotten", "a text that nobody wrote", ""),
-        GuardedMutant("rotten", ((guardian_core, "a text that nobody wrote", ""),)),
+        GuardedMutant("rotten", ((guarding, "a text that nobody wrote", ""),)),
     )
     for mutant in rotten:
         with pytest.raises(LookupError, match="'rotten' finds its text 0 times"):

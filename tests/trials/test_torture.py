@@ -46,9 +46,9 @@ from torture.takeover_tally import Heard, TakeoverTally, Traces
 from torture.tally import Tally
 from torture.traps import Field, Trap
 
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.runtime.hosting.records import KIND
-from pancakes.runtime.journal import FileJournal, JournalEntry, JournalError
+from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.store import RECORD
+from pancakes.journal import FileJournal, JournalEntry, JournalError
 
 TASK = TaskId("a", "One")
 
@@ -249,7 +249,7 @@ def test_torture_trap_holds_an_agent_in_its_write(tmp_path: Path) -> None:
     def write(phase: Phase) -> None:
         record = Record(TASK, phase, snapshot=bytes(BALLAST_BYTES))
         try:
-            journal.write([JournalEntry(KIND, str(TASK), record.encode())])
+            journal.write([JournalEntry(RECORD, str(TASK), record.encode())])
         except JournalError as error:
             failures.append(str(error))
 
@@ -264,7 +264,7 @@ def test_torture_trap_holds_an_agent_in_its_write(tmp_path: Path) -> None:
     agent.join(10.0)
     assert failures and trap.no_disk_s > 0.0
     journal.close()
-    (kept,) = FileJournal(tmp_path / "a").entries(KIND)
+    (kept,) = FileJournal(tmp_path / "a").entries(RECORD)
     assert Record.decode(kept.data).phase is Phase.OWNER
 
 

@@ -1,6 +1,6 @@
 """The board: whoever was away gets the newest values, and nothing else is kept for them."""
 
-from pancakes.tools.web.board import Board
+from pancakes.tools.web.timeline import Board
 
 
 def test_changes_are_told_since_any_version():

@@ -6,11 +6,10 @@ from typing import Any
 
 import pytest
 
-from pancakes.bodies.devices.types import Twist
+from pancakes.devices import Twist
 from pancakes.packet import Packet
-from pancakes.tools.recording.chains import Chain, ChainStep
-from pancakes.tools.recording.commands import ActuatorCommand
-from pancakes.tools.web.causes import FEW, Explaining
+from pancakes.recording.causal_chains import ActuatorCommand, Chain, ChainStep
+from pancakes.tools.web.command_causes import FEW, Explaining
 
 S = 1_000_000_000
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from web.told import agent, describe, packet, record, task, world
 
-from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose
-from pancakes.client.looks import Looks
+from pancakes.client.rates import Looks
+from pancakes.devices import Battery, Infrared, Motion, Pose
 from pancakes.events import Event
 from pancakes.tools.web.fleet_model import TRAIL, FleetModel
 
@@ -179,7 +179,7 @@ def test_what_was_said_before_lies_back_on_the_timeline_and_comes_once(model: Fl
 
 
 def test_only_the_newest_events_are_kept_and_their_numbers_tell_what_is_missing():
-    from pancakes.tools.web.event_log import EventLog
+    from pancakes.tools.web.fleet_model import EventLog
 
     happenings = EventLog(limit=3)
     for number in range(5):

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from web.told import packet, record, world
 
-from pancakes.bodies.devices.types import Infrared
+from pancakes.devices import Infrared
 from pancakes.tools.web.feed import Feed
-from pancakes.tools.web.history import CHUNK_S, FrameHistory
+from pancakes.tools.web.timeline import CHUNK_S, FrameHistory
 
 
 def piece(history: FrameHistory, t: float) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import pytest
 
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused
-from pancakes.tools.web.page_orders import order_from
+from pancakes.tools.web.orders import order_from
 
 TASK = {"agent": "a", "task": "client/T"}
 

@@ -10,9 +10,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from pancakes.runtime.foundation.schema import schema_of
 from pancakes.settings import FilePath, plain_settings
-from pancakes.tools.web.setting_fields import MOST_BYTES, fields_of
+from pancakes.tools.web.orders import MOST_BYTES, fields_of
+from pancakes.util.schema import schema_of
 
 
 @dataclass

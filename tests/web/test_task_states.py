@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pancakes.tools.short_state import MOST_BYTES, ShortState, shortened
-from pancakes.tools.web.state_history import StateHistory
+from pancakes.tools.web.timeline import StateHistory
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.devices import Pose, Twist
 from pancakes.packet import Packet
-from pancakes.runtime.services.traces import TracedPackets
-from pancakes.tools.web.fleet_traces import BUSY_S, IDLE_S, LOOK_S, PATIENCE_S, SOON_S, FleetTraces
+from pancakes.services.traces import TracedPackets
+from pancakes.tools.web.command_causes import BUSY_S, IDLE_S, LOOK_S, PATIENCE_S, SOON_S, FleetTraces
 
 MS = 1_000_000
 POSE = Pose(1.0, 2.0, 0.0)

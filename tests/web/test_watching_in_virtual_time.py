@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from pancakes.config import parse
 from pancakes.control import Describe
 from pancakes.errors import ControlRefused, Unreachable
 from pancakes.fleet import VirtualFleet
-from pancakes.runtime.config import parse
 from pancakes.tools.web.virtual_watch import VirtualWatch
 from pancakes.tools.web.watch import fleet_among
 

@@ -113,7 +113,7 @@ def test_watch_reports_a_fleet_that_ended_and_came_back(rig: Rig, seen: Seen, wa
 
 
 STEER = """
-from pancakes.bodies.devices.types import Load
+from pancakes.devices import Load
 from pancakes.task import Task, on
 
 class Steer(Task):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pancakes.bodies.sim.state import BodyState, WorldState
-from pancakes.client.looks import Looks
+from pancakes.client.rates import Looks
 from pancakes.packet import Packet
+from pancakes.sim.world_state import BodyState, WorldState
 
 
 def packet(source: str, channel: str, type_: str, body: Any, stamp: float = 0.0, seq: int = 1, **others: Any) -> Packet:

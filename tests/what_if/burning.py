@@ -13,9 +13,9 @@ import pytest
 from cli.processes import Rig, Running
 
 from pancakes.client import Client
-from pancakes.measurement import Measure
-from pancakes.runtime.foundation import codecs
+from pancakes.control import Measure
 from pancakes.tools.forecast import MeasuredAgent
+from pancakes.util import codecs
 
 SOURCE: Final = """
 from dataclasses import dataclass

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.control import Restart
+from pancakes.control import Measure, Restart
 from pancakes.events import Event
-from pancakes.measurement import Measure
 from pancakes.packet import SYSCTRL, SYSTEM, Packet
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.services import measuring
+from pancakes.services import root
 from pancakes.task import Task, Tick, every, on
 from pancakes.tools.forecast import MeasuredAgent
+from pancakes.util import codecs
 
 
 class Burn(Task):
@@ -126,7 +125,7 @@ def test_a_tick_that_is_not_missed_is_not_told_as_missed(threaded_agent):
 
 
 def test_where_the_system_counts_no_processor_time_no_share_of_it_is_busy(threaded_agent, monkeypatch):
-    monkeypatch.setattr(measuring, "processor_times", lambda: (1.0, 1.0))
+    monkeypatch.setattr(root, "processor_times", lambda: (1.0, 1.0))
     assert measured(threaded_agent(), 0.1).host.busy_share == 0.0
 
 

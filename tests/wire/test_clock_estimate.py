@@ -7,7 +7,7 @@ import random
 import pytest
 from seeded import for_each
 
-from pancakes.mesh.wire.clock_estimate import MOST_KEPT, WANDER, ClockEstimate, ClockOffset
+from pancakes.mesh.clock_sync import MOST_KEPT, WANDER, ClockEstimate, ClockOffset
 
 
 class Pair:

@@ -17,13 +17,27 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from seeded import for_each
 
-from pancakes.bodies.devices.types import Infrared, Pose
+from pancakes.devices import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.mesh.wire.codec import Encoder, of_agent, packet_from_row, rows_from_payload
-from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.mesh.wire.link_messages import HELLO_NUMBER, AgentSeen, Gossip, Hello, Identity, Ping
-from pancakes.mesh.wire.packet_bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH, encodable
-from pancakes.mesh.wire.runs import PacketRun, RowEncoder, head_of, messages_from_payload, packets_of, run_of
+from pancakes.mesh.codec import (
+    MAX_ARRAY_LENGTH,
+    MAX_DEPTH,
+    MAX_MAP_LENGTH,
+    MAX_MESSAGE_BYTES,
+    Encoder,
+    PacketRun,
+    RowEncoder,
+    encodable,
+    frame,
+    head_of,
+    messages_from_payload,
+    of_agent,
+    packet_from_row,
+    packets_of,
+    rows_from_payload,
+    run_of,
+)
+from pancakes.mesh.messages import HELLO_NUMBER, AgentSeen, Gossip, Hello, Identity, Ping
 from pancakes.packet import Fence, Packet, packet_type
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pancakes.mesh.wire.fleet_mission import PeerMission, mission_of_fleet
+from pancakes.mesh.clock_sync import PeerMission, mission_of_fleet
 
 
 def mission(peer, zero_s, bound_s=0.001, speed=1.0):

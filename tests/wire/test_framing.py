@@ -8,12 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.mesh.wire.framing import (
-    MAX_MESSAGE_BYTES,
-    MAX_PAYLOAD_BYTES,
-    FrameReader,
-    frame,
-)
+from pancakes.mesh.codec import MAX_MESSAGE_BYTES, MAX_PAYLOAD_BYTES, FrameReader, frame
 
 
 def messages_in(payloads):

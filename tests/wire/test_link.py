@@ -8,9 +8,8 @@ import msgpack
 import pytest
 from seeded import for_each
 
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.link import (
+from pancakes.mesh.codec import Encoder, RowEncoder, frame, head_of, run_of
+from pancakes.mesh.link import (
     MOST_UNANSWERED,
     Greeted,
     Learnt,
@@ -24,20 +23,9 @@ from pancakes.mesh.wire.link import (
     TimebaseHeard,
     Up,
 )
-from pancakes.mesh.wire.link_messages import (
-    VERSION,
-    AgentSeen,
-    Goodbye,
-    Gossip,
-    Hello,
-    Ping,
-    Pong,
-    RefuseLink,
-    Timebase,
-    Welcome,
-)
-from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
+from pancakes.mesh.messages import VERSION, AgentSeen, Goodbye, Gossip, Hello, Ping, Pong, RefuseLink, Welcome
 from pancakes.packet import Packet
+from pancakes.util.timebase import Timebase
 
 
 def hello(name, **more):

@@ -7,9 +7,8 @@ import math
 
 import pytest
 
-from pancakes.mesh.wire.clock_estimate import ClockOffset
-from pancakes.mesh.wire.link_messages import Timebase
-from pancakes.mesh.wire.peer_clock import PeerClock
+from pancakes.mesh.clock_sync import ClockOffset, PeerClock
+from pancakes.util.timebase import Timebase
 
 OFFSET = ClockOffset(50.0, 1000.0, 0.001, 0.0, 0.0001)
 OWN = Timebase(20.0, 0.0, 1.0, 1e9)

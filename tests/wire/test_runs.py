@@ -16,29 +16,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seeded import for_each
 
-from pancakes.bodies.devices.types import Infrared, Pose
+from pancakes.devices import Infrared, Pose
+from pancakes.durable.messages import CheckpointBody, CheckpointId, KeepLease
+from pancakes.durable.record import Epoch, GuardianId, Guards, TaskId
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.mesh.guarding.guard_messages import CheckpointBody, CheckpointId, KeepLease
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.guards import GuardianId, Guards
-from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.wire.closed import is_closed
-from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.mesh.wire.link_messages import HELLO_NUMBER, Ping
-from pancakes.mesh.wire.packet_bodies import encodable
-from pancakes.mesh.wire.runs import (
+from pancakes.mesh.codec import (
     LONGEST_REASON,
+    MAX_MESSAGE_BYTES,
     PacketRun,
     RowEncoder,
     Unfit,
+    encodable,
     foreign_version,
+    frame,
     head_of,
+    is_closed,
     messages_from_payload,
     packets_of,
     run_of,
 )
+from pancakes.mesh.messages import HELLO_NUMBER, Ping
 from pancakes.packet import Fence, Packet, known_types, packet_type
-from pancakes.runtime.plugins import Plugins
+from pancakes.util.plugins import Plugins
 
 if TYPE_CHECKING:
     from typing import SupportsIndex

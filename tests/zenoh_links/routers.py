@@ -15,10 +15,9 @@ from pathlib import Path
 from net.conftest import Ear, TlsRig
 from pancakes_zenoh.routed_link import RoutedLink
 
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.net.transport import Transport
-from pancakes.mesh.security.keys import Keys
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.transport import SocketTransport, Transport
+from pancakes.security.keys import Keys
+from pancakes.util.plugins import Plugins
 
 COMMAND = (sys.executable, "-m", "pancakes.tools.cli.main", "zenoh", "router")
 

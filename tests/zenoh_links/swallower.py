@@ -6,10 +6,9 @@ python swallower.py ROUTER ADDRESS [SILENT_S]
 import sys
 import threading
 
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.net.transport import Connection, ConnectionHandler
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.transport import Connection, ConnectionHandler, SocketTransport
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 
 class Swallower(ConnectionHandler):

@@ -18,8 +18,8 @@ from pancakes_zenoh.router_session import session_config
 from zenoh_links.routers import Router, ZenohRig, link_of
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.transport import SocketTransport
+from pancakes.util.plugins import Plugins
 
 SECRET = b"the key is under the mat"
 

@@ -25,9 +25,8 @@ from benchmarks.agent_process import INSECURE, agent_process, offer_tasks, proce
 from benchmarks.bus_load import GOOD_FOR_S, RATE_HZ, wheels_mps
 from benchmarks.figure import Figure, Plan, alone
 
-from pancakes.bodies.sim.drive import Wheels
-from pancakes.bodies.sim.physics import STEP_S, Physics
-from pancakes.bodies.sim.world import World
+from pancakes.sim.robot_models import Wheels
+from pancakes.sim.world import STEP_S, Physics, World
 
 TITLE = "a world of Khepera III that move, 9 infrared sensors and wheels each asked and commanded at 10 Hz"
 BESIDE = ""

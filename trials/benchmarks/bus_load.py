@@ -13,7 +13,7 @@ import socket
 import sys
 import time
 
-from pancakes.bodies.sim.bus import Attach, Drive, RawReading, ReplyReader, Sample, encode
+from pancakes.sim.hardware_bus import Attach, Drive, RawReading, ReplyReader, Sample, encode
 
 RATE_HZ = 10.0
 GOOD_FOR_S = 0.5

@@ -18,10 +18,10 @@ import pykka
 from benchmarks.figure import Figure, Plan, in_turns
 from benchmarks.local_agent import local_agent
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.types import Pose
+from pancakes.agent.agent import Agent
+from pancakes.devices import Pose
+from pancakes.devices.driver import Sensor
 from pancakes.packet import SYSTEM, Packet
-from pancakes.runtime.agent import Agent
 from pancakes.task import Task, Tick, every, on, queue
 
 TITLE = "a channel to its subscribers"

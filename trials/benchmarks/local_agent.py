@@ -10,10 +10,10 @@ from typing import Any
 
 from benchmarks.agent_process import INSECURE
 
-from pancakes.runtime.agent import Agent
-from pancakes.runtime.config import parse
-from pancakes.runtime.plugins import Plugins
+from pancakes.agent.agent import Agent
+from pancakes.config import parse
 from pancakes.task import Task
+from pancakes.util.plugins import Plugins
 
 READY_S = 30.0
 

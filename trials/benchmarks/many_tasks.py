@@ -36,10 +36,10 @@ from benchmarks.agent_process import (
 )
 from benchmarks.figure import Figure, Plan, in_turns
 
-from pancakes.bodies.devices.types import Pose
+from pancakes.devices import Pose
 from pancakes.packet import SYSTEM, Packet
-from pancakes.runtime.supervision.slot import Slot
 from pancakes.service import Service
+from pancakes.supervision.slots import Slot
 from pancakes.task import Task, TaskSpec, Tick, every, on
 
 TITLE = "many tasks in one agent, beside as many empty pykka actors"

@@ -19,10 +19,9 @@ from benchmarks.two_processes import PACKETS, ROUND_TRIPS, Way, pancakes, trips_
 from zenoh_links import swallower
 from zenoh_links.routers import Router
 
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.net.transport import Connection, ConnectionHandler
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.transport import Connection, ConnectionHandler, SocketTransport
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 TITLE = "a task to a task in another process, through a Zenoh router, with keys"
 BESIDE = "TCP with keys"

@@ -20,11 +20,10 @@ from benchmarks.start_up import pancakes as started
 from benchmarks.two_processes import PACKETS, ROUND_TRIPS, Way, pancakes, trips_us
 from keys_in_test import KeysInTest
 
-from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.net.transport import Connection, ConnectionHandler
-from pancakes.mesh.security.keys import Keys
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.plugins import Plugins
+from pancakes.mesh.transport import Connection, ConnectionHandler, SocketTransport
+from pancakes.security.keys import Keys
+from pancakes.util.clock import MonotonicClock
+from pancakes.util.plugins import Plugins
 
 TITLE = "a task to a task in another process, over TCP with keys"
 BESIDE = "TCP without keys"

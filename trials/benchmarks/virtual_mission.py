@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.agent_process import usual_environment
 from benchmarks.figure import Figure, Plan, alone
 
-from pancakes.runtime.plugins import Plugins
+from pancakes.util.plugins import Plugins
 
 TITLE = "a mission in virtual time"
 BESIDE = ""

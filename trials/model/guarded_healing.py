@@ -14,13 +14,26 @@ from typing import Any
 from model.guarded_parts import BOOT, OWNED, TASK, TYPE, Party, Rules, Scenario, Violation
 from msgspec.structs import replace
 
-from pancakes.mesh.guarding.guard_messages import CheckpointId, DenyLease, KeepLease, LeaseKept, Pledge, SeizeTask
-from pancakes.mesh.guarding.guardian_core import AnswerAsker, Lease, SetLease, WriteRegister
-from pancakes.mesh.guarding.taking_over import TakeTask
-from pancakes.mesh.migration.effect import Discard, Freeze, GiveWay, Persist, Remember, Resume, Seize, Send, StartTask
-from pancakes.mesh.migration.event import ClaimHeard, Event, GiveUp, PermitGiven, Received, Resend
-from pancakes.mesh.migration.guards import GuardianId
-from pancakes.mesh.migration.record import Phase, Wanted
+from pancakes.durable.guarding import AnswerAsker, Lease, SetLease, WriteRegister
+from pancakes.durable.handoff_events import (
+    ClaimHeard,
+    Discard,
+    Event,
+    Freeze,
+    GiveUp,
+    GiveWay,
+    PermitGiven,
+    Persist,
+    Received,
+    Remember,
+    Resend,
+    Resume,
+    Seize,
+    Send,
+    StartTask,
+)
+from pancakes.durable.messages import CheckpointId, DenyLease, KeepLease, LeaseKept, Pledge, SeizeTask, TakeTask
+from pancakes.durable.record import GuardianId, Phase, Wanted
 
 ROUNDS = 16
 ASKED = 10

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 from model.edited import edited
 from model.guarded_parts import Rules, Scenario
 from model.guarded_scenarios import DEEP, SUITE
 
-from pancakes.mesh.guarding import guardian_core, seizing, tenure
-from pancakes.mesh.migration import candidate, core, guarded_task, owner, source
+from pancakes.durable import guarding, handoff
 
 Edit = tuple[ModuleType, str, str]
-_HALVES: Final = (candidate, guarded_task, owner, source)
-_OWN_CLASSES: Final = (seizing, tenure)
-"""What these keep stays with their callers, so a variant may have classes of its own."""
 
 TAKER: Final = Scenario("a taker", takers="B", crashes="")
 CRASH: Final = Scenario("a taker, and a guardian crashes", takers="B", crashes="C")
@@ -60,15 +56,13 @@ class GuardedMutant(msgspec.Struct, frozen=True):
         Raises:
             LookupError: a text does not stand in its module exactly once.
         """
-        made: dict[ModuleType, Any] = {it: it for it in (*_HALVES, core, guardian_core, seizing, tenure)}
-        for module in {module for module, _, _ in self.edits}:
-            edits = [(old, new) for it, old, new in self.edits if it is module]
-            made[module] = edited(module, self.name, *edits, own_classes=module in _OWN_CLASSES)
-        if any(made[half] is not half for half in _HALVES):
-            made[core] = edited(core, self.name)
-            for half in _HALVES:
-                setattr(made[core], half.__name__.rpartition(".")[2], made[half])
-        return Rules(made[core], made[guardian_core], made[tenure], made[seizing], self.tells_copies, self.prunes)
+        of_core = [(old, new) for module, old, new in self.edits if module is handoff]
+        of_guards = [(old, new) for module, old, new in self.edits if module is guarding]
+        core = edited(handoff, self.name, *of_core) if of_core else handoff
+        guardian = edited(guarding, self.name, *of_guards) if of_guards else guarding
+        # What an owner and a taker keep stays with their callers, so a variant may have classes of its own.
+        both = edited(guarding, self.name, *of_guards, own_classes=True) if of_guards else guarding
+        return Rules(core, guardian, both, both, self.tells_copies, self.prunes)
 
 
 def _mutant(
@@ -86,68 +80,68 @@ MUTANTS: Final = (
     # A guardian.
     _mutant(
         "a guardian pledges itself while its lease runs",
-        guardian_core,
+        guarding,
         "if lease.epoch is not None:",
         "if False:",
     ),
-    _mutant("a guardian gives no lease for what it keeps", guardian_core, _KEPT, "return [*write, AnswerAsker(kept)]"),
+    _mutant("a guardian gives no lease for what it keeps", guarding, _KEPT, "return [*write, AnswerAsker(kept)]"),
     _mutant(
         "a guardian says KEPT before it is on disk",
-        guardian_core,
+        guarding,
         _KEPT,
         "return [SetLease(granted, keep.lease_s), AnswerAsker(kept), *write]",
         PACKET_CRASH,
     ),
     _mutant(
         "a guardian says PLEDGE before it is on disk",
-        guardian_core,
+        guarding,
         _PLEDGED,
         "return [_pledge(me, new, seize.epoch), WriteRegister(new), SetLease(replace(lease, epoch=None), 0.0)]",
         PACKET_CRASH,
     ),
     _mutant(
         "a guardian does not write down its promise",
-        guardian_core,
+        guarding,
         _PLEDGED,
         "return [SetLease(replace(lease, epoch=None), 0.0), _pledge(me, new, seize.epoch)]",
     ),
     _mutant(
         "a guardian that has restarted pledges itself at once",
-        guardian_core,
+        guarding,
         "    return [SetLease(Lease(register.promised, 1, boot=boot), register.lease_s)]",
         "    return []",
         CRASH,
     ),
     _mutant(
         "a guardian keeps for an owner whose epoch has passed",
-        guardian_core,
+        guarding,
         "if keep.epoch < register.promised:",
         "if False:",
     ),
     _mutant(
         "a guardian promises itself to a lower epoch",
-        guardian_core,
+        guarding,
         "if seize.epoch <= register.promised:",
         "if False:",
         TWO,
     ),
     _mutant(
         "a pledge tells of no checkpoint",
-        guardian_core,
+        guarding,
         "held = register.checkpoint, register.guards, register.body",
         "held = NO_CHECKPOINT, register.guards, CheckpointBody(bytes(1))",
         PACKET,
     ),
     _mutant(
         "an old checkpoint takes the place of a newer one",
-        guardian_core,
+        guarding,
         "if keep.body is not None and keep.checkpoint > register.checkpoint:",
         "if keep.body is not None:",
         LATE_PACKET,
     ),
     _mutant(
         "old guards take the place of newer ones",
-        guardian_core,
+        guarding,
         "guards=newest(register.guards, keep.guards),",
         "guards=keep.guards,",
         SWAPPED,
@@ -155,24 +149,22 @@ MUTANTS: Final = (
     ),
     _mutant(
         "a guardian that is to join, and knows nothing, pledges nothing",
-        guardian_core,
+        guarding,
         "if not register.guards.sets and me not in seize.guards.members():",
         "if not register.guards.sets:",
         SET_UP,
     ),
-    _mutant(
-        "a goodbye ends a lease that was granted since", guardian_core, " and said.beat >= lease.beat", "", GOODBYE
-    ),
+    _mutant("a goodbye ends a lease that was granted since", guarding, " and said.beat >= lease.beat", "", GOODBYE),
     _mutant(
         "a goodbye to a former life of a guardian ends its lease",
-        guardian_core,
+        guarding,
         " and said.boot == lease.boot",
         "",
         GOODBYE_CRASH,
     ),
     _mutant(
         "a KEEP that comes late makes a lease an old one",
-        guardian_core,
+        guarding,
         "beat = max(lease.beat, keep.beat) if lease.epoch == keep.epoch else keep.beat",
         "beat = keep.beat",
         GOODBYE,
@@ -180,28 +172,28 @@ MUTANTS: Final = (
     # An owner.
     _mutant(
         "one guardian gives a permit",
-        tenure,
+        guarding,
         "if guards.has_quorum(_named(known, beat))), 0)",
         "if _named(known, beat)), 0)",
     ),
     _mutant(
         "what one guardian has is acknowledged",
-        tenure,
+        guarding,
         "(no for no in numbers if guards.has_quorum({one.guardian for one in self.answers if one.no >= no})), -1",
         "iter(numbers), -1",
         PACKET,
     ),
-    _mutant("what is on the owner's disk is acknowledged", tenure, "if at.no <= no]", "]", PACKET),
+    _mutant("what is on the owner's disk is acknowledged", guarding, "if at.no <= no]", "]", PACKET),
     _mutant(
         "an owner that a guardian has left waits for ever for one that is gone",
-        tenure,
+        guarding,
         " and not self._is_silent(it)",
         "",
         TWO,
     ),
     _mutant(
         "a guardian is not told what is wanted of the task",
-        tenure,
+        guarding,
         "CheckpointBody(record.snapshot, record.wanted) if",
         "CheckpointBody(record.snapshot) if",
         STOP,
@@ -209,21 +201,21 @@ MUTANTS: Final = (
     # A taker.
     _mutant(
         "a taker is content with one pledge",
-        seizing,
+        guarding,
         "not self.guards.has_quorum(self.pledged)",
         "not self.pledged",
         PACKET,
     ),
     _mutant(
         "a taker goes on from the first checkpoint that it is told of",
-        seizing,
+        guarding,
         "if answer.body is not None and answer.checkpoint > seizing.checkpoint:",
         "if answer.body is not None and seizing.body is None:",
         PACKET,
     ),
     _mutant(
         "a taker counts the guardians that it knew",
-        seizing,
+        guarding,
         "guards=newest(seizing.guards, answer.guards)",
         "guards=seizing.guards",
         SWAPPED,
@@ -231,37 +223,35 @@ MUTANTS: Final = (
     # The record of the task.
     _mutant(
         "guardians are replaced without the consent of the old ones",
-        guarded_task,
+        handoff,
         "record.guards.version + 1, event.sets)",
         "record.guards.version + 1, event.sets[-1:])",
         SWAP,
     ),
     _mutant(
         "a checkpoint has the number of the one before",
-        guarded_task,
+        handoff,
         "no=before.no if alike else before.no + 1",
         "no=before.no",
         PACKET,
     ),
     _mutant(
         "a stop is no new checkpoint",
-        guarded_task,
+        handoff,
         "alike = (before.snapshot, before.wanted) == (record.snapshot, record.wanted)",
         "alike = before.snapshot == record.snapshot",
         STOP,
     ),
-    _mutant(
-        "a task that was stopped runs where it is taken over", guarded_task, "        wanted=event.wanted,\n", "", STOP
-    ),
+    _mutant("a task that was stopped runs where it is taken over", handoff, "        wanted=event.wanted,\n", "", STOP),
     _mutant(
         "an owner that is passed does not give the task up",
-        guarded_task,
+        handoff,
         "if record.phase is not Phase.OWNER or permit or event.epoch <= record.epoch:",
         "if True:",
     ),
     _mutant(
         "a permit does not start the task",
-        guarded_task,
+        handoff,
         "return [Remember(Volatile(running=True)), start]",
         "return [Remember(Volatile(running=True))]",
     ),
@@ -269,17 +259,17 @@ MUTANTS: Final = (
     GuardedMutant("a copy of a guardian's disk is believed", (), SUITE["the disk of a guardian copied"], True, False),
     # A hand-off. What its source does too early is no harm here, as its guardians let two act at no time: the search of
     # hand-offs without guardians convicts it.
-    _mutant("a destination runs without the guardians", candidate, "if message.guards.sets:", "if False:", MOVE_TAKER),
+    _mutant("a destination runs without the guardians", handoff, "if message.guards.sets:", "if False:", MOVE_TAKER),
     _mutant(
         "a destination drops what it is offered at the word of any owner",
-        candidate,
+        handoff,
         "if event.epoch <= record.offer:",
         "if False:",
         MOVE_CALM,
     ),
     _mutant(
         "an adoption has the next epoch that is free here",
-        owner,
+        handoff,
         "max(event.jump, MORE_THAN_MOVES)",
         "event.jump",
         ADOPT,

@@ -5,16 +5,19 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any, Final, NamedTuple
 
-from pancakes.mesh.guarding import guardian_core, seizing, tenure
-from pancakes.mesh.guarding.guard_messages import CheckpointId, KeepLease, LeaseKept, Pledge, SeizeTask, YieldLease
-from pancakes.mesh.guarding.guardian_core import GuardRegister, Lease
-from pancakes.mesh.guarding.seizing import Seizing
-from pancakes.mesh.migration import core
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.guards import GuardianId
-from pancakes.mesh.migration.messages import HandOffMessage, Solicit
-from pancakes.mesh.migration.record import Phase, Record, TaskId
-from pancakes.mesh.migration.volatile import Volatile
+from pancakes.durable import guarding, handoff
+from pancakes.durable.guarding import GuardRegister, Lease, Seizing
+from pancakes.durable.messages import (
+    CheckpointId,
+    HandOffMessage,
+    KeepLease,
+    LeaseKept,
+    Pledge,
+    SeizeTask,
+    Solicit,
+    YieldLease,
+)
+from pancakes.durable.record import NO_EPOCH, Epoch, GuardianId, Phase, Record, TaskId, Volatile
 
 TASK: Final = TaskId("A", "Scan")
 TYPE: Final = "scan"
@@ -205,10 +208,10 @@ class Rules(NamedTuple):
         prunes: whether messages that can change nothing are left out; of a variant that is not sure.
     """
 
-    core: ModuleType | Any = core
-    guardian: ModuleType | Any = guardian_core
-    tenure: ModuleType | Any = tenure
-    seizing: ModuleType | Any = seizing
+    core: ModuleType | Any = handoff
+    guardian: ModuleType | Any = guarding
+    tenure: ModuleType | Any = guarding
+    seizing: ModuleType | Any = guarding
     tells_copies: bool = True
     prunes: bool = True
 

@@ -8,11 +8,18 @@ from model.guarded_parts import OWNED, Farewell, Message, Party, Word
 from model.guarded_steps import GuardedSteps
 from msgspec.structs import replace
 
-from pancakes.mesh.guarding.guard_messages import KeepLease, LeaseKept, Pledge, SeizeTask
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.guards import GuardianId
-from pancakes.mesh.migration.messages import Abort, Activated, Commit, Prepared, Transfer
-from pancakes.mesh.migration.record import Phase
+from pancakes.durable.messages import (
+    Abort,
+    Activated,
+    Commit,
+    KeepLease,
+    LeaseKept,
+    Pledge,
+    Prepared,
+    SeizeTask,
+    Transfer,
+)
+from pancakes.durable.record import Epoch, GuardianId, Phase
 
 _MOST_KNOWN = 400_000
 

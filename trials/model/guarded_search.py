@@ -55,18 +55,8 @@ from model.guarded_steps import STREAM, GuardedSteps, Outcome
 from model.guarded_words import told
 from model.search import Result
 
-from pancakes.mesh.guarding.guard_messages import (
-    CheckpointBody,
-    CheckpointId,
-    DenyLease,
-    KeepLease,
-    LeaseKept,
-    Pledge,
-    SeizeTask,
-)
-from pancakes.mesh.guarding.guardian_core import GuardRegister, LeaseOver
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.event import (
+from pancakes.durable.guarding import GuardRegister, LeaseOver
+from pancakes.durable.handoff_events import (
     AdoptionAsked,
     Checkpoint,
     ClaimHeard,
@@ -77,8 +67,8 @@ from pancakes.mesh.migration.event import (
     Received,
     RunAsked,
 )
-from pancakes.mesh.migration.guards import Guards
-from pancakes.mesh.migration.record import Phase, Record, Wanted
+from pancakes.durable.messages import CheckpointBody, CheckpointId, DenyLease, KeepLease, LeaseKept, Pledge, SeizeTask
+from pancakes.durable.record import Epoch, Guards, Phase, Record, Wanted
 
 
 class Happening(NamedTuple):

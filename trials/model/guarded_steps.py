@@ -27,34 +27,40 @@ from model.guarded_parts import (
 )
 from msgspec.structs import replace
 
-from pancakes.mesh.guarding.guard_messages import (
-    CheckpointId,
-    DenyLease,
-    KeepLease,
-    LeaseKept,
-    Pledge,
-    SeizeTask,
-    YieldLease,
-)
-from pancakes.mesh.guarding.guardian_core import AnswerAsker, LeaseOver, SetLease, WriteRegister
-from pancakes.mesh.guarding.taking_over import TakeTask
-from pancakes.mesh.migration.effect import (
+from pancakes.durable.guarding import AnswerAsker, LeaseOver, SetLease, WriteRegister
+from pancakes.durable.handoff_events import (
     Ack,
+    Award,
     Discard,
+    Ended,
+    Event,
     Freeze,
+    Frozen,
     GiveWay,
+    PacketId,
+    PermitGiven,
     Persist,
+    Received,
     Remember,
     Resume,
+    RunAsked,
     Seize,
     Send,
     StartTask,
 )
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.event import Award, Ended, Event, Frozen, PacketId, PermitGiven, Received, RunAsked
-from pancakes.mesh.migration.guards import GuardianId, Guards
-from pancakes.mesh.migration.messages import Commit, Reserved
-from pancakes.mesh.migration.record import Phase, Record
+from pancakes.durable.messages import (
+    CheckpointId,
+    Commit,
+    DenyLease,
+    KeepLease,
+    LeaseKept,
+    Pledge,
+    Reserved,
+    SeizeTask,
+    TakeTask,
+    YieldLease,
+)
+from pancakes.durable.record import Epoch, GuardianId, Guards, Phase, Record
 
 STREAM = "sender"
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from model.guarded_parts import Farewell, Word, short
 
-from pancakes.mesh.guarding.guard_messages import DenyLease, KeepLease, LeaseKept, Pledge, SeizeTask
-from pancakes.mesh.migration.event import ClaimHeard
+from pancakes.durable.handoff_events import ClaimHeard
+from pancakes.durable.messages import DenyLease, KeepLease, LeaseKept, Pledge, SeizeTask
 
 
 def told(names: str, step: tuple[int, Any, int]) -> str:

@@ -8,7 +8,7 @@ from types import ModuleType
 import msgspec
 from model.hosting_rim import Step
 
-from pancakes.runtime.hosting import machine
+from pancakes.durable import state_machine
 
 
 class HostingMutant(msgspec.Struct, frozen=True):
@@ -30,7 +30,7 @@ class HostingMutant(msgspec.Struct, frozen=True):
         Raises:
             LookupError: the text does not stand in the machine exactly once.
         """
-        text = inspect.getsource(machine)
+        text = inspect.getsource(state_machine)
         count = text.count(self.old)
         if count != 1:
             raise LookupError(f"the mutant {self.story!r} finds its text {count} times: {self.old}")
@@ -40,6 +40,10 @@ class HostingMutant(msgspec.Struct, frozen=True):
 
 def edited_machine(text: str) -> ModuleType:
     """Returns the machine's module, made of another text."""
-    module = ModuleType(machine.__name__)
-    exec(compile(text, f"<mutant of {machine.__name__}>", "exec"), module.__dict__)
+    module = ModuleType(state_machine.__name__)
+    module.__dict__.update(vars(state_machine))  # its classes stay those of the product
+    exec(
+        compile(text[text.index("class HostingStep") :], f"<mutant of {state_machine.__name__}>", "exec"),
+        module.__dict__,
+    )
     return module

@@ -15,8 +15,8 @@ from model.hosting_dispute_mutants import DISPUTES
 from model.hosting_mutant import HostingMutant, edited_machine
 from model.hosting_rim import Step
 
-from pancakes.runtime.hosting import machine
-from pancakes.runtime.hosting.hosting_event import HostingEvent
+from pancakes.durable import state_machine
+from pancakes.durable.state_machine import HostingEvent
 
 
 def _nothing(step: Any, what: Any) -> None:
@@ -35,7 +35,7 @@ def without(kind: type, table: str, instead: Callable[[Any, Any], None]) -> Step
         table: the name of the table in which it stands.
         instead: the rule instead.
     """
-    module = edited_machine(inspect.getsource(machine))
+    module = edited_machine(inspect.getsource(state_machine))
     setattr(module, table, {**getattr(module, table), kind: instead})
     step: Step = module.handle
     return step
@@ -44,11 +44,11 @@ def without(kind: type, table: str, instead: Callable[[Any, Any], None]) -> Step
 def left_out() -> dict[str, tuple[type, str, Callable[[Any, Any], None]]]:
     """Returns the variants in which one rule as a whole is left out, as arguments of `without`, by their stories."""
     variants: dict[str, tuple[type, str, Callable[[Any, Any], None]]] = {}
-    for kind in machine.RULES:
+    for kind in state_machine.RULES:
         variants[f"{kind.__name__} means nothing"] = kind, "RULES", _nothing
         if not issubclass(kind, HostingEvent):
             variants[f"{kind.__name__} only passes"] = kind, "RULES", _passes
-    for kind in machine.DECLINED:
+    for kind in state_machine.DECLINED:
         variants[f"that {kind.__name__} is declined means nothing"] = kind, "DECLINED", _nothing
     return variants
 
@@ -123,7 +123,7 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what was given away is not at rest",
-        "        step.live(life_event.Written())\n        step.do(hosting_effect.Rested())\n    else:",
+        "        step.live(life_event.Written())\n        step.do(Rested())\n    else:",
         "        step.live(life_event.Written())\n    else:",
     ),
     HostingMutant(
@@ -134,9 +134,7 @@ MUTANTS: Final = (
         "    if any(isinstance(event, handoff_event.Ended) for event in step.standing.events):",
         "    if False:",
     ),
-    HostingMutant(
-        "it starts without a place", "    elif life is None:\n        step.do(hosting_effect.OpenPlace(effect))\n", ""
-    ),
+    HostingMutant("it starts without a place", "    elif life is None:\n        step.do(OpenPlace(effect))\n", ""),
     HostingMutant(
         "it is prepared and not started",
         "            step.live(life_event.StartAsked(), Leave.GRANTED)",
@@ -152,16 +150,16 @@ MUTANTS: Final = (
         "step.live(life_event.StartAsked(), Leave.GRANTED)",
         "step.live(life_event.StartAsked())",
     ),
-    HostingMutant("it is not prepared", "        step.do(hosting_effect.Prepare(effect))\n", "        pass\n"),
+    HostingMutant("it is not prepared", "        step.do(Prepare(effect))\n", "        pass\n"),
     HostingMutant(
         "no place, and nothing is told",
-        "    step.do(hosting_effect.Decided(event.reason))\n    step.done()",
+        "    step.do(Decided(event.reason))\n    step.done()",
         "    step.done()",
     ),
     HostingMutant(
         "no place, and it waits for ever",
-        "    step.do(hosting_effect.Decided(event.reason))\n    step.done()",
-        "    step.do(hosting_effect.Decided(event.reason))",
+        "    step.do(Decided(event.reason))\n    step.done()",
+        "    step.do(Decided(event.reason))",
     ),
     # Standing still
     HostingMutant(
@@ -177,7 +175,7 @@ MUTANTS: Final = (
     HostingMutant(
         "a task that ends is handed over", "    if event.carried is None or not runs:", "    if event.carried is None:"
     ),
-    HostingMutant("it stands still for ever", "        step.do(hosting_effect.LetGoOn())", "        pass"),
+    HostingMutant("it stands still for ever", "        step.do(LetGoOn())", "        pass"),
     # Going on and leaving
     HostingMutant(
         "what failed while it stood still stays so",
@@ -199,11 +197,11 @@ MUTANTS: Final = (
         "step.live(life_event.StartAsked(), Leave.AGAIN)",
         "step.live(life_event.StartAsked())",
     ),
-    HostingMutant("what was given away is not dropped", "    step.do(hosting_effect.Drop(ends))\n", ""),
+    HostingMutant("what was given away is not dropped", "    step.do(Drop(ends))\n", ""),
     HostingMutant(
         "what was given away ends already",
-        "    step.do(hosting_effect.Drop(ends))\n",
-        "    step.do(hosting_effect.Drop(False))\n",
+        "    step.do(Drop(ends))\n",
+        "    step.do(Drop(False))\n",
     ),
     HostingMutant(
         "what was given away keeps its place",
@@ -238,13 +236,13 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what cannot be forgotten is forgotten",
-        "ForgettingAsked: lambda step, effect: step.do(hosting_effect.Lasts(effect.reason))",
-        "ForgettingAsked: lambda step, effect: step.do(hosting_effect.Lasts())",
+        "ForgettingAsked: lambda step, effect: step.do(Lasts(effect.reason))",
+        "ForgettingAsked: lambda step, effect: step.do(Lasts())",
     ),
     HostingMutant(
         "what cannot be removed is removed",
-        "RemovalAsked: lambda step, effect: step.do(hosting_effect.Lasts(effect.reason))",
-        "RemovalAsked: lambda step, effect: step.do(hosting_effect.Lasts())",
+        "RemovalAsked: lambda step, effect: step.do(Lasts(effect.reason))",
+        "RemovalAsked: lambda step, effect: step.do(Lasts())",
     ),
     # The service begins
     HostingMutant("what is born is recovered", "    if record.may_begin or (event.fresh", "    if (event.fresh"),
@@ -257,12 +255,12 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "its service waits for what is elsewhere",
-        "        _take_up(step, hosting_event.TakeUp())\n        step.do(life_effect.Settle())",
-        "        _take_up(step, hosting_event.TakeUp())",
+        "        _take_up(step, TakeUp())\n        step.do(life_effect.Settle())",
+        "        _take_up(step, TakeUp())",
     ),
     HostingMutant(
         "a hand-off found on disk does not go on",
-        "        _take_up(step, hosting_event.TakeUp())\n        step.do(life_effect.Settle())",
+        "        _take_up(step, TakeUp())\n        step.do(life_effect.Settle())",
         "        step.do(life_effect.Settle())",
     ),
     # Room
@@ -350,7 +348,7 @@ MUTANTS: Final = (
         "a rest is told before it is on disk", "            if self.standing.rests:\n", "            if False:\n"
     ),
     HostingMutant("a rest lasts for ever", "                self.change(rests=False)\n", ""),
-    HostingMutant("its place is not cleared", "            self.do(hosting_effect.Vacate())\n", "            pass\n"),
+    HostingMutant("its place is not cleared", "            self.do(Vacate())\n", "            pass\n"),
     HostingMutant(
         "its place is cleared at once", "self.life is not None and self.life.at_rest:", "self.life is not None:"
     ),
@@ -450,12 +448,10 @@ MUTANTS: Final = (
     HostingMutant("a hand-over is concluded by its first part", "to_conclude=2", "to_conclude=1"),
     HostingMutant(
         "a rest is not told",
-        "    step.go_on()\n    step.do(hosting_effect.Rested())\n\n\ndef _wanted",
+        "    step.go_on()\n    step.do(Rested())\n\n\ndef _wanted",
         "    step.go_on()\n\n\ndef _wanted",
     ),
-    HostingMutant(
-        "that it lasts is not told", "                self.do(hosting_effect.Lasts())\n", "                pass\n"
-    ),
+    HostingMutant("that it lasts is not told", "                self.do(Lasts())\n", "                pass\n"),
     HostingMutant(
         "what waits for the disk keeps its service waiting",
         "        step.live(life_event.PutOff(event.reason))",
@@ -483,7 +479,7 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "a task that cannot be forgotten is forgotten later",
-        "        step.do(hosting_effect.Lasts(event.reason))\n",
+        "        step.do(Lasts(event.reason))\n",
         "        pass\n",
     ),
     HostingMutant(

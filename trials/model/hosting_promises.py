@@ -6,15 +6,11 @@ from typing import Final
 
 from model.hosting_world import Spent, Violation, World
 
-from pancakes.mesh.migration.effect import Persist, StartTask
-from pancakes.mesh.migration.epoch import NO_EPOCH
-from pancakes.mesh.migration.event import GiveUp, Resend, WriteAgain
-from pancakes.mesh.migration.owner import is_disputed
-from pancakes.mesh.migration.record import Phase, Wanted
-from pancakes.runtime.hosting.hosting_event import StillOverdue
-from pancakes.runtime.hosting.machine import idle, settled
-from pancakes.runtime.life.life import State
-from pancakes.runtime.life.life_event import Overdue, Retry, TryDue
+from pancakes.durable.handoff import is_disputed
+from pancakes.durable.handoff_events import GiveUp, Persist, Resend, StartTask, WriteAgain
+from pancakes.durable.record import NO_EPOCH, Phase, Wanted
+from pancakes.durable.state_machine import StillOverdue, idle, settled
+from pancakes.supervision.lifecycle import Overdue, Retry, State, TryDue
 
 ACTOR: Final = (State.STARTING, State.RUNNING, State.STOPPING, State.STUCK)
 RESTS: Final = (State.STOPPED, State.REFUSED, State.FAILED)

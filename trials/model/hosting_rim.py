@@ -10,23 +10,29 @@ from typing import Any, Final, get_args
 from model.hosting_world import BIRTH, LATER, ME, SEQUEL, Bounds, Violation, World
 from msgspec.structs import replace
 
-from pancakes.mesh.migration import effect as handoff_effect
-from pancakes.mesh.migration.event import FreezeFailed, Frozen, GiveUp, InDoubt, Resend, ReservationExpired, WriteAgain
-from pancakes.mesh.migration.messages import Commit, Prepared, Reserve, Transfer
-from pancakes.mesh.migration.record import Phase, Record, Wanted
-from pancakes.runtime.hosting import hosting_effect as effect
-from pancakes.runtime.hosting import hosting_event as event
-from pancakes.runtime.hosting.now import Now
-from pancakes.runtime.hosting.standing import Standing
-from pancakes.runtime.life import life_effect
-from pancakes.runtime.life.life import CLOSES, Life, State
-from pancakes.runtime.life.life_event import Admitted, Finished, LeaveRefused, Overdue, Retry, TryDue
-from pancakes.runtime.life.restart import Restarts
+from pancakes.durable import handoff_events as handoff_effect
+from pancakes.durable import state_machine as effect
+from pancakes.durable import state_machine as event
+from pancakes.durable.handoff_events import (
+    FreezeFailed,
+    Frozen,
+    GiveUp,
+    InDoubt,
+    Resend,
+    ReservationExpired,
+    WriteAgain,
+)
+from pancakes.durable.messages import Commit, Prepared, Reserve, Transfer
+from pancakes.durable.record import Phase, Record, Wanted
+from pancakes.durable.state_machine import Now, Standing
+from pancakes.supervision import lifecycle
+from pancakes.supervision.lifecycle import CLOSES, Admitted, Finished, LeaveRefused, Life, Overdue, Retry, State, TryDue
+from pancakes.supervision.restart import Restarts
 
 Step = Callable[..., tuple[Life | None, Standing, list[Any]]]
 
 AT_A_PLACE: Final = (
-    *get_args(life_effect.Effect),
+    *get_args(lifecycle.Effect),
     *get_args(effect.SlotEffect),
 )
 """The effects that can be carried out only where the task has a place."""
@@ -197,7 +203,7 @@ class Rim:
         events.append(LeaveRefused(reason) if reason else Admitted(start.incarnation + 1))
         return replace(world, carried=start.snapshot, fence=(start.epoch, start.incarnation))
 
-    def spawn(self, world: World, one: life_effect.Spawn, events: deque[Any], luck: Luck) -> World:
+    def spawn(self, world: World, one: lifecycle.Spawn, events: deque[Any], luck: Luck) -> World:
         disk = world.disk
         if world.actor:
             raise Violation("a second actor is made beside the first")
@@ -226,7 +232,7 @@ class Rim:
         told = "told early" if world.actor == "made" else "told"
         return replace(world, actor=told, inbox=(), timers=world.timers | {Overdue(world.life.incarnation)})
 
-    def try_at(self, world: World, one: life_effect.TryAt, events: deque[Any], luck: Luck) -> World:
+    def try_at(self, world: World, one: lifecycle.TryAt, events: deque[Any], luck: Luck) -> World:
         return replace(world, timers=world.timers | {TryDue(one.due_s)})
 
     def look_again(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
@@ -252,7 +258,7 @@ class Rim:
         events.append(event.CameToRest(world.carried))
         return world
 
-    def answer(self, world: World, one: life_effect.Answer, events: deque[Any], luck: Luck) -> World:
+    def answer(self, world: World, one: lifecycle.Answer, events: deque[Any], luck: Luck) -> World:
         asked = next((asked for asked in world.open if asked[0] == one.asker.number), None)
         if asked is None:
             raise Violation(f"request {one.asker.number} is answered twice")
@@ -390,14 +396,14 @@ def _is_stale(timer: Any, standing: Standing) -> bool:
 
 
 _CARRIERS: Final[dict[type, Callable[..., World]]] = {
-    life_effect.Spawn: Rim.spawn,
-    life_effect.TellToEnd: Rim.tell_to_end,
-    life_effect.TryAt: Rim.try_at,
-    life_effect.LookAgain: Rim.look_again,
-    life_effect.LetGo: Rim.let_go,
-    life_effect.Settle: Rim.settle,
-    life_effect.WriteRest: Rim.write_rest,
-    life_effect.Answer: Rim.answer,
+    lifecycle.Spawn: Rim.spawn,
+    lifecycle.TellToEnd: Rim.tell_to_end,
+    lifecycle.TryAt: Rim.try_at,
+    lifecycle.LookAgain: Rim.look_again,
+    lifecycle.LetGo: Rim.let_go,
+    lifecycle.Settle: Rim.settle,
+    lifecycle.WriteRest: Rim.write_rest,
+    lifecycle.Answer: Rim.answer,
     effect.AskRoom: Rim.ask_room,
     effect.OpenPlace: Rim.open_place,
     effect.Prepare: Rim.prepare,

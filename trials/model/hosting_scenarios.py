@@ -7,7 +7,7 @@ from typing import Final
 
 from model.hosting_world import Bounds
 
-from pancakes.runtime.life.restart import RestartSpec
+from pancakes.supervision.restart import RestartSpec
 
 TRIED_AGAIN: Final = RestartSpec("always", at_most=1, again_s=60.0)
 TRANSIENT: Final = RestartSpec("on-failure", at_most=1)

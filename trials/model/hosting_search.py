@@ -18,9 +18,9 @@ from model.hosting_rim import Rim, Step
 from model.hosting_steps import Steps
 from model.hosting_world import Bounds, Violation, World
 
-from pancakes.mesh.migration.record import Phase
-from pancakes.runtime.hosting.machine import handle
-from pancakes.runtime.life.life import State
+from pancakes.durable.record import Phase
+from pancakes.durable.state_machine import handle
+from pancakes.supervision.lifecycle import State
 
 
 class Result(msgspec.Struct, frozen=True):

@@ -9,8 +9,9 @@ from model.hosting_rim import Rim
 from model.hosting_world import BIRTH, LATER, PEER, REQUEST, Bounds, Violation, World
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.event import (
+from pancakes.durable import state_machine as event
+from pancakes.durable.handoff import is_disputed
+from pancakes.durable.handoff_events import (
     AdoptionAsked,
     Award,
     Checkpoint,
@@ -20,15 +21,20 @@ from pancakes.mesh.migration.event import (
     RemovalAsked,
     Resend,
 )
-from pancakes.mesh.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserved, Transfer
-from pancakes.mesh.migration.owner import is_disputed
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
-from pancakes.runtime.hosting import hosting_event as event
-from pancakes.runtime.hosting.machine import idle, settled
-from pancakes.runtime.hosting.standing import Standing
-from pancakes.runtime.life.life import CLOSES, State
-from pancakes.runtime.life.life_event import Began, Finished, Overdue, Retry, StartAsked, StopAsked
-from pancakes.runtime.life.request import Request
+from pancakes.durable.messages import Abort, Activated, Commit, Nak, Prepared, Reserved, Transfer
+from pancakes.durable.record import NO_EPOCH, Epoch, Phase, Record, TaskId, Wanted
+from pancakes.durable.state_machine import Standing, idle, settled
+from pancakes.supervision.lifecycle import (
+    CLOSES,
+    Began,
+    Finished,
+    Overdue,
+    Request,
+    Retry,
+    StartAsked,
+    State,
+    StopAsked,
+)
 
 TASK: Final = TaskId("a", "Task")
 GOING: Final = (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)

@@ -6,13 +6,12 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import Record, TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.runtime.hosting.standing import Standing
-from pancakes.runtime.life.life import Life
-from pancakes.runtime.life.restart import RestartSpec
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import Epoch, Record, TaskId
+from pancakes.durable.snapshot import Snapshot
+from pancakes.durable.state_machine import Standing
+from pancakes.supervision.lifecycle import Life
+from pancakes.supervision.restart import RestartSpec
 
 ME: Final = "a"
 PEER: Final = "b"

@@ -12,12 +12,11 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.runtime.life import life_effect as effect
-from pancakes.runtime.life import life_event as event
-from pancakes.runtime.life.life import Life, State
-from pancakes.runtime.life.request import Request
-from pancakes.runtime.life.restart import Restarts, RestartSpec
-from pancakes.runtime.life.table import TABLE, Moment
+from pancakes.supervision import lifecycle as effect
+from pancakes.supervision import lifecycle as event
+from pancakes.supervision.lifecycle import Life, Request, State
+from pancakes.supervision.lifecycle_table import TABLE, Moment
+from pancakes.supervision.restart import Restarts, RestartSpec
 
 
 class Bounds(msgspec.Struct, frozen=True):

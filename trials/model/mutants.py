@@ -15,7 +15,7 @@ from types import ModuleType
 
 from model.parts import Bounds, Core, Keep
 
-from pancakes.mesh.migration import candidate, core, owner, snapshot, source
+from pancakes.durable import handoff, snapshot
 
 Edit = tuple[ModuleType, str, str]
 
@@ -42,15 +42,13 @@ class Mutant:
         Raises:
             LookupError: a text does not stand in its module exactly once.
         """
-        texts = {module: inspect.getsource(module) for module in (candidate, owner, snapshot, source, core)}
+        texts = {module: inspect.getsource(module) for module in (handoff, snapshot)}
         for module, old, new in self.edits:
             if texts[module].count(old) != 1:
                 raise LookupError(f"the mutant {self.name!r} finds its text {texts[module].count(old)} times: {old}")
             texts[module] = texts[module].replace(old, new)
         made = {module: _module(module, text) for module, text in texts.items()}
-        for half in (candidate, owner, source):
-            setattr(made[core], half.__name__.rpartition(".")[2], made[half])
-        return Core(made[core].handle, made[core].recover, made[snapshot].Snapshot.decode)
+        return Core(made[handoff].handle, made[handoff].recover, made[snapshot].Snapshot.decode)
 
 
 def _module(original: ModuleType, text: str) -> ModuleType:
@@ -76,14 +74,14 @@ MUTANTS = (
     Mutant(
         "commit sent before it is persisted",
         "the source sends COMMIT, then writes COMMITTED",
-        ((source, _COMMIT, "*_commit(record, 0, times), Persist(record), Discard(),\n"),),
+        ((handoff, _COMMIT, "*_commit(record, 0, times), Persist(record), Discard(),\n"),),
     ),
     Mutant(
         "abort after commit",
         "the source times out in COMMITTED and takes the task back",
         (
             (
-                source,
+                handoff,
                 "record.phase is not Phase.FROZEN or record.offer != event.offer",
                 "record.phase not in (Phase.FROZEN, Phase.COMMITTED) or record.offer != event.offer",
             ),
@@ -94,28 +92,29 @@ MUTANTS = (
         "the destination starts the task when the snapshot arrives",
         (
             (
-                candidate,
-                "    return [Persist(record), Remember(Volatile()), *recover(record, times)]",
-                "    return [Persist(record), StartTask(record.offer, 0, record.snapshot), *recover(record, times)]",
+                handoff,
+                "    return [Persist(record), Remember(Volatile()), *recover_candidate(record, times)]",
+                "    return [Persist(record), StartTask(record.offer, 0, record.snapshot),"
+                " *recover_candidate(record, times)]",
             ),
         ),
     ),
     Mutant(
         "activated before persisted",
         "the destination says that it owns the task, then writes it down",
-        ((candidate, "            Persist(own),\n", "            answer, Persist(own),\n"),),
+        ((handoff, "            Persist(own),\n", "            answer, Persist(own),\n"),),
     ),
     Mutant(
         "offer number reused after a crash",
         "the offered epoch is not written down with the frozen task",
-        ((source, "        seen=event.offer,\n", ""),),
+        ((handoff, "        seen=event.offer,\n", ""),),
     ),
     Mutant(
         "late NAK believed",
         "a refusal that comes late takes a committed task back",
         (
             (
-                source,
+                handoff,
                 "if record.phase is Phase.FROZEN and (record.peer, record.offer) == (peer, message.offer):",
                 "if (record.peer, record.offer) == (peer, message.offer):",
             ),
@@ -126,9 +125,9 @@ MUTANTS = (
         "the destination saves itself a write",
         (
             (
-                candidate,
-                "    return [Persist(record), Remember(Volatile()), *recover",
-                "    return [Keep(record), *recover",
+                handoff,
+                "    return [Persist(record), Remember(Volatile()), *recover_candidate",
+                "    return [Keep(record), *recover_candidate",
             ),
         ),
     ),
@@ -137,7 +136,7 @@ MUTANTS = (
         "the destination throws a snapshot away that it has held for long",
         (
             (
-                source,
+                handoff,
                 "    if record.phase is not Phase.FROZEN or record.offer != event.offer:",
                 "    if record.phase is Phase.PREPARED:\n"
                 '        return [Persist(replace(record, phase=Phase.ABSENT, offer=NO_EPOCH, snapshot=b""))]\n'
@@ -149,8 +148,8 @@ MUTANTS = (
         "tombstone deleted",
         "a task that moved on, or never came, is forgotten",
         (
-            (source, 'phase=Phase.RELEASED, offer=NO_EPOCH, snapshot=b""', "phase=Phase.ABSENT, seen=NO_EPOCH"),
-            (candidate, 'phase=Phase.ABSENT, offer=NO_EPOCH, snapshot=b""', "phase=Phase.ABSENT, seen=NO_EPOCH"),
+            (handoff, 'phase=Phase.RELEASED, offer=NO_EPOCH, snapshot=b""', "phase=Phase.ABSENT, seen=NO_EPOCH"),
+            (handoff, 'phase=Phase.ABSENT, offer=NO_EPOCH, snapshot=b""', "phase=Phase.ABSENT, seen=NO_EPOCH"),
         ),
     ),
     Mutant(
@@ -163,7 +162,7 @@ MUTANTS = (
         "the acknowledgement is sent first, to be quick",
         (
             (
-                owner,
+                handoff,
                 "[Persist(replace(record, snapshot=event.snapshot)), *(Ack(packet) for packet in event.consumed)]",
                 "[*(Ack(packet) for packet in event.consumed), Persist(replace(record, snapshot=event.snapshot))]",
             ),
@@ -172,7 +171,7 @@ MUTANTS = (
     Mutant(
         "freeze not durable",
         "the last checkpoint is sent instead of what the task was when it stopped",
-        ((source, "        snapshot=event.snapshot,\n", ""),),
+        ((handoff, "        snapshot=event.snapshot,\n        sequel=", "        sequel="),),
         Bounds(durability="lazy"),
     ),
     Mutant(
@@ -180,7 +179,7 @@ MUTANTS = (
         "the task goes on while its snapshot travels",
         (
             (
-                source,
+                handoff,
                 "*_transfer(record, 0, times), After(wait_s, give_up)",
                 "Resume(record.epoch, 0, record.snapshot), *_transfer(record, 0, times)",
             ),
@@ -191,7 +190,7 @@ MUTANTS = (
         "the source forgets the task once it has sent COMMIT",
         (
             (
-                source,
+                handoff,
                 "                After(times.warn_s, InDoubt(record.offer, Phase.COMMITTED)),\n            ]\n",
                 "                Persist(replace(record, phase=Phase.RELEASED, offer=NO_EPOCH)),\n            ]\n",
             ),
@@ -202,7 +201,7 @@ MUTANTS = (
         "a task that was given away, perhaps, is started because somebody wants it",
         (
             (
-                owner,
+                handoff,
                 "    if record.phase is not Phase.OWNER:\n        return [_decline(record)]\n    if volatile",
                 "    if record.phase not in (Phase.OWNER, Phase.COMMITTED):\n"
                 "        return [_decline(record)]\n    if volatile",
@@ -214,7 +213,7 @@ MUTANTS = (
         "ACTIVATED of an older hand-off is believed",
         (
             (
-                source,
+                handoff,
                 "record.phase is not Phase.COMMITTED or (record.peer, record.offer) != (peer, message.offer)",
                 "record.phase is not Phase.COMMITTED or record.peer != peer",
             ),
@@ -226,10 +225,10 @@ MUTANTS = (
         "a source whose COMMITTED could not be written sends COMMIT all the same",
         (
             (
-                core,
+                handoff,
                 "    if record.phase is Phase.OWNER and volatile.freezing:\n",
                 "    if event.record.phase is Phase.COMMITTED:\n"
-                "        return source._commit(event.record, 0, times)\n"
+                "        return _commit(event.record, 0, times)\n"
                 "    if record.phase is Phase.OWNER and volatile.freezing:\n",
             ),
         ),
@@ -238,7 +237,7 @@ MUTANTS = (
     Mutant(
         "a checkpoint of a former start believed",
         "a checkpoint is taken whichever start of the task it comes from",
-        ((owner, "record.epoch == event.epoch and record.incarnation == event.incarnation", "True"),),
+        ((handoff, "record.epoch == event.epoch and record.incarnation == event.incarnation", "True"),),
         Bounds(restarts=1, late=True),
     ),
 )

@@ -6,14 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from pancakes.mesh.migration import core, snapshot
-from pancakes.mesh.migration.effect import Effect
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.event import Event
-from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import Record, TaskId
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.mesh.migration.volatile import Volatile
+from pancakes.durable import handoff, snapshot
+from pancakes.durable.handoff_events import Effect, Event
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import Epoch, Record, TaskId, Volatile
+from pancakes.durable.snapshot import Snapshot
 
 TASK: Final = TaskId("A", "ScanTarget")
 """The task that moves; it is born on A."""
@@ -95,8 +92,8 @@ class Outcome(NamedTuple):
 class Core:
     """The functions under search; the product's, or a mutant's."""
 
-    handle: Callable[..., list[Effect]] = core.handle
-    recover: Callable[..., list[Effect]] = core.recover
+    handle: Callable[..., list[Effect]] = handoff.handle
+    recover: Callable[..., list[Effect]] = handoff.recover
     decode: Callable[[bytes], Snapshot] = snapshot.Snapshot.decode
 
 

@@ -28,8 +28,7 @@ from model.parts import BLANK, STREAM, TASK, Agent, App, Bounds, Core, Outcome, 
 from model.steps import Steps
 from model.words import cause
 
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.event import (
+from pancakes.durable.handoff_events import (
     AdoptionAsked,
     Born,
     Frozen,
@@ -40,7 +39,7 @@ from pancakes.mesh.migration.event import (
     ReservationExpired,
     RunAsked,
 )
-from pancakes.mesh.migration.record import Phase, Wanted
+from pancakes.durable.record import NO_EPOCH, Epoch, Phase, Wanted
 
 _SHIFT: Final = 24
 """A state is one number: a configuration's in the low bits, the messages sent above them."""

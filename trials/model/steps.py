@@ -12,40 +12,36 @@ from typing import Any
 from model.parts import ALL, REQUEST, STREAM, TASK, Actor, Agent, App, Bounds, Core, Keep, Outcome, Violation, heard_of
 from model.words import cause, deeds, shows
 
-from pancakes.mesh.migration.effect import (
+from pancakes.durable.handoff_events import (
     Ack,
     After,
-    Discard,
-    Effect,
-    Freeze,
-    Persist,
-    Remember,
-    Resume,
-    Send,
-    StartTask,
-)
-from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
-from pancakes.mesh.migration.event import (
     Award,
     Born,
     Checkpoint,
+    Discard,
+    Effect,
     Ended,
     Event,
+    Freeze,
     FreezeFailed,
     Frozen,
     GiveUp,
     InDoubt,
     PacketId,
+    Persist,
     PersistFailed,
     Received,
+    Remember,
     Resend,
     ReservationExpired,
+    Resume,
     RunAsked,
+    Send,
+    StartTask,
 )
-from pancakes.mesh.migration.messages import Reserve, Reserved, Transfer
-from pancakes.mesh.migration.record import Phase, Wanted
-from pancakes.mesh.migration.snapshot import Snapshot
-from pancakes.mesh.migration.volatile import Volatile
+from pancakes.durable.messages import Reserve, Reserved, Transfer
+from pancakes.durable.record import NO_EPOCH, Epoch, Phase, Volatile, Wanted
+from pancakes.durable.snapshot import Snapshot
 
 CRASH = "crash"
 TAKE = "take a checkpoint"

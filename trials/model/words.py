@@ -6,22 +6,29 @@ from typing import Any
 
 from model.parts import Keep
 
-from pancakes.mesh.migration.effect import Ack, Discard, Effect, Freeze, Persist, Resume, Send, StartTask
-from pancakes.mesh.migration.event import (
+from pancakes.durable.handoff_events import (
+    Ack,
     AdoptionAsked,
     Award,
     Born,
     Checkpoint,
+    Discard,
+    Effect,
     Ended,
+    Freeze,
     FreezeFailed,
     Frozen,
     GiveUp,
+    Persist,
     Received,
     Resend,
     ReservationExpired,
+    Resume,
     RunAsked,
+    Send,
+    StartTask,
 )
-from pancakes.mesh.migration.record import Phase, Record, Wanted
+from pancakes.durable.record import Phase, Record, Wanted
 
 
 def cause(me: str, event: Any, late: bool = False) -> str:

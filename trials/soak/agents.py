@@ -15,8 +15,7 @@ from typing import Final
 from keys_in_test import KeysInTest
 
 from pancakes.client import Client, Where
-from pancakes.tools.launch.fork_server import ForkServer
-from pancakes.tools.launch.forked_process import ForkedProcess
+from pancakes.tools.launch.process import ForkedProcess, ForkServer
 
 CONNECTED: Final = " is connected"
 SWEPT: Final = "/client/Sweeper: soak_swept pieces="

@@ -211,7 +211,7 @@ class Worker(Passing):
 class Sweeper(Task):
     """Sees to it that what grows is a leak: it has rubbish collected, and says how many pieces of memory are in use.
 
-    By itself Python looks for it only once 10,000 objects more are alive (`pancakes.tools.cli.interpreter`): memory
+    By itself Python looks for it only once 10,000 objects more are alive (`pancakes.tools.cli.agent_process`): memory
     goes up and down by some 2 MiB in a quarter of an hour, and a leak would not be seen in a short run.
     """
 

@@ -11,12 +11,12 @@ from typing import Final
 from soak.agents import names_of
 from soak.tasks import Roamer
 
+from pancakes.agent.agent import Agent
+from pancakes.config import parse
 from pancakes.control import Migrate
 from pancakes.events import Event
 from pancakes.fleet import VirtualFleet
 from pancakes.packet import LOG, SYSCTRL, Packet, join, type_name
-from pancakes.runtime.agent import Agent
-from pancakes.runtime.config import parse
 from pancakes.testing import registered
 
 MEETS_WITHIN_S: Final = 5.0

@@ -24,7 +24,7 @@ from torture.standstill_command import standstill
 from torture.storm_command import storms
 from torture.takeover_command import takeovers
 
-from pancakes.runtime.plugins import Plugins, UnknownPlugin
+from pancakes.util.plugins import Plugins, UnknownPlugin
 
 
 @click.group()

@@ -21,7 +21,6 @@ import psutil
 from cli.processes import Rig
 from net.meetings import message_of, raw_hello
 
-from pancakes.bodies.devices.types import Battery, Load
 from pancakes.control import (
     Adopt,
     Configure,
@@ -35,28 +34,15 @@ from pancakes.control import (
     Start,
     Stop,
 )
+from pancakes.devices import Battery, Load
+from pancakes.durable.delivery import AskBegan, ForwardTo, Letter, Receipt, StreamsBegan
+from pancakes.durable.messages import Abort, Activated, Bid, Commit, Nak, Piece, Prepared, Reserve, Reserved, Solicit
+from pancakes.durable.ownership import TaskAt, WhereIs
+from pancakes.durable.record import Epoch, TaskId
 from pancakes.errors import RemoteProtocolError
 from pancakes.events import Event, LogLine
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.messages import (
-    Abort,
-    Activated,
-    Bid,
-    Commit,
-    Nak,
-    Piece,
-    Prepared,
-    Reserve,
-    Reserved,
-    Solicit,
-)
-from pancakes.mesh.migration.post import AskBegan, ForwardTo, Letter, Receipt, StreamsBegan
-from pancakes.mesh.migration.record import TaskId
-from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs
-from pancakes.mesh.wire.codec import Encoder
-from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.link_messages import AgentSeen, Gossip, Ping, Pong, RosterNumber
-from pancakes.mesh.wire.runs import PacketRun, messages_from_payload, packets_of
+from pancakes.mesh.codec import Encoder, PacketRun, frame, messages_from_payload, packets_of
+from pancakes.mesh.messages import AgentSeen, Gossip, Ping, Pong, RosterNumber
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, SYSTEM, Packet, type_name
 
 POOL: Final = 4096

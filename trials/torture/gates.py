@@ -13,10 +13,10 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
-from pancakes.mesh.migration.record import Phase, TaskId
-from pancakes.runtime.hosting.records import KIND
-from pancakes.runtime.journal.journal import SUFFIX
-from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead
+from pancakes.durable.record import Phase, TaskId
+from pancakes.durable.store import RECORD
+from pancakes.journal.file_journal import WRITE_AHEAD, read_ahead
+from pancakes.journal.journal import SUFFIX
 
 PIPE_BYTES = 4096
 BALLAST_BYTES = 2 * PIPE_BYTES
@@ -49,7 +49,7 @@ class Gate:
     def phase(self, task_id: TaskId) -> Phase | None:
         """Returns the phase in the record of a task that somebody is writing; None where it is none of that task."""
         written = os.read(self._handle, PIPE_BYTES)
-        at = written.find(_text(KIND) + _text(str(task_id)))
+        at = written.find(_text(RECORD) + _text(str(task_id)))
         head = written[at : at + 512] if at >= 0 else b""
         # The record itself is torn, as it is to be; its second field is what it begins with.
         return next((phase for phase in Phase if b"phase" + _text(phase.value) in head), None)
@@ -116,7 +116,7 @@ class RecordWatch:
         if (number := file_number(self._ahead)) != self._ahead_number:
             self._ahead_number, self._read = number, 0
         entries = [entry for batch in read_ahead(self._new(self._read)).batches for entry in batch.entries]
-        return any((entry.kind, entry.key) == (KIND, self._key) for entry in entries)
+        return any((entry.kind, entry.key) == (RECORD, self._key) for entry in entries)
 
     def _new(self, since: int) -> bytes:
         with suppress(FileNotFoundError), self._ahead.open("rb") as file:
@@ -135,7 +135,7 @@ def file_number(path: Path) -> int | None:
 
 def journal_file(state: Path, agent: str, task_id: TaskId) -> Path:
     """Returns where an agent keeps its record of a task, in the directory of all states."""
-    return state / agent / f"{KIND}.{quote(str(task_id), safe='')}{SUFFIX}"
+    return state / agent / f"{RECORD}.{quote(str(task_id), safe='')}{SUFFIX}"
 
 
 def identity_file(state: Path, agent: str) -> Path:

@@ -39,7 +39,7 @@ STARTS_WITHIN_S: Final = 300.0
 """The same for the first start of all agents of all fleets at once."""
 MOST_STANDSTILLS: Final = 3
 """After so many no more faults are made: it does not work."""
-REPLACED: Final = "import pancakes.runtime.hosting.leases as leases\nleases.REPLACED_S = 12.0\n"
+REPLACED: Final = "import pancakes.durable.leases as leases\nleases.REPLACED_S = 12.0\n"
 """A guardian whose disk was lost is replaced this soon, not after a minute: so more of them are lost and replaced."""
 
 

@@ -27,8 +27,8 @@ from torture.waits import Waits
 
 from pancakes.client import Client, Where
 from pancakes.control import Migrate
+from pancakes.durable.record import TaskId
 from pancakes.errors import PancakesError
-from pancakes.mesh.migration.record import TaskId
 
 NAMES = ("a", "b", "c")
 TELLER = "teller"

@@ -27,12 +27,12 @@ import os
 import time
 from dataclasses import dataclass
 
-from pancakes.bodies.devices.driver import Actuator
-from pancakes.bodies.devices.types import Twist
-from pancakes.mesh.migration.record import Record
+from pancakes.devices.driver import Actuator
+from pancakes.devices import Twist
+from pancakes.durable.record import Record
 from pancakes.packet import packet_type
-from pancakes.runtime.journal import FileJournal
-from pancakes.runtime.kernel.permits import Permits
+from pancakes.journal import FileJournal
+from pancakes.kernel.permits import Permits
 from pancakes.task import Task, every
 
 DIRECTORY = "THE_DIRECTORY"

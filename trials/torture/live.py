@@ -18,8 +18,8 @@ import os
 import time
 from dataclasses import dataclass
 
-from pancakes.bodies.devices.driver import Actuator
-from pancakes.bodies.devices.types import Twist
+from pancakes.devices.driver import Actuator
+from pancakes.devices import Twist
 from pancakes.errors import MailboxFull
 from pancakes.packet import packet_type
 from pancakes.task import Task, every, on, reliable

@@ -12,10 +12,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pancakes.runtime.plugins import Plugins
 from pancakes.tools.demo.conductor import Mission
-from pancakes.tools.demo.demo_plan import find_configs, make_plan
-from pancakes.tools.demo.launcher import NetworkFaults, fresh, judge, run_of, run_virtual
+from pancakes.tools.demo.launcher import NetworkFaults, find_configs, fresh, judge, make_plan, run_of, run_virtual
+from pancakes.util.plugins import Plugins
 
 BATTERY = "task.World.settings.robots.agent1.battery.capacity_j"
 LEAST_SHARE, MOST_SHARE = 0.90, 1.12

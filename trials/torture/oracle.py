@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+from pancakes.durable.record import Epoch, Record
+from pancakes.durable.snapshot import Snapshot
 from pancakes.errors import MailboxFull
-from pancakes.mesh.migration.epoch import Epoch
-from pancakes.mesh.migration.record import Record
-from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import SYSTEM, Packet, packet_type, task_address
 from pancakes.task import Task, every, on
 

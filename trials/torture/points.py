@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pancakes.mesh.migration.record import Phase
+from pancakes.durable.record import Phase
 
 _MIGRATION = "migration."
 _RECEIPT = "post.receipt"

@@ -13,12 +13,11 @@ from typing import Any
 import msgspec
 
 from pancakes.mesh.address import is_local
-from pancakes.mesh.wire.framing import FrameReader
-from pancakes.mesh.wire.link_messages import HELLO_NUMBER, Gossip
-from pancakes.mesh.wire.packet_bodies import unpacked
+from pancakes.mesh.codec import FrameReader, unpacked
+from pancakes.mesh.messages import HELLO_NUMBER, Gossip
 
 RUN = 0
-"""What the array of a run of packets begins with; see `pancakes.mesh.wire.runs`."""
+"""What the array of a run of packets begins with; see `pancakes.mesh.codec`."""
 
 _NUMBERS = itertools.count()
 

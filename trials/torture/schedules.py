@@ -23,19 +23,19 @@ from typing import Any
 from torture.oracle import Drives, Oracle, Roamer, Violation
 from torture.story import Story
 
+from pancakes.agent.agent import Agent, Virtual
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.durable.client_service import ClientService
+from pancakes.durable.record import Phase, Record, Wanted
+from pancakes.durable.store import RECORD
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
-from pancakes.mesh.migration.record import Phase, Record, Wanted
-from pancakes.mesh.net.memory import Quality
+from pancakes.journal import JournalEntry
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.mesh.memory_network import Quality
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, Packet, agent_of, join
-from pancakes.runtime.agent import Agent, Virtual
-from pancakes.runtime.hosting.client import ClientService
-from pancakes.runtime.hosting.records import KIND
-from pancakes.runtime.journal import JournalEntry
-from pancakes.runtime.kernel.mailbox import Mailbox
-from pancakes.runtime.plugins import Plugins
 from pancakes.testing import Probe, config_of, registered
+from pancakes.util.plugins import Plugins
 
 ROBOTS = ("a", "b", "c")
 BORN = {"One": "a", "Two": "b", "Three": "a", "Four": "c"}
@@ -169,7 +169,7 @@ class Schedule:
                 return  # killed just before it was written
             write(batch)
             for entry in batch:
-                if entry.kind == KIND:
+                if entry.kind == RECORD:
                     record = Record.decode(entry.data)
                     self.oracle.written(record)
                     self.story.wrote(name, record)

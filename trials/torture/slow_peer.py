@@ -7,9 +7,9 @@ import socket
 import threading
 import time
 
-from pancakes.mesh.wire.framing import frame
-from pancakes.mesh.wire.link import Action, Link, LinkTimes, Over, SendMessage, Up
-from pancakes.mesh.wire.link_messages import Identity
+from pancakes.mesh.codec import frame
+from pancakes.mesh.link import Action, Link, LinkTimes, Over, SendMessage, Up
+from pancakes.mesh.messages import Identity
 
 LOOK_S = 0.02
 

@@ -27,11 +27,11 @@ from typing import Any, Final, TextIO
 from cli.processes import INSECURE
 
 from pancakes.control import Reschedule, Start, Stop
+from pancakes.kernel.actor import Component
 from pancakes.packet import Packet, packet_type
-from pancakes.runtime.kernel.component import Component
 from pancakes.task import Task, Tick, every, on
 from pancakes.testing import AgentInTest, threaded_agent
-from pancakes.tools.cli.interpreter import prepare
+from pancakes.tools.cli.agent_process import prepare
 
 LOOK_S: Final = 0.02
 GAP_S: Final = 0.15

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from pancakes.durable.record import Phase, Record, TaskId, Wanted
 from pancakes.events import Event, LogLine
-from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.packet import Packet, agent_of
 
 UNTOLD = ("migration",)

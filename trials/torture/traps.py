@@ -16,7 +16,7 @@ from torture.points import Point
 from torture.proxy import Verdict
 from torture.waits import Waits
 
-from pancakes.mesh.migration.record import TaskId
+from pancakes.durable.record import TaskId
 from pancakes.packet import agent_of
 
 LOOK_S = 0.0005

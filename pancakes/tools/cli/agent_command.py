@@ -6,7 +6,7 @@ from typing import Final
 
 import click
 
-from pancakes.tools.cli.guarded import Guarded
+from pancakes.tools.cli.exit_codes import Guarded
 from pancakes.tools.cli.version import version_option
 
 LOWEST_READY_FD: Final = 3
@@ -66,7 +66,7 @@ def agent(
     from pancakes.tools.cli.agent_process import SHOW_TRACEBACKS, run
 
     if record is not None:
-        from pancakes.runtime.config.toml_text import value_text
+        from pancakes.config.toml_writer import value_text
 
         path_set = [f"record.path={value_text(record)}"] if record else []
         sets = (*sets, "record.start=true", *path_set)

@@ -1,29 +1,108 @@
-"""An agent as a process: from its command line until it has ended."""
+"""Run an agent as a process: from its command line until it has ended.
+
+Here is all that an agent with a process of its own asks of its surroundings: settings of the Python interpreter and the
+system, the notifications of systemd (sd_notify), signals, and the entry by which `pancakes` finds it. A program that
+runs agents in its own process must call `prepare` and `keep` itself: they are settings of the whole process.
+Importing this module must stay cheap: configuration and agent are imported when it runs.
+"""
 
 from __future__ import annotations
 
 import atexit
 import contextlib
+import gc
 import os
+import resource
 import select
 import signal
+import socket
 import sys
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
+from contextlib import suppress
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.tools.cli import interpreter
 from pancakes.tools.cli.exit_codes import OK, REFUSED
-from pancakes.tools.cli.notify_socket import NotifySocket
 from pancakes.tools.cli.output import show_text
+from pancakes.util.clock import MonotonicClock
 
 if TYPE_CHECKING:
-    from pancakes.runtime.agent import Agent
-    from pancakes.runtime.config import Config
-    from pancakes.runtime.plugins import Plugins
-    from pancakes.runtime.runtime_dir import Registration
+    from pancakes.agent.agent import Agent
+    from pancakes.config import Config
+    from pancakes.util.plugins import Plugins
+    from pancakes.util.runtime_dir import Registration
+
+
+SWITCH_S: Final = 0.0002
+"""A thread that computes gives the interpreter to another after this time, in seconds; Python's own time is 5 ms. A
+tick waits for it twice: in the timer's thread and in the pool's. With a longer time, the ticks of other tasks are late
+beside a task that computes without pause, and beside a task that sends without pause the network's thread hardly runs:
+each system call releases the interpreter, for a moment that is too short to wake up in. Two threads that compute are a
+little slower for it."""
+COLLECT_EACH: Final = (10_000, 10, 10)
+"""Python's garbage collector runs when so many objects more are alive than after its last run. An agent makes little
+garbage that the collector must find, and a start makes many objects that stay."""
+FILES: Final = 4096
+"""So many files an agent may have open, where the system allows it. All agents, clients and new connections of a full
+mesh need more than the limit that some systems begin with; without a free file no operator can connect."""
+
+
+def prepare() -> None:
+    """Sets all of them, for this process."""
+    sys.setswitchinterval(SWITCH_S)
+    gc.set_threshold(*COLLECT_EACH)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= soft < FILES:
+        with contextlib.suppress(OSError, ValueError):  # it goes on with what it has; `pancakes doctor` says so
+            resource.setrlimit(resource.RLIMIT_NOFILE, (FILES if hard < 0 else min(FILES, hard), hard))
+
+
+def keep() -> None:
+    """Takes all present objects out of the garbage collector's sight. To be called when most modules are imported.
+
+    A full collection stops all threads, and most objects of an idle agent are modules, classes and functions.
+    """
+    gc.freeze()
+
+
+_SOCKET: Final = "NOTIFY_SOCKET"
+_WATCHDOG: Final = "WATCHDOG_USEC"
+_WATCHDOG_PID: Final = "WATCHDOG_PID"
+
+
+class NotifySocket:
+    """The socket of the service manager, such as systemd. From any thread.
+
+    Args:
+        address: where it is; a name in the abstract namespace begins with `@`.
+        watchdog_s: the service manager takes the process for hung where it hears nothing for so long; None: it does
+            not look.
+    """
+
+    def __init__(self, address: str, watchdog_s: float | None = None) -> None:
+        self.watchdog_s = watchdog_s
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)  # the timer's thread waits for no manager
+
+    @classmethod
+    def from_environment(cls, variables: MutableMapping[str, str]) -> NotifySocket | None:
+        """Returns the socket that the environment names; None: no service manager has started this process.
+
+        It takes the variables out, because a process that this one starts must not speak in its name.
+        """
+        address, watchdog, pid = (variables.pop(name, "") for name in (_SOCKET, _WATCHDOG, _WATCHDOG_PID))
+        if not address.startswith(("/", "@")):
+            return None
+        watched = watchdog.isdecimal() and int(watchdog) > 0 and pid in ("", str(os.getpid()))
+        return cls(address, int(watchdog) / 1e6 if watched else None)
+
+    def say(self, **facts: str | int) -> None:
+        """Says something, such as `READY=1`. A manager that does not listen any more need not know."""
+        with suppress(OSError):
+            self._socket.sendto("\n".join(f"{key}={value}" for key, value in facts.items()).encode(), self._address)
+
 
 STOP_S: Final = 1.9
 """An agent that has not stopped in good order by then is ended all the same, in seconds."""
@@ -45,13 +124,13 @@ def run(path: str, sets: Sequence[str], check: bool, parent_pid: int | None, rea
     """
     orders = None if check else Orders()
     if orders is not None:
-        interpreter.prepare()
+        prepare()
     if parent_pid is not None:
-        from pancakes.tools.cli.parent import die_with_parent
+        from pancakes.tools.cli.parent_death import die_with_parent
 
         die_with_parent(parent_pid)
-    from pancakes.runtime.config import load
-    from pancakes.runtime.plugins import Plugins
+    from pancakes.config import load
+    from pancakes.util.plugins import Plugins
 
     plugins = Plugins()
     config = load(path, sets, plugins, must_load=check)
@@ -157,14 +236,14 @@ class Orders:
 
 
 def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None) -> int:
-    from pancakes.runtime.agent import Agent
-    from pancakes.runtime.runtime_dir import LOOK_S
+    from pancakes.agent.agent import Agent
+    from pancakes.util.runtime_dir import LOOK_S
 
     _must_be_alone(config)
     manager = NotifySocket.from_environment(os.environ)
     running = Agent(config, plugins)
     deafen = _listen_to_libraries(running)
-    interpreter.keep()
+    keep()
     running.on_fatal(orders.give_up)
     running.on_shutdown(lambda: orders.give_up(""))
     orders.begin()
@@ -195,7 +274,7 @@ def _must_be_alone(config: Config) -> None:
         PancakesError: one does.
     """
     from pancakes.errors import PancakesError
-    from pancakes.runtime.runtime_dir import entries
+    from pancakes.util.runtime_dir import entries
 
     agent = config.agent
     try:
@@ -212,8 +291,8 @@ def _must_be_alone(config: Config) -> None:
 def _check(config: Config, plugins: Plugins) -> None:
     """Says that a configuration is sound, and which plug-ins of this environment are not."""
     from pancakes.errors import PluginError
-    from pancakes.runtime.plugins import GROUPS
-    from pancakes.tools.cli.machine_doubts import machine_doubts
+    from pancakes.tools.cli.start_checks import machine_doubts
+    from pancakes.util.plugins import GROUPS
 
     for group in GROUPS:
         for name in plugins.names(group):
@@ -231,8 +310,8 @@ def _check(config: Config, plugins: Plugins) -> None:
 def _register(running: Agent) -> Registration | None:
     """Lets `pancakes` find the agent. One that cannot be found runs all the same."""
     from pancakes.errors import PancakesError
-    from pancakes.mesh.net.peers import reachable
-    from pancakes.runtime.runtime_dir import Registration, RunningAgent
+    from pancakes.mesh.peers import reachable
+    from pancakes.util.runtime_dir import Registration, RunningAgent
 
     agent = running.config.agent
     listen = tuple(reachable(address, "tcp://127.0.0.1:0") for address in running.mesh.listen)

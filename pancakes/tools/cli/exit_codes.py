@@ -1,17 +1,23 @@
-"""The one place where an error becomes a sentence for a person and an exit code for a script."""
+"""Exit codes, and the one place where an error becomes a sentence for a person and an exit code for a script.
+
+A `Guarded` click command ends with such a sentence instead of a traceback, also if the reader of its output ends early
+(`| head`).
+"""
 
 from __future__ import annotations
 
 import errno
+import inspect
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 import click
 
 from pancakes.errors import EXTRAS, ConfigError, PancakesError, Unreachable, missing_extra
+from pancakes.util.docstring import docstring_of
 
 OK: Final = 0
 REFUSED: Final = 1
@@ -88,3 +94,29 @@ def sentences() -> Iterator[None]:
         end_unread()
     except Exception as error:
         fail(error)
+
+
+def with_help(command: click.Command) -> click.Command:
+    """Gives a command, and those of a group, the help that click takes from docstrings: `python -OO` has none."""
+    if sys.flags.optimize >= 2:
+        if not command.help and command.callback is not None:
+            command.help = docstring_of(inspect.unwrap(command.callback)) or None
+        for inner in command.commands.values() if isinstance(command, click.Group) else ():
+            with_help(inner)
+    return command
+
+
+class Guarded(click.Command):
+    """A click command whose errors become sentences, also where the reader of its output ends early (`| head -1`).
+
+    A group of this class does so for its commands, too.
+    """
+
+    def make_context(self, *args: Any, **more: Any) -> click.Context:
+        with_help(self)
+        with sentences():
+            return super().make_context(*args, **more)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        with sentences():
+            return super().invoke(ctx)

@@ -1,23 +1,74 @@
-"""Shows a running fleet in Foxglove until Ctrl-C (`pancakes view --foxglove`)."""
+"""Show a running fleet in Foxglove until Ctrl-C (`pancakes view --foxglove`).
+
+It subscribes to all channels of the fleet: the core channels, and those that tasks have made, as soon as they exist.
+"""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 from msgspec.structs import replace
 
-from pancakes.client import HeardPacket
+from pancakes.client import Client, HeardPacket, Subscriber
 from pancakes.errors import PancakesError, needing_extra
-from pancakes.runtime.clock import wall_ns
-from pancakes.tools.cli.interrupts import event_at
+from pancakes.packet import CORE_CHANNELS
+from pancakes.recording.foxglove_messages import Viewer
+from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.tools.cli.options import Ask
 from pancakes.tools.cli.output import show_json, show_text
-from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
-from pancakes.tools.recording.viewing import Viewer
-from pancakes.tools.web.fleet_channels import FleetChannels
+from pancakes.tools.cli.streaming import event_at
 from pancakes.tools.web.watch import fleet_among
+from pancakes.util.clock import wall_ns
+
+
+class FleetChannels:
+    """Subscribes to all channels of the agents of a fleet.
+
+    Args:
+        client: reaches the agents; of one fleet.
+        hearer: makes the function that takes the packets of one channel, in a thread of that channel.
+        say: takes a sentence where a channel cannot be subscribed to.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        hearer: Callable[[], Callable[[HeardPacket[Any]], None]],
+        say: Callable[[str], None],
+    ) -> None:
+        self._client = client
+        self._hearer = hearer
+        self._say = say
+        self._subscribers: dict[str, Subscriber[HeardPacket[Any]]] = {}
+        self._refused: set[str] = set()
+
+    def look(self, described: Iterable[Mapping[str, Any]]) -> None:
+        """Subscribes to what is there and was not before.
+
+        Args:
+            described: what the agents say of themselves (`Client.survey`).
+        """
+        own = [f"{it['agent']}/{name}" for it in described for name in it["channels"] if name not in CORE_CHANNELS]
+        for channel in (*CORE_CHANNELS, *own):
+            if channel in self._subscribers:
+                continue
+            try:
+                heard = self._client.subscribe(channel, callback=self._hearer(), foreign=True)
+            except PancakesError as error:
+                if channel not in self._refused:
+                    self._refused.add(channel)
+                    self._say(f"{channel} is not shown: {error}")
+                continue
+            self._subscribers[channel] = heard
+
+    def close(self) -> None:
+        """Ends all subscribers."""
+        for heard in self._subscribers.values():
+            heard.close()
+        self._subscribers.clear()
+
 
 LOOK_S: Final = 2.0
 """How often new channels are looked for."""

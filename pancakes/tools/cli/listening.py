@@ -12,10 +12,9 @@ import click
 from pancakes.client import Client, HeardPacket, Subscriber
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.packet import covers
-from pancakes.runtime.foundation.suggestion import did_you_mean
-from pancakes.tools.cli.name_types import ChannelName
-from pancakes.tools.cli.options import Ask
+from pancakes.tools.cli.options import Ask, ChannelName
 from pancakes.tools.cli.streaming import say, until_ended
+from pancakes.util.text import did_you_mean
 
 LOOK_S = 0.2
 """At least that often `listen` gives its caller a turn."""
@@ -115,7 +114,7 @@ def from_any(source: str, addresses: Sequence[str]) -> bool:
 def doubt_types(types: Sequence[str]) -> None:
     """Names the types that are not installed here. The agents may know them; perhaps the user meant another one."""
     from pancakes.packet import known_types
-    from pancakes.runtime.plugins import Plugins
+    from pancakes.util.plugins import Plugins
 
     if not types:
         return

@@ -10,9 +10,9 @@ import click
 import msgspec
 
 from pancakes.packet import body_to_plain
-from pancakes.runtime.foundation.arrays import as_list, is_array
-from pancakes.runtime.foundation.codecs import encode_json
-from pancakes.runtime.foundation.printable import printable, printable_data
+from pancakes.util.arrays import as_list, is_array
+from pancakes.util.codecs import encode_json
+from pancakes.util.text import printable, printable_data
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -1,4 +1,4 @@
-"""What `--version` says: the version, and the commit where it is no release."""
+"""The names of the program, and what `--version` prints: the version, and the commit if it is not a release."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ from typing import Any, Final, TypeVar
 import click
 
 import pancakes
+
+PROGRAM: Final = "pancakes"
+VARIABLE: Final = "_PANCAKES_COMPLETE"
+"""The environment variable with which a shell asks how the line may go on."""
+
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _PACKAGE: Final = Path(pancakes.__file__).parent

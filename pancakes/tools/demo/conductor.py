@@ -1,24 +1,170 @@
-"""The launcher's own task: it waits for all agents, lets the mission begin, keeps its events, and ends it."""
+"""The launcher's own task: it waits for all agents, begins the mission, records its events, and ends it.
+
+`Losses` kills an agent at the time that the demo says, and starts it again. `how_slow` reports whether the machine
+kept up with a mission in real time.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Final, Literal, TextIO
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.control import Begin, Describe, Follow, History, Reply
-from pancakes.events import Event
+from pancakes.events import Event, line_of, record_of
+from pancakes.kernel.handlers import queue
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
-from pancakes.runtime.kernel.keep import queue
-from pancakes.runtime.services.log_record import line_of, record_of
 from pancakes.task import Task, Tick, every, on
-from pancakes.tools.demo.losses import LossStep
-from pancakes.tools.demo.timeliness import Ticks, ticks_of
+from pancakes.tools.demo.demo import Loss
+
+BEHIND_S: Final = 0.25
+"""A world that lies further behind the clock than this, or a tick that is later, in mission seconds, is said to."""
+MISSED_SHARE: Final = 0.01
+"""So is a task that missed a larger share of its ticks, and more than one."""
+NAMED: Final = 3
+"""The most tasks that are named, those that missed most; of the others the number is told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """How a task's ticks came.
+
+    Attributes:
+        task: the task, as `agent/service/task`.
+        ticks: how many came.
+        missed: how many never did.
+        late_max_s: how late the latest was, in mission seconds.
+    """
+
+    task: str
+    ticks: int
+    missed: int
+    late_max_s: float
+
+    def was_late(self) -> bool:
+        """Returns whether so many were missed, or one was so late, that it may have changed the mission."""
+        return self.missed > max(1.0, MISSED_SHARE * (self.ticks + self.missed)) or self.late_max_s > BEHIND_S
+
+
+def ticks_of(agent: str, description: Mapping[str, Any]) -> list[Ticks]:
+    """Returns how the ticks of an agent's tasks came, from its answer to `Describe`."""
+    return [
+        Ticks(f"{agent}/{it['service']}/{it['task']}", it["ticks"], it["missed"], it["lateness_max_s"])
+        for it in description["tasks"]
+        if it["ticks"] or it["missed"]
+    ]
+
+
+def late_ones(ticks: Iterable[Ticks]) -> list[dict[str, Any]]:
+    """Returns the tasks that were late, as plain values, the worst first."""
+    late = [it for it in ticks if it.was_late()]
+    return [asdict(it) for it in sorted(late, key=lambda it: (-it.missed, -it.late_max_s, it.task))]
+
+
+def how_slow(timing: Mapping[str, Any]) -> str:
+    """Returns where the machine fell behind, as it stands in `timing.json`; empty where it kept up."""
+    parts = []
+    if timing.get("behind_max_s", 0.0) > BEHIND_S:
+        parts.append(f"the world fell behind the clock by up to {timing['behind_max_s']:.2f} s of mission time")
+    late = timing.get("late_tasks", ())
+    for it in late[:NAMED]:
+        missed = f"missed {it['missed']} of {it['ticks'] + it['missed']} ticks and " if it["missed"] else ""
+        parts.append(f"{it['task']} {missed}was up to {it['late_max_s']:.2f} s late")
+    if len(late) > NAMED:
+        parts.append(f"{len(late) - NAMED} more tasks were late")
+    return "; ".join(parts)
+
+
+def verdict_line(verdict: str, slow: str) -> str:
+    """Returns a mission's verdict, and where the machine was too slow for it, in one line."""
+    if not slow:
+        return verdict
+    return f"{verdict}, {'though' if verdict == 'PASS' else 'and'} this machine was too slow: {slow}"
+
+
+def hint_of(verdict: str, timings: Iterable[Mapping[str, Any]]) -> str:
+    """Returns what the machine has to do with a mission that has failed in real time; empty: nothing.
+
+    Where ticks were in time a mission may fail of the machine all the same: a message between two agents that comes
+    late is no late tick.
+    """
+    live = [timing for timing in timings if timing.get("mode") == "live"]
+    if verdict == "PASS" or not live:
+        return ""
+    worst = max(live, key=lambda timing: float(timing.get("busy", 0.0)))
+    percent = 100 * float(worst.get("busy", 0.0))
+    return (
+        f"in real time the machine counts: its {worst.get('processors', 1)} processors were busy for {percent:.0f} %"
+        f" of the mission. Try --speed {worst['speed'] / 2:g}, without other programs, or --virtual, which no load"
+        " changes"
+    )
+
+
+HAIR_S: Final = 1e-6
+"""A step whose time has come is due, even where rounding puts the mission's clock a hair before it."""
+
+
+class LossStep(msgspec.Struct, frozen=True):
+    """Something that was done about an agent, as the launcher tells the conductor.
+
+    Attributes:
+        agent: the agent.
+        kind: what was done: it was killed, or it was started again. So the event is called, too.
+        t_s: when, in mission time.
+    """
+
+    agent: str
+    kind: Literal["agent_lost", "agent_returned"]
+    t_s: float
+
+
+class Losses:
+    """The steps of a mission's loss, one after the other. In the thread that starts agents.
+
+    Args:
+        loss: what is to happen; None: nothing.
+        seed: the run's seed.
+        now: the mission's clock.
+        kill: ends an agent at once, by its name.
+        start: starts it again on its disk.
+        told: takes each step that was done.
+    """
+
+    def __init__(
+        self,
+        loss: Loss | None,
+        seed: int,
+        now: Callable[[], float],
+        kill: Callable[[str], None],
+        start: Callable[[str], None],
+        told: Callable[[LossStep], None],
+    ) -> None:
+        self._now = now
+        self._told = told
+        self._steps: list[tuple[LossStep, Callable[[str], None]]] = []
+        if loss is not None:
+            at_s = loss.at_s(seed)
+            self._steps.append((LossStep(loss.agent, "agent_lost", at_s), kill))
+            self._steps.append((LossStep(loss.agent, "agent_returned", at_s + loss.away_s), start))
+
+    def wait_s(self) -> float:
+        """Returns how long it is until something is to be done, in mission seconds; infinity: nothing ever is."""
+        return max(0.0, self._steps[0][0].t_s - self._now()) if self._steps else math.inf
+
+    def look(self) -> None:
+        """Does what is due."""
+        while self.wait_s() <= HAIR_S:
+            step, act = self._steps.pop(0)
+            now_s = self._now()  # before it is done: what follows from it comes later
+            act(step.agent)
+            self._told(replace(step, t_s=now_s))
+
 
 ASK_S = 0.25
 """How often, in host time, an agent that is not ready is asked again."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
 from pancakes.errors import PancakesError
-from pancakes.runtime.foundation.malformed import why_malformed
+from pancakes.util.codecs import why_malformed
 
 _T = TypeVar("_T")
 _ENDS = ("task_frozen", "task_stopped", "task_failed", "task_given_up")

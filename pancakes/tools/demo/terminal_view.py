@@ -9,11 +9,10 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, TextIO
 
-from pancakes.client.sentences import is_quiet, sentence_of
-from pancakes.runtime.foundation.printable import printable
-from pancakes.tools.demo.conductor import Mission
+from pancakes.client.rows import is_quiet, sentence_of
+from pancakes.tools.demo.conductor import BEHIND_S, Mission
 from pancakes.tools.demo.demo import Demo
-from pancakes.tools.demo.timeliness import BEHIND_S
+from pancakes.util.text import printable
 
 REFRESH_HZ = 8
 SHOWN_EVENTS = 14

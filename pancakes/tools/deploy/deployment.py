@@ -1,19 +1,100 @@
-"""Carries a deployment out: all hosts are prepared; then agents are switched, each in its turn, or all go back."""
+"""Carry out a deployment: all hosts are prepared, then agents are switched one after the other, or all go back.
+
+Agents that need keys get them first, from the authority of their fleet (`enrol`).
+"""
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Final, TypedDict
+from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
+from pancakes.agent.transport_settings import keyed_addresses
 from pancakes.errors import PancakesError, describe
-from pancakes.tools.deploy.change import AgentChange, digest_of
-from pancakes.tools.deploy.supply import Supply
-from pancakes.tools.deploy.task_moves import AgentBefore, TaskMoves
+from pancakes.security.key_store import FLEET, KEY, ROSTER
+from pancakes.security.roster import CertifiedRole
+from pancakes.tools.deploy.drain import AgentBefore, TaskMoves
+from pancakes.tools.deploy.plan import AgentChange, Supply, digest_of
 from pancakes.tools.deploy.wheels import digests
-from pancakes.tools.launch.host_link import HostLink
+from pancakes.tools.launch.fleet_file import Member
+from pancakes.tools.launch.remote_hosts import Host
+from pancakes.tools.launch.ssh import HostLink
+from pancakes.util.plugins import Plugins
+
+if TYPE_CHECKING:
+    from pancakes.security.authority import FleetOffice
+
+
+Need = Literal["has", "needs", "none"]
+
+
+def keys_needed(members: Sequence[Member], hosts: Mapping[str, Host]) -> dict[str, Need]:
+    """Returns which agents have keys on their hosts, which need some, and which need none, by name."""
+    plugins = Plugins()
+    found: dict[str, Need] = {}
+    for member in members:
+        network = member.config.services.get("network")
+        settings = network.settings if network is not None else {}
+        if hosts[member.host].agent(member.name)["keys"] or settings.get("keys"):
+            found[member.name] = "has"
+        else:
+            needs = bool(keyed_addresses(member.config.agent, plugins)) and not settings.get("insecure")
+            found[member.name] = "needs" if needs else "none"
+    return found
+
+
+def check_keys(members: Sequence[Member], needed: Mapping[str, Need]) -> None:
+    """Sees to it that no agent lacks keys.
+
+    Raises:
+        PancakesError: some do; the sentences say which, and what to do.
+    """
+    problems = [
+        f"{it.name} needs keys of the fleet {it.config.agent.fleet}, and {it.host} has none: pancakes deploy --enrol"
+        " gives them out, or pancakes fleet join there"
+        for it in members
+        if needed[it.name] == "needs"
+    ]
+    if problems:
+        raise PancakesError("\n".join([*problems, "nothing was brought to a host"]))
+
+
+def enrol(
+    members: Sequence[Member],
+    needed: Mapping[str, Need],
+    hosts: Mapping[str, Host],
+    offices: Mapping[str, FleetOffice],
+    tell: Callable[[str, str], None],
+) -> None:
+    """Gives keys to the agents that need some.
+
+    Args:
+        members: the agents.
+        needed: see `keys_needed`.
+        hosts: their hosts.
+        offices: the authorities of their fleets, by fleet.
+        tell: takes a clause about an agent, to be read after its name.
+
+    Raises:
+        PancakesError: a host does not take them.
+    """
+    for member in members:
+        if needed[member.name] != "needs":
+            continue
+        agent = member.config.agent
+        office = offices[agent.fleet]
+        role: CertifiedRole = "environment" if agent.role == "environment" else "agent"
+        before = [it for it in office.entries if not it.revoked and it.who == f"{role}/{agent.name}"]
+        files = office.enrol_with_key(role, agent.name, before[-1].groups if before else ())
+        sent = {ROSTER: files.roster, FLEET: files.authority, KEY: files.certificate + files.key}
+        told = {name: b64encode(data).decode() for name, data in sent.items()}
+        hosts[member.host].link.obtain("put_keys", fleet=agent.fleet, name=agent.name, files=told)
+        again = ", beside the one that it was given before" if before else ""
+        tell(member.name, f"has keys of the fleet {agent.fleet} on {member.host}, with a new certificate{again}")
+
 
 LOCK_S: Final = 120.0
 """So long a host may take to finish what was asked for over a connection that was lost."""

@@ -27,9 +27,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from pancakes.errors import PancakesError
-from pancakes.runtime.foundation.toml_values import toml_values
-from pancakes.runtime.foundation.user_folders import user_folder
-from pancakes.runtime.plugins import GROUPS
+from pancakes.util.files import user_folder
+from pancakes.util.plugins import GROUPS
+from pancakes.util.toml import toml_values
 
 PIP: Final = "pip"
 CORE: Final = "pancakes-agents"

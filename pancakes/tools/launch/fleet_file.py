@@ -1,23 +1,114 @@
-"""A fleet file: which agents are launched together, and how, as frozen dataclasses; or all that is wrong with it."""
+"""Read fleet files: from `fleet.toml`, folders and `--set` to the agents of a launch, or to all faults at once.
+
+`load_fleet` reads one file into frozen dataclasses. `make_fleet` reads all that a command line names, merges what is
+set for each agent, and returns one `Member` per agent in the order of start. Nothing is started here. `check_free`
+checks that no running agent has the name, and no program the port, of a member.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final, TypeVar
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TypeVar
 
-from pancakes.errors import ConfigError
-from pancakes.runtime.config.config_schema import closed, named_tables, schema_document
-from pancakes.runtime.config.key_places import KeyPlaces
-from pancakes.runtime.config.scanner import KeyPath
-from pancakes.runtime.config.toml_source import fault_of_schema, read_tables, text_of
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.foundation.schema import schema_of
-from pancakes.runtime.foundation.suggestion import suggestion
-from pancakes.runtime.life.restart import fault_of_pauses
+from msgspec import Meta
+
+from pancakes.config import Address, Config, load, parse_address
+from pancakes.config.key_lines import KeyPath, KeyPlaces, set_text
+from pancakes.config.schema import closed, named_tables, schema_document
+from pancakes.config.state_dir import state_dir_of
+from pancakes.config.toml_reader import apply_set, fault_of_schema, read_tables, tables_of, text_of
+from pancakes.config.toml_writer import key_text, leaves, value_text
+from pancakes.errors import ConfigError, Fault, PancakesError
+from pancakes.mesh.address import DEFAULT_FLEET
 from pancakes.settings import check_settings
-from pancakes.tools.launch.member import ProcessRestart
+from pancakes.supervision.restart import fault_of_pauses
+from pancakes.tools.launch.ports import Claim, listening_fault, within_machine
 from pancakes.tools.launch.ssh import fault_of_host
+from pancakes.util import codecs
+from pancakes.util.files import NoHome, NoPath, at_home
+from pancakes.util.plugins import Plugins
+from pancakes.util.runtime_dir import RunningAgent, entries
+from pancakes.util.schema import schema_of
+from pancakes.util.text import suggestion
+
+Policy = Literal["no", "on-failure", "always"]
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessRestart:
+    """What the launcher does when an agent's process has ended by itself.
+
+    Attributes:
+        policy: `on-failure`: it is started again where its exit code is not 0, as after a crash; `always`: also where
+            it ended in order, as after `pancakes down`; `no`: never.
+        at_most: how many restarts are tried ...
+        within_s: ... in so many seconds in which it is ready; one more end, and the agent is given up. The pauses, and
+            starts that fail, take none of this time.
+        pause_s: how long the first restart waits, in seconds. Each further one in `within_s` waits twice as long as the
+            one before, less up to a quarter, by chance.
+        pause_max_s: no restart waits longer than this.
+    """
+
+    policy: Policy = "on-failure"
+    at_most: Annotated[int, Meta(ge=0)] = 3
+    within_s: Annotated[float, Meta(gt=0, le=1e9)] = 60.0
+    pause_s: Annotated[float, Meta(ge=0, le=1e9)] = 0.1
+    pause_max_s: Annotated[float, Meta(ge=0, le=1e9)] = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One agent of a fleet.
+
+    Attributes:
+        name: the agent's name.
+        path: its configuration file.
+        sets: what is changed of that file, as `--set` takes it.
+        config: the configuration that follows.
+        restart: what happens when its process ends.
+        after: the agents that must be ready before it is started, and that end after it.
+        host: where it runs, as `ssh` takes it: `pi@robot1`; empty: on this machine.
+        unchecked: what its configuration names and is not installed here, so that it could not be checked.
+    """
+
+    name: str
+    path: Path
+    sets: tuple[str, ...]
+    config: Config
+    restart: ProcessRestart = field(default_factory=ProcessRestart)
+    after: tuple[str, ...] = ()
+    host: str = ""
+    unchecked: tuple[str, ...] = ()
+
+
+def overrides(table: Mapping[str, Any]) -> Iterator[str]:
+    """Yields `table.key=value` for each value in nested tables, so that keys beside it stay as the file has them."""
+    for keys, value in leaves(table) if table else ():
+        yield f"{key_text(keys)}={value_text(value)}"
+
+
+def whose(change: str, agents: Sequence[str]) -> tuple[Sequence[str], str]:
+    """Returns the agents that a change from the command line concerns, and what is left of it for them.
+
+    Args:
+        change: `AGENT:table.key=value`, or `table.key=value` for all agents.
+        agents: the names of all agents.
+
+    Raises:
+        ConfigError: it names an agent that is none of these.
+    """
+    keys, equals, value = change.partition("=")
+    agent, colon, rest = keys.partition(":")
+    if not colon:
+        return agents, change
+    if agent not in agents:
+        near = suggestion(agent, agents)
+        raise ConfigError([Fault(f"--set {change}", agent, f"is none of the agents {', '.join(agents)}", near)])
+    return (agent,), f"{rest}{equals}{value}"
+
 
 FLEET_FILE: Final = "fleet.toml"
 """The name of a folder's fleet file."""
@@ -173,3 +264,273 @@ class _FleetReader:
             first = next(iter(waiting))
             circle = " and ".join(waiting)
             self._fault(("agent", first, "after"), f"{circle} would wait for each other for ever")
+
+
+_EVERYWHERE = ("0.0.0.0", "::")
+
+
+@dataclass(frozen=True, slots=True)
+class _Draft:
+    """A member before its configuration has been read.
+
+    Attributes:
+        said_at: where a fleet file says what is set, by the place that its configuration will name.
+        after: None where no fleet file says it.
+        host: where it runs; empty: on this machine.
+    """
+
+    name: str
+    path: Path
+    sets: tuple[str, ...] = ()
+    said_at: Mapping[str, str] = field(default_factory=dict)
+    restart: ProcessRestart = ProcessRestart()
+    after: tuple[str, ...] | None = None
+    host: str = ""
+
+
+def make_fleet(
+    paths: Sequence[Path],
+    extra: Sequence[str],
+    policy: Policy | None,
+    plugins: Plugins | None,
+    *,
+    must_load: bool = False,
+    local: bool = False,
+    check_hosts: bool = False,
+) -> list[Member]:
+    """Reads a fleet; nothing is started, and what runs already is not looked at.
+
+    Args:
+        paths: configuration files of agents, fleet files, and folders: of a folder its `fleet.toml` is read, or else
+            all of its `*.toml`, by name. Environments come first, where no fleet file gives the order.
+        extra: `[AGENT:]table.key=value` from the command line.
+        policy: whether an agent is started again when it ends; None: as the fleet file says.
+        plugins: where drivers and tasks come from; None leaves what they ask of the configurations unchecked, as that
+            of agents that run on another host.
+        must_load: whether it is a fault where one of these that a configuration names cannot be imported.
+        local: whether they speak within this machine alone, and take no TCP port.
+        check_hosts: whether those that run on another host are checked with the plug-ins of this machine, as far as
+            these are installed here.
+
+    Raises:
+        ConfigError: a file is not sound, or two of them do not fit together; it carries every fault.
+    """
+    drafts, faults = _drafts(paths)
+    names = [draft.name for draft in drafts]
+    sets: dict[str, list[str]] = {draft.name: list(draft.sets) for draft in drafts}
+    for change in extra:
+        try:
+            agents, rest = whose(change, names)
+        except ConfigError as error:
+            faults += error.faults
+            continue
+        for agent in agents:
+            sets[agent].append(rest)
+    if local:
+        faults += _elsewhere(drafts)
+        _stay_within(drafts, sets)
+    members: list[Member] = []
+    for draft in drafts:
+        changes = tuple(sets[draft.name])
+        restart = draft.restart if policy is None else replace(draft.restart, policy=policy)
+        try:
+            # What is not installed here may be installed on another host.
+            missing: set[str] | None = set() if draft.host else None
+            known = plugins if check_hosts or not draft.host else None
+            config = load(draft.path, changes, known, must_load=must_load and not draft.host, missing=missing)
+        except ConfigError as error:
+            faults += [fault._replace(where=draft.said_at.get(fault.where, fault.where)) for fault in error.faults]
+            continue
+        if config.agent.name != draft.name:
+            problem = f"is another name than {draft.name!r}, by which the launcher knows this agent"
+            faults.append(config.places.fault(("agent", "name"), problem))
+        after, unchecked = draft.after or (), tuple(sorted(missing or ()))
+        members.append(Member(draft.name, draft.path, changes, config, restart, after, draft.host, unchecked))
+    members = _in_order(members, [draft.name for draft in drafts if draft.after is None])
+    faults += _clashes(members)
+    if faults:
+        raise ConfigError(list(dict.fromkeys(faults)))
+    return members
+
+
+def check_free(members: Sequence[Member]) -> Claim:
+    """Sees to it that on this machine no other agent has the name of a member, and no other program its port.
+
+    Returns:
+        What keeps other launchers from these ports.
+
+    Raises:
+        PancakesError: one of them is in use; the sentence says which, and by which agent, where that is known.
+    """
+    there = entries()
+    running = {(entry.fleet, entry.name): entry.pid for entry in there}
+    problems = []
+    is_taken = False
+    here = [member for member in members if not member.host]
+    for member in here:
+        agent = member.config.agent
+        pid = running.get((agent.fleet, agent.name))
+        if pid is not None:
+            problems.append(f"the agent {agent.name} of the fleet {agent.fleet} runs already (process {pid})")
+            continue
+        for address in _places(member):
+            if fault := listening_fault(address.host, address.port):
+                is_taken = True
+                problems.append(f"{agent.name} cannot listen at {address}: {fault}{_by(address, there)}")
+    if is_taken:
+        problems.append("end what listens there, or launch with --local, which takes no port; --set changes one port")
+    claim = Claim.to(address.port for member in here for address in _places(member))
+    if problems or claim is None:
+        if claim is not None:
+            claim.release()
+        raise PancakesError("\n".join(problems) or "another launcher is about to use the ports of this fleet")
+    return claim
+
+
+def _elsewhere(drafts: Sequence[_Draft]) -> Iterator[Fault]:
+    """What runs on another host cannot speak within this machine."""
+    for draft in drafts:
+        if draft.host:
+            yield Fault("--local", draft.name, f"runs on {draft.host}, which local:// does not reach")
+
+
+def _stay_within(drafts: Sequence[_Draft], sets: Mapping[str, list[str]]) -> None:
+    """Changes what is set of the members' files so that they need no port. What is wrong in a file is said later."""
+    tables: dict[str, Any] = {}
+    for draft in drafts:
+        try:
+            tables[draft.name], places = tables_of(text_of(str(draft.path)), str(draft.path))
+        except ConfigError:
+            return
+        for change in sets[draft.name]:
+            apply_set(change, tables[draft.name], places)
+    agents = {name: table.get("agent") for name, table in tables.items()}
+    fleets = {name: str(it.get("fleet", DEFAULT_FLEET)) for name, it in agents.items() if isinstance(it, dict)}
+    for name, changes in within_machine(tables, fleets).items():
+        sets[name].extend(changes)
+
+
+def _drafts(paths: Sequence[Path]) -> tuple[list[_Draft], list[Fault]]:
+    drafts: list[_Draft] = []
+    faults: list[Fault] = []
+    for path in paths:
+        try:
+            files = _files(path)
+        except ConfigError as error:
+            faults += error.faults
+            continue
+        for file in files:
+            try:
+                drafts.extend(_of_file(file, faults))
+            except ConfigError as error:
+                faults += error.faults
+    for index, draft in enumerate(drafts):
+        earlier = next((other for other in drafts[:index] if other.name == draft.name), None)
+        if earlier is not None:
+            problem = f"{earlier.path!s} is an agent of the name {draft.name!r} already"
+            faults.append(Fault(str(draft.path), "[agent] name", problem))
+    return drafts, faults
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    if (path / FLEET_FILE).exists():
+        return [path / FLEET_FILE]
+    files = sorted(path.glob("*.toml"))
+    if not files:
+        raise ConfigError([Fault(str(path), "folder", "has no configuration in it: no *.toml")])
+    return files
+
+
+def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
+    """Yields the agents of a file; a fault of one of them goes to `faults`, and hides no other."""
+    values = read_tables(text_of(str(path)), str(path)).values  # its faults are told when it is read as a whole
+    if path.name != FLEET_FILE and not is_fleet(values):
+        yield _Draft(_name_in(values) or path.stem, path)
+        return
+    found = load_fleet(str(path))
+    for name, table in found.agents.items():
+        try:
+            file = path.parent / at_home(table.config or f"{name}.toml")
+        except NoPath as error:
+            faults.append(found.places.fault(("agent", name, "config"), str(error)))
+            continue
+        if not file.is_file():
+            faults.append(found.places.fault(("agent", name, "config"), f"there is no file {file}"))
+            continue
+        try:
+            own = read_tables(text_of(str(file)), str(file)).values
+        except ConfigError as error:
+            faults += error.faults
+            continue
+        said_at: dict[str, str] = {}
+        if found.fleet.name:
+            said_at[f"agent.fleet={value_text(found.fleet.name)}"] = found.places.where("fleet", "name")
+        if _name_in(own) != name:
+            said_at[f"agent.name={value_text(name)}"] = found.places.where("agent", name)
+        said_at.update(dict.fromkeys(overrides(found.fleet.set), found.places.where("fleet", "set")))
+        said_at.update(dict.fromkeys(overrides(table.set), found.places.where("agent", name, "set")))
+        places = {set_text(text): where for text, where in said_at.items()}
+        yield _Draft(name, file, tuple(said_at), places, table.restart or found.fleet.restart, table.after, table.host)
+
+
+def _name_in(values: Mapping[str, Any]) -> str:
+    agent = values.get("agent")
+    name = agent.get("name") if isinstance(agent, dict) else None
+    return name if isinstance(name, str) else ""
+
+
+def _in_order(members: Sequence[Member], free: Sequence[str]) -> list[Member]:
+    """Lets agents of which nothing else is said come after the environments: what acts ends before its world does."""
+
+    def acts(member: Member) -> bool:
+        return member.config.agent.role != "environment"
+
+    worlds = tuple(member.name for member in members if not acts(member) and member.name in free)
+    ordered = [replace(member, after=worlds) if acts(member) and member.name in free else member for member in members]
+    return sorted(ordered, key=lambda member: acts(member) and member.name in free)
+
+
+def _by(address: Address, running: Iterable[RunningAgent]) -> str:
+    """Returns which agent has the port of an address, as the end of a sentence; empty: that is not known."""
+    for entry in running:
+        if any(parse_address(listen).port == address.port for listen in entry.listen):
+            return f", by {entry.name} of the fleet {entry.fleet} (process {entry.pid})"
+    return ""
+
+
+def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
+    """What two members cannot both have."""
+    for index, member in enumerate(members):
+        for other in members[:index]:
+            if other.host != member.host:
+                continue
+            places = member.config.places
+            for one, another in product(_places(member), _places(other)):
+                if _same_port(one, another):
+                    problem = f"{other.name} ({other.path}) listens at this port already"
+                    yield places.fault(("agent", "listen"), problem)
+            directory, taken = _state_dir(member), _state_dir(other)
+            if directory is not None and taken is not None and directory.absolute() == taken.absolute():
+                key = ("agent", "state_dir")
+                yield places.fault(key, f"is the state directory of {other.name} ({other.path}) as well")
+
+
+def _state_dir(member: Member) -> Path | None:
+    """Returns the state directory of a member; None: it has none, or says when it starts that it knows of none."""
+    try:
+        return state_dir_of(member.config)
+    except NoHome:
+        return None
+
+
+def _places(member: Member) -> list[Address]:
+    """The addresses that a member listens at, as far as they have a port that is known beforehand."""
+    return [address for address in map(parse_address, member.config.agent.listen) if address.port]
+
+
+def _same_port(one: Address, other: Address) -> bool:
+    if one.port != other.port:
+        return False
+    return one.host == other.host or one.host in _EVERYWHERE or other.host in _EVERYWHERE

@@ -1,4 +1,8 @@
-"""The ports of a fleet: those of its files, or free ones where another program, or another fleet, has them."""
+"""Ports of a fleet: those of its files, free ones instead, or none at all with `local://`.
+
+Addresses are found in, and replaced in, the tables of the agents' files; the result is a list of `--set` changes. A
+`Claim` keeps other launchers on this machine from ports on which no agent listens yet.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,74 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from pancakes.tools.launch.table_addresses import addresses_in, moved
+from pancakes.config.toml_writer import key_text, leaves, value_text
+from pancakes.mesh.address import LOCAL, Address, local_address, parse_address
+
+
+def addresses_in(value: Any) -> list[Address]:
+    """Returns the addresses with a port in a table, or in what stands in one, each once."""
+    if isinstance(value, str):
+        address = _address(value)
+        return [address] if address is not None else []
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return list(dict.fromkeys(address for it in inner for address in addresses_in(it)))
+
+
+def moved(table: Mapping[str, Any], others: Mapping[Address, str]) -> list[str]:
+    """Returns what is to be set in an agent's file so that it has other addresses, as `--set` takes it.
+
+    Args:
+        table: what the file says.
+        others: by address, what stands in its place.
+    """
+    changed = [(keys, _with(value, others), value) for keys, value in leaves(table)]
+    return [f"{key_text(keys)}={value_text(now)}" for keys, now, before in changed if now != before]
+
+
+def _with(value: Any, others: Mapping[Address, str]) -> Any:
+    if isinstance(value, list):
+        return [_with(it, others) for it in value]
+    address = _address(value) if isinstance(value, str) else None
+    return others.get(address, value) if address is not None else value
+
+
+def _address(text: str) -> Address | None:
+    """Returns the address that a text is; None where it is none with a port."""
+    try:
+        found = parse_address(text)
+    except ValueError:
+        return None
+    return found if found.scheme in ("tcp", "udp") else None
+
+
+def within_machine(tables: Mapping[str, Mapping[str, Any]], fleets: Mapping[str, str]) -> dict[str, list[str]]:
+    """Returns what is to be set in each agent's file, as `--set` takes it.
+
+    An agent is found by its name; another place where something listens, such as a hardware bus, has its port as its
+    name.
+
+    Args:
+        tables: what the agents' files say, by agent.
+        fleets: the agents' fleets, likewise.
+    """
+    own = {agent: table["agent"] for agent, table in tables.items() if isinstance(table.get("agent"), dict)}
+    at_port = {
+        address.port: local_address(fleets[agent], agent)
+        for agent, it in own.items()
+        for address in addresses_in(it.get("listen"))
+    }
+    found: dict[str, list[str]] = {}
+    for agent, it in own.items():  # another file is not sound, and reading it as a configuration says so
+        table = tables[agent]
+        others: dict[Address, str] = {
+            address: at_port.get(address.port, f"{LOCAL}://{fleets[agent]}/port-{address.port}")
+            for address in addresses_in(dict(table))
+            if address.loopback and address.scheme == "tcp"
+        }
+        rest = {key: value for key, value in it.items() if key != "listen"}
+        found[agent] = ["agent.listen=[]", *moved({**table, "agent": rest}, others)]
+    return found
+
 
 NOT_LENT: Final = range(15_000, 32_000)
 """The system lends none of these ports to a program that dials, before an agent listens there."""

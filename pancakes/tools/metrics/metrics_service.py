@@ -17,13 +17,12 @@ from msgspec import Meta
 
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.events import Event
-from pancakes.mesh.security.key_files import write_private
+from pancakes.kernel.handlers import on, queue
+from pancakes.kernel.timer import HeardTick
 from pancakes.packet import LOG, SYSTEM, Packet, agent_of
-from pancakes.runtime.kernel.handlers import on
-from pancakes.runtime.kernel.keep import queue
-from pancakes.runtime.kernel.task_timer import HeardTick
-from pancakes.runtime.runtime_dir import make_directory, runtime_dir
+from pancakes.security.key_store import write_private
 from pancakes.service import Service
+from pancakes.util.runtime_dir import make_directory, runtime_dir
 
 
 class MetricsService(Service):
@@ -56,8 +55,7 @@ class MetricsService(Service):
         if self.kernel.virtual is not None:
             raise PancakesError(f"{self.address} serves no metrics in virtual time, where no second is a second")
         with needing_extra("there are no metrics"):
-            from pancakes.tools.metrics.collector import AgentMetrics
-            from pancakes.tools.metrics.metrics_server import HOST, MetricsServer
+            from pancakes.tools.metrics.prometheus import HOST, AgentMetrics, MetricsServer
         self._metrics = AgentMetrics(self.kernel)
         try:
             token = secrets.token_urlsafe(24) if self.settings.token else ""

@@ -8,16 +8,16 @@ from typing import Final
 
 from msgspec.structs import replace
 
+from pancakes.config import Config
+from pancakes.config.tables import RecordConfig
 from pancakes.errors import ConfigError, Fault, MailboxFull, PancakesError
 from pancakes.fleet import VirtualFleet
 from pancakes.packet import join
-from pancakes.runtime.config import Config
-from pancakes.runtime.config.tables import RecordConfig
-from pancakes.runtime.plugins import Plugins
-from pancakes.runtime.services.root import Root
-from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
-from pancakes.tools.recording.virtual_recorder import VirtualRecorder
-from pancakes.tools.replay.selection import Live, Selection, Tally
+from pancakes.recording.records import NANOSECONDS, RecordedPacket
+from pancakes.recording.virtual_recorder import VirtualRecorder
+from pancakes.services.root import Root
+from pancakes.tools.replay.replay import Live, Selection, Tally
+from pancakes.util.plugins import Plugins
 
 READY_S: Final = 30.0
 """How long, in virtual time, agents may take until they are ready."""

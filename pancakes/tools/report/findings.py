@@ -8,18 +8,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from pancakes.packet import Packet
-from pancakes.tools.recording.description import CHANNEL
-from pancakes.tools.recording.figures import TaskFigures
-from pancakes.tools.recording.mission_time import MissionTime
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.report.happenings import Happenings
-from pancakes.tools.report.moves import Moves
-from pancakes.tools.report.paths import BodyPaths
-from pancakes.tools.report.picked import PickedCommands
-from pancakes.tools.report.rate_figures import Rates
-from pancakes.tools.report.reactions import Reactions
-from pancakes.tools.report.task_timeline import TaskTimeline
-from pancakes.tools.report.traffic import Traffic
+from pancakes.recording.clock_alignment import MissionTime
+from pancakes.recording.records import CHANNEL, RecordedPacket
+from pancakes.recording.task_statistics import TaskFigures
+from pancakes.tools.report.command_latency import PickedCommands, Reactions
+from pancakes.tools.report.mission import BodyPaths, Happenings, Moves, TaskTimeline
+from pancakes.tools.report.performance import Rates, Traffic
 
 MOST_TOPICS: Final = 2000
 

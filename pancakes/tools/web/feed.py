@@ -1,17 +1,19 @@
-"""What a watch fills and what pages read: one model of a fleet, its history, and frames for pages."""
+"""What a watch fills and pages read: one model of a fleet, its history, and frames for pages. Any thread."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Final
 
-from pancakes.runtime.foundation import codecs
+from pancakes.control import Describe, Reply
+from pancakes.packet import Cause
 from pancakes.tools.short_state import shortened
 from pancakes.tools.web.fleet_model import FleetModel
-from pancakes.tools.web.history import FrameHistory
-from pancakes.tools.web.state_history import StateHistory
+from pancakes.tools.web.timeline import FrameHistory, StateHistory
+from pancakes.util import codecs
 
 LONGEST_VALUE: Final = 80
 """A value in the state of a task is cut after so many characters."""
@@ -145,3 +147,22 @@ class Feed:
             if changed:
                 frame["set"] = changed
         return frame
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a page shows.
+
+    Attributes:
+        feed: the fleet.
+        explain: returns why an agent's actuator was commanded; as `Explaining.explain`, from any thread.
+        look: asks an agent what is to be known of a task, within a time limit; from any thread.
+        order: asks an agent for something within a time limit; None: the page may only look.
+        title: what the page is headed with; empty: the fleet's name.
+    """
+
+    feed: Feed
+    explain: Callable[[str, str, float | None, Cause | None, int], dict[str, Any] | None]
+    look: Callable[[str, Describe, float], Future[Reply]]
+    order: Callable[[str, Any, float], Future[Reply]] | None = None
+    title: str = ""

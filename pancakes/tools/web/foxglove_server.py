@@ -9,11 +9,10 @@ from typing import Final
 import foxglove
 
 from pancakes.errors import LocalProtocolError, PancakesError
-from pancakes.runtime.foundation import codecs
-from pancakes.tools.recording.message import data_of
-from pancakes.tools.recording.recorded_packet import RecordedPacket
-from pancakes.tools.recording.schemas import SCHEMAS, schema_for
-from pancakes.tools.recording.viewing import ViewerMessage
+from pancakes.recording.foxglove_messages import ViewerMessage
+from pancakes.recording.message_format import SCHEMAS, data_of, schema_for
+from pancakes.recording.records import RecordedPacket
+from pancakes.util import codecs
 
 ADDRESS: Final = "127.0.0.1"
 PORT: Final = 8765

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pancakes.errors import needing_extra
-from pancakes.tools.web.shown import Shown
+from pancakes.tools.web.feed import Shown
 
 if TYPE_CHECKING:
     from pancakes.tools.web.page_server import PageServer

@@ -1,4 +1,9 @@
-"""Serves the page on the loopback interface: files over HTTP, news over a WebSocket."""
+"""Serve the page on the loopback interface: files over HTTP, news and orders over a WebSocket.
+
+The server runs in a thread of its own. The WebSocket library ignores the method of a request, or does not answer a
+request with a body, so `PageConnection` refuses other methods than GET. `TaskLooks` asks agents about the task that
+a person looks at. Needs `websockets`.
+"""
 
 from __future__ import annotations
 
@@ -9,28 +14,215 @@ import logging
 import secrets
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from http import HTTPStatus
+from importlib import resources
 from typing import Annotated, Any, Final
 
 import msgspec
 from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from pancakes.control import Reply
+from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, describe
 from pancakes.packet import Cause
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.foundation.arrays import as_list
-from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
 from pancakes.tools.loopback import names_loopback
-from pancakes.tools.web.connection import PageConnection
-from pancakes.tools.web.feed import FRAMES_HZ, Cursor
-from pancakes.tools.web.files import static_files
-from pancakes.tools.web.http import refused, response
-from pancakes.tools.web.page_orders import AgentName, ServiceTask, order_from
-from pancakes.tools.web.shown import Shown
-from pancakes.tools.web.task_looks import TaskLooks
+from pancakes.tools.short_state import ShortState
+from pancakes.tools.web.feed import FRAMES_HZ, Cursor, Shown
+from pancakes.tools.web.orders import AgentName, ServiceTask, fields_of, order_from
+from pancakes.util import codecs
+from pancakes.util.arrays import as_list
+from pancakes.util.codecs import MALFORMED, why_malformed
+
+_HEADERS: Final = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; connect-src 'self' ws:;"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+
+
+def response(status: HTTPStatus, type_: str, data: bytes) -> Response:
+    """Returns an answer with a body of this type, after which the connection is closed."""
+    headers = Headers({**_HEADERS, "Content-Type": type_, "Content-Length": str(len(data)), "Connection": "close"})
+    return Response(status.value, status.phrase, headers, data)
+
+
+def refused(status: HTTPStatus, sentence: str) -> Response:
+    """Returns the answer to a request that gets nothing but a sentence."""
+    return response(status, "text/plain; charset=utf-8", f"{sentence}\n".encode())
+
+
+METHODS: Final = "GET"
+LONGEST_METHOD: Final = 20
+"""No method is longer; the library refuses what begins with more letters."""
+
+
+class PageConnection(ServerConnection):
+    """Answers requests of other methods than GET, with the sentence that there is no other."""
+
+    def __init__(self, *args: Any, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._begun: bytes | None = b""
+        self._refused = False
+
+    def data_received(self, data: bytes) -> None:
+        """See `asyncio.Protocol`."""
+        if self._refused:
+            return  # what it still sends of its request; it is closed like all that open no page in time
+        if self._begun is not None:
+            data = self._begun + data
+            method, space, _ = data.partition(b" ")
+            if not space and len(data) < LONGEST_METHOD and b"\n" not in data:
+                self._begun = data
+                return
+            self._begun = None
+            if space and method.isalpha() and method != METHODS.encode():
+                self._refuse(method.decode())
+                return
+        super().data_received(data)
+
+    def _refuse(self, method: str) -> None:
+        self._refused = True
+        response: Response = refused(HTTPStatus.METHOD_NOT_ALLOWED, f"{method} changes nothing here: there is only GET")
+        response.headers["Allow"] = METHODS
+        self.transport.write(response.serialize())
+        self.transport.write_eof()
+
+
+TYPES: Final = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StaticFile:
+    """A file, and what kind of file it is."""
+
+    type: str
+    data: bytes
+
+
+def static_files() -> dict[str, StaticFile]:
+    """Returns the files by the path under which they are asked for; nothing else is ever sent."""
+    found = {}
+    for file in resources.files("pancakes.tools.web").joinpath("static").iterdir():
+        suffix = file.name[file.name.rfind(".") :]
+        if suffix in TYPES:
+            found[f"/{file.name}"] = StaticFile(TYPES[suffix], file.read_bytes())
+    found["/"] = found["/index.html"]
+    return found
+
+
+AGAIN_S: Final = 0.5
+"""An agent is asked about a task no more often than that, however many pages look at it."""
+LOOK_S: Final = 3.0
+"""How long an agent may take; a task tells its state in its own turn, and may be busy."""
+NEVER_SEEN: Final = "the timeline has no state of it at this moment: states are seen while a page shows the task, \
+and every ten seconds"
+
+
+class TaskLooks:
+    """Asks agents about tasks, for any number of pages. In the thread of the page's server."""
+
+    def __init__(self) -> None:
+        self._asked: dict[tuple[str, str], tuple[Shown, float, asyncio.Task[dict[str, Any]]]] = {}
+
+    async def look(self, shown: Shown, agent: str, target: str, t: float | None) -> dict[str, Any]:
+        """Returns what there is to be known of a task.
+
+        That is `state`: its `rows`, whether they are `cut`, and at what moment `t` of the timeline it was seen with
+        them; None, and the sentence `no_state`, where it is not known. And of the present `settings` with the number
+        of those that are `left_out` (see `fields_of`), and `timers`.
+
+        Args:
+            shown: what the pages show.
+            agent: the agent's name.
+            target: the task, as `service/task`.
+            t: a moment of the timeline; None: the present.
+
+        Raises:
+            PancakesError: its agent refuses, or does not answer, and the timeline has no state of it.
+        """
+        if t is not None:
+            state = _seen(shown, agent, target, t)
+            return {"state": state, "no_state": "" if state else NEVER_SEEN}
+        now_s = asyncio.get_running_loop().time()
+        self._asked = {key: row for key, row in self._asked.items() if not row[2].done() or now_s - row[1] < AGAIN_S}
+        known = self._asked.get((agent, target))
+        if known is None or known[0] is not shown:
+            asking = asyncio.ensure_future(_look(shown, agent, target))
+            asking.add_done_callback(lambda done: done.cancelled() or done.exception())  # the page may have gone
+            self._asked[agent, target] = known = shown, now_s, asking
+        # One page that goes away ends no question of another.
+        return await asyncio.shield(known[2])
+
+
+async def _look(shown: Shown, agent: str, target: str) -> dict[str, Any]:
+    try:
+        told, no_state = await _described(shown, agent, target)
+    except PancakesError as error:
+        state = _seen(shown, agent, target, shown.feed.now())
+        if state is None:
+            raise
+        return {"state": state, "no_state": str(error)}
+    if not no_state:
+        shown.feed.take_detail(agent, told)
+    settings, left_out = fields_of(told["settings_schema"], told["settings"])
+    return {
+        "state": None if no_state else _seen(shown, agent, target, shown.feed.now()),
+        "no_state": no_state,
+        "settings": settings,
+        "left_out": left_out,
+        "timers": [{key: timer[key] for key in ("timer", "rate_hz", "ticks", "missed")} for timer in told["timers"]],
+    }
+
+
+async def _described(shown: Shown, agent: str, target: str) -> tuple[dict[str, Any], str]:
+    """Returns what an agent says of a task, and why its state is not among it; empty: it is.
+
+    Raises:
+        PancakesError: it says nothing of it.
+    """
+    try:
+        reply = await _asked(shown, agent, Describe(target, state=True))
+        no_state = reply.reason
+    except NoAnswer:
+        no_state = f"{agent}/{target} has not told its state within {LOOK_S:g} s: it may be busy"
+    if not no_state:
+        return reply.result, ""
+    reply = await _asked(shown, agent, Describe(target))
+    if not reply.ok:
+        raise ControlRefused(reply.reason)
+    return reply.result, no_state
+
+
+async def _asked(shown: Shown, agent: str, body: Describe) -> Reply:
+    asked_for = asyncio.wrap_future(shown.look(agent, body, LOOK_S))
+    try:
+        return await asyncio.wait_for(asked_for, 2 * LOOK_S)
+    except TimeoutError:
+        raise NoAnswer(f"{agent} did not answer in time") from None
+
+
+def _seen(shown: Shown, agent: str, target: str, t: float) -> dict[str, Any] | None:
+    with shown.feed.lock:
+        found = shown.feed.states.at(f"{agent}/{target}", t)
+    if found is None:
+        return None
+    seen_s, state = found
+    return _plain(seen_s, state)
+
+
+def _plain(seen_s: float, state: ShortState) -> dict[str, Any]:
+    return {"t": round(seen_s, 3), "rows": state.rows, "cut": state.cut}
+
 
 ADDRESS: Final = "127.0.0.1"
 PORT: Final = 7480

@@ -8,22 +8,22 @@ from collections.abc import Iterable
 from concurrent.futures import Future
 from typing import Any, Final
 
-from pancakes.client.looks import Looks
+from pancakes.agent.agent import Agent
+from pancakes.client.rates import Looks
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, PancakesError, Unreachable
 from pancakes.fleet import VirtualFleet
 from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
-from pancakes.runtime.agent import Agent
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.life.life import State
-from pancakes.runtime.services.root import Root
+from pancakes.recording.causal_chains import ActuatorCommand, CommandChains
+from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.service import Service
+from pancakes.services.root import Root
+from pancakes.supervision.lifecycle import State
 from pancakes.task import Task
-from pancakes.tools.recording.commands import ActuatorCommand, CommandChains
-from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
-from pancakes.tools.web.causes import Explaining
+from pancakes.tools.web.command_causes import Explaining
 from pancakes.tools.web.feed import Feed
 from pancakes.tools.web.watch import DETAIL_S, FOLLOWED, POSES
+from pancakes.util.clock import MonotonicClock
 
 HOST = MonotonicClock()
 """Processes live in the host's time, whatever the mission's clock does."""

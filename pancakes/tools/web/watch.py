@@ -10,16 +10,15 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from pancakes.client.door import Door
-from pancakes.client.following import Following
-from pancakes.client.looks import Looks
 from pancakes.client.mesh_client import MeshClient
+from pancakes.client.rates import Looks
+from pancakes.client.session import Door
+from pancakes.client.subscriptions import Following
 from pancakes.control import Describe, History, Reply, Traces
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
 from pancakes.packet import LOG, SYSTEM, Cause
-from pancakes.tools.web.causes import Explaining
+from pancakes.tools.web.command_causes import Explaining, FleetTraces
 from pancakes.tools.web.feed import FRAMES_HZ, Feed
-from pancakes.tools.web.fleet_traces import FleetTraces
 
 TURN_S: Final = 0.04
 """How often it takes the packets that have arrived."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pancakes.bodies.devices.types import Battery
 from pancakes.control import Reply, Reschedule
+from pancakes.devices import Battery
 from pancakes.packet import SYSCTRL, SYSTEM, Packet
 from pancakes.task import Task, on
 from pancakes_encirclement.quantities import NotNegative, Share

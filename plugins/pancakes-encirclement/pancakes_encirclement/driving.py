@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from pancakes.bodies.devices.types import Infrared, Sonar
+from pancakes.devices import Infrared, Sonar
 from pancakes.packet import SYSTEM, Packet, agent_of
 from pancakes.task import Task, on
 from pancakes_encirclement.avoidance import Avoidance

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.devices import Pose, Twist
 from pancakes.packet import CTRL, SYSTEM, Packet
 from pancakes.task import on
 from pancakes_encirclement.angles import wrap

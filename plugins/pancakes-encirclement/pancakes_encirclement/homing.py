@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pancakes.bodies.devices.types import Twist
+from pancakes.devices import Twist
 from pancakes_encirclement.quantities import Positive
 
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pancakes.bodies.devices.types import Pose
+from pancakes.devices import Pose
 
 Point = tuple[float, float]
 

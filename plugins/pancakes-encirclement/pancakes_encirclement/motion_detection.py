@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pancakes.bodies.devices.types import Motion, Pose
+from pancakes.devices import Motion, Pose
 from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, agent_of
 from pancakes.task import Task, on
 from pancakes_encirclement.packets import MotionDetected

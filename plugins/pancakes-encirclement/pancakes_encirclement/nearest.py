@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from pancakes.mesh.migration.cost import Cost, CostFacts
+from pancakes.durable.rules import Cost, CostFacts
 
 
 class Nearest(Cost):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pancakes.bodies.devices.types import Pose
+from pancakes.devices import Pose
 from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, agent_of
 from pancakes.task import Task, Tick, every, on
 from pancakes_encirclement.packets import NeighbourPose

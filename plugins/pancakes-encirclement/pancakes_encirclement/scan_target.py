@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.devices import Pose, Twist
 from pancakes.packet import CTRL, SYSTEM, Packet, agent_of
 from pancakes.task import on
 from pancakes_encirclement.circle import Point, curvature, gap_behind, spaced_speed

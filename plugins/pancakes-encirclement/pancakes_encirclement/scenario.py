@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pancakes.bodies.sim.models import robot_model
 from pancakes.errors import PancakesError
+from pancakes.sim.robot_models import robot_model
 
 Table = Mapping[str, Any]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.devices import Pose, Twist
 from pancakes_encirclement.angles import wrap
 from pancakes_encirclement.avoidance import Avoidance, blocked, free_bearing, room_ahead
 from pancakes_encirclement.homing import Homing

@@ -17,12 +17,12 @@ from typing import Annotated, Any, Final
 
 import msgspec
 
-from pancakes.bodies.devices.pace import Pace
+from pancakes.devices.driver import Pace
 from pancakes.errors import MailboxFull, PancakesError
+from pancakes.kernel.handlers import queue
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, SYSTEM, Packet, agent_of, body_class, field_names, known_types
-from pancakes.runtime.foundation.suggestion import hint_of
-from pancakes.runtime.kernel.keep import queue
 from pancakes.service import Service
+from pancakes.util.text import hint_of
 from pancakes_mqtt.arrivals import Arrivals
 from pancakes_mqtt.bridge_tables import PublishRow, TakeRow
 from pancakes_mqtt.broker_connection import BrokerConnection

@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal
 from msgspec import Meta
 
 from pancakes.packet import LOG, NETWORK, SYSCTRL, SYSTEM
-from pancakes.runtime.foundation.names import fault_of_name
+from pancakes.util.text import fault_of_name
 from pancakes_mqtt.message import Qos
 from pancakes_mqtt.topics import fault_of_filter, fault_of_retained, fault_of_template
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from pancakes.mesh.side_by_side import connect
-from pancakes.runtime.clock import MonotonicClock
+from pancakes.mesh.sockets import connect
+from pancakes.util.clock import MonotonicClock
 from pancakes_mqtt.broker_settings import BrokerSettings, check_files, password_of
 from pancakes_mqtt.message import Message
 from pancakes_mqtt.refusals import TAKEN_OVER, why_refused, why_unreachable

@@ -12,8 +12,8 @@ from urllib.parse import urlsplit
 import msgspec
 
 from pancakes.errors import PancakesError
-from pancakes.runtime.foundation.plain_file import check_plain
 from pancakes.settings import FilePath
+from pancakes.util.files import check_plain
 
 PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 

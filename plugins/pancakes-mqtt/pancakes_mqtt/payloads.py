@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
-from pancakes.runtime.foundation.units import number_in
+from pancakes.util import codecs
+from pancakes.util.codecs import MALFORMED, why_malformed
+from pancakes.util.text import number_in
 
 TRUE: Final = ("on", "true", "1", "yes", "online", "open", "detected", "occupied", "motion")
 FALSE: Final = ("off", "false", "0", "no", "offline", "closed", "clear", "not_detected", "none")

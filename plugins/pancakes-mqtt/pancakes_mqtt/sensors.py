@@ -13,10 +13,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import DeviceContext, Sensor
-from pancakes.bodies.devices.levels import level_of
-from pancakes.bodies.devices.pace import Pace
-from pancakes.bodies.devices.types import Battery, Motion, Pose, Sonar, Temperature
+from pancakes.devices import Battery, Motion, Pose, Sonar, Temperature
+from pancakes.devices.driver import DeviceContext, Pace, Sensor
+from pancakes.devices.validation import level_of
 from pancakes.errors import PancakesError
 from pancakes_mqtt.broker_settings import BrokerSettings
 from pancakes_mqtt.forms import FORMS, FormName, Saying, fault_of_device, named

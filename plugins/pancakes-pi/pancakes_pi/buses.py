@@ -9,10 +9,9 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.hardware import Hardware, why_not_opened
-from pancakes.bodies.devices.levels import level_at
-from pancakes.bodies.devices.types import Battery, Temperature
+from pancakes.devices import Battery, Temperature
+from pancakes.devices.driver import Hardware, Sensor, why_not_opened
+from pancakes.devices.validation import level_at
 from pancakes.errors import PancakesError
 from pancakes_pi.real_hardware import refuse_virtual_time
 from pancakes_pi.registers import THERMOMETERS, VOLTMETERS, Chip, word_of

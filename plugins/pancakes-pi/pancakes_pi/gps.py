@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import Sensor
+from pancakes.devices.driver import Sensor
 from pancakes_pi.gps_feed import GpsFeed
 from pancakes_pi.gps_reports import Origin, pose_at, position_in
 from pancakes_pi.real_hardware import refuse_virtual_time

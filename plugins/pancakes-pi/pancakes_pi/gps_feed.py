@@ -8,8 +8,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol
 
-from pancakes.mesh.net.keep_alive import keep_alive
-from pancakes.mesh.side_by_side import connect
+from pancakes.mesh.sockets import connect, keep_alive
 from pancakes_pi.gps_reports import WATCH, report_in
 
 FIRST_PAUSE_S: Final = 0.2

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.bodies.devices.types import Pose
-from pancakes.runtime.foundation import codecs
-from pancakes.runtime.foundation.malformed import MALFORMED
+from pancakes.devices import Pose
+from pancakes.util import codecs
+from pancakes.util.codecs import MALFORMED
 
 WATCH: Final = b'?WATCH={"enable":true,"json":true}\n'
 EQUATOR_M: Final = 6_378_137.0

@@ -9,11 +9,10 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import Actuator, Sensor
-from pancakes.bodies.devices.hardware import Hardware
-from pancakes.bodies.devices.types import Battery, Infrared, Sonar, Twist
-from pancakes.bodies.sim.khepera import KHEPERA_III
+from pancakes.devices import Battery, Infrared, Sonar, Twist
+from pancakes.devices.driver import Actuator, Hardware, Sensor
 from pancakes.settings import FilePath
+from pancakes.sim.robot_models import KHEPERA_III
 from pancakes_pi.khepera_lines import (
     CHARGE,
     PROXIMITY,

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from pancakes.bodies.devices.levels import level_of
+from pancakes.devices.validation import level_of
 from pancakes.errors import PancakesError
-from pancakes.runtime.foundation.units import whole_number_in
+from pancakes.util.text import whole_number_in
 
 END: Final = b"\r"
 VERSION: Final = "B"

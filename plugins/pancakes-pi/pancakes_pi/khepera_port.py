@@ -7,8 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final
 
-from pancakes.bodies.devices.driver import DeviceContext
-from pancakes.bodies.devices.hardware import why_not_opened
+from pancakes.devices.driver import DeviceContext, why_not_opened
 from pancakes_pi.khepera_lines import END, LONGEST, STAND, VERSION, NoAnswer, numbers_in, speeds
 
 FIRST_PAUSE_S: Final = 0.2

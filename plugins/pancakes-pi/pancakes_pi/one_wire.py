@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pancakes.bodies.devices.driver import Sensor
-from pancakes.bodies.devices.types import Temperature
+from pancakes.devices import Temperature
+from pancakes.devices.driver import Sensor
 from pancakes.errors import PancakesError
-from pancakes.runtime.foundation.units import whole_number_in
 from pancakes.settings import FilePath
+from pancakes.util.text import whole_number_in
 from pancakes_pi.real_hardware import refuse_virtual_time
 
 

@@ -11,11 +11,10 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import Actuator, DeviceContext, Sensor
-from pancakes.bodies.devices.hardware import Hardware
-from pancakes.bodies.devices.types import Motion, Sonar, Twist
-from pancakes.bodies.sim.drive import DriveKinematics
+from pancakes.devices import Motion, Sonar, Twist
+from pancakes.devices.driver import Actuator, DeviceContext, Hardware, Sensor
 from pancakes.errors import PancakesError
+from pancakes.sim.robot_models import DriveKinematics
 from pancakes_pi.real_hardware import refuse_virtual_time
 
 Pin = Annotated[int, Meta(ge=0, le=27)]

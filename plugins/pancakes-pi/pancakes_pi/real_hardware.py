@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pancakes.bodies.devices.driver import DeviceContext
+from pancakes.devices.driver import DeviceContext
 from pancakes.errors import PancakesError
 
 

@@ -12,15 +12,15 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.bodies.sim.physics import Incident
-from pancakes.bodies.sim.quantities import Positive
-from pancakes.bodies.sim.settings import ContentSettings
-from pancakes.bodies.sim.state import WorldState
 from pancakes.errors import PancakesError
 from pancakes.packet import SYSTEM
-from pancakes.runtime.foundation import codecs
 from pancakes.settings import FilePath, plain_settings
+from pancakes.sim.bodies import ContentSettings
+from pancakes.sim.quantities import Positive
+from pancakes.sim.world import Incident
+from pancakes.sim.world_state import WorldState
 from pancakes.task import Task, Tick, every
+from pancakes.util import codecs
 from pancakes_ros2.arena_clock import Beginning
 from pancakes_ros2.installation import check_installed
 from pancakes_ros2.newest import Newest

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from pancakes.bodies.devices.levels import level_of
-from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Sonar, Temperature, Twist
+from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar, Temperature, Twist
+from pancakes.devices.validation import level_of
 from pancakes.errors import PancakesError
 
 INFRARED: Final = 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from pancakes.control import Start, Stop
-from pancakes.runtime.life.life import State
+from pancakes.supervision.lifecycle import State
 
 
 class ManagedState(NamedTuple):

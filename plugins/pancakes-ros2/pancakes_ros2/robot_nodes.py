@@ -14,12 +14,12 @@ from typing import IO, Any, Final
 
 import msgspec
 
-from pancakes.bodies.sim.models import robot_model
-from pancakes.bodies.sim.physics import STEP_S, Physics
-from pancakes.bodies.sim.settings import ContentSettings
-from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.foundation import codecs
 from pancakes.settings import make_settings
+from pancakes.sim.bodies import ContentSettings
+from pancakes.sim.robot_models import robot_model
+from pancakes.sim.world import STEP_S, Physics
+from pancakes.util import codecs
+from pancakes.util.clock import MonotonicClock
 from pancakes_ros2.arena_clock import Beginning
 from pancakes_ros2.simulated_robot import SimulatedRobot
 

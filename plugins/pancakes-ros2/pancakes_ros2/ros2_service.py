@@ -20,9 +20,8 @@ from typing import Any, Final
 from pancakes.control import Reply
 from pancakes.errors import PancakesError
 from pancakes.events import Event, LogLine, level_of
+from pancakes.kernel.handlers import Keep, Tick, every, on, queue
 from pancakes.packet import LOG, SYSCTRL, Packet, agent_of
-from pancakes.runtime.kernel.handlers import Tick, every, on
-from pancakes.runtime.kernel.keep import Keep, queue
 from pancakes.service import Service
 from pancakes_ros2.lifecycle_states import state_of
 from pancakes_ros2.node_table import NODES

@@ -8,8 +8,8 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import Actuator
-from pancakes.bodies.devices.types import Twist
+from pancakes.devices import Twist
+from pancakes.devices.driver import Actuator
 from pancakes_ros2.conversion import CONVERSIONS, TWIST, TWIST_STAMPED, Unusable
 from pancakes_ros2.node_table import NODES, fail
 from pancakes_ros2.quality import COMMAND, Quality

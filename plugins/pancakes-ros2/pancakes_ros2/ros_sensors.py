@@ -8,9 +8,9 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import DeviceContext
-from pancakes.bodies.devices.network_devices import NetworkSensor
-from pancakes.bodies.devices.types import Infrared, Motion, Sonar
+from pancakes.devices import Infrared, Motion, Sonar
+from pancakes.devices.builtin_drivers import NetworkSensor
+from pancakes.devices.driver import DeviceContext
 from pancakes_ros2.conversion import (
     BATTERY,
     BOOL,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from pancakes.bodies.devices.types import Twist
-from pancakes.bodies.sim.drive import DriveKinematics
-from pancakes.bodies.sim.physics import Physics
+from pancakes.devices import Twist
+from pancakes.sim.robot_models import DriveKinematics
+from pancakes.sim.world import Physics
 from pancakes_ros2.conversion import (
     BATTERY,
     BOOL,

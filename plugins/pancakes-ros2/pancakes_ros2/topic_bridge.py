@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
-from pancakes.bodies.devices.pace import Pace
+from pancakes.devices.driver import Pace
 from pancakes.errors import PancakesError
 from pancakes_ros2.newest import Newest
 from pancakes_ros2.ros_node import Inlet, Outlet, RosNode

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from pancakes.errors import PancakesError
 from pancakes.packet import body_class, body_from_plain, body_to_plain, known_types
-from pancakes.runtime.foundation.suggestion import suggestion
+from pancakes.util.text import suggestion
 from pancakes_ros2.conversion import CONVERSIONS, Conversion, Moment, Unusable, not_read
 from pancakes_ros2.installation import checked_type
 from pancakes_ros2.quality import Quality

@@ -14,15 +14,14 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from pancakes.bodies.devices.driver import Actuator, DeviceContext, Sensor
-from pancakes.bodies.devices.hardware import Hardware
-from pancakes.bodies.devices.network_devices import NetworkSensor
-from pancakes.bodies.devices.types import Motion, Temperature
-from pancakes.bodies.sim.drivers import SimulatedSensor
-from pancakes.bodies.sim.quantities import Positive
+from pancakes.config import parse_address
+from pancakes.devices import Motion, Temperature
+from pancakes.devices.builtin_drivers import NetworkSensor
+from pancakes.devices.driver import Actuator, DeviceContext, Hardware, Sensor
 from pancakes.packet import SYSTEM, Packet, join
-from pancakes.runtime.config import parse_address
 from pancakes.settings import FilePath
+from pancakes.sim.drivers import SimulatedSensor
+from pancakes.sim.quantities import Positive
 from pancakes_sensor_field.frame import SIREN, TEMPERATURE, Frame, encode
 from pancakes_sensor_field.lines import Line, Reply, SerialLine, TcpLine, UdpLine
 from pancakes_sensor_field.packets import LineReport, ReportPeriod, Siren

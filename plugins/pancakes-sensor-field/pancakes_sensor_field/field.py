@@ -11,13 +11,12 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.bodies.devices.types import Battery, Motion, Temperature
-from pancakes.bodies.sim.battery import BatteryModel
-from pancakes.bodies.sim.bus import Attach, Attached, Reading, Refused, Reply, Request, Sample
-from pancakes.bodies.sim.bus_server import BusServer
-from pancakes.bodies.sim.state import BodyState, WorldState
+from pancakes.devices import Battery, Motion, Temperature
 from pancakes.errors import PancakesError
 from pancakes.packet import SYSTEM
+from pancakes.sim.battery import BatteryModel
+from pancakes.sim.hardware_bus import Attach, Attached, BusServer, Reading, Refused, Reply, Request, Sample
+from pancakes.sim.world_state import BodyState, WorldState
 from pancakes.task import Task, Tick, every
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth
 from pancakes_sensor_field.physics import NodeSettings, Scene, SceneSettings

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from pancakes.bodies.sim.quantities import Positive
-from pancakes.bodies.sim.row_file import RowFile
 from pancakes.packet import SYSTEM, Packet
 from pancakes.settings import FilePath
+from pancakes.sim.csv_records import RowFile
+from pancakes.sim.quantities import Positive
 from pancakes.task import on
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pancakes.bodies.sim.quantities import NotNegative, Positive
+from pancakes.sim.quantities import NotNegative, Positive
 from pancakes_sensor_field.packets import Report
 
 

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from pancakes.mesh.net.transport import Connection, ConnectionHandler, Scheduled, Transport
+from pancakes.mesh.transport import Connection, ConnectionHandler, Scheduled, Transport
 
 FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 5.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from pancakes.bodies.sim.state import Spent
 from pancakes.packet import packet_type
+from pancakes.sim.world_state import Spent
 
 
 @packet_type("sensor_field.line")

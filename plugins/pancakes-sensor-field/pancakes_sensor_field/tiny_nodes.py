@@ -16,10 +16,10 @@ from typing import Annotated, Any, Final
 
 from msgspec import Meta
 
-from pancakes.bodies.sim.quantities import Share
 from pancakes.errors import PancakesError
-from pancakes.mesh.net.transport import Connection, ConnectionHandler
+from pancakes.mesh.transport import Connection, ConnectionHandler
 from pancakes.packet import SYSTEM, Packet
+from pancakes.sim.quantities import Share
 from pancakes.task import Task, Tick, every, on
 from pancakes_sensor_field.drivers import NodeNumber, PeriodS
 from pancakes_sensor_field.mote import Mote, spoilt

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pancakes.bodies.devices.types import Motion, Temperature
+from pancakes.devices import Motion, Temperature
 from pancakes.errors import MailboxFull
 from pancakes.packet import SYSTEM, Packet, join, task_address
 from pancakes.task import Task, Tick, every, on

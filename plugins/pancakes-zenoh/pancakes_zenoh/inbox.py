@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from pancakes.mesh.net.loop import READ, Loop
+from pancakes.mesh.event_loop import READ, Loop
 
 MOST_BYTES: Final = 8 * 1024 * 1024
 """So many bytes of frames may wait for the loop; peers that keep to their credit never come near it."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from pancakes.mesh.net.kept_connection import LINGER_S, ConnectionOwner, KeptConnection
-from pancakes.mesh.net.tls_layer import TlsLayer
-from pancakes.mesh.net.transport import ConnectionHandler
+from pancakes.mesh.stream import LINGER_S, ConnectionOwner, KeptConnection
+from pancakes.mesh.tls import TlsLayer
+from pancakes.mesh.transport import ConnectionHandler
 from pancakes_zenoh.credit_pool import LEAST_BYTES, MOST_BYTES, CreditPool
 from pancakes_zenoh.link_frames import LONGEST_PHRASE, PIECE_BYTES, FrameKind, LinkFrame, frame_bytes
 

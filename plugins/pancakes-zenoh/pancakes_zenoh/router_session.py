@@ -19,7 +19,7 @@ from typing import Any, Final, Protocol
 import zenoh
 
 from pancakes.errors import PancakesError
-from pancakes.runtime.foundation.plain_file import check_plain
+from pancakes.util.files import check_plain
 from pancakes_zenoh.link_frames import LONGEST_PHRASE, PIECE_BYTES
 
 RETRY_S: Final = 1.0

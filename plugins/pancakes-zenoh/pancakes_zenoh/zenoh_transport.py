@@ -22,13 +22,12 @@ from typing import TYPE_CHECKING, Annotated, Final
 import msgspec
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.address import DEFAULT_FLEET, parse_address
-from pancakes.mesh.net.handshakes import Handshakes
-from pancakes.mesh.net.kept_connection import Disposable
-from pancakes.mesh.net.loop import Loop
-from pancakes.mesh.net.tcp import needs_keys
-from pancakes.mesh.net.transport import ConnectionHandler, SchemeTransport
-from pancakes.mesh.way_facts import Reach, WayFacts
+from pancakes.mesh.address import DEFAULT_FLEET, Reach, WayFacts, parse_address
+from pancakes.mesh.admission import Handshakes
+from pancakes.mesh.event_loop import Loop
+from pancakes.mesh.stream import Disposable
+from pancakes.mesh.tcp import needs_keys
+from pancakes.mesh.transport import ConnectionHandler, SchemeTransport
 from pancakes.settings import FilePath
 from pancakes_zenoh.credit_pool import CreditPool
 from pancakes_zenoh.inbox import Inbox
@@ -36,8 +35,8 @@ from pancakes_zenoh.link_frames import BadFrame, FrameKind, LinkFrame, frame_byt
 from pancakes_zenoh.routed_link import RoutedLink, SealedLink
 
 if TYPE_CHECKING:
-    from pancakes.mesh.net.tls_layer import TlsLayer
-    from pancakes.mesh.security.keys import Keys
+    from pancakes.mesh.tls import TlsLayer
+    from pancakes.security.keys import Keys
     from pancakes_zenoh.router_session import RouterSession
 
 SCHEME: Final = "zenoh"

@@ -9,11 +9,10 @@ from typing import Any
 import click
 
 from pancakes.control import ReloadKeys
-from pancakes.runtime.clock import utc_text
-from pancakes.tools.cli.asking import ask_each, survey
-from pancakes.tools.cli.name_types import agents, the_agent
-from pancakes.tools.cli.options import Ask, asks_agents, dry_run_option, format_option, orders_agents
+from pancakes.tools.cli.agent_requests import ask_each, survey
+from pancakes.tools.cli.options import Ask, agents, asks_agents, dry_run_option, format_option, orders_agents, the_agent
 from pancakes.tools.cli.output import DRY_RUN, show_json, show_sections, show_text
+from pancakes.util.clock import utc_text
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
 
@@ -107,9 +106,9 @@ def unit(path: str, of_person: bool, user: str | None, format_: str) -> None:
         pancakes agent unit /etc/pancakes/agent1.toml | sudo tee /etc/systemd/system/pancakes-agent1.service
         pancakes agent unit agent1.toml --user > ~/.config/systemd/user/pancakes-agent1.service
     """
-    from pancakes.runtime.config import load
-    from pancakes.runtime.plugins import Plugins
-    from pancakes.tools.cli.service_unit import USER, facts_of, unit_of, user_unit_of
+    from pancakes.config import load
+    from pancakes.tools.cli.systemd_unit import USER, facts_of, unit_of, user_unit_of
+    from pancakes.util.plugins import Plugins
 
     if of_person and user is not None:
         raise click.UsageError("--run-as is for a service of the system: one of --user runs as you")

@@ -1,18 +1,290 @@
-"""What `pancakes doctor` looks at in agents that run."""
+"""What `pancakes doctor` checks in running agents: entries, fleet, devices, peers, clocks, guards and fences.
+
+A check takes what agents say of themselves, as plain values, and yields findings. Nothing is asked for here.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, Literal
 
 from pancakes import __version__
-from pancakes.mesh.migration.rest import DISK_LOST, OLD_COPY, WAITS
-from pancakes.mesh.near_only import ADVICE
-from pancakes.runtime.life.restart import tries
-from pancakes.runtime.runtime_dir import RunningAgent
-from pancakes.tools.cli.verbs.device_checks import check_device
-from pancakes.tools.cli.verbs.finding import Finding
-from pancakes.tools.cli.verbs.peer_checks import check_kept
+from pancakes.devices.health import share_of
+from pancakes.durable.record import DISK_LOST, OLD_COPY, WAITS
+from pancakes.mesh.sockets import ADVICE
+from pancakes.supervision.restart import tries
+from pancakes.util.runtime_dir import RunningAgent
+
+Level = Literal["ok", "warning", "error"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        level: `ok`; `warning`: it works, but not as it could; `error`: something does not work.
+        about: what was looked at, such as `runtime directory` or `agent1/ir`.
+        text: how it is.
+        advice: what to do; empty where nothing is to be done.
+    """
+
+    level: Level
+    about: str
+    text: str
+    advice: str = ""
+
+
+MISSED_READINGS_SHARE: Final = 0.01
+"""A device that misses more than this share of its readings is named."""
+
+
+def check_device(about: str, task: Mapping[str, Any]) -> Iterator[Finding]:
+    """Looks at how a device fares.
+
+    Args:
+        about: the agent and the device, such as `agent1/ir`.
+        task: what its agent says of the device's task; one that is no device has no readings.
+    """
+    readings = task.get("readings")
+    if readings is None or task["state"] != "running":
+        return
+    if readings["silent_s"] is not None:
+        text = f"has had no reading for {readings['silent_s']:.0f} s"
+        advice = "see whether its hardware is plugged in and has power, and whether what it hears is reachable"
+        yield Finding("warning", about, text, advice)
+    tries = readings["came"] + readings["missed"]
+    if readings["missed"] > MISSED_READINGS_SHARE * tries:
+        share = share_of(readings["missed"], tries)
+        text = (
+            f"missed {readings['missed']} of {tries} readings or commands ({share}), the last one so: {readings['why']}"
+        )
+        yield Finding("warning", about, text, f"look at its cables and settings: pancakes task info {about}")
+
+
+IN_DOUBT: Final = "in doubt"
+NEAR: Final = 0.9
+"""A peer that takes such a share of its room is named before the agent refuses it."""
+_STORIES: Final = {
+    IN_DOUBT: "tasks that {peer} has brought and not handed over",
+    "taken back": "marks of tasks that {peer} has brought and taken back",
+    "guarded": "tasks of {peer} as a guardian",
+    "removed": "marks of guarded tasks of {peer} that were removed",
+}
+
+
+def check_kept(agent: dict[str, Any]) -> Iterator[Finding]:
+    """Looks for peers that are at a bound, and for what those have left that are away.
+
+    Args:
+        agent: what an agent says of itself.
+    """
+    name = agent["agent"]
+    for row in agent.get("kept_of_peers", ()):
+        peer, kind = row["peer"], row["kind"]
+        away = kind == IN_DOUBT and peer not in agent["neighbours"]
+        if row["share"] < NEAR and not away:
+            continue
+        story = _STORIES[kind].format(peer=peer)
+        text = f"keeps {row['count']} {story} ({row['bytes'] / 2**20:.1f} MiB), {row['share']:.0%} of the room for them"
+        if away:
+            text += f", and {peer} is away"
+        yield Finding("warning", name, text, _advice(name, peer, kind))
+
+
+def _advice(name: str, peer: str, kind: str) -> str:
+    if kind == IN_DOUBT:
+        return f"start {peer}; if it is gone for good: pancakes task forget-peer {name} {peer} --dry-run"
+    return f"see whether {peer} makes up tasks, and revoke it then: pancakes fleet revoke {peer} WHY"
+
+
+DAY_S: Final = 1.0
+"""Times of day that are further apart than this are named."""
+ASKED_S: Final = 5.0
+"""An answer may be on its way for so long: the time of day of this machine tells no less than that."""
+MISSION_S: Final = 1.0
+"""Missions that are further apart than this are named, in mission time."""
+DRIFT: Final = 0.01
+"""A clock that gains or loses more than this share is named."""
+LEASE_DRIFT: Final = 0.05
+"""Leases of guarded tasks rest on clocks that differ by less than this."""
+UNITS: Final = (("year", 365.25 * 86_400), ("day", 86_400.0), ("hour", 3600.0), ("minute", 60.0))
+HERE: Final = "this machine"
+
+
+def check_clocks(agents: Sequence[dict[str, Any]], now_s: float) -> Iterator[Finding]:
+    """Looks at clocks: times of day that differ or were never set, rates, and mission times.
+
+    An agent is named where more than half of those that know its clock say that it is off; where there are two that
+    disagree, and no third that knows better, both are.
+
+    Args:
+        agents: the result of `Describe` of each.
+        now_s: the time of day here when they answered, in seconds since 1970.
+    """
+    for agent in agents:
+        if agent["utc_s"] is None and agent["process"] is not None:
+            text = f"{_on(agent)} has no time of day: its clock was never set since it was switched on"
+            yield Finding("warning", agent["agent"], text, _set_clock(agent))
+    days = _told(agents, "day_ahead_s")
+    for agent in agents:
+        if (utc_s := agent["utc_s"]) is not None:
+            ahead_s = utc_s - now_s
+            days.setdefault(agent["agent"], {})[HERE] = ahead_s if abs(ahead_s) > ASKED_S else 0.0
+    by_name = {agent["agent"]: agent for agent in agents}
+    for name, ahead_s, others in _off(days, DAY_S):
+        if (agent := by_name[name])["utc_s"] is not None:
+            text = f"the time of day of {_on(agent)} is {_apart(ahead_s)} that of {others}"
+            yield Finding("warning", name, text, _set_clock(agent))
+    for name, drift, others in _off(_told(agents, "drift"), DRIFT):
+        agent, way = by_name[name], "gains" if drift > 0 else "loses"
+        text = f"the clock of {_on(agent)} {way} {abs(drift):.1%} against that of {others}"
+        advice = f"no crystal is so bad: see which clock its kernel uses (chronyc tracking, dmesg) on {_host(agent)}"
+        if abs(drift) >= LEASE_DRIFT:
+            text += ": guarded tasks are not safe there"
+        yield Finding("error" if abs(drift) >= LEASE_DRIFT else "warning", name, text, advice)
+    for name, ahead_s, others in _off(_told(agents, "mission_ahead_s"), MISSION_S):
+        text = f"its mission is {_apart(ahead_s)} that of {others}"
+        advice = f"restart {name}, where it is to be one mission: it goes on at the time of its fleet"
+        yield Finding("warning", name, text, advice)
+
+
+def _told(agents: Sequence[dict[str, Any]], what: str) -> dict[str, dict[str, float]]:
+    """Returns what is told of each agent that was asked, by the agent that tells it."""
+    told: dict[str, dict[str, float]] = {agent["agent"]: {} for agent in agents}
+    for agent in agents:
+        for peer in agent["mesh"]["peers"]:
+            value = (peer["clock"] or {}).get(what)
+            if value is not None and peer["name"] in told:
+                told[peer["name"]][agent["agent"]] = value
+    return told
+
+
+def _off(told: dict[str, dict[str, float]], limit: float) -> Iterator[tuple[str, float, str]]:
+    """Gives each agent that is off, by how much most say that it is, and the names of these."""
+    for name, values in sorted(told.items()):
+        off = {other: value for other, value in values.items() if abs(value) > limit}
+        if 2 * len(off) > len(values):
+            middle = sorted(off.values())[len(off) // 2]
+            yield name, middle, _names(sorted(off, key=lambda other: (other == HERE, other)))
+
+
+def _names(names: Sequence[str]) -> str:
+    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
+
+
+def _on(agent: dict[str, Any]) -> str:
+    """Returns what has the clock of an agent, for people."""
+    return f"{_host(agent)}, on which {agent['agent']} runs,"
+
+
+def _host(agent: dict[str, Any]) -> str:
+    process = agent["process"]
+    return process["host"] if process is not None else agent["agent"]
+
+
+def _set_clock(agent: dict[str, Any]) -> str:
+    return f"timedatectl on {_host(agent)} shows whether it is synchronised; have chrony or systemd-timesyncd set it"
+
+
+def _apart(seconds: float) -> str:
+    """Returns how far apart two times are, for people, such as `3.0 days behind`."""
+    long = f"{abs(seconds):.1f} s"
+    for unit, length_s in UNITS:
+        if abs(seconds) >= (0.95 if unit == "year" else 2.0) * length_s:
+            long = f"{abs(seconds) / length_s:.1f} {unit}s"
+            break
+    return f"{long} {'ahead of' if seconds > 0 else 'behind'}"
+
+
+def check_fences(rows: Sequence[dict[str, Any]]) -> Iterator[Finding]:
+    """Looks for tasks that an actuator refuses, because it has seen a higher epoch of them than runs now.
+
+    A lower one is as it should be: the next command of the task raises it.
+
+    Args:
+        rows: what `pancakes task fence` shows of each actuator.
+    """
+    for row in rows:
+        if row["obeyed"] is False and _epoch(row["seen"]) > _epoch(row["owner_has"]):
+            text = (
+                f"refuses {row['task_id']}, which {row['owner']} has under epoch {row['owner_has']}: it has seen epoch"
+                f" {row['seen']}, brought by {row['brought_by']}"
+            )
+            advice = f"see that the task runs once, then: pancakes task fence {row['actuator']} --set {row['task_id']}"
+            yield Finding("error", row["actuator"], text, advice)
+
+
+def _epoch(text: str) -> tuple[int, str]:
+    number, _, minter = text.partition("@")
+    return int(number), minter
+
+
+def check_guards(rows: Sequence[dict[str, Any]]) -> Iterator[Finding]:
+    """Looks at guarded tasks: whether each would outlive its agent, and whether one stands still.
+
+    Args:
+        rows: what all agents answer to `Guarding`.
+    """
+    tasks: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        tasks.setdefault(row["task_id"], []).append(row)
+    for task_id, known in sorted(tasks.items()):
+        newest = max(_number(row) for row in known)
+        owners = [row for row in known if "guardians" in row and _number(row) == newest]
+        name = task_id.partition("/")[2]
+        if owners:
+            yield from _check_owned(owners[0], known)
+        elif not any(row["lease"] for row in known) and any(row["wanted"] for row in known):
+            text = f"is run by no agent: its owner {known[0]['owner']} is silent"
+            yield Finding("error", task_id, text, f"pancakes task take {known[0]['agent']}/{name} has it taken over")
+        elif any(row["wanted"] for row in known):
+            yield from _awaited(task_id, [row for row in known if row["lease"]])
+
+
+def is_awaited(row: dict[str, Any]) -> bool:
+    """Returns whether a guardian only waits for the end of a lease: an owner that lives renews it long before."""
+    return row["lease"] and row["silent_s"] > row["lease_left_s"]
+
+
+def _awaited(task_id: str, leased: Sequence[dict[str, Any]]) -> Iterator[Finding]:
+    """Says what is waited for until a task can be taken over; a guardian that has begun again waits a whole lease."""
+    if not all(map(is_awaited, leased)):
+        return
+    names = ", ".join(f"{row['agent']} ({row['lease_left_s']:.0f} s)" for row in leased)
+    text = f"is run by no agent that answers: guardians wait until the lease of {leased[0]['owner']} is over: {names}"
+    yield Finding("warning", task_id, text, "another agent goes on with it then, or its owner if that is back")
+
+
+def _number(row: dict[str, Any]) -> int:
+    return int(row["epoch"].partition("@")[0])
+
+
+def _check_owned(owner: dict[str, Any], known: Sequence[dict[str, Any]]) -> Iterator[Finding]:
+    about, guardians = f"{owner['agent']}/{owner['task_id'].partition('/')[2]}", owner["guardians"]
+    silent = [name for name in guardians if name not in {row["agent"] for row in known}]
+    if owner["wanted"] and not owner["permit_s"]:
+        text = "stands still: more than half of its guardians do not answer it"
+        yield Finding("error", about, text, f"see which: pancakes task guards {owner['agent']}")
+    elif len(guardians) < owner["guard"]:
+        text = f"is to be guarded by {owner['guard']} agents, and is by {len(guardians)}: it does not outlive its agent"
+        yield Finding("warning", about, text, "link it to more agents that may guard it; a witness will do")
+    elif silent:
+        text = f"has a guardian that does not answer: {', '.join(silent)}"
+        yield Finding("warning", about, text, "see whether it runs; after a minute another agent takes its place")
+    yield from _check_machine(about, owner)
+
+
+def _check_machine(about: str, owner: dict[str, Any]) -> Iterator[Finding]:
+    if devices := ", ".join(owner.get("no_dead_man", ())):
+        text = f"commands {devices}, whose hardware does not hold by itself: it goes on as it was where its agent dies"
+        yield Finding("warning", about, text, "docs/writing-a-driver.md says what a dead-man switch must do")
+    if steps := owner.get("clock_steps", 0):
+        times = "once" if steps == 1 else f"{steps} times"
+        text = f"stood still {times} because the time of day of {owner['agent']} was set forward"
+        yield Finding("warning", about, text, "have its clock set before the agent starts")
+
 
 MISSED_SHARE: Final = 0.01
 """A task that misses more than this share of its ticks is named."""

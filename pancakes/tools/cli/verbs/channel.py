@@ -1,22 +1,448 @@
-"""`pancakes channel ...`: the channels of agents, and the packets on them."""
+"""`pancakes channel ...`: list channels, show their packets (`echo`), and measure rates and sizes (`hz`, `bw`).
+
+`Throughput` is pure: packets and times go in, rows come out. `pub` is in `publish`.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import statistics
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
 
 import click
+from msgspec.structs import replace
 
 from pancakes.control import Channels
-from pancakes.packet import agent_of
-from pancakes.tools.cli.asking import ask_each, order
-from pancakes.tools.cli.listening import MOST_WAITING, listen
-from pancakes.tools.cli.name_types import ChannelName, a_channel, an_agent
-from pancakes.tools.cli.options import Ask, Duration, asks_agents
+from pancakes.mesh.codec import Encoder
+from pancakes.packet import Packet, agent_of, body_class, body_to_plain, field_names
+from pancakes.tools.cli.agent_requests import ask_each, order
+from pancakes.tools.cli.listening import (
+    MOST_WAITING,
+    doubt_types,
+    from_any,
+    from_option,
+    listen,
+    listening_to,
+    types_option,
+)
+from pancakes.tools.cli.options import Ask, ChannelName, Duration, a_channel, an_agent, asks_agents
 from pancakes.tools.cli.output import show, show_json, show_text
-from pancakes.tools.cli.verbs.channel_rates import bw, hz
-from pancakes.tools.cli.verbs.echo import echo
+from pancakes.tools.cli.streaming import Printer, count_option, for_option, one_line, say
 from pancakes.tools.cli.verbs.publish import pub
-from pancakes.tools.cli.verbs.throughput import Throughput, size_of
+from pancakes.util.text import hint_of
+
+WINDOW: Final = 1000
+"""So many of the newest packets of one source and type are looked at, where nothing else is said."""
+
+_ENCODER: Final = Encoder()
+
+
+def size_of(packet: Packet) -> int:
+    """Returns how many bytes a packet takes on the wire, apart from the name of its follower.
+
+    In the main thread only. A frame around one or several packets adds a few more.
+    """
+    return len(_ENCODER.packet(replace(packet, destination="")))
+
+
+class _Arrival(NamedTuple):
+    """One packet: its time, for the intervals; the host time at which it came; its size."""
+
+    time_s: float
+    at_s: float
+    size: int
+
+
+@dataclass(slots=True)
+class _PacketSeries:
+    """The newest packets of one source and type."""
+
+    newest: deque[_Arrival]
+    packets: int = 0
+    new: int = 0
+
+
+class Throughput:
+    """Looks at packets, those of each source and type by themselves.
+
+    Args:
+        began_s: when it was begun to listen, in host time.
+        window: how many packets of each source and type are looked at.
+        arrivals: whether intervals are those at which packets came, in host time, instead of those at which they were
+            published, in the publisher's mission time.
+    """
+
+    def __init__(self, began_s: float, window: int = WINDOW, arrivals: bool = False) -> None:
+        self._began_s = began_s
+        self._window = window
+        self._arrivals = arrivals
+        self._series: dict[tuple[str, str], _PacketSeries] = {}
+        self.packets = 0
+
+    def add(self, packet: Packet, at_s: float, size: int = 0) -> None:
+        """Takes a packet that came at a host time."""
+        key = (packet.source, packet.type)
+        it = self._series.get(key)
+        time_s = at_s if self._arrivals else packet.stamp
+        if it is None or time_s < it.newest[-1].time_s:
+            # A mission time that goes back is that of an agent that was started anew.
+            it = self._series[key] = _PacketSeries(deque(maxlen=self._window))
+        it.newest.append(_Arrival(time_s, at_s, size))
+        it.packets += 1
+        it.new += 1
+        self.packets += 1
+
+    def rows(self, now_s: float, new_only: bool = False) -> list[dict[str, Any]]:
+        """Returns a row for each source and type, by their names.
+
+        Args:
+            now_s: host time.
+            new_only: leaves those out that nothing came of since the call before.
+
+        Returns:
+            For each `source`, `type`, `packets` (all of them), `window` (those that the rest is about), `rate_hz`,
+            `min_s`, `max_s` and `std_dev_s` of the intervals (None where there is none), `bytes_per_s` of host time,
+            `min_bytes`, `mean_bytes` and `max_bytes`.
+        """
+        rows = []
+        for (source, kind), it in sorted(self._series.items()):
+            if it.new or not new_only:
+                head = {"source": source, "type": kind, "packets": it.packets, "window": len(it.newest)}
+                rows.append({**head, **_intervals(it.newest), **_sizes(it, self._began_s, now_s)})
+            it.new = 0
+        return rows
+
+
+def _intervals(newest: deque[_Arrival]) -> dict[str, float | None]:
+    intervals = [after.time_s - before.time_s for before, after in pairwise(newest)]
+    whole_s = sum(intervals)
+    if not intervals or whole_s <= 0.0:  # a mission that is held stands at 0
+        return {"rate_hz": None, "min_s": None, "max_s": None, "std_dev_s": None}
+    rate_hz, spread_s = len(intervals) / whole_s, statistics.pstdev(intervals)
+    return {"rate_hz": rate_hz, "min_s": min(intervals), "max_s": max(intervals), "std_dev_s": spread_s}
+
+
+def _sizes(it: _PacketSeries, began_s: float, now_s: float) -> dict[str, float | None]:
+    sizes = [arrival.size for arrival in it.newest]
+    if it.packets == len(sizes):
+        whole, since_s = sum(sizes), began_s
+    else:  # the window begins with its first packet, which therefore does not count
+        whole, since_s = sum(sizes[1:]), it.newest[0].at_s
+    return {
+        "bytes_per_s": whole / (now_s - since_s) if now_s > since_s else None,
+        "min_bytes": min(sizes),
+        "mean_bytes": sum(sizes) / len(sizes),
+        "max_bytes": max(sizes),
+    }
+
+
+EVERY_S: Final = 1.0
+"""How often there is a report."""
+HZ: Final = ("source", "type", "rate_hz", "min_s", "max_s", "std_dev_s", "window")
+BW: Final = ("source", "type", "bytes_per_s", "min_bytes", "mean_bytes", "max_bytes", "window")
+
+_OPTIONS = (
+    a_channel,
+    types_option,
+    from_option,
+    click.option(
+        "--window",
+        metavar="N",
+        type=click.IntRange(min=2),
+        default=WINDOW,
+        show_default=True,
+        help="How many packets of each source and type count, the newest.",
+    ),
+    count_option("packets"),
+    for_option,
+    asks_agents,
+)
+
+
+def _measures(function: Callable[..., None]) -> Callable[..., None]:
+    """Gives a verb what both have."""
+    for option in reversed(_OPTIONS):
+        function = option(function)
+    return function
+
+
+@click.command()
+@_measures
+@click.option(
+    "--wall-time", is_flag=True, help="Take the times at which packets come here, instead of those they were published."
+)
+def hz(wall_time: bool, **asked: Any) -> None:
+    """Measure how often packets come on a channel: each second until Ctrl-C, or once with --count or --for.
+
+    Each source and type has a row: the rate, the shortest and longest interval, their standard deviation, and over how
+    many packets. Times are those of the publisher's mission clock, as rates are everywhere, so that the way here does
+    not count; with --wall-time they are this computer's, and it does.
+    JSON is a list where the command ends by itself, and else one object a line.
+
+    \b
+    Example:
+        pancakes channel hz agent1/system --type pose
+        pancakes channel hz agent1/system --for 5s --format json
+    """
+    _measure(HZ, wall_time=wall_time, **asked)
+
+
+@click.command()
+@_measures
+def bw(**asked: Any) -> None:
+    """Measure how many bytes come on a channel: each second until Ctrl-C, or once with --count or --for.
+
+    Each source and type has a row, the last is for all of them: bytes for each second of this computer's time, and the
+    sizes of packets. It counts what each packet takes on the wire; the frames around them add a few bytes.
+    JSON is a list where the command ends by itself, and else one object a line.
+
+    \b
+    Example:
+        pancakes channel bw agent1/system
+        pancakes channel bw agent1/system --type ir --for 5s
+    """
+    _measure(BW, wall_time=True, **asked)
+
+
+def _measure(
+    columns: Sequence[str],
+    *,
+    wall_time: bool,
+    name: ChannelName,
+    types: tuple[str, ...],
+    sources: tuple[str, ...],
+    window: int,
+    count: int | None,
+    for_s: float | None,
+    ask: Ask,
+) -> None:
+    bounded = count is not None or for_s is not None
+    doubt_types(types)
+    with listening_to(name, types, ask) as (client, following):
+        began_s = reported_s = client.now()
+        heard = Throughput(began_s, window, wall_time)
+
+        def report(new_only: bool) -> None:
+            rows = heard.rows(client.now(), new_only)
+            if columns is BW and len(rows) > 1:
+                rows.append(_all(rows))
+            _show(rows, columns, ask.format_, bounded, str(name))
+
+        try:
+            for packet in listen(client, following, for_s, bounded):
+                if packet is not None and from_any(packet.packet.source, sources):
+                    heard.add(packet.packet, packet.at_s, size_of(packet.packet))
+                    if heard.packets == count:
+                        break
+                if not bounded and client.now() - reported_s >= EVERY_S:
+                    reported_s += EVERY_S
+                    report(new_only=True)
+        except KeyboardInterrupt:
+            if bounded:
+                report(new_only=False)
+            raise
+        if bounded:
+            report(new_only=False)
+
+
+def _all(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Returns the row that sums up the others."""
+    packets = sum(row["window"] for row in rows)
+    return {
+        "source": "all",
+        "type": "all",
+        "bytes_per_s": sum(row["bytes_per_s"] or 0.0 for row in rows),
+        "min_bytes": min(row["min_bytes"] for row in rows),
+        "mean_bytes": sum(row["mean_bytes"] * row["window"] for row in rows) / packets,
+        "max_bytes": max(row["max_bytes"] for row in rows),
+        "window": packets,
+    }
+
+
+def _show(rows: Sequence[dict[str, Any]], columns: Sequence[str], format_: str, bounded: bool, name: str) -> None:
+    if not rows:
+        say(f"nothing new on {name}")
+    if format_ == "table":
+        if rows:
+            show(rows, columns, format_)
+        return
+    picked = [{column: row[column] for column in columns} for row in rows]
+    if bounded:
+        show_json(picked)
+    else:
+        for row in picked:
+            show_text(one_line(row))
+
+
+WIDE: Final = 100
+"""A list or mapping that takes more characters than this is shown on several lines."""
+HEADER: Final = "packet."
+"""What the name of a field begins with that is the packet's own, and not of its body."""
+
+
+@click.command()
+@a_channel
+@types_option
+@from_option
+@click.option(
+    "--field",
+    "fields",
+    metavar="PATH",
+    multiple=True,
+    help="Only this field of the body, such as x_m or ranges_m.0; packet.stamp, packet.source, packet.type and"
+    " packet.seq are the packet's own. Repeatable.",
+)
+@count_option("packets")
+@for_option
+@asks_agents
+def echo(
+    name: ChannelName,
+    types: tuple[str, ...],
+    sources: tuple[str, ...],
+    fields: tuple[str, ...],
+    count: int | None,
+    for_s: float | None,
+    ask: Ask,
+) -> None:
+    """Show the packets on a channel, those too that come from other agents, until Ctrl-C.
+
+    For people each packet is a YAML document, or with --field a line whose values are separated by tabs. JSON is a
+    list where the command ends by itself (--count, --for), and else one object a line.
+    An agent that goes away is waited for; with --count or --for, exit code 3 says that it did not come back.
+
+    \b
+    Example:
+        pancakes channel echo agent1/system --type pose
+        pancakes channel echo agent1/system --type ir --field ranges_m.0 --count 10
+        pancakes channel echo agent1/log --from agent1/client --format json
+    """
+    bounded = count is not None or for_s is not None
+    paths = FieldPaths(fields)
+    doubt_types(types)
+    _check_fields(types, fields)
+    with (
+        listening_to(name, types, ask) as (client, following),
+        Printer(ask.format_, bounded, paths.text if fields else text_of) as printer,
+    ):
+        for heard in listen(client, following, for_s, bounded):
+            if heard is None or not from_any(heard.packet.source, sources):
+                continue
+            record = record_of(heard.agent, heard.packet)
+            picked = paths.pick(record) if fields else record
+            if picked is not None:
+                printer.show(picked)
+            if printer.printed == count:
+                break
+
+
+def _check_fields(types: Sequence[str], fields: Sequence[str]) -> None:
+    """Refuses a field that no packet of the wanted types can have: it would be waited for in vain."""
+    classes = [body_class(name) for name in types]
+    known = [name for cls in classes if cls is not None for name in field_names(cls)]
+    if not types or None in classes:
+        return
+    for path in fields:
+        first = path.split(".")[0]
+        if not path.startswith(HEADER) and first not in known:
+            hint = hint_of(first, list(dict.fromkeys(known)))
+            raise click.UsageError(f"{' and '.join(types)} has no field {first!r}{hint}")
+
+
+def record_of(agent: str, packet: Packet) -> dict[str, Any]:
+    """Returns a packet that was heard on an agent as plain values."""
+    return {
+        "agent": agent,
+        "channel": packet.channel,
+        "type": packet.type,
+        "source": packet.source,
+        "stamp": packet.stamp,
+        "seq": packet.seq,
+        "number": packet.number,
+        "cause": list(packet.cause) if packet.cause is not None else None,
+        "body": body_to_plain(packet.body),
+    }
+
+
+def text_of(record: Mapping[str, Any]) -> str:
+    """Returns a record as a YAML document."""
+    lines = [f"{key}: {_scalar(record[key])}" for key in ("type", "source", "stamp", "number")]
+    return "\n".join([*lines, *_lines("body", record["body"], ""), "---"])
+
+
+def _lines(key: str, value: Any, indent: str) -> list[str]:
+    short = _scalar(value)
+    if isinstance(value, Mapping) and value:
+        return [
+            f"{indent}{key}:",
+            *(line for name, it in value.items() for line in _lines(_key(name), it, indent + "  ")),
+        ]
+    if not isinstance(value, list | tuple) or len(short) <= WIDE:
+        return [f"{indent}{key}: {short}"]
+    return [f"{indent}{key}:", *(f"{indent}  - {_scalar(item)}" for item in value)]
+
+
+def _key(name: str) -> str:
+    return name if name.isidentifier() else one_line(name)
+
+
+def _scalar(value: Any) -> str:
+    """Returns a value in one line; JSON is YAML, but a string that is plainly a word needs no quotes."""
+    if isinstance(value, float):
+        return f"{value:.9g}"
+    if isinstance(value, str) and value and all(part.isidentifier() for part in value.replace("-", "_").split("/")):
+        return value if value.lower() not in ("true", "false", "null", "yes", "no", "on", "off") else one_line(value)
+    return one_line(value)
+
+
+class FieldPaths:
+    """Picks fields out of packets.
+
+    Args:
+        paths: the fields, as in `--field`.
+    """
+
+    def __init__(self, paths: Sequence[str]) -> None:
+        self._paths = tuple(paths)
+        self._told: set[str] = set()
+
+    def pick(self, record: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Returns the fields of a packet by their paths, null where it has not all of them; None where it has none."""
+        found = {path: _at(record, path) for path in self._paths}
+        own = all(path.startswith(HEADER) for path in self._paths)
+        if own or any(it for path, it in found.items() if not path.startswith(HEADER)):
+            return {path: it[0] if it else None for path, it in found.items()}
+        kind = record["type"]
+        if kind not in self._told:
+            self._told.add(kind)
+            body = record["body"]
+            has = f"only {', '.join(body)}" if isinstance(body, Mapping) and body else "it has no fields"
+            wanted = " or ".join(path for path in self._paths if not path.startswith(HEADER))
+            say(f"packets of the type {kind} are left out: they have no {wanted}, {has}")
+        return None
+
+    def text(self, picked: Mapping[str, Any]) -> str:
+        """Returns picked fields as a line."""
+        return "\t".join(_scalar(value) for value in picked.values())
+
+
+def _at(record: Mapping[str, Any], path: str) -> tuple[Any, ...]:
+    """Returns what is at a path, as the only item of a tuple; an empty one where there is nothing."""
+    if path.startswith(HEADER):
+        value, steps = dict(record), path.removeprefix(HEADER).split(".")
+    else:
+        value, steps = record["body"], path.split(".")
+    for step in steps:
+        if isinstance(value, Mapping) and step in value:
+            value = value[step]
+        elif isinstance(value, list | tuple) and step.lstrip("-").isdecimal() and -len(value) <= int(step) < len(value):
+            value = value[int(step)]
+        else:
+            return ()
+    return (value,)
+
 
 LISTED = ("agent", "channel", "core", "subscribers", "waiting", "dropped", "followers")
 SUBSCRIBERS = ("subscriber", "types", "keep", "limit", "waiting", "dropped")
@@ -95,10 +521,10 @@ def info(name: ChannelName, for_s: float, ask: Ask) -> None:
     if ask.format_ == "json":
         show_json([row])
     else:
-        _show(row)
+        _channel_show(row)
 
 
-def _show(row: dict[str, Any]) -> None:
+def _channel_show(row: dict[str, Any]) -> None:
     kind = "a core channel" if row["core"] else "a channel"
     show_text(f"{row['agent']}/{row['channel']} is {kind}")
     subscribers = [

@@ -13,7 +13,7 @@ from click.shell_completion import BashComplete, add_completion_class, get_compl
 from pancakes.tools.cli.exit_codes import REFUSED, TRACEBACK
 from pancakes.tools.cli.options import format_option
 from pancakes.tools.cli.output import show_json, show_text
-from pancakes.tools.cli.program import PROGRAM, VARIABLE
+from pancakes.tools.cli.version import PROGRAM, VARIABLE
 
 
 @click.command()

@@ -11,12 +11,11 @@ import click
 
 from pancakes.control import Describe
 from pancakes.errors import ConfigError, ControlRefused, Fault, NoAnswer, Unreachable
-from pancakes.runtime.foundation.printable import printable_data
-from pancakes.tools.cli.asking import order
+from pancakes.tools.cli.agent_requests import order
 from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
-from pancakes.tools.cli.name_types import AGENT_NAME
-from pancakes.tools.cli.options import Ask, asks_agents, format_option
+from pancakes.tools.cli.options import AGENT_NAME, Ask, asks_agents, format_option
 from pancakes.tools.cli.output import show, show_json, show_text
+from pancakes.util.text import printable_data
 
 SCHEMA_COLUMNS = ("table", "key", "type", "default", "bounds", "description")
 
@@ -62,9 +61,9 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
         pancakes config check configs/encirclement robot.toml
         pancakes config check robot.toml --format json
     """
-    from pancakes.runtime.plugins import Plugins
-    from pancakes.tools.cli.machine_doubts import machine_doubts
-    from pancakes.tools.launch.fleet_plan import make_fleet
+    from pancakes.tools.cli.start_checks import machine_doubts
+    from pancakes.tools.launch.fleet_file import make_fleet
+    from pancakes.util.plugins import Plugins
 
     plugins = Plugins()
     rows: list[dict[str, Any]] = []
@@ -127,9 +126,9 @@ def show_(file: Path | str, sets: tuple[str, ...], ask: Ask) -> None:
 
 
 def _of_file(file: Path, sets: tuple[str, ...]) -> tuple[dict[str, Any], Origin]:
-    from pancakes.runtime.config import load
-    from pancakes.runtime.config.effective import effective, origin
-    from pancakes.runtime.plugins import Plugins
+    from pancakes.config import load
+    from pancakes.config.effective import effective, origin
+    from pancakes.util.plugins import Plugins
 
     plugins = Plugins()
     found = load(file, sets, plugins)
@@ -139,8 +138,8 @@ def _of_file(file: Path, sets: tuple[str, ...]) -> tuple[dict[str, Any], Origin]
 
 
 def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
-    from pancakes.runtime.config.effective import DEFAULT
-    from pancakes.runtime.config.toml_text import key_text
+    from pancakes.config.effective import DEFAULT
+    from pancakes.config.toml_writer import key_text
 
     with ask.client() as client:
         try:
@@ -161,7 +160,7 @@ def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
 
 
 def _show(tables: dict[str, Any], origin: Origin, format_: str) -> None:
-    from pancakes.runtime.config.toml_text import document_text, key_text, leaves
+    from pancakes.config.toml_writer import document_text, key_text, leaves
 
     tables = {table: value for table, value in tables.items() if value != {}}
     if format_ == "table":
@@ -195,8 +194,8 @@ def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
         pancakes config schema --plugins > agent.schema.json
         pancakes config schema --format table
     """
-    from pancakes.runtime.config.config_schema import config_schema
-    from pancakes.runtime.plugins import Plugins
+    from pancakes.config.schema import config_schema
+    from pancakes.util.plugins import Plugins
 
     if fleet and with_plugins:
         raise click.UsageError("a fleet file names no plug-ins: --fleet and --plugins do not go together")
@@ -214,7 +213,7 @@ def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
 
 def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """A row for each key, with the table that it stands in."""
-    from pancakes.runtime.config.toml_text import value_text
+    from pancakes.config.toml_writer import value_text
     from pancakes.tools.schema_rows import rows_of
 
     for table, part in schema["properties"].items():

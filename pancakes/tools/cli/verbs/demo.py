@@ -1,10 +1,11 @@
-"""`pancakes demo NAME`: runs a whole mission, shows it, and judges it."""
+"""`pancakes demo NAME`: run a whole mission, show it in the terminal or on a page (`--view`), and judge it."""
 
 from __future__ import annotations
 
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,17 +15,108 @@ import click
 from click.core import ParameterSource
 
 from pancakes.errors import PancakesError
-from pancakes.runtime.plugins import Plugins, UnknownPlugin
-from pancakes.tools.cli import interpreter
-from pancakes.tools.cli.interrupts import end_by_signals, event_at
+from pancakes.tools.cli import agent_process
 from pancakes.tools.cli.options import Duration, FiniteRange, agent_sets_option, format_option
 from pancakes.tools.cli.output import show_text
-from pancakes.tools.cli.verbs.demo_page import DemoPage
+from pancakes.tools.cli.streaming import end_by_signals, event_at
 from pancakes.tools.cli.verbs.demo_seeds import Seeds, nice_path, run_seeds
 from pancakes.tools.cli.verbs.view import port_option
+from pancakes.util.plugins import Plugins, UnknownPlugin
 
 if TYPE_CHECKING:
     from pancakes.tools.demo import Comparison, Demo, Run
+    from pancakes.tools.demo.conductor import Mission
+    from pancakes.tools.demo.launcher import DemoPlan
+    from pancakes.tools.web.feed import Feed
+    from pancakes.tools.web.page import Shown
+    from pancakes.tools.web.page_server import PageServer
+    from pancakes.tools.web.virtual_watch import VirtualWatch
+    from pancakes.tools.web.watch import Watch
+
+
+class DemoPage:
+    """One page for all missions of a demo, one after the other.
+
+    Args:
+        control: whether it may change something.
+        port: its port, see `open_page`.
+        speed: mission seconds for each second, in virtual time.
+        interrupted: ends all waiting.
+    """
+
+    def __init__(self, control: bool, port: int | None, speed: float, interrupted: threading.Event) -> None:
+        self._control = control
+        self._port = port
+        self._speed = speed
+        self._interrupted = interrupted
+        self._server: PageServer | None = None
+        self._watch: Watch | None = None
+        self._feed: Feed | None = None
+
+    @property
+    def address(self) -> str:
+        """Its address; empty while it is not served."""
+        return self._server.address if self._server is not None else ""
+
+    def beside_live(self, plan: DemoPlan, mission: Mission) -> None:
+        """Shows a mission of processes; to be called before they start."""
+        from pancakes.tools.web.feed import Feed
+        from pancakes.tools.web.page import Shown
+        from pancakes.tools.web.watch import Watch
+
+        began_s = time.monotonic()
+        feed = Feed(lambda: time.monotonic() - began_s)
+        feed.wait_for("the agents start")
+        fleet = next(iter(plan.configs.values())).agent.fleet
+        watch = Watch(feed, plan.peers(within_machine=True), fleet, over=lambda: mission.ended)
+        self._show(Shown(feed, watch.explain, watch.order, watch.order if self._control else None, plan.demo.title))
+        self._stop_watching()
+        self._watch = watch
+        watch.start()
+
+    def beside_virtual(self, title: str) -> VirtualWatch:
+        """Shows a mission in virtual time; returns the watch that the mission feeds."""
+        from pancakes.tools.web.page import Shown
+        from pancakes.tools.web.virtual_watch import VirtualWatch
+
+        watch = VirtualWatch(self._speed, self._interrupted)
+        self._show(Shown(watch.feed, watch.explain, watch.look, None, title))
+        return watch
+
+    def end(self, sentence: str) -> None:
+        """Says how the mission went."""
+        self._stop_watching()
+        if self._feed is not None:
+            self._feed.end(sentence)
+
+    def stay(self) -> None:
+        """Serves the page until Ctrl-C."""
+        if self._server is not None:
+            show_text(f"the page stays at {self._server.address} until Ctrl-C")
+            self._interrupted.wait()
+
+    def close(self) -> None:
+        """Takes the page away."""
+        self._stop_watching()
+        if self._server is not None:
+            self._server.close()
+
+    def _show(self, shown: Shown) -> None:
+        from pancakes.tools.cli.verbs.view import tell_address
+        from pancakes.tools.web.page import open_page
+
+        self._feed = shown.feed
+        if self._server is not None:
+            self._server.show(shown)
+            return
+        self._server = open_page(shown, self._port)
+        tell_address(self._server.address, self._control)
+
+    def _stop_watching(self) -> None:
+        if self._watch is not None:
+            self._watch.close()
+            self._watch = None
+
 
 PASSED, FAILED, INTERRUPTED = 0, 1, 130
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -145,7 +237,7 @@ def demo(
             f"live, the demo {name!r} runs at {fastest:g} mission seconds a second at most, not at {speed:g}: what it"
             " shows takes its time on the machine's own clock"
         )
-    interpreter.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
+    agent_process.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
     # The agents end with the launcher, also where a second signal ends that at once.
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)
     page = DemoPage(control, port, speed, interrupted) if view_ else None
@@ -195,7 +287,7 @@ def _many(
     headless: bool,
     record: bool,
 ) -> int:
-    from pancakes.tools.demo.unattended import MissionWishes
+    from pancakes.tools.demo.monte_carlo import MissionWishes
 
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)
     wishes = MissionWishes(found.name, duration, configs, sets, faults, record)
@@ -251,7 +343,7 @@ def _find(plugins: Plugins, name: str) -> Demo | Comparison:
 
 def _run(found: Demo | Comparison, out: Path, options: _Options) -> int:
     from pancakes.tools.demo import Comparison
-    from pancakes.tools.demo.timeliness import how_slow
+    from pancakes.tools.demo.conductor import how_slow
 
     if isinstance(found, Comparison):
         return _compare(found, out, options)
@@ -275,11 +367,19 @@ def _interrupted_late(out: Path) -> int:
 
 def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
     """Runs one mission, and judges it; returns None where it was interrupted."""
-    from pancakes.tools.demo.conductor import Mission
-    from pancakes.tools.demo.demo_plan import find_configs, make_plan
-    from pancakes.tools.demo.launcher import RECORDING, NetworkFaults, fresh, judge, run_live, run_of, run_virtual
+    from pancakes.tools.demo.conductor import Mission, how_slow
+    from pancakes.tools.demo.launcher import (
+        RECORDING,
+        NetworkFaults,
+        find_configs,
+        fresh,
+        judge,
+        make_plan,
+        run_live,
+        run_of,
+        run_virtual,
+    )
     from pancakes.tools.demo.terminal_view import LiveView, PlainView
-    from pancakes.tools.demo.timeliness import how_slow
 
     virtual, seed = options.virtual, options.seed
     interrupted, page = options.interrupted, options.page
@@ -320,8 +420,8 @@ def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any]
 
 def _compare(found: Comparison, out: Path, options: _Options) -> int:
     """Runs all variants of a mission one after the other, and judges what is different about them."""
+    from pancakes.tools.demo.conductor import how_slow
     from pancakes.tools.demo.launcher import fresh, write_results
-    from pancakes.tools.demo.timeliness import how_slow
 
     fresh(out, (found.picture,))
     runs: dict[str, Run] = {}
@@ -362,7 +462,7 @@ def _say_pace(timing: dict[str, Any]) -> None:
 
 def _verdict(summary: dict[str, Any], slow: str, timings: Sequence[dict[str, Any]], results: str) -> int:
     """Says how it went, in the manner of Robotarium, where the machine was too slow, and where the results are."""
-    from pancakes.tools.demo.timeliness import hint_of, verdict_line
+    from pancakes.tools.demo.conductor import hint_of, verdict_line
 
     for line in summary.get("said", ()):
         show_text(line)

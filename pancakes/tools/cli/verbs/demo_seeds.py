@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.tools.cli import interpreter
+from pancakes.tools.cli import agent_process
 from pancakes.tools.cli.output import show_json, show_sections, show_text
-from pancakes.tools.cli.parent import die_with_parent
+from pancakes.tools.cli.parent_death import die_with_parent
 
 if TYPE_CHECKING:
-    from pancakes.runtime.plugins import Plugins
     from pancakes.tools.demo import Comparison, Demo
-    from pancakes.tools.demo.many_missions import MissionOutcome
-    from pancakes.tools.demo.unattended import MissionWishes
+    from pancakes.tools.demo.monte_carlo import MissionOutcome, MissionWishes
+    from pancakes.util.plugins import Plugins
 
 MOST_NAMED: Final = 10
 """So many missions that did not pass are named with their reasons; the others are in `missions.json`."""
@@ -34,7 +33,7 @@ class Seeds(click.ParamType):
     name = "range"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
-        from pancakes.tools.demo.seed_ranges import seeds_of
+        from pancakes.tools.demo.seed_statistics import seeds_of
 
         if isinstance(value, tuple):
             return value
@@ -76,8 +75,7 @@ def run_seeds(
     """
     from pancakes.tools.demo.demo import Comparison
     from pancakes.tools.demo.launcher import fresh
-    from pancakes.tools.demo.many_missions import PASSED, fly_many
-    from pancakes.tools.demo.unattended import plan_of
+    from pancakes.tools.demo.monte_carlo import PASSED, fly_many, plan_of
 
     # What is wrong with all of them is said once, before anything is written.
     plan_of(found.mission if isinstance(found, Comparison) else found, out, seeds[0], wishes, plugins)
@@ -102,7 +100,7 @@ def run_seeds(
 
 def _prepare(parent_pid: int) -> None:
     """Makes a process fit for agents, and lets it end with this one, however this one ends."""
-    interpreter.prepare()
+    agent_process.prepare()
     die_with_parent(parent_pid)
 
 
@@ -150,9 +148,8 @@ def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, 
     """Shows what came of all missions, and writes it to `missions.json`."""
     import json
 
-    from pancakes.tools.demo.many_missions import PASSED
-    from pancakes.tools.demo.seed_ranges import text_of_seeds
-    from pancakes.tools.demo.spreads import spreads_of
+    from pancakes.tools.demo.monte_carlo import PASSED
+    from pancakes.tools.demo.seed_statistics import spreads_of, text_of_seeds
 
     verdicts: dict[str, list[int]] = {}
     for outcome in outcomes:

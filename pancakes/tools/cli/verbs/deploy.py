@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pancakes.tools.cli.interrupts import event_at
 from pancakes.tools.cli.options import Duration, agent_sets_option, format_option
 from pancakes.tools.cli.output import show, show_text
+from pancakes.tools.cli.streaming import event_at
 
 if TYPE_CHECKING:
-    from pancakes.mesh.security.fleet_office import FleetOffice
-    from pancakes.tools.deploy.enrolment import Need
-    from pancakes.tools.deploy.planning import DeploymentPlan
-    from pancakes.tools.deploy.task_moves import TaskMoves
-    from pancakes.tools.launch.hosts import Host
-    from pancakes.tools.launch.member import Member
+    from pancakes.security.authority import FleetOffice
+    from pancakes.tools.deploy.deployment import Need
+    from pancakes.tools.deploy.drain import TaskMoves
+    from pancakes.tools.deploy.plan import DeploymentPlan
+    from pancakes.tools.launch.fleet_file import Member
+    from pancakes.tools.launch.remote_hosts import Host
 
 COLUMNS = ("agent", "host", "what", "from", "to", "changed", "keys", "environment", "brought_mb", "manager", "tasks")
 
@@ -95,15 +95,13 @@ def deploy(
         pancakes deploy field.toml --enrol
     """
     from pancakes.errors import PancakesError
-    from pancakes.runtime.plugins import Plugins
-    from pancakes.tools.deploy.config_checks import check_configs
-    from pancakes.tools.deploy.deployment import Deployment
-    from pancakes.tools.deploy.enrolment import check_keys, keys_needed
-    from pancakes.tools.deploy.enrolment import enrol as give_keys
-    from pancakes.tools.deploy.planning import plan_of
+    from pancakes.tools.deploy.deployment import Deployment, check_keys, keys_needed
+    from pancakes.tools.deploy.deployment import enrol as give_keys
+    from pancakes.tools.deploy.plan import check_configs, plan_of
     from pancakes.tools.deploy.wheels import given_wheels, installed_wheels
-    from pancakes.tools.launch.fleet_plan import make_fleet
-    from pancakes.tools.launch.tunnels import tunnels
+    from pancakes.tools.launch.fleet_file import make_fleet
+    from pancakes.tools.launch.remote_hosts import tunnels
+    from pancakes.util.plugins import Plugins
 
     fleet = make_fleet(paths, sets, None, Plugins(), check_hosts=not wheels)
     members = [member for member in fleet if member.host]
@@ -150,7 +148,7 @@ def deploy(
 
 
 def _only(members: Sequence[Member], only: Sequence[str]) -> list[Member]:
-    from pancakes.runtime.foundation.suggestion import hint_of
+    from pancakes.util.text import hint_of
 
     names = [member.name for member in members]
     for name in only:
@@ -162,7 +160,7 @@ def _only(members: Sequence[Member], only: Sequence[str]) -> list[Member]:
 @contextmanager
 def _reached(members: Sequence[Member], only: bool) -> Iterator[dict[str, Host]]:
     from pancakes.errors import PancakesError
-    from pancakes.tools.launch.hosts import open_hosts
+    from pancakes.tools.launch.remote_hosts import open_hosts
 
     with ExitStack() as stack:
         try:
@@ -175,7 +173,7 @@ def _reached(members: Sequence[Member], only: bool) -> Iterator[dict[str, Host]]
 
 def _offices(members: Sequence[Member], keys: Mapping[str, Need]) -> dict[str, FleetOffice]:
     """Opens the authorities of the fleets that agents are enrolled in; a password is asked for now, and not later."""
-    from pancakes.tools.cli.verbs.fleet_folder import opened
+    from pancakes.tools.cli.verbs.fleet_authority import opened
 
     fleets = dict.fromkeys(it.config.agent.fleet for it in members if keys[it.name] == "needs")
     return {fleet: opened(fleet) for fleet in fleets}
@@ -187,7 +185,7 @@ def _tell(name: str, text: str) -> None:
 
 def _here(fleet: Sequence[Member]) -> dict[str, str]:
     """Returns the addresses of the agents that run on this machine."""
-    from pancakes.runtime.runtime_dir import entries
+    from pancakes.util.runtime_dir import entries
 
     here = {(it.fleet, it.name): next(iter(it.listen), "") for it in entries()}
     found = {it.name: here.get((it.config.agent.fleet, it.name), "") for it in fleet if not it.host}
@@ -195,7 +193,7 @@ def _here(fleet: Sequence[Member]) -> dict[str, str]:
 
 
 def _moves(fleet: Sequence[Member], ways: Mapping[str, str]) -> dict[str, TaskMoves]:
-    from pancakes.tools.deploy.task_moves import TaskMoves
+    from pancakes.tools.deploy.drain import TaskMoves
 
     made: dict[str, TaskMoves] = {}
     for name in dict.fromkeys(member.config.agent.fleet for member in fleet):

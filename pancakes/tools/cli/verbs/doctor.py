@@ -17,7 +17,7 @@ from pancakes.tools.cli.output import show_json, show_text
 
 if TYPE_CHECKING:
     from pancakes.client import Client
-    from pancakes.tools.cli.verbs.finding import Finding
+    from pancakes.tools.cli.verbs.agent_checks import Finding
 
 DEVICES: Final = "device"
 """The service that has the devices of an agent as its tasks."""
@@ -62,8 +62,8 @@ def _print(finding: Finding) -> None:
 
 def _look(machine: bool, ask: Ask) -> Iterator[Finding]:
     if machine:
-        from pancakes.runtime.plugins import Plugins
         from pancakes.tools.cli.verbs.machine_checks import check_machine
+        from pancakes.util.plugins import Plugins
 
         yield from check_machine(Plugins())
     yield from _look_at_agents(ask)
@@ -72,13 +72,10 @@ def _look(machine: bool, ask: Ask) -> Iterator[Finding]:
 def _look_at_agents(ask: Ask) -> Iterator[Finding]:
     from pancakes.control import Describe, Guarding
     from pancakes.errors import PancakesError
-    from pancakes.mesh.security.key_folders import rosters_here
-    from pancakes.runtime.clock import wall_ns
-    from pancakes.runtime.runtime_dir import entries, other_fleets, why_none
-    from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
-    from pancakes.tools.cli.verbs.clock_checks import check_clocks
-    from pancakes.tools.cli.verbs.finding import Finding
-    from pancakes.tools.cli.verbs.guard_checks import check_guards
+    from pancakes.security.key_store import rosters_here
+    from pancakes.tools.cli.verbs.agent_checks import Finding, check_clocks, check_entries, check_fleet, check_guards
+    from pancakes.util.clock import wall_ns
+    from pancakes.util.runtime_dir import entries, other_fleets, why_none
 
     if not ask.where.addresses:
         try:
@@ -121,8 +118,8 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
 
 def _look_at_fences(client: Client, agent: dict[str, Any]) -> Iterator[Finding]:
     from pancakes.errors import PancakesError
-    from pancakes.tools.cli.verbs.fence import fences_of
-    from pancakes.tools.cli.verbs.fence_checks import check_fences
+    from pancakes.tools.cli.verbs.agent_checks import check_fences
+    from pancakes.tools.cli.verbs.task_recovery import fences_of
 
     for task in agent["tasks"]:
         if task["service"] == DEVICES:

@@ -9,12 +9,11 @@ from pathlib import Path
 import click
 
 from pancakes.errors import ControlRefused
-from pancakes.runtime.runtime_dir import RunningAgent, entries, other_fleets, why_none
-from pancakes.tools.cli.consent import force_option, must_be_meant
-from pancakes.tools.cli.ending import Ending
-from pancakes.tools.cli.name_types import agents
-from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
+from pancakes.tools.cli.agent_requests import force_option, must_be_meant
+from pancakes.tools.cli.graceful_stop import Ending
+from pancakes.tools.cli.options import Ask, agents, dry_run_option, orders_agents
 from pancakes.tools.cli.output import show_text
+from pancakes.util.runtime_dir import RunningAgent, entries, other_fleets, why_none
 
 COLUMNS = ("agent", "fleet", "role", "host", "done")
 
@@ -63,7 +62,7 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
     }
     ending = Ending(ask.timeout_s, dry_run)
     if file is not None:
-        from pancakes.tools.cli.ending_fleet import end_fleet
+        from pancakes.tools.cli.graceful_stop_fleet import end_fleet
 
         end_fleet(ending, file, agents)
     elif ask.where.addresses or agents:

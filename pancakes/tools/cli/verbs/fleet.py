@@ -12,19 +12,18 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.errors import PancakesError, needing_extra
-from pancakes.mesh.security import key_folders
-from pancakes.mesh.security.certified import PEOPLE, CertifiedRole
-from pancakes.mesh.security.key_files import KeyFiles
-from pancakes.mesh.security.rules import EVERY, RIGHTS, AccessRule, Bearer, Right, allows
-from pancakes.runtime.foundation.names import fault_of_name
-from pancakes.tools.cli.consent import force_option, must_be_meant
+from pancakes.security import key_store
+from pancakes.security.key_store import KeyFiles
+from pancakes.security.roster import EVERY, PEOPLE, RIGHTS, AccessRule, Bearer, CertifiedRole, Right, allows
+from pancakes.tools.cli.agent_requests import force_option, must_be_meant
 from pancakes.tools.cli.options import Duration, format_option
 from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
-from pancakes.tools.cli.verbs.fleet_folder import founded, opened, spread
+from pancakes.tools.cli.verbs.fleet_authority import founded, opened, spread
+from pancakes.util.text import fault_of_name
 
 if TYPE_CHECKING:
-    from pancakes.mesh.security.fleet_office import FleetOffice
-    from pancakes.mesh.security.register import Entry
+    from pancakes.security.authority import FleetOffice
+    from pancakes.security.key_store import Entry
 
 PORT: Final = 7490
 COLUMNS: Final = ("name", "role", "groups", "state", "since", "ends", "came_from", "serial")
@@ -84,10 +83,10 @@ def init(name: str, person: str | None, no_password: bool, dry_run: bool, format
     Example:
         pancakes fleet init garage
     """
-    folder = key_folders.fleets() / name
+    folder = key_store.fleets() / name
     who = person or _own_name()
     with needing_extra("no fleet can be founded"):
-        from pancakes.mesh.security.fleet_office import FleetOffice
+        from pancakes.security.authority import FleetOffice
     if folder.exists() and any(folder.iterdir()):
         raise PancakesError(f"there is a fleet {name} in {folder} already")
     row = {"fleet": name, "folder": str(folder), "operator": who}
@@ -98,7 +97,7 @@ def init(name: str, person: str | None, no_password: bool, dry_run: bool, format
         return
     password = None if no_password else click.prompt("Password", hide_input=True, confirmation_prompt=True)
     office = FleetOffice.founded(name, folder, password.encode() if password else None)
-    office.enrol_with_key("operator", who).write(key_folders.folder_of_person(name))
+    office.enrol_with_key("operator", who).write(key_store.folder_of_person(name))
     until = _date(office.latest(who).ends_s)
     said = f"The fleet {name} is in {folder}. You are its operator {who} until {until}."
     _tell(format_, {**row, "until": until, "done": "founded"}, said)
@@ -144,7 +143,7 @@ def enrol(
         pancakes fleet enrol agent2 --out agent2/
         pancakes fleet enrol bob --role observer
     """
-    from pancakes.mesh.security.register import read_register
+    from pancakes.security.key_store import read_register
 
     folder = founded(fleet_name)
     read_register(folder).check_new(name, folder.name)
@@ -176,7 +175,7 @@ def renew(
         pancakes fleet renew alice
         pancakes fleet renew agent1
     """
-    from pancakes.mesh.security.register import read_register
+    from pancakes.security.key_store import read_register
 
     folder = founded(fleet_name)
     entry = read_register(folder).latest(name, folder.name)
@@ -184,7 +183,7 @@ def renew(
         _give_dry(folder.name, entry.role, entry.name, out, format_)
         return
     office = opened(fleet_name)
-    own = key_folders.keys_of_person(office.fleet)
+    own = key_store.keys_of_person(office.fleet)
     if out is None and entry.role in PEOPLE and own is not None and _bearer(own) == entry.name:
         office.enrol_with_key(entry.role, entry.name, entry.groups).write(own)
         until = _date(office.latest(name).ends_s)
@@ -210,8 +209,8 @@ def join(code: str, dry_run: bool, format_: str) -> None:
         files, made_here = _read(Path(code)), False
     else:
         with needing_extra("no fleet can be joined with a code"):
-            from pancakes.mesh.security.joining import JoinCode
-            from pancakes.mesh.security.joining import join as join_with
+            from pancakes.security.enrolment import JoinCode
+            from pancakes.security.enrolment import join as join_with
         if dry_run:
             parsed = JoinCode.parse(code)
             place = f"{parsed.host}:{parsed.port}"
@@ -243,8 +242,8 @@ def list_(fleet_name: str, format_: str) -> None:
     Example:
         pancakes fleet list
     """
-    from pancakes.mesh.security.register import read_register
-    from pancakes.runtime.clock import wall_ns
+    from pancakes.security.key_store import read_register
+    from pancakes.util.clock import wall_ns
 
     now_s = wall_ns() / 1e9
     rows = [
@@ -295,7 +294,7 @@ def revoke(
         pancakes fleet revoke operator/alice "laptop stolen"
         pancakes fleet revoke agent1 "lost in the field" --tell 192.168.1.23:7401
     """
-    from pancakes.mesh.security.register import read_register
+    from pancakes.security.key_store import read_register
 
     folder = founded(fleet_name)
     register = read_register(folder)
@@ -325,8 +324,7 @@ def sign(fleet_name: str, addresses: tuple[str, ...], any_date: bool, dry_run: b
         pancakes fleet sign --tell 192.168.1.23:7401
     """
     if dry_run:
-        from pancakes.mesh.security.register import read_register
-        from pancakes.mesh.security.rules_file import read_rules
+        from pancakes.security.key_store import read_register, read_rules
 
         folder = founded(fleet_name)
         number, rules = read_register(folder).number + 1, len(read_rules(folder))
@@ -398,9 +396,8 @@ def can(who: str, right: Right, on: str, at: str, fleet_name: str, format_: str)
         pancakes fleet can agent1 command motors --at agent2
         pancakes fleet can bob change 'agent1/device/ir' --at agent1
     """
-    from pancakes.mesh.security.key_files import ROSTER
-    from pancakes.mesh.security.register import read_register
-    from pancakes.mesh.security.roster import read_signed
+    from pancakes.security.key_store import ROSTER, read_register
+    from pancakes.security.roster import read_signed
 
     folder = founded(fleet_name)
     roster = read_signed((folder / ROSTER).read_bytes())[1]
@@ -446,7 +443,7 @@ def _give(
         _tell(format_, row, said, "It has the private key: remove it here afterwards.")
         return
     from pancakes.mesh.address import is_loopback
-    from pancakes.mesh.security.joining import Desk, own_address
+    from pancakes.security.enrolment import Desk, own_address
 
     if not host and is_loopback(f"tcp://{(host := own_address())}:{port}"):
         said = "This machine has no way to others, so only a program here can use the code (--host names another)."
@@ -487,7 +484,7 @@ def _read(folder: Path) -> KeyFiles:
     Raises:
         PancakesError: a file is missing, or they do not fit together.
     """
-    from pancakes.mesh.security.key_files import FLEET, KEY, ROSTER
+    from pancakes.security.key_store import FLEET, KEY, ROSTER
 
     try:
         key, authority, roster = ((folder / file).read_bytes() for file in (KEY, FLEET, ROSTER))
@@ -502,7 +499,7 @@ def _checked(files: KeyFiles) -> KeyFiles:
     Raises:
         PancakesError: they do not fit together.
     """
-    from pancakes.mesh.security.keys import Keys
+    from pancakes.security.keys import Keys
 
     with tempfile.TemporaryDirectory() as directory:
         aside = Path(directory) / "keys"
@@ -518,15 +515,15 @@ def _folder_of(files: KeyFiles) -> Path:
         PancakesError: those of another person are there.
     """
     if files.role not in PEOPLE:
-        return key_folders.folder_of_agent(files.fleet, files.name)
-    own = key_folders.keys_of_person(files.fleet)
+        return key_store.folder_of_agent(files.fleet, files.name)
+    own = key_store.keys_of_person(files.fleet)
     if own is not None and (bearer := _bearer(own)) != files.name:
         raise PancakesError(f"you are {bearer} of the fleet {files.fleet} already: remove {own} first")
-    return key_folders.folder_of_person(files.fleet)
+    return key_store.folder_of_person(files.fleet)
 
 
 def _bearer(folder: Path) -> str:
-    from pancakes.mesh.security.keys import Keys
+    from pancakes.security.keys import Keys
 
     return Keys(folder).own.name
 

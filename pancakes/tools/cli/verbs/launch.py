@@ -16,18 +16,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.runtime.foundation.printable import printable_data
 from pancakes.tools.cli.agent_process import SHOW_TRACEBACKS
-from pancakes.tools.cli.consent import force_option, must_be_meant
+from pancakes.tools.cli.agent_requests import force_option, must_be_meant
 from pancakes.tools.cli.exit_codes import forget_output
 from pancakes.tools.cli.options import agent_sets_option, format_option
 from pancakes.tools.cli.output import show, show_text
+from pancakes.util.text import printable_data
 
 if TYPE_CHECKING:
     from pancakes.client import Client
-    from pancakes.tools.launch.host_agents import HostAgents, HostStart
-    from pancakes.tools.launch.hosts import Host
-    from pancakes.tools.launch.member import Member, Policy
+    from pancakes.tools.launch.fleet_file import Member, Policy
+    from pancakes.tools.launch.remote_hosts import Host, HostAgents, HostStart
 
 COUNTDOWN_S: Final = 0.25
 """How long before a mission begins its agents are told, so that all begin at the same moment."""
@@ -97,10 +96,10 @@ def launch(
         pancakes launch world.toml robot.toml --set robot:agent.seed=7
         pancakes launch configs/encirclement --dry-run
     """
-    from pancakes.runtime.plugins import Plugins
-    from pancakes.tools.launch.afresh import check_alone, remembers
-    from pancakes.tools.launch.fleet_plan import check_free, make_fleet
-    from pancakes.tools.launch.hosts import open_hosts
+    from pancakes.tools.launch.clear_state import check_alone, remembers
+    from pancakes.tools.launch.fleet_file import check_free, make_fleet
+    from pancakes.tools.launch.remote_hosts import open_hosts
+    from pancakes.util.plugins import Plugins
 
     if traceback:
         sets = (*sets, SHOW_TRACEBACKS)
@@ -167,10 +166,9 @@ def _show(members: Sequence[Member], format_: str) -> None:
 
 
 def _run(members: Sequence[Member], hosts: Mapping[str, Host], hold: bool, fresh: bool, format_: str) -> int:
-    from pancakes.tools.launch.afresh import empty_state
-    from pancakes.tools.launch.course import Course
-    from pancakes.tools.launch.keys_of_run import keys_of_run, set_keys
-    from pancakes.tools.launch.runner import Runner
+    from pancakes.tools.launch.clear_state import empty_state
+    from pancakes.tools.launch.supervisor import Course, Runner
+    from pancakes.tools.launch.temporary_keys import keys_of_run, set_keys
 
     voice = _Objects() if format_ == "json" else _Prefixed([member.name for member in members])
     away = [member for member in members if member.host]
@@ -198,7 +196,7 @@ def _run(members: Sequence[Member], hosts: Mapping[str, Host], hold: bool, fresh
 
 
 def _start(member: Member, keys: Path | None, fresh: bool) -> HostStart:
-    from pancakes.tools.launch.host_agents import HostStart
+    from pancakes.tools.launch.remote_hosts import HostStart
 
     files = sorted(keys.iterdir()) if keys is not None else ()
     told = {path.name: b64encode(path.read_bytes()).decode() for path in files}
@@ -212,7 +210,7 @@ def _elsewhere(
     selector: selectors.BaseSelector,
     now: Callable[[], float],
 ) -> HostAgents:
-    from pancakes.tools.launch.host_agents import HostAgents
+    from pancakes.tools.launch.remote_hosts import HostAgents
 
     return HostAgents(members, starts, {name: host.link for name, host in hosts.items()}, selector, now)
 
@@ -229,7 +227,7 @@ def let_begin(pids: Mapping[str, int], members: Sequence[Member], hosts: Mapping
         A sentence for each that could not be told.
     """
     from pancakes.errors import PancakesError
-    from pancakes.tools.launch.tunnels import tunnels
+    from pancakes.tools.launch.remote_hosts import tunnels
 
     held = [member for member in members if member.name in pids]
     try:
@@ -243,8 +241,8 @@ def let_begin(pids: Mapping[str, int], members: Sequence[Member], hosts: Mapping
 def _begin(stack: ExitStack, held: Sequence[Member], pids: Mapping[str, int], ways: Mapping[str, str]) -> list[str]:
     from pancakes.client import Client, Where
     from pancakes.control import Begin
-    from pancakes.runtime.clock import MonotonicClock
-    from pancakes.runtime.runtime_dir import entries
+    from pancakes.util.clock import MonotonicClock
+    from pancakes.util.runtime_dir import entries
 
     now = MonotonicClock().now
     here = {entry.pid: next(iter(entry.listen), "") for entry in entries()}

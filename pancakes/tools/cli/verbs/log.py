@@ -13,16 +13,15 @@ import click
 from pancakes.client import Client
 from pancakes.control import History
 from pancakes.errors import ControlRefused, PancakesError
-from pancakes.events import LEVELS, SAID_IN_A_LINE
+from pancakes.events import LEVELS, SAID_IN_A_LINE, line_of, record_of
 from pancakes.packet import LOG
-from pancakes.runtime.foundation.printable import printable, printable_line
-from pancakes.runtime.services.log import REMEMBERED
-from pancakes.runtime.services.log_record import line_of, record_of
-from pancakes.tools.cli.asking import order, surveyed
+from pancakes.services.log import REMEMBERED
+from pancakes.tools.cli.agent_requests import order, surveyed
 from pancakes.tools.cli.listening import MOST_WAITING, from_any, from_option, listen, telling_losses
-from pancakes.tools.cli.name_types import agents as some_agents
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
+from pancakes.tools.cli.options import agents as some_agents
 from pancakes.tools.cli.streaming import Printer, say, until_ended
+from pancakes.util.text import printable, printable_line
 
 COLOURS: Final = {"debug": "bright_black", "info": "", "warning": "yellow", "error": "red"}
 

@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.net.local import DIRECTORY
-from pancakes.mesh.security.key_folders import fleets_of_person, folder_of_person
-from pancakes.runtime.clock import wall_ns
-from pancakes.runtime.foundation.printable import printable
-from pancakes.runtime.foundation.user_folders import NoHome
-from pancakes.runtime.plugins import GROUPS, Plugins
-from pancakes.runtime.runtime_dir import is_locked, look, runtime_dir, usable
-from pancakes.tools.cli.verbs.finding import Finding, Level
+from pancakes.mesh.local import DIRECTORY
+from pancakes.security.key_store import fleets_of_person, folder_of_person
+from pancakes.tools.cli.verbs.agent_checks import Finding, Level
+from pancakes.util.clock import wall_ns
+from pancakes.util.files import NoHome
+from pancakes.util.plugins import GROUPS, Plugins
+from pancakes.util.runtime_dir import is_locked, look, runtime_dir, usable
+from pancakes.util.text import printable
 
 DISTRIBUTION: Final = "pancakes-agents"
 FULL_MIB: Final = 50
@@ -61,7 +61,7 @@ def check_own_keys() -> Iterator[Finding]:
         folder = folder_of_person(fleet)
         renew = "the operator of that fleet renews it: pancakes fleet renew"
         try:
-            from pancakes.mesh.security.keys import Keys
+            from pancakes.security.keys import Keys
 
             keys = Keys(folder)
         except PancakesError as error:
@@ -178,7 +178,7 @@ def state_base() -> Path:
     Raises:
         NoHome: nothing says where it is.
     """
-    from pancakes.runtime.state_dir import default_state_dir
+    from pancakes.config.state_dir import default_state_dir
 
     return default_state_dir("fleet", "agent").parents[1]
 
@@ -205,10 +205,8 @@ def check_state_dirs(base: Path) -> Iterator[Finding]:
 
 def _check_journal(directory: Path) -> Finding:
     """Looks at one agent's journal without opening it: to open it would count a boot and lock the agent out."""
-    from pancakes.runtime.journal.directory import fault_of
-    from pancakes.runtime.journal.journal import BAD, SUFFIX, name_of
-    from pancakes.runtime.journal.seal import Unbelievable, unseal
-    from pancakes.runtime.journal.write_ahead import WRITE_AHEAD, read_ahead
+    from pancakes.journal.file_journal import WRITE_AHEAD, fault_of, read_ahead
+    from pancakes.journal.journal import BAD, SUFFIX, Unbelievable, name_of, unseal
 
     about = f"state of {directory.parent.name}/{directory.name}"
     torn = []
@@ -269,7 +267,7 @@ def check_files(soft: int, hard: int) -> Finding:
 
 def check_clock() -> Finding:
     """Measures how late this machine wakes a thread that waits for a point in time."""
-    from pancakes.runtime.kernel.slack import wake_on_time
+    from pancakes.kernel.timer import wake_on_time
 
     late: list[float] = []
 

@@ -13,7 +13,7 @@ from pancakes.tools.cli.options import format_option
 from pancakes.tools.cli.output import show, show_json, show_text
 
 if TYPE_CHECKING:
-    from pancakes.tools.cli.verbs.distribution import Names
+    from pancakes.tools.cli.verbs.scaffold import Names
 
 COLUMNS = ("file", "purpose")
 _ABOUT: Final = {
@@ -52,7 +52,7 @@ class DistributionName(click.ParamType):
     name = "NAME"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Names:
-        from pancakes.tools.cli.verbs.distribution import Names
+        from pancakes.tools.cli.verbs.scaffold import Names
 
         if isinstance(value, Names):
             return value
@@ -107,7 +107,7 @@ for _kind in _ABOUT:
 
 def _make(kind: str, names: Names, into: Path, dry_run: bool, format_: str) -> None:
     from pancakes.errors import PancakesError
-    from pancakes.tools.cli.verbs.distribution import check_free, files_of, write
+    from pancakes.tools.cli.verbs.scaffold import check_free, files_of, write
 
     folder = into / names.dist
     check_free(folder)

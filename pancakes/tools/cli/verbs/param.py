@@ -11,15 +11,13 @@ import click
 from pancakes.client import Client
 from pancakes.control import Configure, Describe
 from pancakes.errors import ControlRefused
-from pancakes.runtime.foundation.printable import printable_data
-from pancakes.runtime.foundation.suggestion import hint_of
-from pancakes.tools.cli.asking import accepted, meant, order, placed, surveyed
+from pancakes.tools.cli.agent_requests import accepted, meant, order, placed, surveyed
 from pancakes.tools.cli.exit_codes import OK, REFUSED
-from pancakes.tools.cli.name_types import TaskName, a_task
-from pancakes.tools.cli.options import Ask, asks_agents, dry_run_option, orders_agents
+from pancakes.tools.cli.options import Ask, TaskName, a_task, asks_agents, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
 from pancakes.tools.cli.verbs import param_file
-from pancakes.tools.cli.verbs.param_names import AgentOrTask, Changes, ParamName, SettingChange, a_task_or_agent
+from pancakes.tools.cli.verbs.task_arguments import AgentOrTask, Changes, ParamName, SettingChange, a_task_or_agent
+from pancakes.util.text import hint_of, printable_data
 
 COLUMNS = ("agent", "service", "task", "param", "value")
 CHANGED = ("agent", "service", "task", "param", "before", "value", "done", "number")
@@ -237,6 +235,6 @@ def _show(rows: list[dict[str, Any]], columns: tuple[str, ...], values: tuple[st
 
 
 def _text(value: Any) -> str:
-    from pancakes.runtime.config.toml_text import value_text
+    from pancakes.config.toml_writer import value_text
 
     return "-" if value is None else value_text(value)

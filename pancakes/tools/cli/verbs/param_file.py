@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pancakes.config.toml_reader import tables_of, text_of
+from pancakes.config.toml_writer import document_text
 from pancakes.errors import PancakesError
-from pancakes.runtime.config.toml_source import tables_of, text_of
-from pancakes.runtime.config.toml_text import document_text
 
 STDIN = Path("-")
 _TABLES = ("task", "device")

@@ -8,10 +8,10 @@ from typing import Any
 import click
 
 from pancakes.errors import PluginError
-from pancakes.runtime.plugins import GROUPS, Plugins
 from pancakes.tools.cli.exit_codes import OK, REFUSED
 from pancakes.tools.cli.options import format_option
 from pancakes.tools.cli.output import show, show_text
+from pancakes.util.plugins import GROUPS, Plugins
 
 COLUMNS = ("group", "name", "class", "distribution", "version", "state", "reason")
 NAMES = tuple(group.removeprefix("pancakes.") for group in GROUPS)

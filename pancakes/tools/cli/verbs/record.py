@@ -11,11 +11,18 @@ import click
 from pancakes.client import Client
 from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
-from pancakes.tools.cli.asking import accepted, surveyed
+from pancakes.tools.cli.agent_requests import accepted, surveyed
 from pancakes.tools.cli.exit_codes import REFUSED
 from pancakes.tools.cli.listening import doubt_types
-from pancakes.tools.cli.name_types import agents
-from pancakes.tools.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
+from pancakes.tools.cli.options import (
+    Ask,
+    FiniteRange,
+    agents,
+    asks_agents,
+    dry_run_option,
+    format_option,
+    orders_agents,
+)
 from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_sections, show_text
 from pancakes.tools.cli.streaming import load_packets
 
@@ -133,9 +140,8 @@ def info(path: Path, format_: str) -> None:
         pancakes record info runs/encirclement-1-virtual/recording
     """
     load_packets()
-    from pancakes.tools.recording.recorded_packet import date_of
-    from pancakes.tools.recording.recording_reader import RecordingReader
-    from pancakes.tools.recording.summary import Summary
+    from pancakes.recording.reader import RecordingReader, Summary
+    from pancakes.recording.records import date_of
 
     reader = RecordingReader(path)
     time = reader.mission_time()
@@ -186,10 +192,10 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
     Example:
         pancakes record repair recordings/agent1.mcap
     """
-    from pancakes.tools.recording.mcap_records import opened
-    from pancakes.tools.recording.recorded_packet import RecordingError
-    from pancakes.tools.recording.recording_reader import FileReading, files_of, messages
-    from pancakes.tools.recording.repair import repair as mend
+    from pancakes.recording.mcap_records import opened
+    from pancakes.recording.reader import FileReading, files_of, messages
+    from pancakes.recording.reader import repair as mend
+    from pancakes.recording.records import RecordingError
 
     files = [file for given in paths for file in files_of(given)]
     if out is not None and len(files) > 1:
@@ -225,7 +231,7 @@ def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
 
 def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> None:
     """Refuses channels that no agent has; of those that only some have it tells."""
-    from pancakes.tools.recording.description import CHANNEL
+    from pancakes.recording.records import CHANNEL
 
     known = list(dict.fromkeys(name for agent in agents for name in agent["channels"]))
     for channel in channels:

@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.client import Where
-from pancakes.tools.cli.asking import surveyed
-from pancakes.tools.cli.name_types import AGENT_NAME
-from pancakes.tools.cli.options import Ask, Duration, FiniteRange, dry_run_option, orders_agents
+from pancakes.tools.cli.agent_requests import surveyed
+from pancakes.tools.cli.options import AGENT_NAME, Ask, Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, show
 from pancakes.tools.cli.streaming import load_packets, say, until_ended
 
 if TYPE_CHECKING:
-    from pancakes.runtime.plugins import Plugins
-    from pancakes.tools.recording.recording_reader import RecordingReader
-    from pancakes.tools.replay.selection import Live, Selection, Tally
+    from pancakes.recording.reader import RecordingReader
+    from pancakes.tools.replay.replay import Live, Selection, Tally
+    from pancakes.util.plugins import Plugins
 
 COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
 
@@ -94,9 +93,9 @@ def replay(
         pancakes replay recordings --only 'agent1/system/*' --as agent7 --speed 2
         pancakes replay recordings --config agent1.toml --out again
     """
-    from pancakes.runtime.plugins import Plugins
-    from pancakes.tools.recording.recording_reader import RecordingReader
-    from pancakes.tools.replay.selection import Selection
+    from pancakes.recording.reader import RecordingReader
+    from pancakes.tools.replay.replay import Selection
+    from pancakes.util.plugins import Plugins
 
     if bool(configs) != bool(out):
         raise click.UsageError("--config and --out go together: the result is recorded into --out")
@@ -126,7 +125,7 @@ class _ReplayRequest:
     def select(self, agents: dict[str, Live]) -> tuple[Selection, Tally]:
         """Returns what is fed into agents, and how much that is."""
         from pancakes.errors import Unreachable
-        from pancakes.tools.replay.selection import tally_of
+        from pancakes.tools.replay.replay import tally_of
 
         as_name = self.wanted.as_name
         if as_name and as_name not in agents:
@@ -139,7 +138,7 @@ class _ReplayRequest:
 
     def recorded_speed(self) -> float:
         """Returns how many mission seconds a second of the recording is."""
-        from pancakes.tools.recording.mission_time import speed_of
+        from pancakes.recording.clock_alignment import speed_of
 
         speeds = {speed_of(reading.about): reading.path for reading in self.reader.readings}
         if len(speeds) > 1:
@@ -149,8 +148,7 @@ class _ReplayRequest:
 
 
 def _feed_live(wanted: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
-    from pancakes.tools.replay.feeding import Feeder
-    from pancakes.tools.replay.selection import Live
+    from pancakes.tools.replay.replay import Feeder, Live
 
     with until_ended(), ask.client() as client:
         agents = {told["agent"]: Live.of(told) for told in surveyed(client)}
@@ -171,8 +169,8 @@ def _feed_live(wanted: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
 def _feed_virtual(
     wanted: _ReplayRequest, paths: tuple[Path, ...], out: Path, plugins: Plugins, seed: int, dry_run: bool, format_: str
 ) -> None:
+    from pancakes.config import load
     from pancakes.errors import PancakesError
-    from pancakes.runtime.config import load
     from pancakes.tools.replay.virtual_replay import VirtualReplay
 
     configs = [load(path, (), plugins) for path in paths]

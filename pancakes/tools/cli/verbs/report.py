@@ -32,7 +32,7 @@ def report(path: Path, out: Path | None, task: str, format_: str) -> None:
         pancakes report runs/encirclement-1-virtual/recording
         pancakes report recordings/agent1.mcap --out paper/figures --task agent1/ScanTarget
     """
-    from pancakes.tools.report.making import make_report
+    from pancakes.tools.report.html_report import make_report
 
     load_packets()
     given = path.resolve()

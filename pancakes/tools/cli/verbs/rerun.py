@@ -14,13 +14,12 @@ from pancakes.tools.cli.options import Duration, FiniteRange, format_option
 from pancakes.tools.cli.output import show, show_json, show_text
 from pancakes.tools.cli.streaming import load_packets, one_line, say
 from pancakes.tools.cli.verbs import param_file
-from pancakes.tools.cli.verbs.param_names import Changes, set_option
+from pancakes.tools.cli.verbs.task_arguments import Changes, set_option
 
 if TYPE_CHECKING:
     from pancakes.tools.replay.comparison import Difference, RunComparison, StreamKey
+    from pancakes.tools.replay.recorded_run import Script, Stay
     from pancakes.tools.replay.rerun import Outcome
-    from pancakes.tools.replay.script import Script
-    from pancakes.tools.replay.stays import Stay
 
 SHOWN: Final = 10
 LONGEST: Final = 100
@@ -78,13 +77,12 @@ def rerun(
         pancakes rerun runs/encirclement-1-virtual/recording ScanTarget
         pancakes rerun recordings agent1/ScanTarget --stay 1 --set radius_m=0.8
     """
-    from pancakes.runtime.plugins import Plugins
-    from pancakes.tools.recording.mission_time import speed_of
-    from pancakes.tools.recording.recording_reader import RecordingReader
+    from pancakes.recording.clock_alignment import speed_of
+    from pancakes.recording.reader import RecordingReader
     from pancakes.tools.replay.comparison import Tolerance, compare
+    from pancakes.tools.replay.recorded_run import choose_stays, find_stays, read_script
     from pancakes.tools.replay.rerun import Rerun, class_of
-    from pancakes.tools.replay.script import read_script
-    from pancakes.tools.replay.stays import choose_stays, find_stays
+    from pancakes.util.plugins import Plugins
 
     plugins = Plugins()
     load_packets(plugins)
@@ -112,8 +110,7 @@ def rerun(
 
 
 def _row(stay: Stay, script: Script, outcome: Outcome, comparison: RunComparison, most: int) -> dict[str, Any]:
-    from pancakes.tools.replay.stays import FAILED
-    from pancakes.tools.replay.steps import Given
+    from pancakes.tools.replay.recorded_run import FAILED, Given
 
     inputs = sum(isinstance(step, Given) for step in script.steps)
     failed_then = stay.reason if stay.end == FAILED else None

@@ -8,18 +8,26 @@ import click
 
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
-from pancakes.runtime.foundation.suggestion import hint_of
-from pancakes.runtime.life.restart import tries
-from pancakes.tools.cli.asking import accepted, show_done, survey
-from pancakes.tools.cli.consent import force_option, must_be_meant
-from pancakes.tools.cli.name_types import ServiceName, a_service, agents
-from pancakes.tools.cli.options import Ask, Duration, asks_agents, dry_run_option, keep_state_option, orders_agents
+from pancakes.supervision.restart import tries
+from pancakes.tools.cli.agent_requests import accepted, force_option, must_be_meant, show_done, survey
+from pancakes.tools.cli.options import (
+    Ask,
+    Duration,
+    ServiceName,
+    a_service,
+    agents,
+    asks_agents,
+    dry_run_option,
+    keep_state_option,
+    orders_agents,
+)
 from pancakes.tools.cli.output import show_json, show_sections
+from pancakes.util.text import hint_of
 
 COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
 TASKS = ("task", "type", "state", "rate_hz", "reason")
 STATES = ("stopped", "starting", "running", "stopping", "restarting", "failed")
-"""The words of `pancakes.runtime.life.life` for services, which is not imported for them: a command has to be quick."""
+"""The words of `pancakes.supervision.lifecycle` for services; it is not imported, so that a command is quick."""
 
 
 @click.group()

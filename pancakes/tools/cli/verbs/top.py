@@ -11,12 +11,12 @@ import click
 
 from pancakes.client import Client, Looks
 from pancakes.errors import Unreachable
-from pancakes.runtime.foundation.printable import printable
-from pancakes.tools.cli.asking import surveyed
-from pancakes.tools.cli.name_types import agents as some_agents
+from pancakes.tools.cli.agent_requests import surveyed
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
+from pancakes.tools.cli.options import agents as some_agents
 from pancakes.tools.cli.output import show_drawn, show_json, show_text
 from pancakes.tools.cli.streaming import one_line, until_ended
+from pancakes.util.text import printable
 
 if TYPE_CHECKING:
     from rich.console import Group

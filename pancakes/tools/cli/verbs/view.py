@@ -7,9 +7,9 @@ import time
 
 import click
 
-from pancakes.tools.cli.interrupts import event_at
 from pancakes.tools.cli.options import Ask, asks_agents
 from pancakes.tools.cli.output import show_json, show_text
+from pancakes.tools.cli.streaming import event_at
 
 port_option = click.option(
     "--port",

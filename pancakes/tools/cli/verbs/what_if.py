@@ -9,15 +9,23 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import click
 import msgspec
 
-from pancakes.control import Describe, Migrate, Reschedule
+from pancakes.control import LONGEST_S, SHORTEST_S, Describe, Measure, Migrate, Reschedule
 from pancakes.errors import ControlRefused, RemoteProtocolError
-from pancakes.measurement import LONGEST_S, SHORTEST_S, Measure
-from pancakes.runtime.foundation import codecs
-from pancakes.tools.cli.asking import accepted, order, placed
-from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task, the_agent
-from pancakes.tools.cli.options import Ask, Duration, FiniteRange, TakesNumbers, asks_agents_for
+from pancakes.tools.cli.agent_requests import accepted, order, placed
+from pancakes.tools.cli.options import (
+    AGENT_NAME,
+    Ask,
+    Duration,
+    FiniteRange,
+    TakesNumbers,
+    TaskName,
+    a_task,
+    asks_agents_for,
+    the_agent,
+)
 from pancakes.tools.cli.output import show_json, show_sections, show_text
-from pancakes.tools.cli.verbs.task_completion import costs
+from pancakes.tools.cli.verbs.task_arguments import costs
+from pancakes.util import codecs
 
 if TYPE_CHECKING:
     from pancakes.client import Client

@@ -16,10 +16,10 @@ from pancakes.tools.cli.output import show, show_json, show_text
 from pancakes.tools.cli.streaming import Printer, load_packets, say
 
 if TYPE_CHECKING:
-    from pancakes.tools.recording.commands import ActuatorCommand
-    from pancakes.tools.recording.mission_time import MissionTime
-    from pancakes.tools.recording.recording_reader import RecordingReader
-    from pancakes.tools.report.reactions import Reaction, Reactions
+    from pancakes.recording.causal_chains import ActuatorCommand
+    from pancakes.recording.clock_alignment import MissionTime
+    from pancakes.recording.reader import RecordingReader
+    from pancakes.tools.report.command_latency import Reaction, Reactions
 
 LONGEST: Final = 100
 """So many characters of what a packet says are shown in a line."""
@@ -56,7 +56,7 @@ def why(path: Path, list_: bool, format_: str, **asked: Any) -> None:
         pancakes why recordings --type motors --slowest 3
         pancakes why recordings --list --format json
     """
-    from pancakes.tools.recording.recording_reader import RecordingReader
+    from pancakes.recording.reader import RecordingReader
 
     single = [asked[name] for name in ("at_s", "seq", "slowest") if asked[name] is not None]
     if len(single) + list_ > 1:
@@ -91,7 +91,7 @@ class _CommandQuestion:
         slowest: int | None,
         **asked: str,
     ) -> None:
-        from pancakes.tools.report.reactions import Reactions
+        from pancakes.tools.report.command_latency import Reactions
 
         self.at_s, self.seq, self.slowest = at_s, seq, slowest
         self.found: Reactions = Reactions()
@@ -102,7 +102,7 @@ class _CommandQuestion:
 
     def commands(self) -> Iterator[ActuatorCommand]:
         """Gives the commands that are meant, oldest first."""
-        from pancakes.tools.recording.commands import CommandChains
+        from pancakes.recording.causal_chains import CommandChains
 
         chains = CommandChains()
         for entry in self._reader.entries():
@@ -212,7 +212,7 @@ def _line(row: dict[str, Any]) -> str:
 
 def _steps(command: ActuatorCommand, time: MissionTime) -> list[dict[str, Any]]:
     from pancakes.packet import body_to_plain
-    from pancakes.tools.recording.recorded_packet import NANOSECONDS
+    from pancakes.recording.records import NANOSECONDS
 
     steps = command.chain.steps
     return [
@@ -251,7 +251,7 @@ def _distribution(reaction: Reaction) -> dict[str, Any]:
 
 
 def _print(row: dict[str, Any]) -> None:
-    from pancakes.tools.recording.commands import body_text
+    from pancakes.recording.causal_chains import body_text
 
     of = f" for {row['task_id']}" if row["task_id"] else ""
     show_text(f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['number']})")

@@ -1,0 +1,1 @@
+"""An agent, put together from its configuration."""

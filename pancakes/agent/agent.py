@@ -1,0 +1,510 @@
+"""An agent, put together from its configuration (the composition root): kernel, services, mesh, journal."""
+
+from __future__ import annotations
+
+import math
+import random
+import secrets
+import threading
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from pancakes.agent.composition import Composition
+from pancakes.agent.log_buffers import RecentWarnings, Unsaid
+from pancakes.agent.transport_settings import (
+    addresses_of,
+    insecure_over,
+    keys_for,
+    network_settings,
+    transport_settings,
+)
+from pancakes.config import Config
+from pancakes.config.state_dir import state_dir_of
+from pancakes.control import CONTROLS
+from pancakes.durable.census import CENSUS, BootMemory, Census, NeighbourUp
+from pancakes.durable.client_service import ClientService
+from pancakes.durable.courier import COURIER, Courier, SharedOutbox
+from pancakes.durable.delivery import Outbox
+from pancakes.durable.guardian import Guardian, kept_of_peers
+from pancakes.durable.host_state import IMPORTER, HostState, Importer, describe_process
+from pancakes.durable.installed import Installed
+from pancakes.durable.ownership import Boot
+from pancakes.durable.ownership_checks import BirthRule
+from pancakes.durable.record import resting
+from pancakes.durable.store import RECORD, Ledgers, Records, Registers
+from pancakes.errors import PancakesError, describe, traceback_of
+from pancakes.events import Event
+from pancakes.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
+from pancakes.kernel.actor import Component
+from pancakes.kernel.dispatchers import defer
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.mailbox import tell
+from pancakes.kernel.virtual_time import VirtualDispatcher
+from pancakes.mesh.link import LinkTimes
+from pancakes.mesh.links import DROPS_REPORTED_EVERY_S
+from pancakes.mesh.mesh import Mesh
+from pancakes.mesh.messages import Hello, Identity
+from pancakes.mesh.session import Gate
+from pancakes.mesh.sockets import ADVICE
+from pancakes.mesh.transport import SocketTransport, Transport
+from pancakes.mesh.trust import UNCHECKED, can_check
+from pancakes.packet import LOG, Packet, body_class, first_number, join
+from pancakes.security.access import Access
+from pancakes.security.roster import Roster
+from pancakes.service import Service
+from pancakes.services.device import DeviceService
+from pancakes.services.fence import Fences, FencesOfAgent
+from pancakes.services.log import LogService, wanted_recordings
+from pancakes.services.network import NetworkService
+from pancakes.services.root import Root
+from pancakes.services.service_supervisor import Closer, MissionStart
+from pancakes.supervision.messages import GUARDIAN, Close, NoRoom, PeerDown
+from pancakes.util.clock import SkewedClock
+from pancakes.util.files import FileMark
+from pancakes.util.plugins import Plugins
+
+if TYPE_CHECKING:
+    from pancakes.security.keys import Keys
+
+
+_TOLD_ONCE = ("name", "role", "fleet", "listen")
+"""What a description of the agent says by itself, and not again with its mesh."""
+CLOSE_S = 1.5
+"""How long, in host time, an agent waits for its tasks to end before it stops all the same."""
+
+
+class Virtual(msgspec.Struct, frozen=True):
+    """What an agent in virtual time shares with the others of its fleet.
+
+    Attributes:
+        dispatcher: runs them all.
+        transport: this agent's own way onto the network in memory.
+        journal: what stands for its disk.
+        clock: its host clock; None: the virtual one.
+    """
+
+    dispatcher: VirtualDispatcher
+    transport: Transport
+    journal: MemoryJournal
+    clock: SkewedClock | None
+
+
+class Agent:
+    """One agent: a kernel, its services and their tasks, a mesh and a journal.
+
+    Args:
+        config: its configuration.
+        plugins: where its classes are found.
+        virtual: run in virtual time; None: on threads and sockets.
+        arguments: what its tasks get besides their settings, by the task's name and by argument.
+
+    Attributes:
+        name: its name.
+        kernel: its kernel.
+        mesh: its links.
+        store: writes to its journal.
+        skipped: what does not run or was not believed (a broken plug-in, a torn journal entry), each a sentence.
+        outbox: what its tasks have sent to tasks, until that is acknowledged.
+        host_state: what it could be to a task from elsewhere.
+        resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
+            it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
+        ready: set once all that should run at the start does.
+        insecure_over: the ways on which it does without the keys that they ask for, such as `tcp://`; empty: none.
+        fatal: set to a sentence where it must stop: its port is in use, another agent bears its name.
+
+    Raises:
+        PancakesError: a plug-in is missing, its journal is in use, ...; the message says which.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        plugins: Plugins | None = None,
+        virtual: Virtual | None = None,
+        arguments: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.config = config
+        self.name = config.agent.name
+        self._plugins = plugins or Plugins()
+        seed = config.agent.seed if config.agent.seed is not None else random.SystemRandom().getrandbits(63)
+        self.kernel = Kernel(
+            self.name,
+            seed=seed,
+            speed=config.clock.speed,
+            hold=True,  # `MissionStart` lets it begin
+            virtual=virtual.dispatcher if virtual is not None else None,
+            skewed=virtual.clock if virtual is not None else None,
+        )
+        self.ready = threading.Event()
+        self.fatal: str = ""
+        self.insecure_over = ""
+        self._keys: Keys | None = None
+        self.stopping = threading.Event()
+        self._on_fatal: Callable[[str], None] = lambda reason: None
+        self._on_shutdown: Callable[[], None] | None = None
+        self._born_s = self.kernel.host.now()
+        self._root: Root | None = None
+        self._closed = threading.Event()  # once all services have ended
+        self._clients: set[str] = set()
+        self._drop_said_s = -math.inf
+        self._unsaid = Unsaid(self.ready)
+        self.skipped: list[str] = []
+        self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
+        journal = virtual.journal if virtual is not None else self._open_journal()
+        try:
+            self._compose(config, journal, virtual, arguments or {})
+        except BaseException:
+            journal.close()
+            self.kernel.stop()
+            raise
+
+    def _compose(
+        self,
+        config: Config,
+        journal: Journal,
+        virtual: Virtual | None,
+        arguments: Mapping[str, Mapping[str, Any]],
+    ) -> None:
+        network = network_settings(self.config)
+        transport = virtual.transport if virtual is not None else self._open_transport()
+        self.kernel.transport = transport
+        own, permits = config.access, self.kernel.permits
+        self.kernel.access = Access(self.name, self._roster if self._keys is not None else None, own.allow, own.refuse)
+        if virtual is None:
+            transport.lend_thread(self.kernel.guest, network.busy_poll_s)
+        store: RecordStore
+        if virtual is not None:
+            store = VirtualStore(virtual.journal, transport.call_later, self.kernel.host.now, self.kernel.log)
+        else:
+            store = ThreadedStore(
+                journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, self._journal_lost, defer
+            )
+        self.store = store
+        self.kernel.life, self.kernel.first_number = f"{journal.uuid}/{journal.boot}", first_number(journal.life)
+        self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use
+        self._config_file = FileMark(config.path if virtual is None else "")
+        self._warnings = RecentWarnings(self.kernel.tasks)
+        self.kernel.stream.tap(LOG, lambda packet: self._warnings.hear(packet, self.kernel.host.now()), ("line",))
+        disk = Disk(journal, store, self.skipped)
+        self.records = Records(disk)
+        self.resting = self._resting()
+        self._registers = Registers(disk)
+        self._boots = BootMemory(disk)
+        self.ledgers = Ledgers(disk, self.kernel.log)
+        self._installed = installed = Installed(self._plugins)
+        self.host_state = HostState(self.kernel, config.agent.role, installed, self.records)
+        addresses, fault = (config.agent.addresses, "") if virtual is not None else addresses_of(config.agent, network)
+        if fault:
+            self.skipped.append(f"{self.name} cannot be reached at {config.agent.addresses[0]}: {fault}")
+        lost = self.records.all_lost()
+        told = {(RECORD, str(one.task_id)) for one in lost}
+        self.skipped.extend(str(aside) for aside in journal.set_aside if (aside.kind, aside.key) not in told)
+        self.skipped.extend(f"{one.task_id} is not started: {one.undecided(self.name)}" for one in lost)
+        fleet, role = config.agent.fleet, config.agent.role
+        self.mesh = Mesh(
+            Identity(self.name, journal.uuid, journal.boot, fleet, role, journal.life, journal.copy),
+            transport,
+            addresses,
+            config.agent.peers,
+            self.kernel.random_for("mesh"),
+            self.kernel.host,
+            on_packets=self.receive,
+            on_unfit=self._on_unfit,
+            on_peer_up=self._on_peer_up,
+            on_peer_down=self._on_peer_down,
+            on_log=lambda level, text: self._unsaid.say(lambda: self.kernel.log(level, text)),
+            defer=defer,
+            gate=Gate(permits.may_act, lambda fence, packets: permits.hold_back(fence, "packets", packets)),
+            times=LinkTimes(heartbeat_s=network.heartbeat_s),
+            access=self.kernel.access,
+            keys=self._keys,
+            timebase=self.kernel.timebase,
+            links=config.agent.links,
+        )
+        # A stream's name never comes again, because what was numbered in it is forgotten with this process.
+        secret = (
+            f"{self.kernel.random_for('outbox').getrandbits(128):032x}"
+            if virtual is not None
+            else secrets.token_hex(16)
+        )
+        self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name, secret))
+        self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
+        self.kernel.links = self.mesh.links
+        self.kernel.peer_clock = self.mesh.clocks.clock_of
+        self.kernel.mission_changed = self.mesh.mission_changed
+        for channel in config.channels:
+            self.kernel.stream.open(channel)
+        shared: dict[type[Service], dict[str, Any]] = {
+            LogService: {"wanted": wanted_recordings(disk)},
+            DeviceService: {"fences": FencesOfAgent(Fences(disk), self.records, self.ledgers)},
+            NetworkService: {"mesh": self.mesh, "state": self.host_state, "ledgers": self.ledgers},
+            ClientService: {
+                "mesh": self.mesh,
+                "state": self.host_state,
+                "records": self.records,
+                "outbox": self.outbox,
+                "catalogue": installed,
+                "ledgers": self.ledgers,
+                "births": BirthRule(config.agent.peers, config.agent.birth_wait_s, journal.former),
+            },
+        }
+        self._composition = Composition(config, self._plugins, installed, shared, arguments, self.skipped)
+        self._specs = self._composition.services()
+        self.kernel.folders = self._composition.folders(self._specs)
+
+    # Life ------------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Opens its port, and begins to start its services; `ready` says when that is done.
+
+        Raises:
+            PancakesError: its port is in use.
+        """
+        self._tend(Courier, COURIER, outbox=self.outbox, records=self.records, mesh=self.mesh)
+        knows = {"records": self.records, "registers": self._registers, "state": self.host_state, "mesh": self.mesh}
+        self._tend(Census, CENSUS, **knows, boots=self._boots)
+        self._tend(Guardian, GUARDIAN, **knows)
+        if self.kernel.virtual is None:
+            self._tend(Importer, IMPORTER, installed=self._installed)
+        try:
+            self.mesh.start()  # after the actors that peers ask at once
+        except PancakesError:
+            self._release()
+            raise
+        clock, comes_back = self.config.clock, self._boots.knows_any()
+        root = self.kernel.spawn(
+            Root,
+            join(self.name, "kernel"),
+            specs=self._specs,
+            identity=self._identity,
+            configuration=lambda: self._composition.configuration(self.records.all().values()),
+            migrations=self.ledgers.plain,
+            services_in_doubt=self.records.services_in_doubt,
+            ready=self._become_ready,
+            mission_start=MissionStart(self.kernel, self.mesh, clock.hold, clock.join_s, comes_back),
+            shutdown=self._shut_down,
+            exited=self._root_ended,
+        )
+        self._root = root
+
+    def _tend(self, cls: type[Component], place: str, **arguments: Any) -> None:
+        """Starts an actor that belongs to no service, and again where it fails: what it must know is not in it."""
+
+        def ended(helper: Component, error: BaseException | None) -> None:
+            self.kernel.stream.unsubscribe(helper.address)
+            if error is not None and not self.stopping.is_set():
+                text = f"{helper.address} failed and is started again: {describe(error, cls)}"
+                self.kernel.log("error", text, traceback_of(error))
+                self._tend(cls, place, **arguments)
+
+        self.kernel.spawn(cls, join(self.name, place), exited=ended, **arguments)
+
+    def _root_ended(self, root: Root, error: BaseException | None) -> None:
+        """Without its root an agent takes no command any more, and no service comes back: so the agent ends too."""
+        self.kernel.stream.unsubscribe(root.address)
+        if error is None and self.kernel.stopping:
+            self._closed.set()
+        if self._closed.is_set():
+            return
+        why = f"has failed: {describe(error)}" if error is not None else "was stopped"
+        reason = f"{root.address}, which starts and watches the services, {why}"
+        root.refuse_all(f"{self.name} ends: {reason}")
+        self.kernel.stopping = True
+        self._stop_for(reason)
+        self.kernel.spawn(
+            Closer,
+            join(self.name, "kernel", "Closer"),
+            services=[join(self.name, spec.name) for spec in self._specs],
+            exited=lambda closer, failure: self._closed.set(),
+        )
+
+    def _become_ready(self) -> None:
+        # Only now does the Log Service listen to what was found wrong before.
+        for sentence in self.skipped:
+            self.kernel.log("error", sentence)
+        for sentence in self._remarks:
+            self.kernel.log("warning", sentence)
+        for task, why in self.resting.items():
+            self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
+        for why in self.mesh.near_only:
+            self.kernel.log("warning", f"{self.name} is not reached from other machines: {why}. {ADVICE.capitalize()}")
+        if over := self.insecure_over:
+            text = f"{self.name} speaks over {over} without keys: nothing is encrypted, and no peer is checked"
+            self.kernel.log("warning", text)
+        self.ready.set()
+        self._unsaid.say_all()
+
+    def stop(self) -> None:
+        """Stops everything in reverse, and waits for it. Not from one of its own threads."""
+        if self.stopping.is_set():
+            return
+        self.stopping.set()
+        self.kernel.stopping = True
+        closed = self._closed
+        root = self._root
+        if root is not None:
+            tell(root, Close())
+            if self.kernel.virtual is not None:
+                until_s = self.kernel.virtual.clock.now() + CLOSE_S
+                self.kernel.virtual.run_while(lambda: not closed.is_set(), until_s)
+            elif not closed.wait(CLOSE_S):
+                self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
+        self._release()
+
+    def _release(self) -> None:
+        for place in (COURIER, CENSUS, GUARDIAN):
+            actor = self.kernel.actor(place)
+            if actor is not None:
+                actor.stop()
+        self.mesh.stop()
+        self.store.close()
+        if self.kernel.virtual is not None:
+            self.kernel.virtual.settle()
+        self.kernel.transport.close()
+        self.kernel.stop()
+
+    def crash(self) -> None:
+        """Ends at once, as a kill does: no hook is called, what waits for the disk is lost. In virtual time only."""
+        if not isinstance(self.store, VirtualStore):
+            raise RuntimeError(f"{self.name} does not run in virtual time")
+        self.stopping.set()
+        self.kernel.crash()
+        self.store.crash()
+        # The operating system closes its connections, and its peers see that.
+        self.kernel.transport.close()
+
+    def on_fatal(self, function: Callable[[str], None]) -> None:
+        """Calls `function` with the reason, in any thread, where the agent must stop; also where that is so already."""
+        self._on_fatal = function
+        if self.fatal:
+            function(self.fatal)
+
+    def on_shutdown(self, function: Callable[[], None]) -> None:
+        """Calls `function`, in any thread, where a `Shutdown` packet asks for this agent's end; without, it refuses."""
+        self._on_shutdown = function
+
+    def _shut_down(self, dry_run: bool) -> str:
+        if self._on_shutdown is None:
+            return "it does not run as a process of its own"
+        if not dry_run:
+            self._on_shutdown()
+        return ""
+
+    def _stop_for(self, reason: str) -> None:
+        self.kernel.stopping = True
+        self.fatal = self.fatal or reason
+        self.kernel.log("error", reason)
+        self._on_fatal(reason)
+
+    def _journal_lost(self, reason: str) -> None:
+        """Another process could open what lies there now, and run what runs here: all of that ends (any thread)."""
+        self.kernel.stopping = True
+        root = self._root
+        if root is not None:
+            tell(root, Close())
+        self._stop_for(
+            f"{reason}; its tasks are ended, because an agent that is started now knows nothing of them."
+            f" See that no other agent runs them, put the directory back if you can, and start {self.name} again"
+        )
+
+    def _identity(self) -> dict[str, Any]:
+        return {
+            "role": self.config.agent.role,
+            "fleet": self.config.agent.fleet,
+            "listen": self.mesh.listen,
+            "neighbours": self.mesh.neighbours(),
+            "peers": list(self.mesh.connected()),
+            "insecure": self.insecure_over,
+            "roster": self._roster_number(),
+            "roster_fault": fault._asdict() if (fault := self.mesh.roster_fault) is not None else None,
+            "config_file": {"path": self.config.path, "changed": self._config_file.changed()},
+            "plugins": self._plugins.brings_tasks(),
+            "journal_fault": self.store.fault(),
+            "kept_of_peers": kept_of_peers(self.name, self.records.all().values(), self._registers.all()),
+            "warnings": self._warnings.told(self.kernel.host.now()),
+            "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
+            "speed": self.config.clock.speed,
+            # In virtual time many agents share one process.
+            "process": describe_process(self.kernel.host.now() - self._born_s) if self.kernel.virtual is None else None,
+            **self.host_state.describe(),
+        }
+
+    def _roster(self) -> Roster | None:
+        return self._keys.roster if self._keys is not None else None
+
+    def _roster_number(self) -> int | None:
+        """Returns the number of the roster that this agent goes by; 0: it knows none; None: it has no keys."""
+        roster = self._roster()
+        return roster.number if roster is not None else 0 if self._keys is not None else None
+
+    # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
+
+    def receive(self, peer: str, packets: Sequence[Packet], size: int) -> None:
+        """Hands packets of a peer to the stream; they had `size` bytes on the link. In the transport's thread."""
+        self.kernel.stream.inject_all(packets, partial(self._refused, peer), size)
+
+    def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
+        self.kernel.stream.undelivered += 1
+        self._refuse(peer, packet, reason)
+
+    def _refused(self, peer: str, packet: Packet, error: PancakesError) -> None:
+        self._refuse(peer, packet, str(error))
+
+    def _refuse(self, peer: str, packet: Packet, reason: str) -> None:
+        """Tells the sender of a command that it found no way in; any other packet is dropped, and the log says so."""
+        root = self._root
+        if body_class(packet.type) in CONTROLS and root is not None:
+            tell(root, NoRoom(packet, reason))
+            return
+        now_s = self.kernel.host.now()
+        # There may be thousands a second, and a line for each would be a load of its own.
+        if now_s >= self._drop_said_s + DROPS_REPORTED_EVERY_S:
+            self._drop_said_s = now_s
+            self.kernel.log("warning", f"a packet of {peer} was dropped: {reason}")
+
+    def _on_peer_up(self, hello: Hello) -> None:
+        self.kernel.unheard.met(hello.name)
+        if hello.role == "client":
+            # Each command at a terminal is one: what it asks for is news, that it comes and goes is not.
+            self._clients.add(hello.name)
+        else:
+            self._unsaid.say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
+        if hello.role == "agent":
+            self.kernel.tell(CENSUS, NeighbourUp(hello.name, Boot(hello.journal, hello.boot, hello.life)))
+
+    def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
+        if name in self._clients:
+            self._clients.discard(name)
+        else:
+            self._unsaid.say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
+        for spec in self._specs:
+            if issubclass(spec.cls, (NetworkService, ClientService)):
+                self.kernel.tell(spec.name, PeerDown(name))
+
+    # Composition -----------------------------------------------------------------------------------------------
+
+    def _open_journal(self) -> Journal:
+        directory = state_dir_of(self.config)
+        if directory is None:
+            return MemoryJournal({}, str(uuid.uuid4()))
+        return FileJournal(directory, agent=self.name)
+
+    def _open_transport(self) -> Transport:
+        agent, network = self.config.agent, network_settings(self.config)
+        self._keys = keys = keys_for(self.config, network, self._plugins)
+        if keys is not None and (fault := keys.fault_of(keys.own)):
+            self.skipped.append(f"no agent of {agent.fleet} believes this one any more: {fault}")
+        if keys is not None and not can_check():
+            self.skipped.append(f"this agent goes on to believe members that are revoked: {UNCHECKED}")
+        self.insecure_over = insecure_over(agent, keys is not None, self._plugins)
+        settings = transport_settings(agent, network)
+        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys, network.insecure)
+
+    def _resting(self) -> dict[str, str]:
+        services = {task.name: task.service for task in self.config.tasks.values() if task.start}
+        found = resting(self.name, services, self.records.all())
+        return {f"{services[name]}/{name}": why for name, why in found.items()}

@@ -1,1 +1,0 @@
-"""What stands for hardware: devices, the simulated world, energy."""

@@ -1,0 +1,227 @@
+"""What a client hands out: agents, tasks, events and packets as typed rows, and events as sentences for people.
+
+Pure: no threads, no sockets, no time. The page and the demos use the sentences too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Generic, TypeVar, cast
+
+import msgspec
+
+from pancakes.events import SAID_IN_A_LINE, Event
+from pancakes.packet import Packet, agent_of, body_to_plain, join
+
+Body = TypeVar("Body")
+
+
+@dataclass(frozen=True, slots=True)
+class HeardPacket(Generic[Body]):
+    """A packet that came.
+
+    Attributes:
+        agent: on whose channel it was published.
+        packet: the packet; its destination is this program.
+        at_s: when it came, in host time (`Client.now`).
+    """
+
+    agent: str
+    packet: Packet
+    at_s: float
+
+    @property
+    def body(self) -> Body:
+        """What it says: an instance of its type's class, or a plain mapping where the type is not known here."""
+        return cast("Body", self.packet.body)
+
+    @property
+    def type(self) -> str:
+        """The name of its type, such as `battery`."""
+        return self.packet.type
+
+    @property
+    def source(self) -> str:
+        """The address of its publisher, `agent/service/task`."""
+        return self.packet.source
+
+    @property
+    def stamp_s(self) -> float:
+        """When it was published, in mission seconds of its publisher's agent."""
+        return self.packet.stamp
+
+
+class AgentRow(msgspec.Struct, frozen=True, kw_only=True):
+    """An agent that answers.
+
+    Attributes:
+        agent, fleet: its name, and that of its fleet.
+        role: `agent` or `environment`.
+        ready: whether all its services have begun.
+        held: whether its mission is held at 0.
+        mission_s: the time of its mission.
+        speed: mission seconds for each second of host time.
+        battery_level: from 0 to 1; None: it has no battery.
+        devices: the types of its devices.
+        channels: its channels, the core channels first.
+        neighbours: the agents that it is connected to.
+    """
+
+    agent: str
+    fleet: str
+    role: str
+    ready: bool
+    held: bool
+    mission_s: float
+    speed: float
+    battery_level: float | None = None
+    devices: tuple[str, ...] = ()
+    channels: tuple[str, ...] = ()
+    neighbours: tuple[str, ...] = ()
+
+
+class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A task that an agent has; a device is a task too.
+
+    Attributes:
+        agent, service, task: where it is, and its name.
+        type: the name of its class, such as `sim.battery`.
+        state: `running`, `stopped`, `failed` and so on.
+        rest: why it rests, in a word, where its agent knows more than its state says; else empty.
+        reason: why it stopped or failed, as a sentence; else empty.
+        rate_hz: ticks for each second of mission time; None: it has no timer.
+        ticks, missed: how many came since it began, and how many did not, as it was late.
+        lateness_max_s: how late one came at most, in seconds.
+        dropped: how many packets it has lost, as it was too slow for them.
+        incarnation: how often it began.
+    """
+
+    agent: str
+    service: str
+    task: str
+    type: str
+    state: str
+    rest: str = ""
+    reason: str = ""
+    rate_hz: float | None = None
+    ticks: int = 0
+    missed: int = 0
+    lateness_max_s: float = 0.0
+    dropped: int = 0
+    incarnation: int = 0
+
+    @property
+    def address(self) -> str:
+        """Its address, `agent/service/task`."""
+        return join(self.agent, self.service, self.task)
+
+    def __str__(self) -> str:
+        return self.address
+
+
+QUIET: Final = (
+    "peer_up",
+    "peer_down",
+    "service_started",
+    "service_stopped",
+    "ready",
+    "roster",
+    "task_frozen",
+    "safe_hold",
+)
+"""Kinds of events that a person need not see."""
+_ENVELOPE: Final = ("t_s", "agent", "source", "kind", "number", "entry")
+
+
+def is_quiet(record: Mapping[str, Any]) -> bool:
+    """Returns whether a person need not see a record of a log (`pancakes.events.record_of`)."""
+    kind = record["kind"]
+    if kind == "line":
+        return record.get("level") not in ("warning", "error")
+    return kind in QUIET or kind in SAID_IN_A_LINE or record.get("service") in ("device", "network", "log")
+
+
+def sentence_of(record: Mapping[str, Any]) -> str:
+    """Returns a record of a log as a short line."""
+    kind = record["kind"]
+    agent = str(record["agent"])
+    make = _SENTENCES.get(kind)
+    if make is not None:
+        try:
+            return make(agent, record)
+        except (KeyError, TypeError, ValueError):
+            pass  # an event of a user's own that bears the same name
+    rest = ", ".join(f"{key} {_short(value)}" for key, value in record.items() if key not in _ENVELOPE)
+    return f"{agent}: {str(kind).replace('_', ' ')}" + (f" ({rest})" if rest else "")
+
+
+def _migration(agent: str, record: Mapping[str, Any]) -> str:
+    only = f" (only {record['to']} was asked)" if record.get("to") else ""
+    return f"{record['task']} {record['outcome']}" + (f" to {record['winner']}" if record["winner"] else "") + only
+
+
+def _asked(agent: str, record: Mapping[str, Any]) -> str:
+    return f"{agent} asks {'only ' + record['to'] if record.get('to') else 'all neighbours'} to take {record['task']}"
+
+
+_SENTENCES: Final = {
+    "line": lambda agent, it: f"{agent}: {it['text']}",
+    "task_started": lambda agent, it: f"{agent} runs {it['task']}",
+    "task_stopped": lambda agent, it: f"{agent} stopped {it['task']}: {it['reason']}",
+    "migration_asked": _asked,
+    "migration_bid": lambda agent, it: f"{agent} bids {it['cost']:g} for {it['task']}",
+    "migration_refused": lambda agent, it: f"{agent} refuses {it['task']}: {it['reason']}",
+    "migration": _migration,
+    "task_arrived": lambda agent, it: f"{agent} took {it['task']} from {it['source_agent']} with its state",
+    "agent_lost": lambda agent, it: f"{agent} is killed",
+    "agent_returned": lambda agent, it: f"{agent} is started again, on its disk",
+    "task_handed_over": lambda agent, it: f"{agent} handed {it['task']} over to {it['to']}",
+    "taken_over": lambda agent, it: f"{it['by']} took {it['task']} over from {it['source_agent']}, which is silent",
+    "permit_lost": lambda agent, it: f"{it['task']} stands still on {agent}: its guardians do not answer",
+    "rate_changed": lambda agent, it: f"{agent} runs {it['task']} at {it['rate_hz']:g} Hz, asked by {it['by']}",
+    "collision": lambda agent, it: f"collision: {' and '.join(it['names'])}",
+}
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_short(it)}" for name, it in value.items())
+    if isinstance(value, list | tuple):
+        return f"({', '.join(_short(it) for it in value)})"
+    if isinstance(value, float):
+        # What is next to nothing is nothing to a person.
+        return f"{round(value, 6) + 0.0:.3g}" if abs(value) >= 0.001 else "0"
+    return str(value)
+
+
+class EventRow(msgspec.Struct, frozen=True, kw_only=True):
+    """An event on `log`, or a line for people, whose kind is `line`. Its `str` is a sentence.
+
+    Attributes:
+        agent: the agent that said it.
+        source: the address of the component that said it.
+        stamp_s: when, in mission seconds of that agent.
+        kind: what happened, such as `task_started`.
+        fields: its particulars, as plain values; of a line `level` and `text`.
+    """
+
+    agent: str
+    source: str
+    stamp_s: float
+    kind: str
+    fields: Mapping[str, Any] = {}
+
+    @classmethod
+    def of(cls, heard: HeardPacket[Any]) -> EventRow:
+        """Returns what a packet of `log` says."""
+        packet = heard.packet
+        if isinstance(packet.body, Event):
+            kind, fields = packet.body.kind, packet.body.fields
+        else:
+            kind, fields = packet.type, body_to_plain(packet.body)
+        return cls(agent=agent_of(packet.source), source=packet.source, stamp_s=packet.stamp, kind=kind, fields=fields)
+
+    def __str__(self) -> str:
+        about = {"t_s": self.stamp_s, "agent": self.agent, "source": self.source, "kind": self.kind}
+        return sentence_of({**self.fields, **about})

@@ -1,0 +1,352 @@
+"""Check a configuration against its plug-ins, its migration rules and this machine.
+
+Do the plug-ins exist, do their settings fit, is what they need there? `doubts_of` finds what is sound and probably
+not meant; it looks up host names, which may take seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from pancakes.config.key_lines import KeyPath, KeyPlaces
+from pancakes.config.tables import Config, DeviceConfig, TaskConfig
+from pancakes.durable.rules import MigrationRule, faults_of_weights
+from pancakes.errors import Fault, PluginError
+from pancakes.mesh.address import parse_address
+from pancakes.mesh.sockets import ADVICE, would_be_near_only
+from pancakes.packet import body_class, field_names, known_types
+from pancakes.settings import check_settings, known_keys
+from pancakes.util.plugins import Plugins, UnknownPlugin, to_install
+from pancakes.util.text import suggestion
+
+if TYPE_CHECKING:
+    from pancakes.devices.driver import Driver
+
+
+def faults_of_rule(rule: MigrationRule, task: str, tasks: Mapping[str, TaskConfig]) -> Iterator[tuple[str, str, str]]:
+    """Yields (key, problem, suggestion) for each mistake in the rule of a task.
+
+    An empty key means the rule as a whole; `cost.NAME` is a key of the table `cost`.
+
+    Args:
+        rule: the rule.
+        task: the name of the task that it moves.
+        tasks: all tasks of the configuration.
+    """
+    if not rule.when:
+        yield "when", "is empty: name the type of the packets to watch, such as 'battery'", ""
+    if rule.below is None and rule.above is None:
+        yield "", "needs a bound: below, above or both", ""
+    for name, bound in (("below", rule.below), ("above", rule.above)):
+        if bound is not None and not isfinite(bound):
+            yield name, f"expected a finite number, not {bound:g}", ""
+        elif bound is not None and rule.field == "level" and not 0 <= bound <= 1:
+            yield name, f"expected a number from 0 to 1 (a level is a share), not {bound:g}", ""
+    if rule.below is not None and rule.above is not None and rule.below > rule.above:
+        yield "below", f"is more than above ({rule.above:g}), so that the task would always move", ""
+    if rule.cost == "":
+        yield "cost", "is empty: name a cost function, such as 'tasks'", ""
+    elif not isinstance(rule.cost, str):
+        for name, problem in faults_of_weights(rule.cost):
+            yield f"cost.{name}" if name else "cost", problem, ""
+    if not (isfinite(rule.again_s) and rule.again_s > 0):
+        yield "again_s", f"expected a number of seconds > 0, not {rule.again_s:g}", ""
+    for key, name, why in (
+        ("then", rule.then, "which has just left"),
+        ("otherwise", rule.otherwise, "which is stopped then"),
+    ):
+        if name == task:
+            yield key, f"names the task itself, {why}", ""
+        elif name and name not in tasks:
+            yield key, f"there is no task {name!r} here", suggestion(name, [it for it in tasks if it != task])
+
+
+DRIVERS = "pancakes.drivers"
+SERVICES = "pancakes.services"
+TASKS = "pancakes.tasks"
+COSTS = "pancakes.costs"
+TRANSPORTS = "pancakes.transports"
+
+
+def check_plugins(
+    config: Config, plugins: Plugins, must_load: bool = False, missing: set[str] | None = None
+) -> list[Fault]:
+    """Returns all that a configuration gets wrong about drivers, services, tasks, costs and transports.
+
+    What could only be judged with a plug-in that cannot be imported is not judged.
+
+    Args:
+        config: a configuration; tables without a type are passed over.
+        plugins: where the plug-ins come from. Those that the configuration names are imported, and so are all
+            types of packets.
+        must_load: whether a plug-in that the configuration names and that cannot be imported is a fault. Where it is
+            none, it is left to `Plugins.problems`, and the rest of an agent runs.
+        missing: takes the names of plug-ins that are not installed, which are no faults then; None: they are.
+    """
+    check = _Check(config, plugins, must_load, missing)
+    check.run()
+    return config.places.in_order(check.faults)
+
+
+def check_task(config: Config, task: TaskConfig, plugins: Plugins) -> list[Fault]:
+    """Returns all that one task of a configuration gets wrong about its class, costs and devices.
+
+    Args:
+        config: the configuration that it is in.
+        task: the task; without a type it is passed over.
+        plugins: where the plug-ins come from. One that cannot be imported is a fault.
+    """
+    check = _Check(config, plugins, must_load=True)
+    check.task(task)
+    return check.faults
+
+
+class _Check:
+    """One pass over one configuration."""
+
+    def __init__(self, config: Config, plugins: Plugins, must_load: bool, missing: set[str] | None = None) -> None:
+        self._missing = missing
+        self._config = config
+        self._must_load = must_load
+        self._plugins = plugins
+        self._places: KeyPlaces = config.places
+        self._broken = False  # whether something could not be imported, so that not all is known
+        self.faults: list[Fault] = []
+
+    def run(self) -> None:
+        config = self._config
+        self._check_transports()
+        device_types = self._check_devices()
+        self._check_services()
+        classes = {
+            task.name: self._check_part(TASKS, task.type, task.settings, ("task", task.name), "type")
+            for task in config.tasks.values()
+        }
+        started = [task.name for task in config.tasks.values() if task.start]
+        rules = [task.migrate for task in config.tasks.values() if task.migrate]
+        started += [name for rule in rules for name in (rule.then, rule.otherwise)]
+        for task in config.tasks.values():
+            if task.name in started:
+                self._check_requires(task, classes[task.name], device_types)
+        if self._plugins.load_packets():
+            self._broken = True
+        for task in config.tasks.values():
+            if task.migrate:
+                self._check_rule(task.migrate, ("task", task.name, "migrate"))
+
+    def task(self, task: TaskConfig) -> None:
+        """Checks one task, wherever the rest of the configuration stands."""
+        cls = self._check_part(TASKS, task.type, task.settings, ("task", task.name), "type")
+        self._check_requires(task, cls, self._device_types())
+        if task.migrate:
+            self._check_rule(task.migrate, ("task", task.name, "migrate"))
+
+    def _device_types(self) -> list[str] | None:
+        faults = self.faults
+        self.faults = []
+        found = self._check_devices()
+        self.faults = faults  # what is wrong about devices is said where they are
+        return found
+
+    def _fault(self, key: KeyPath, problem: str, near: str = "") -> None:
+        self.faults.append(self._places.fault(key, problem, near))
+
+    def _get(self, group: str, name: str, key: KeyPath) -> Any | None:
+        """Returns a plug-in; None where there is none to be had, which is noted."""
+        try:
+            return self._plugins.get(group, name)
+        except UnknownPlugin as error:
+            if self._missing is None:
+                self._fault(key, error.problem, error.suggestion)
+            else:
+                self._missing.add(name)
+                self._broken = True
+        except PluginError as error:
+            self._broken = True
+            if self._must_load:
+                self._fault(key, str(error))
+        return None
+
+    def _check_part(self, group: str, name: str, settings: Mapping[str, Any], table: KeyPath, key: str) -> Any | None:
+        """Checks that a class exists and that its settings fit; returns it where it can be used."""
+        if not name:
+            return None  # its absence has been reported
+        found = self._get(group, name, (*table, key))
+        if found is None:
+            return None
+        if not _is_class_of(group, found):
+            kind = group.removeprefix("pancakes.")[:-1]
+            self._fault((*table, key), f"{name!r} is no {kind} but {_shown(found)}: a defect of its distribution")
+            return None
+        for problem in check_settings(found.Settings, settings):
+            self._fault((*table, "settings", *problem.path), problem.text, problem.suggestion)
+        return found
+
+    def _check_transports(self) -> None:
+        """Looks only for the transport of each address: faults in its form have been reported."""
+        agent = self._config.agent
+        addresses: list[tuple[KeyPath, str]] = [(("agent", "listen"), it) for it in agent.listen]
+        addresses += [(("agent", "peers", index), peer) for index, peer in enumerate(agent.peers)]
+        known = self._plugins.names(TRANSPORTS) if addresses else []
+        for key, text in addresses:
+            try:
+                scheme = parse_address(text).scheme
+            except ValueError:
+                continue
+            if scheme not in known and self._missing is not None:
+                self._missing.add(f"{scheme}://")
+            elif scheme not in known:
+                command = to_install(TRANSPORTS, scheme, known)
+                problem = f"unknown transport {scheme!r} in {text!r}" + (f": {command}" if command else "")
+                self._fault(key, problem, "" if command else suggestion(scheme, known))
+            elif self._must_load:
+                self._get(TRANSPORTS, scheme, key)
+        self._check_transport_settings()
+
+    def _check_transport_settings(self) -> None:
+        """Checks what the network's settings say of transports, by their schemes."""
+        network = self._config.services.get("network")
+        given = network.settings.get("transports") if network is not None else None
+        for scheme, settings in given.items() if isinstance(given, dict) else ():
+            table = ("service", "network", "settings", "transports", scheme)
+            found = self._get(TRANSPORTS, scheme, table)
+            for problem in check_settings(found.Settings, settings) if found is not None else ():
+                self._fault((*table, *problem.path), problem.text, problem.suggestion)
+
+    def _check_services(self) -> None:
+        from pancakes.services.device import DeviceService
+
+        classes = {
+            service.name: self._check_part(SERVICES, service.type, service.settings, ("service", service.name), "type")
+            for service in self._config.services.values()
+        }
+        for name, cls in classes.items():
+            if cls is not None and cls.only_name not in ("", name):
+                problem = f"an agent has one service of the type {self._config.services[name].type!r}, and that is"
+                self._fault(("service", name, "type"), f"{problem} [service.{cls.only_name}]")
+        for device in self._config.devices.values():
+            cls = classes.get(device.service)
+            if cls is not None and not issubclass(cls, DeviceService):
+                self._fault(("device", device.name, "service"), f"{device.service!r} is no service for devices")
+
+    def _check_devices(self) -> list[str] | None:
+        """Checks the devices and returns their types; None where not all of them can be known."""
+        from pancakes.devices.driver import Actuator
+
+        device_types: list[str] | None = []
+        for device in self._config.devices.values():
+            table = ("device", device.name)
+            found = self._check_part(DRIVERS, device.driver, device.settings, table, "driver")
+            device_type = getattr(found, "type", None)
+            if found is not None and not isinstance(device_type, str):
+                problem = f"{device.driver!r} does not say the type of its device: a defect of its distribution"
+                self._fault((*table, "driver"), problem)
+            if not isinstance(device_type, str):
+                device_types = None
+            elif device_types is not None:
+                device_types.append(device_type)
+            if found is not None:
+                self._check_rate(table, device.driver, found)
+            hold_key = (*table, "hold_after_s")
+            if found is not None and not issubclass(found, Actuator) and self._places.has(*hold_key):
+                self._fault(hold_key, f"is for actuators, and {device.driver!r} is none")
+            silent_key = (*table, "silent_s")
+            if found is not None and issubclass(found, Actuator) and self._places.has(*silent_key):
+                self._fault(silent_key, f"is for sensors, and {device.driver!r} is none")
+            elif found is not None:
+                self._check_silence(table, device, found)
+        return device_types
+
+    def _check_rate(self, table: KeyPath, driver: str, found: type[Driver]) -> None:
+        """A sensor that waits for a rate for ever, and a rate that nothing asks for, are both mistakes."""
+        from pancakes.devices.driver import Actuator
+
+        key = (*table, "rate_hz")
+        given = self._places.has(*key)
+        if found.rate == "needed" and not given:
+            self._fault(key, f"is missing: {driver!r} has a reading only at a rate, such as `rate_hz = 1`")
+        elif found.rate == "none" and given:
+            hint = ": `settings.max_hz` bounds them" if "max_hz" in known_keys(found.Settings) else ""
+            self._fault(key, f"is not for {driver!r}, whose readings come when its hardware has them{hint}")
+        elif given and issubclass(found, Actuator) and found.tick is Actuator.tick:
+            self._fault(key, f"is not for {driver!r}, which does nothing at a rate")
+
+    def _check_silence(self, table: KeyPath, device: DeviceConfig, found: type[Driver]) -> None:
+        """A sensor that is silent before its next reading can come would be told as silent between any two."""
+        given = device.silent_s is not None
+        silent_s = device.silent_s if given else getattr(found, "silent_s", None)
+        if device.rate_hz and silent_s is not None and silent_s <= 1 / device.rate_hz:
+            apart = f"{1 / device.rate_hz:g} s, as far as two readings are apart at `rate_hz = {device.rate_hz:g}`"
+            text = f"must be longer than {apart}"
+            default = "" if given else f"; {device.driver!r} has {silent_s:g} s unless it is given"
+            self._fault((*table, "silent_s"), text + default)
+
+    def _check_requires(self, task: TaskConfig, cls: Any | None, device_types: list[str] | None) -> None:
+        if cls is None or device_types is None:
+            return
+        missing = [need for need in _strings(getattr(cls, "requires", ())) if need not in device_types]
+        if missing:
+            there = ", ".join(dict.fromkeys(device_types)) or "no device"
+            kinds = f"device of the type {missing[0]}" if len(missing) == 1 else f"devices: {', '.join(missing)}"
+            needs = f"needs a {kinds}" if len(missing) == 1 else f"needs {kinds}"
+            near = suggestion(missing[0], device_types) if len(missing) == 1 else ""
+            self._fault(("task", task.name, "type"), f"{needs}; this agent has {there}", near)
+
+    def _check_rule(self, rule: MigrationRule, table: KeyPath) -> None:
+        if isinstance(rule.cost, str):
+            if rule.cost:  # an empty one has been reported
+                self._get(COSTS, rule.cost, (*table, "cost"))
+        else:
+            for name in rule.cost:
+                self._get(COSTS, name, (*table, "cost", name))
+        if not rule.when or self._broken:
+            return  # a module that failed may have had this type
+        body = body_class(rule.when)
+        if body is None:
+            self._fault(
+                (*table, "when"), f"unknown type of packets {rule.when!r}", suggestion(rule.when, known_types())
+            )
+        elif rule.field not in (known := field_names(body)):
+            key = (*table, "field") if self._places.has(*table, "field") else table
+            problem = f"a packet of the type {rule.when!r} has no field {rule.field!r}, but {', '.join(known)}"
+            self._fault(key, problem, suggestion(rule.field, known))
+
+
+def _is_class_of(group: str, found: Any) -> bool:
+    """Whether a plug-in is a class of the kind that its group promises."""
+    return isinstance(found, type) and issubclass(found, _base_of(group))
+
+
+def _base_of(group: str) -> type:
+    from pancakes.devices.driver import Driver  # late: reading a file alone needs no kernel
+    from pancakes.service import Service
+    from pancakes.task import Task
+
+    return {DRIVERS: Driver, SERVICES: Service, TASKS: Task}[group]
+
+
+def _shown(found: Any) -> str:
+    name = getattr(found, "__qualname__", "") or type(found).__qualname__
+    return f"the class {name}" if isinstance(found, type) else f"{type(found).__name__} {name}"
+
+
+def _strings(value: Any) -> list[str]:
+    """`requires = ("pose")` is a string, and surely meant as one type."""
+    if isinstance(value, str):
+        return [value]
+    return [item for item in value if isinstance(item, str)] if isinstance(value, Iterable) else []
+
+
+def doubts_of(config: Config) -> list[Fault]:
+    """Returns sentences on a configuration that an agent of this machine would run, each with its place in the file.
+
+    Names of hosts are looked up, which may take some seconds.
+    """
+    places = config.places
+    return [
+        places.fault(("agent", "listen"), f"{why}. {ADVICE.capitalize()}")
+        for address in config.agent.listen
+        if (why := would_be_near_only(address))
+    ]

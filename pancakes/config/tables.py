@@ -1,0 +1,245 @@
+"""The tables of a configuration file as frozen structures: `[agent]`, `[task.NAME]` and so on.
+
+`settings` stay plain mappings here; the class that they belong to checks them (`pancakes.config.check_plugins`).
+Rates are per second of mission time. The docstrings appear in the generated reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
+
+from msgspec import Meta, Struct, field
+
+from pancakes.config.key_lines import KeyPlaces
+from pancakes.devices.health import MissRule
+from pancakes.durable.ownership import DEFAULT_WAIT_S
+from pancakes.durable.rules import LONGEST_LEASE_S, SHORTEST_LEASE_S, GuardRule, MigrationRule
+from pancakes.kernel.handlers import MOST_HZ
+from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
+from pancakes.mesh.messages import MOST_LISTEN
+from pancakes.recording.settings import RecordingSettings
+from pancakes.security.roster import AccessRule, Right
+from pancakes.settings import FilePath
+from pancakes.supervision.restart import DeviceRestartSpec, RestartSpec
+
+SCHEMA: Final = 1
+"""The number of the format that this version reads; a file states it as `schema = 1`."""
+
+DEFAULT_SERVICES: Final = ("device", "network", "log", "client")
+"""The services that every agent has, also where its file does not name them (paper §3.1)."""
+
+Positive = Annotated[float, Meta(gt=0, le=1e9)]
+"""A number above 0. The upper end keeps out infinity."""
+
+Rate = Annotated[float, Meta(ge=0, le=MOST_HZ)]
+"""How often a timer ticks, in Hz; 0: not before it is rescheduled."""
+
+
+class AgentConfig(Struct, frozen=True):
+    """The table `[agent]`.
+
+    Attributes:
+        name: the agent's name on the mesh; the first part of all addresses in it.
+        listen: the addresses where other agents may connect, such as `tcp://127.0.0.1:7401` (port 0 takes a free
+            one); one need not stand in a list. On its own machine it can always be reached, at `local://NAME`, or
+            `local://FLEET/NAME` where its fleet is not `default`.
+        local_group: members of this group of the machine may connect there as well, for an agent that runs as a system
+            service; empty: the agent's own user alone.
+        peers: the addresses of agents to connect to, such as `tcp://192.168.1.20:7401`, or `local://NAME` on its own
+            machine. Its own among them is skipped, so that a fleet can share one list.
+        links: to so many agents it keeps links, and to the others while there is something to say to them; for a fleet
+            of hundreds. A task that moves asks the agents that are linked, or the one that it is sent to. Without it,
+            it keeps a link to each agent.
+        role: `agent` (runs tasks, may be asked to take one), `environment` (a simulated world) or `client` (a
+            person's tool); the last two are never asked to take a task.
+        fleet: agents of different fleets refuse each other.
+        state_dir: the directory for what must outlive the process; a relative one counts from the working
+            directory; empty for the agent's default place.
+        seed: where the agent's randomness starts; None draws it afresh at each start.
+        folders: a command, or a task from another agent, sets a path of a file below these folders alone, or as the
+            configuration has it; a relative one counts from the working directory.
+        birth_wait_s: a task of which this agent knows nothing, as on an empty disk, begins once all agents at the
+            addresses in `peers` have said that they know nothing of it either; after so many host seconds it begins
+            all the same, unless it is guarded. 0: no agent is asked.
+    """
+
+    name: str
+    listen: Annotated[tuple[str, ...], Meta(max_length=MOST_LISTEN - 1)] = ()
+    local_group: str = ""
+    peers: tuple[str, ...] = ()
+    links: Annotated[int, Meta(ge=2, le=200)] | None = None
+    role: Literal["agent", "environment", "client"] = "agent"
+    fleet: str = DEFAULT_FLEET
+    state_dir: FilePath = ""
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
+    folders: tuple[FilePath, ...] = ()
+    birth_wait_s: Annotated[float, Meta(ge=0, le=3600)] = DEFAULT_WAIT_S
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """All addresses where it listens, the one within its machine first."""
+        local = tuple(it for it in self.listen if is_local(it))
+        if not local and self.role != "client":
+            local = (local_address(self.fleet, self.name),)
+        return (*local, *(it for it in self.listen if not is_local(it)))
+
+
+class AccessConfig(Struct, frozen=True):
+    """The table `[access]`: what the agent's peers may do, beside what the roster of its fleet says.
+
+    Attributes:
+        allow: rules, each a table `[[access.allow]]`, for peers without a certificate: those on its own machine, and
+            all where it is `insecure`. None: they may do all. For peers with one the roster has the rules.
+        refuse: rights that no peer has here, whatever the rules say, such as `["end"]`.
+    """
+
+    allow: tuple[AccessRule, ...] | None = None
+    refuse: tuple[Right, ...] = ()
+
+
+class ClockConfig(Struct, frozen=True):
+    """The table `[clock]`.
+
+    Attributes:
+        speed: mission seconds for each second of the host.
+        hold: whether the mission waits at 0 until a `begin` packet comes.
+        join_s: so long an agent waits at its start to hear the mission's time from those of `peers` that can be
+            reached, in host seconds: it goes on at that time; 0: its mission begins at 0.
+    """
+
+    speed: Positive = 1.0
+    hold: bool = False
+    join_s: Annotated[float, Meta(ge=0, le=3600)] = 1.0
+
+
+class RecordConfig(RecordingSettings):
+    """The table `[record]`: the settings of the recorder, which every agent has as `log/Recorder`.
+
+    Attributes:
+        start: whether it records from the start; otherwise it waits until it is started.
+    """
+
+    start: bool = True
+
+
+class ChannelConfig(Struct, frozen=True):
+    """A table `[channel.NAME]`: a channel that is there from the start, besides the core ones."""
+
+    name: str
+
+
+class DeviceConfig(Struct, frozen=True):
+    """A table `[device.NAME]`.
+
+    Attributes:
+        name: the device's name on this agent.
+        driver: the name of its driver, such as `sim.ir`.
+        service: the device service that looks after it.
+        rate_hz: how often it is sampled; 0: not before it is rescheduled. Drivers that speak by themselves take none.
+        settings: plain values for the driver's `Settings`.
+        restart: what the device service does when it fails.
+        hold_after_s: an actuator goes to its safe hold when no command came for so long, in mission seconds.
+        missed: when readings, or commands of an actuator, that fail are too many, so that the device fails.
+        silent_s: a sensor without a reading for so long, in mission seconds, is told as silent, and a connection that
+            it hears is dialled again; None: as its driver says.
+    """
+
+    name: str
+    driver: str
+    service: str = "device"
+    rate_hz: Rate | None = None
+    settings: Mapping[str, Any] = {}
+    restart: DeviceRestartSpec = field(default_factory=DeviceRestartSpec)
+    hold_after_s: Positive = 0.5
+    missed: MissRule = field(default_factory=MissRule)
+    silent_s: Positive | None = None
+
+
+class ServiceConfig(Struct, frozen=True):
+    """A table `[service.NAME]`.
+
+    Attributes:
+        name: the service's name on this agent.
+        type: the name of its class; the four default services have their own name as their type.
+        settings: plain values for the service's `Settings`.
+        restart: what the kernel does when it fails.
+    """
+
+    name: str
+    type: str
+    settings: Mapping[str, Any] = {}
+    restart: RestartSpec = field(default_factory=RestartSpec)
+
+
+class TaskConfig(Struct, frozen=True):
+    """A table `[task.NAME]`.
+
+    Attributes:
+        name: the task's name on this agent.
+        type: the name of its class, such as `encirclement.ScanTarget`.
+        service: the service that looks after it.
+        start: whether it runs from the start; otherwise it waits until a packet starts it.
+        rate_hz: replaces the rate of the task's `@every`; 0: no tick before it is rescheduled; None keeps it.
+        settings: plain values for the task's `Settings`.
+        restart: what its service does when it fails.
+        durability: `each` writes the task's state before each acknowledgement, `lazy` now and then.
+        migrate: when it moves away by itself; None for never.
+        guard: how many agents, this one among them, guard it: where its agent is lost, they have another one run it
+            from its last checkpoint. 0: none does. See docs/guarded-tasks.md, as for the next four.
+        lease_s: it stands still so long after more than half of its guardians have fallen silent, and another agent
+            runs it a little later; in host seconds.
+        checkpoint_s: how often it is written down where it has changed, in host seconds.
+        guardians: agents that are to be its guardians before others.
+        takeover: `ask`: another agent runs it only once a person says so (`pancakes task take`).
+    """
+
+    name: str
+    type: str
+    service: str = "client"
+    start: bool = True
+    rate_hz: Rate | None = None
+    settings: Mapping[str, Any] = {}
+    restart: RestartSpec = field(default_factory=RestartSpec)
+    durability: Literal["lazy", "each"] = "lazy"
+    migrate: MigrationRule | None = None
+    guard: Literal[0, 3, 5] = 0
+    lease_s: Annotated[float, Meta(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)] = 5.0
+    checkpoint_s: Annotated[float, Meta(ge=0.05, le=3600.0)] = 1.0
+    guardians: Annotated[tuple[str, ...], Meta(max_length=4)] = ()
+    takeover: Literal["auto", "ask"] = "auto"
+
+    @property
+    def guard_rule(self) -> GuardRule | None:
+        """How it is guarded; None: it is not."""
+        if not self.guard:
+            return None
+        return GuardRule(self.guard, self.lease_s, self.checkpoint_s, self.guardians, self.takeover)
+
+
+class Config(Struct, frozen=True):
+    """All that a configuration file says, overrides included.
+
+    Attributes:
+        agent: the table `[agent]`.
+        access: the table `[access]`.
+        clock: the table `[clock]`.
+        record: the table `[record]`; None where there is none.
+        channels: extra channels by name, in the order of the file (so are the next three).
+        devices: devices by name.
+        services: services by name; the four default ones are always there and come first.
+        tasks: tasks by name.
+        path: where it was read from, for messages.
+        places: where each key stands, for messages.
+    """
+
+    agent: AgentConfig
+    access: AccessConfig
+    clock: ClockConfig
+    record: RecordConfig | None
+    channels: Mapping[str, ChannelConfig]
+    devices: Mapping[str, DeviceConfig]
+    services: Mapping[str, ServiceConfig]
+    tasks: Mapping[str, TaskConfig]
+    path: str
+    places: KeyPlaces

@@ -1,0 +1,253 @@
+"""Read a TOML file, with `--set` overrides, as plain values with their places; or report every line that is wrong.
+
+A line that cannot be read is a fault, and the rest is read all the same.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from codecs import BOM_UTF8
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from pancakes.config.key_lines import NAMED_TABLES, KeyPlaces, key_at, key_text, lines_of_keys
+from pancakes.config.tables import SCHEMA
+from pancakes.errors import ConfigError, Fault
+from pancakes.settings import dotted
+from pancakes.util.text import suggestion, written_for
+from pancakes.util.toml import TomlBoundsError, toml_values
+
+EXAMPLE = "write it as table.key=value, such as clock.speed=5"
+
+
+def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | None:
+    """Puts one override into the values of a configuration.
+
+    A value that reads as TOML is taken as such (`5`, `true`, `["a"]`, `{ x = 1 }`), anything else as a string.
+    Parts of the key that have dots in them are quoted, as in TOML.
+
+    Args:
+        text: what stood after `--set`.
+        values: the plain values of the file; changed in place.
+        places: where keys stand; learns that this one was overridden.
+
+    Returns:
+        What is wrong with it, or None.
+    """
+    change = change_of(text)
+    if change is None:
+        return Fault(f"--set {text}", "--set", f"is no override: {EXAMPLE}")
+    key, value = change
+    table = values
+    for depth, part in enumerate(key[:-1], start=1):
+        inner = table.setdefault(part, {})
+        if not isinstance(inner, dict):
+            return Fault(f"--set {text}", key_text(key), f"{key_text(key[:depth])} is a value and has no keys in it")
+        table = inner
+    table[key[-1]] = value
+    places.override(key, text, value)
+    return None
+
+
+def change_of(text: str) -> tuple[tuple[str, ...], Any] | None:
+    """Reads `table.key=value`; returns the keys and the value, None where it is no such text."""
+    try:
+        found = key_at(text.strip())
+    except ValueError:
+        return None
+    rest = text.strip()[found[1] :].lstrip() if found else ""
+    if found is None or not rest.startswith("="):
+        return None
+    return tuple(found[0]), _value_of(rest[1:].strip())
+
+
+def _value_of(text: str) -> Any:
+    """Returns the value that a person has typed: text that is TOML is taken as such, anything else as a string."""
+    try:
+        parsed = toml_values(f"value = {text}")
+    except ValueError:
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+_POSITION = r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$"
+MOST_FAULTS: Final = 100
+"""So many lines that cannot be read are named; a file with more is no TOML at all."""
+AGAIN: Final = "a table for the second time"
+
+
+class Tables(NamedTuple):
+    """What TOML says, even if parts of it cannot be read.
+
+    Attributes:
+        values: its plain values; a value that cannot be read is an empty string.
+        places: where each key stands.
+        faults: what cannot be read.
+    """
+
+    values: dict[str, Any]
+    places: KeyPlaces
+    faults: list[Fault]
+
+    def with_faults(self, found: Sequence[Fault]) -> list[Fault]:
+        """Returns these faults and those that were found in the values, without what only follows from these."""
+        broken = {fault.where for fault in self.faults}
+        return self.faults + [fault for fault in found if fault.where not in broken]
+
+
+def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tuple[dict[str, Any], KeyPlaces]:
+    """Reads TOML that must be sound; see `read_tables`.
+
+    Raises:
+        ConfigError: it is not; it carries each fault.
+    """
+    values, places, faults = read_tables(text, where, named)
+    if faults:
+        raise ConfigError(faults)
+    return values, places
+
+
+def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> Tables:
+    """Reads TOML. A line that cannot be read is a fault, and what follows is read all the same.
+
+    Args:
+        text: the TOML text.
+        where: its name in messages.
+        named: the tables whose keys are names.
+
+    Raises:
+        ConfigError: what follows depends on a line that cannot be read; it carries the faults until there.
+    """
+    lines = text.splitlines(keepends=True)
+    broken: dict[int, _Broken] = {}
+    while True:
+        try:
+            values = toml_values("".join(lines))
+        except tomllib.TOMLDecodeError as error:
+            number, found = _broken_line(error, lines)
+            again = number in broken
+            broken.setdefault(number, found)
+            if again or not found.mended or len(broken) >= MOST_FAULTS:
+                faults = [Fault(f"{where}:{it}", broken[it].key, broken[it].problem) for it in sorted(broken)]
+                raise ConfigError(faults) from None
+            lines[number - 1] = found.mended
+        except TomlBoundsError as error:
+            place = f"{where}:{error.line}" if error.line else where
+            raise ConfigError([Fault(place, "TOML", str(error))]) from None
+        else:
+            break
+    keys = lines_of_keys("".join(lines))
+    # Of several keys on one line the innermost. One without a table is no table itself.
+    paths = {line: key_text(key, named) if len(key) > 1 else dotted(key) for key, line in keys.items()}
+    faults = []
+    for number, line in sorted(broken.items()):
+        key = paths.get(number, line.key) if line.is_value else line.key
+        faults.append(Fault(f"{where}:{number}", key, line.problem))
+    return Tables(values, KeyPlaces(where, keys, named), faults)
+
+
+class _Broken(NamedTuple):
+    """A line that cannot be read.
+
+    Attributes:
+        key: what it is about, as messages name it.
+        problem: what is wrong with it.
+        mended: the line in its place, so that the rest can be read; empty: the rest depends on it.
+        is_value: whether only the value of its key is wrong.
+    """
+
+    key: str
+    problem: str
+    mended: str
+    is_value: bool = False
+
+
+def text_of(path: str) -> str:
+    """Returns the text of a file.
+
+    Raises:
+        ConfigError: it is not there, or cannot be read.
+    """
+    try:
+        data = Path(path).read_bytes().removeprefix(BOM_UTF8)  # some editors put it in front, and TOML does not know it
+    except FileNotFoundError:
+        raise ConfigError([Fault(path, "file", "there is no such file", _neighbour(path))]) from None
+    except IsADirectoryError:
+        raise ConfigError([Fault(path, "file", "is a directory, not a file")]) from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise ConfigError([Fault(path, "file", f"cannot be read: {reason.lower()}")]) from None
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ConfigError([Fault(f"{path}:{line}", "file", "is not UTF-8")]) from None
+
+
+def _neighbour(path: str) -> str:
+    """The configuration of a similar name in the same directory."""
+    missing = Path(path)
+    try:
+        near = suggestion(missing.name, [entry.name for entry in missing.parent.glob("*.toml") if entry.is_file()])
+    except OSError:
+        return ""
+    return str(missing.with_name(near)) if near else ""
+
+
+def _broken_line(error: tomllib.TOMLDecodeError, lines: Sequence[str]) -> tuple[int, _Broken]:
+    """Returns the number of the line of which TOML's parser says what is wrong, from 1, and what it is."""
+    message, number = str(error), max(1, len(lines))
+    if found := re.search(_POSITION, message):
+        number = int(found["line"]) if found["line"] else number
+        message = message[: found.start()]
+    line = lines[number - 1] if number <= len(lines) else ""
+    end = line[len(line.rstrip("\r\n")) :] or "\n"
+    if twice := re.fullmatch(r"Cannot declare \((.*)\) twice", message):
+        key = key_text(tuple(re.findall(r"'([^']*)'", twice[1])))
+        # What is in it is read as another table's, of which nothing is said.
+        return number, _Broken(key, "the table stands here for the second time", f'["{number}: {AGAIN}"]{end}')
+    if message == "Cannot overwrite a value":
+        return number, _Broken("TOML", "a key stands here for the second time", end)
+    problem = message[:1].lower() + message[1:]
+    try:
+        key_found = key_at(line.strip())
+    except tomllib.TOMLDecodeError:
+        key_found = None
+    rest = line.strip()[key_found[1] :].lstrip() if key_found else ""
+    if key_found is None or not rest.startswith("="):
+        return number, _Broken("TOML", problem, "")
+    head = line.strip()[: key_found[1]]
+    problem = _problem_of_value(key_found[0][-1], rest[1:].strip()) or problem
+    return number, _Broken("TOML", problem, f'{head} = ""{end}', is_value=True)
+
+
+def _problem_of_value(key: str, value: str) -> str:
+    """Says what a value that is no TOML may be meant for, and how to write that; empty: nothing is known."""
+    if not any(mark in value for mark in "\"'[{"):
+        value = value.partition("#")[0].strip()
+    word = value.lower()
+    if word in ("true", "false"):
+        return f"{value} is no TOML: write {word}"
+    if word in ("yes", "no", "on", "off"):
+        return f"{value} is no TOML: write {'true' if word in ('yes', 'on') else 'false'}, or the word in quotes"
+    if word in ("none", "null", "nil"):
+        return f"{value} is no TOML: leave the key out"
+    if word in ("nan", "inf", "infinity"):
+        return f"is not a number ({value})"
+    if line := written_for(key, value):
+        return f"{value} is no TOML: write {line}"
+    if re.fullmatch(r"[A-Za-z_./~*$][^\"'\[\]{},\\]*", value):
+        return f'{value} is no TOML: text stands in quotes, as in {key} = "{value}"'
+    return ""
+
+
+def fault_of_schema(values: Mapping[str, Any]) -> str:
+    """Says what is wrong with the format that a file states, as a phrase; empty: nothing."""
+    schema = values.get("schema")
+    if schema is None:
+        return f"is missing: the file states its format as schema = {SCHEMA}"
+    if type(schema) is not int:
+        return f"expected an integer, not {schema!r}"
+    return "" if schema == SCHEMA else f"the format {schema} is not known to this version, which reads {SCHEMA}"

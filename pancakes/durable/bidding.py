@@ -1,0 +1,394 @@
+"""The Task Migrator: asks the neighbours for bids, and answers theirs (paper §3.4).
+
+It decides where a task goes, never whether it may run there: that is the hand-off's business. Cost functions of
+plug-ins may wait or fail, so the `Appraiser` calls them in a thread of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, Final
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.durable.bidding_messages import (
+    MIGRATOR,
+    AttemptOver,
+    BidAwarded,
+    BrokenOff,
+    HasMoved,
+    MigratorBegan,
+    MoveOver,
+    Negotiate,
+    ServiceBegan,
+)
+from pancakes.durable.handoff_events import Times
+from pancakes.durable.host_state import IDLE, HostState, Imported, LoadMeter
+from pancakes.durable.hosting import PeerTalk
+from pancakes.durable.ledger import Ledger
+from pancakes.durable.messages import Bid, Refuse, Solicit, is_for
+from pancakes.durable.negotiation import Awarded, Exhausted, Negotiation, Outcome
+from pancakes.durable.record import TaskId
+from pancakes.durable.rules import Cost, CostChoice, CostFacts, appraise, cost_text, is_of_core
+from pancakes.durable.snapshot import offer_of
+from pancakes.durable.store import Ledgers
+from pancakes.errors import MigrationError
+from pancakes.kernel.actor import Component
+from pancakes.kernel.handlers import LATEST, on, reliable
+from pancakes.kernel.mailbox import Reference, tell
+from pancakes.mesh.mesh import Mesh
+from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
+from pancakes.task import Task
+
+APPRAISER: Final = "kernel/Appraiser"
+
+
+class Appraise(msgspec.Struct, frozen=True):
+    """Asks the appraiser for a cost.
+
+    Attributes:
+        asker: the actor that gets the answer, `Appraised`.
+        number: the number of the question.
+        choice: the cost function, or the weight of each of several.
+        facts: what they may know.
+    """
+
+    asker: Reference
+    number: int
+    choice: CostChoice
+    facts: CostFacts
+
+
+class Appraised(msgspec.Struct, frozen=True):
+    """What a task would cost here.
+
+    Attributes:
+        number: the number of the question.
+        terms: what the cost is made of.
+        refusal: why it cannot be told, as a phrase; empty: it can.
+    """
+
+    number: int
+    terms: Mapping[str, float]
+    refusal: str
+
+
+class Appraiser(Component):
+    """Calls cost functions in a thread of its own: one that waits holds up no other actor.
+
+    Args:
+        costs: returns the cost functions that are installed, by name.
+    """
+
+    blocking = True
+
+    def __init__(self, *args: Any, costs: Callable[[], Mapping[str, Cost]], **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._costs = costs
+
+    def take_message(self, message: Any) -> Any:
+        if not isinstance(message, Appraise):
+            return super().take_message(message)
+        terms, refusal = appraise(message.choice, message.facts, self._costs())
+        tell(message.asker, Appraised(message.number, terms, refusal))
+        return None
+
+
+KEEP = reliable(1024)
+APPRAISED_S = 0.4
+"""So long, in host time, the cost functions of others have; the window for bids is a little longer."""
+MOST_APPRAISED = 64
+"""So many tasks may wait for their costs, ..."""
+MOST_OF_PEER = 16
+"""... and so many of one peer."""
+SOUGHT_S = 3.0
+"""So long, in host time, a link to the agent that a task is sent to may take, where there is none."""
+LINK_LOOK_S = 0.05
+FIRST_LOOK_S = 0.5
+LOOK_S = 2.0
+"""How often, in host time, the load of this agent is measured. A bid tells the last measurement, and waits for none."""
+
+
+class TaskMigrator(Task):
+    """Asks all neighbours for bids, and answers theirs.
+
+    Which task may run where is not decided here but by the hand-off of the service that owns it.
+
+    Args:
+        mesh: says what neighbours there are.
+        state: says whether this agent can take a task, and how busy it is.
+        ledgers: keeps the accounts of moves.
+    """
+
+    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mesh = mesh
+        self._talk = PeerTalk(self, mesh)
+        self._state = state
+        self._ledgers = ledgers
+        self._times = Times()
+        self._negotiations: dict[TaskId, tuple[Negotiation, Reference]] = {}
+        self._meter = LoadMeter()
+        self._readings: dict[str, Any] = {}  # the newest of each device type that a cost function reads
+        self._appraising: dict[int, tuple[str, Solicit]] = {}  # the agents that are to have the answers, by number
+        self._questions = 0
+
+    def on_start(self) -> None:
+        if self.kernel.virtual is None:
+            self._meter.look(self.kernel.host.now(), self.kernel.task_timers.all())
+            self.after_host(FIRST_LOOK_S, self._measure)
+        else:
+            # In virtual time nothing of the wall may enter.
+            self._state.measured = IDLE
+        for device_type in sorted({it for cost in self._state.costs().values() for it in cost.reads}):
+            self.subscribe(SYSTEM, device_type, self._on_reading, keep=LATEST)
+        for service in self._state.services():
+            tell(service, MigratorBegan())
+
+    def on_stop(self) -> None:
+        self._state.measured = self._state.battery_level = None
+        self._state.negotiated = ()
+        appraiser = self.kernel.actor(APPRAISER)
+        if appraiser is not None:
+            appraiser.stop()
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self.on_stop()
+
+    # What the services tell that own the tasks -----------------------------------------------------------------
+
+    def take_message(self, message: Any) -> Any:
+        match message:
+            case Negotiate():
+                self._negotiate(message)
+            case AttemptOver():
+                self._attempt_over(message)
+            case HasMoved():
+                self._moved(message)
+            case BrokenOff():
+                self._account(message.service, message.task_id, message.ledger, message.reason, message.reason)
+            case ServiceBegan():
+                self._service_began(message.service)
+            case Appraised():
+                self._appraised(message)
+            case Imported():
+                self.on_solicit(message.waiting)
+            case _:
+                return super().take_message(message)
+        return None
+
+    def _negotiate(self, asked: Negotiate, until_s: float = math.inf) -> None:
+        now_s = self.kernel.host.now()
+        if asked.to and now_s < until_s and asked.to not in self._mesh.neighbours() and self._mesh.seek(asked.to):
+            until_s = min(until_s, now_s + SOUGHT_S)
+            self.after_host(LINK_LOOK_S, partial(self._negotiate, asked, until_s))
+            return
+        request = asked.request
+        negotiation = Negotiation(
+            request,
+            asked.lost or self.agent,
+            asked.asked_by,
+            [*self._mesh.neighbours(), *([self.agent] if asked.lost else [])],
+            now_s,
+            asked.to,
+            asked.dry_run,
+            self._times.bid_window_s,
+            self._times.patience_s,
+            asked.cause,
+        )
+        self._negotiations[request.task_id] = (negotiation, asked.service)
+        self._note()
+        outcome = negotiation.begin(now_s)
+        for peer in negotiation.asked:
+            self._talk.say(peer, MIGRATOR, request)
+        if outcome is None:
+            window_s = self._times.bid_window_s
+            self.after_host(window_s, partial(self._window_closes, negotiation, now_s + window_s))
+        self._conclude(request.task_id, outcome)
+
+    def _note(self) -> None:
+        """Keeps true what others know of the negotiations."""
+        self._state.negotiated = tuple(self._negotiations)
+
+    def _attempt_over(self, over: AttemptOver) -> None:
+        task_id, reason = over.task_id, over.reason
+        found = self._negotiations.get(task_id)
+        if found is not None and over.peer:
+            self.event("handoff_failed", task=task_id.name, to=over.peer, reason=reason)
+            self._conclude(task_id, found[0].failed(over.peer, reason, self.kernel.host.now()))
+        elif found is not None:
+            self._finish(task_id, reason)
+        elif over.ledger is not None:
+            ledger = over.ledger.stayed("", reason) if over.peer else over.ledger
+            self._account(over.service, task_id, ledger, reason, reason)
+
+    def _moved(self, moved: HasMoved) -> None:
+        found = self._negotiations.get(moved.task_id)
+        if found is not None:
+            found[0].moved(moved.peer, self.kernel.host.now())
+            self._finish(moved.task_id, "", moved.epoch)
+        elif moved.ledger is not None:
+            self._account(moved.service, moved.task_id, moved.ledger.moved(moved.epoch), moved.note, "")
+        told = found[1] is moved.service if found is not None else moved.ledger is not None
+        if not told:
+            tell(moved.service, MoveOver(moved.task_id, "", None))
+
+    def _account(self, service: Reference, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
+        """Keeps the account of a move that is over, publishes it, and tells the service.
+
+        Args:
+            service: the service that owns, or owned, the task.
+            task_id: the task.
+            ledger: the account.
+            note: why it came to nothing, or what had come between; kept with the account.
+            why_not: what to tell the asker; empty: it has moved.
+        """
+        self._negotiations.pop(task_id, None)  # of a service that has been started anew since
+        self._note()
+        self._ledgers.add(ledger, note, self.now())
+        self._tell(service, task_id, ledger, why_not)
+
+    def _tell(self, service: Reference, task_id: TaskId, ledger: Ledger, why_not: str) -> None:
+        plain = msgspec.to_builtins(ledger)
+        self.event("migration", task=task_id.name, **plain)
+        tell(service, MoveOver(task_id, why_not, plain))
+
+    def _service_began(self, service: Reference) -> None:
+        for task_id, (_, owner) in list(self._negotiations.items()):
+            if owner is not service and owner.name == service.name:
+                self._finish(task_id, f"{owner.address} was started anew")
+
+    # Negotiating -----------------------------------------------------------------------------------------------
+
+    def _window_closes(self, negotiation: Negotiation, due_s: float) -> None:
+        task_id = negotiation.request.task_id
+        found = self._negotiations.get(task_id)
+        if found is not None and found[0] is negotiation:
+            # A timer may fire a hair early; the window is closed all the same.
+            self._conclude(task_id, negotiation.tick(max(self.kernel.host.now(), due_s)))
+            if negotiation.open:
+                latest_s = negotiation.latest_s
+                self.after_host(latest_s - due_s, partial(self._window_closes, negotiation, latest_s))
+
+    def _conclude(self, task_id: TaskId, outcome: Outcome | None) -> None:
+        found = self._negotiations.get(task_id)
+        if outcome is None or found is None:
+            return
+        negotiation, service = found
+        if isinstance(outcome, Awarded):
+            ledger = negotiation.ledger(self.kernel.host.now())
+            tell(service, BidAwarded(task_id, outcome.peer, negotiation.request, ledger))
+        elif isinstance(outcome, Exhausted):
+            self._finish(task_id, str(outcome.error) if outcome.error is not None else "")
+
+    def _finish(self, task_id: TaskId, reason: str, offer: str = "") -> None:
+        negotiation, service = self._negotiations.pop(task_id)
+        self._note()
+        ledger = replace(negotiation.ledger(self.kernel.host.now()), offer=offer)
+        if negotiation.dry_run:
+            self._tell(service, task_id, ledger, reason)
+        else:
+            self._account(service, task_id, ledger, reason, reason)
+
+    @on(NETWORK, Bid, keep=KEEP, addressed=True)
+    def on_bid(self, packet: Packet) -> None:
+        """A neighbour would take the task."""
+        self._answered(
+            packet, lambda negotiation, bid, now_s: negotiation.bid(agent_of(packet.source), bid.cost, bid.terms, now_s)
+        )
+
+    @on(NETWORK, Refuse, keep=KEEP, addressed=True)
+    def on_refuse(self, packet: Packet) -> None:
+        """A neighbour cannot take the task."""
+        self._answered(
+            packet, lambda negotiation, refuse, now_s: negotiation.refuse(agent_of(packet.source), refuse.reason, now_s)
+        )
+
+    def _answered(self, packet: Packet, take: Callable[[Negotiation, Any, float], Outcome | None]) -> None:
+        if not is_for(packet.body, self._talk.me.journal):
+            return
+        found = self._negotiations.get(packet.body.task_id)
+        if found is not None and found[0].request.ask == packet.body.ask:
+            self._conclude(packet.body.task_id, take(found[0], packet.body, self.kernel.host.now()))
+
+    # Being asked -----------------------------------------------------------------------------------------------
+
+    @on(SYSTEM, "battery", keep="latest")
+    def on_battery(self, packet: Packet) -> None:
+        """Remembers what is left of this agent's battery."""
+        if agent_of(packet.source) == self.agent:
+            self._state.battery_level = packet.body.level
+
+    def _on_reading(self, packet: Packet) -> None:
+        if agent_of(packet.source) == self.agent:
+            self._readings[packet.type] = packet.body
+
+    @on(NETWORK, Solicit, keep=KEEP, addressed=True)
+    def on_solicit(self, packet: Packet) -> None:
+        """Answers whether this agent would take a task, and at what cost."""
+        if not is_for(packet.body, self._talk.me.journal):
+            return
+        request: Solicit = packet.body
+        peer = agent_of(packet.source)
+        if self._state.imports_first(self, peer, request.type, packet):
+            return
+        refusal = self._state.refusal_of(peer, request)
+        if not refusal:
+            self._appraise(peer, request)
+            return
+        self._answer(peer, request, {}, refusal)
+
+    def _appraise(self, peer: str, request: Solicit) -> None:
+        """Has the cost of a task worked out: those of the core at once, others in a thread of their own."""
+        load = self._state.load(self._mesh.rtt_s(peer))
+        if is_of_core(request.cost):
+            self._answer(peer, request, *appraise(request.cost, CostFacts(load), self._state.costs()))
+            return
+        if len(self._appraising) >= MOST_APPRAISED:
+            self._answer(peer, request, {}, f"works out the costs of {MOST_APPRAISED} tasks already")
+            return
+        if sum(asker == peer for asker, _ in self._appraising.values()) >= MOST_OF_PEER:
+            self._answer(peer, request, {}, f"works out the costs of {MOST_OF_PEER} tasks of {peer} already")
+            return
+        try:
+            settings, state = offer_of(request.offer)
+        except MigrationError as error:
+            self._answer(peer, request, {}, f"cannot tell its cost: {error}")
+            return
+        self._questions += 1
+        number = self._questions
+        self._appraising[number] = (peer, request)
+        facts = CostFacts(load, dict(self._readings), settings, state)
+        tell(self._appraiser(), Appraise(self, number, request.cost, facts))
+        self.after_host(APPRAISED_S, lambda: self._not_appraised(number))
+
+    def _appraiser(self) -> Reference:
+        found = self.kernel.actor(APPRAISER)
+        return found or self.kernel.spawn(Appraiser, join(self.agent, APPRAISER), costs=self._state.costs)
+
+    def _appraised(self, found: Appraised) -> None:
+        peer, request = self._appraising.pop(found.number, ("", None))
+        if request is not None:
+            self._answer(peer, request, found.terms, found.refusal)
+
+    def _not_appraised(self, number: int) -> None:
+        peer, request = self._appraising.pop(number, ("", None))
+        if request is not None:
+            refusal = f"its cost function {cost_text(request.cost)!r} did not answer within {APPRAISED_S:g} s"
+            self._answer(peer, request, {}, refusal)
+
+    def _answer(self, peer: str, request: Solicit, terms: Mapping[str, float], refusal: str) -> None:
+        if refusal:
+            self._talk.say(peer, MIGRATOR, Refuse(request.task_id, request.ask, refusal))
+            self.event("migration_refused", task=request.task_id.name, source_agent=peer, reason=refusal)
+        else:
+            cost = sum(terms.values())
+            self._talk.say(peer, MIGRATOR, Bid(request.task_id, request.ask, cost, dict(terms)))
+            self.event("migration_bid", task=request.task_id.name, source_agent=peer, cost=cost, terms=dict(terms))
+
+    def _measure(self) -> None:
+        self._state.measured = self._meter.look(self.kernel.host.now(), self.kernel.task_timers.all())
+        self.after_host(LOOK_S, self._measure)

@@ -1,0 +1,143 @@
+"""Messages between the Task Migrator and the services and guardians of its agent: data.
+
+They never leave the agent. The packets that agents exchange while they bid are in `messages`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.durable.ledger import Ledger
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import TaskId
+from pancakes.kernel.mailbox import Reference
+
+MIGRATOR: Final = "network/TaskMigrator"
+"""Where on each agent the Task Migrator is."""
+
+# What a service tells the Task Migrator.
+
+
+class Negotiate(msgspec.Struct, frozen=True):
+    """Ask the neighbours which of them would take a task.
+
+    Attributes:
+        service: the service that owns it.
+        request: what they are asked.
+        asked_by: as in `Ledger`.
+        to: the only neighbour to ask; empty: all.
+        dry_run: whether nothing is to be moved.
+        lost: the agent that had it, where that is silent: this agent may take it too; empty: this agent has it.
+        cause: as in `Ledger`.
+    """
+
+    service: Reference
+    request: Solicit
+    asked_by: str
+    to: str
+    dry_run: bool
+    lost: str = ""
+    cause: str = ""
+
+
+class AttemptOver(msgspec.Struct, frozen=True):
+    """The hand-off to a bidder came to nothing: the next one's turn.
+
+    Attributes:
+        service: the service that owns the task.
+        task_id: the task.
+        peer: the bidder; empty: it cannot be handed over at all just now.
+        reason: why.
+        ledger: the account, for where the migrator does not know of the negotiation: the other bids are forgotten.
+    """
+
+    service: Reference
+    task_id: TaskId
+    peer: str
+    reason: str
+    ledger: Ledger | None
+
+
+class HasMoved(msgspec.Struct, frozen=True):
+    """The task has a new owner; to be answered by `MoveOver`.
+
+    Attributes:
+        service: the service that owned the task.
+        task_id: the task.
+        peer: the new owner.
+        epoch: the epoch that it runs under there, as text.
+        ledger: the account, for where the migrator does not know of the negotiation.
+        note: what had come between, in that case.
+    """
+
+    service: Reference
+    task_id: TaskId
+    peer: str
+    epoch: str
+    ledger: Ledger | None
+    note: str
+
+
+class BrokenOff(msgspec.Struct, frozen=True):
+    """A move is over that the end of a service has broken off.
+
+    Attributes:
+        service: its successor.
+        task_id: the task.
+        ledger: the account.
+        reason: why.
+    """
+
+    service: Reference
+    task_id: TaskId
+    ledger: Ledger
+    reason: str
+
+
+class ServiceBegan(msgspec.Struct, frozen=True):
+    """A service has started anew, and knows of no move that its predecessor asked for.
+
+    Attributes:
+        service: the service.
+    """
+
+    service: Reference
+
+
+# What the Task Migrator tells a service.
+
+
+class MigratorBegan(msgspec.Struct, frozen=True):
+    """The migrator has started anew and knows of no negotiation."""
+
+
+class BidAwarded(msgspec.Struct, frozen=True):
+    """The bids are compared: hand the task to this one.
+
+    Attributes:
+        task_id: the task.
+        peer: the cheapest bidder.
+        request: what it bid on.
+        ledger: the account so far.
+    """
+
+    task_id: TaskId
+    peer: str
+    request: Solicit
+    ledger: Ledger
+
+
+class MoveOver(msgspec.Struct, frozen=True):
+    """A move is over, one way or the other, and its account is kept.
+
+    Attributes:
+        task_id: the task.
+        reason: why it came to nothing; empty: it has moved.
+        result: the account, as plain values; None: it is lost.
+    """
+
+    task_id: TaskId
+    reason: str
+    result: Any

@@ -1,0 +1,483 @@
+"""Sends and receives packets that are addressed to a task (`to="task:BIRTHPLACE/NAME"`).
+
+The courier belongs to no service, because packets between tasks of one agent need no network. `SharedOutbox` holds
+what is not acknowledged yet: publishers fill it in their own threads, and the courier empties it. The rules are in
+`delivery`.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.durable.delivery import (
+    MOST_STREAMS,
+    RESEND_S,
+    AskBegan,
+    ForwardTo,
+    Letter,
+    LostLetters,
+    Outbox,
+    Receipt,
+    Seek,
+    StreamsBegan,
+    ToSend,
+    asked_now,
+    false_name,
+)
+from pancakes.durable.ownership import OwnerClaim, TaskAt, WhereIs, whereabouts
+from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.snapshot import Posted
+from pancakes.durable.store import Records
+from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, RemoteProtocolError
+from pancakes.kernel.actor import Component
+from pancakes.kernel.handlers import on, queue
+from pancakes.kernel.mailbox import Reference, tell
+from pancakes.mesh.codec import MAX_MESSAGE_BYTES, Encoder, of_agent, packet_from_row, rows_from_payload
+from pancakes.mesh.mesh import Mesh
+from pancakes.packet import NETWORK, TO_TASK, Fence, Packet, agent_of, join
+from pancakes.util.text import did_you_mean
+
+COURIER: Final = "kernel/Courier"
+"""Where on each agent the courier is."""
+
+
+class CameFor(msgspec.Struct, frozen=True):
+    """The courier tells a service that a packet has come for one of its tasks.
+
+    Attributes:
+        letter: the letter that it came in.
+        packet: what is in it; None: it cannot be read here.
+    """
+
+    letter: Letter
+    packet: Packet | None
+
+
+class Say(msgspec.Struct, frozen=True):
+    """Tell the courier of another agent something; it may be lost.
+
+    Attributes:
+        peer: the other agent.
+        body: what to tell it.
+    """
+
+    peer: str
+    body: Letter | Receipt | ForwardTo | StreamsBegan
+
+
+class OwnerHeard(msgspec.Struct, frozen=True):
+    """The census tells the courier what another agent owns.
+
+    Attributes:
+        peer: the other agent.
+        claims: the tasks.
+    """
+
+    peer: str
+    claims: tuple[OwnerClaim, ...]
+
+
+class AskedBegan(msgspec.Struct, frozen=True):
+    """The courier tells a service that another agent asks from what state one of its tasks began; answered by `Say`.
+
+    Attributes:
+        peer: the agent that asks.
+        asked: what it asks.
+    """
+
+    peer: str
+    asked: AskBegan
+
+
+class SendUnsent(msgspec.Struct, frozen=True):
+    """There is something in the outbox that was not sent yet."""
+
+
+ENVELOPE_BYTES: Final = 1024
+"""What a letter takes besides the packet in it, at most."""
+
+
+class SharedOutbox:
+    """An outbox that publishers fill, senders change as they move, and the courier empties. Any thread.
+
+    Its lock is held for the outbox alone: no method calls anything outside.
+
+    Args:
+        outbox: what is not acknowledged.
+    """
+
+    def __init__(self, outbox: Outbox) -> None:
+        self._outbox = outbox
+        self._lock = threading.Lock()
+        self._encoder = Encoder()
+        self._unsent: list[ToSend] = []  # in the order in which they were numbered
+
+    @property
+    def name(self) -> str:
+        """The name of this agent's own stream, with which the names of all its streams begin."""
+        return self._outbox.name
+
+    def post(self, packet: Packet, host: str, now_s: float) -> None:
+        """Takes a packet whose destination is a task.
+
+        Args:
+            packet: the packet.
+            host: where that task is, as far as is known; used for the first packet of this sender to it only.
+            now_s: host time.
+
+        Raises:
+            LocalProtocolError: the packet cannot travel.
+            MailboxFull: too many wait for this task already.
+        """
+        task_id = receiver_of(packet)
+        sender = packet.fence.task_id if packet.fence is not None else ""
+        with self._lock:
+            data = self._encoder.packet(packet)
+            if len(data) > MAX_MESSAGE_BYTES - ENVELOPE_BYTES:
+                raise LocalProtocolError(
+                    f"the packet {packet.number} of the type {packet.type!r} from {packet.source} takes {len(data)}"
+                    f" bytes, and {MAX_MESSAGE_BYTES - ENVELOPE_BYTES} may be sent to a task"
+                )
+            host = self._outbox.host_of(sender, task_id) or host
+            self._unsent += self._outbox.post(sender, task_id, data, host, now_s)
+
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> None:
+        """Forgets what has had its effect."""
+        with self._lock:
+            self._unsent += self._outbox.acknowledged(receipt, peer, now_s)
+
+    def unsure_of(self, claims: Iterable[OwnerClaim]) -> list[AskBegan]:
+        """Returns what is to be asked of an agent that owns tasks: from what state each of them began there."""
+        with self._lock:
+            asked = [(str(it.task_id), self._outbox.unsure_of(str(it.task_id), it.epoch.n)) for it in claims]
+        return [AskBegan(task_id, streams[:MOST_STREAMS]) for task_id, streams in asked if streams]
+
+    def began(self, news: StreamsBegan, peer: str) -> None:
+        """Learns from what state a task began where it is now."""
+        with self._lock:
+            self._outbox.began(news, peer)
+
+    def take_lost(self) -> list[LostLetters]:
+        """Returns what is known to be lost, and forgets it."""
+        with self._lock:
+            return self._outbox.take_lost()
+
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> None:
+        """Learns of a peer where a task has gone."""
+        with self._lock:
+            self._unsent += self._outbox.forwarded(news, peer, now_s)
+
+    def look(self, now_s: float) -> None:
+        """Looks for what was not acknowledged for too long: that is to be sent again."""
+        with self._lock:
+            self._unsent += self._outbox.due(now_s)
+
+    def take_unsent(self) -> Sequence[ToSend]:
+        """Returns what is to be sent now, in order, and forgets that."""
+        with self._lock:
+            unsent, self._unsent = self._unsent, []
+        return unsent
+
+    def waiting(self) -> dict[str, int]:
+        """Returns how many packets wait for their acknowledgement, by the task that they are for."""
+        with self._lock:
+            return self._outbox.waiting()
+
+    # A sender that moves ---------------------------------------------------------------------------------------
+
+    def leave(self, sender: TaskId) -> Posted | None:
+        """A task stands still and is about to leave: returns what it takes along of what it has sent."""
+        with self._lock:
+            return self._outbox.leave(str(sender))
+
+    def stay(self, sender: TaskId) -> None:
+        """It does not leave after all."""
+        with self._lock:
+            self._outbox.stay(str(sender))
+
+    def gone(self, sender: TaskId, ends: bool) -> None:
+        """It has left for good; `ends`: its actor is still to end here, and `ended` is to follow."""
+        with self._lock:
+            self._outbox.gone(str(sender), ends)
+
+    def ended(self, sender: str) -> None:
+        """The actor of a task (`birthplace/name`) that has left for good has ended."""
+        with self._lock:
+            self._outbox.ended(sender)
+
+    def arrive(
+        self,
+        sender: TaskId,
+        posted: Posted | None,
+        fresh: bool,
+        now_s: float,
+        restamped: Callable[[str, float], float],
+    ) -> None:
+        """A task begins from a snapshot; `fresh`: nothing of it has run since that was taken.
+
+        What it sent from another agent goes on from here under its address here, as no agent takes it otherwise, and
+        with stamps of the mission time here; see `of_agent`.
+        """
+        if posted is not None:
+            here = self._outbox.agent
+            to = [
+                replace(it, packets=tuple(of_agent(packet, here, restamped) for packet in it.packets))
+                for it in posted.to
+            ]
+            posted = replace(posted, to=tuple(to))
+        with self._lock:
+            self._outbox.arrive(str(sender), posted, fresh)
+            if posted is not None:
+                self._unsent += self._outbox.due(now_s)
+
+
+def receiver_of(packet: Packet) -> TaskId:
+    """Returns the task that a packet is for.
+
+    Raises:
+        LocalProtocolError: its destination is no task's.
+    """
+    try:
+        return TaskId.parse(packet.destination.removeprefix(TO_TASK))
+    except MigrationError as error:
+        raise LocalProtocolError(f"{packet.source} published {packet.type!r} to no task: {error}") from None
+
+
+KEEP: Final = queue(4096)
+"""What falls out comes again."""
+SOUGHT_IN_VAIN: Final = 3
+"""A task that was asked for so often, and that no agent has, is doubted: its name may be wrong."""
+_ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
+
+
+class Courier(Component):
+    """Sends what this agent's tasks have for others until it is acknowledged, and takes in what comes for tasks here.
+
+    It belongs to no service: what goes from task to task on one agent needs no network, which may sleep.
+
+    Args:
+        outbox: what is not acknowledged; it outlives an actor that fails.
+        records: says which service here has a task.
+        mesh: says what neighbours there are.
+    """
+
+    def __init__(self, *args: Any, outbox: SharedOutbox, records: Records, mesh: Mesh, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._outbox = outbox
+        self._records = records
+        self._mesh = mesh
+        self._looking = False
+        self._asked: set[tuple[str, str]] = set()
+        self._sought: dict[str, int] = {}  # how often a task was asked for that no agent has
+
+    def on_start(self) -> None:
+        self.kernel.stream.courier = self.take
+        self._look()
+
+    def on_stop(self) -> None:
+        self.kernel.stream.courier = None
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self.kernel.stream.courier = None
+
+    def take_message(self, message: Any) -> Any:
+        match message:
+            case Say():
+                self._say(message.peer, message.body)
+            case SendUnsent():
+                self._send()
+            case OwnerHeard():
+                self._ask_began(message)
+            case _:
+                return super().take_message(message)
+        return None
+
+    def take(self, packet: Packet) -> None:
+        """Takes a packet whose destination is a task. In the publisher's thread, which hears what fails.
+
+        Raises:
+            LocalProtocolError: the destination is no task's, or the packet cannot travel.
+            MailboxFull: too many wait for this task already.
+        """
+        task_id = receiver_of(packet)
+        host = self.agent if self._service_of(task_id) is not None else task_id.birthplace
+        self._outbox.post(packet, host, self.kernel.host.now())
+        tell(self, SendUnsent())
+
+    def _say(self, peer: str, body: Letter | Receipt | ForwardTo | StreamsBegan | WhereIs) -> None:
+        if peer != self.agent:
+            try:
+                self.publish(NETWORK, body, to=join(peer, COURIER))
+            except PancakesError as error:
+                self.log("debug", f"{type(body).__name__} for {body.task_id} did not reach {peer}: {error}")
+        elif isinstance(body, Letter):
+            self._arrived(body, peer)
+        elif isinstance(body, Receipt):
+            self._acknowledged(body, self.agent)
+        elif isinstance(body, ForwardTo):
+            self._forwarded(body, peer)
+
+    def _ask_began(self, heard: OwnerHeard) -> None:
+        """Another agent owns tasks: asks what is lost of what was acknowledged for them."""
+        for asked in self._outbox.unsure_of(heard.claims):
+            self._asked.add((heard.peer, asked.task_id))
+            try:
+                self.publish(NETWORK, asked, to=join(heard.peer, COURIER))
+            except PancakesError as error:
+                self.log("debug", f"{heard.peer} was not asked about {asked.task_id}: {error}")
+
+    # What other couriers say -----------------------------------------------------------------------------------
+
+    @on(NETWORK, Letter, keep=KEEP, addressed=True)
+    def on_letter(self, packet: Packet) -> None:
+        """A packet has come for a task that is, or was, here."""
+        self._arrived(packet.body, agent_of(packet.source))
+
+    @on(NETWORK, Receipt, keep=KEEP, addressed=True)
+    def on_receipt(self, packet: Packet) -> None:
+        """Letters have had their effect."""
+        self._acknowledged(packet.body, agent_of(packet.source))
+
+    @on(NETWORK, ForwardTo, keep=KEEP, addressed=True)
+    def on_forward_to(self, packet: Packet) -> None:
+        """A task is not where it was thought to be."""
+        self._forwarded(packet.body, agent_of(packet.source))
+
+    @on(NETWORK, AskBegan, keep=KEEP, addressed=True)
+    def on_ask_began(self, packet: Packet) -> None:
+        """An agent that has sent letters to a task that is here must know what is lost of them."""
+        try:
+            service = self._service_of(TaskId.parse(packet.body.task_id))
+        except MigrationError:
+            return
+        if service is not None:
+            tell(service, AskedBegan(agent_of(packet.source), packet.body))
+
+    @on(NETWORK, StreamsBegan, keep=KEEP, addressed=True)
+    def on_task_began(self, packet: Packet) -> None:
+        """The agent that owns a task answers."""
+        peer = agent_of(packet.source)
+        if (peer, packet.body.task_id) in self._asked:
+            self._asked.remove((peer, packet.body.task_id))
+            self._outbox.began(packet.body, peer)
+            self._tell_lost()
+
+    @on(NETWORK, WhereIs, addressed=True)
+    def on_where_is(self, packet: Packet) -> None:
+        """Another agent asks which one has a task, before its actuators obey the task."""
+        try:
+            record = self._records.get(TaskId.parse(packet.body.task_id))
+            at = whereabouts(self.agent, packet.body.task_id, record)
+            self.publish(NETWORK, replace(at, acts=record is None or self._acts(record)), to=packet.source)
+        except PancakesError as error:
+            self.log("debug", f"{packet.source} was not told where {packet.body.task_id!a} is: {error}")
+
+    def _acts(self, record: Record) -> bool:
+        here = record.phase in (Phase.OWNER, Phase.FROZEN) and record.guarded
+        return not here or self.kernel.permits.may_act(Fence(str(record.task_id), record.epoch))
+
+    @on(NETWORK, TaskAt, addressed=True)
+    def on_task_at(self, packet: Packet) -> None:
+        """An agent that was asked says which one has a task."""
+        self._found(packet.body, agent_of(packet.source))
+
+    def _arrived(self, letter: Letter, peer: str) -> None:
+        try:
+            task_id = TaskId.parse(letter.task_id)
+        except MigrationError as error:
+            self.log("warning", f"a letter of {letter.stream} was dropped: {error}")
+            return
+        service = self._service_of(task_id)
+        if service is None:
+            return
+        if fault := self.kernel.access.fault(peer, "write", str(task_id)):
+            self.log("warning", f"a packet for {task_id} was refused: {fault}")
+            return
+        packet: Packet | None = None
+        try:
+            packet = packet_from_row(rows_from_payload(_ONE_MESSAGE + letter.packet)[0])
+        except RemoteProtocolError as error:
+            self.log("warning", f"a packet for {task_id} cannot be read: {error}")
+        if other := false_name(letter, packet, peer):
+            self.log("warning", f"a packet for {task_id} was refused: {peer} speaks for {other}")
+            return
+        tell(service, CameFor(letter, packet))
+
+    def _acknowledged(self, receipt: Receipt, peer: str) -> None:
+        self._outbox.acknowledged(receipt, peer, self.kernel.host.now())
+        self._tell_lost()
+        self._send()
+
+    def _tell_lost(self) -> None:
+        for lost in self._outbox.take_lost():
+            sender = lost.sender or self.agent
+            self.log(
+                "warning",
+                f"packets {lost.first} to {lost.last} that {sender} has sent to {lost.task_id} may be lost: they were"
+                f" acknowledged, and {lost.peer} has the task from a checkpoint without their effect",
+            )
+            self.event(
+                "packets_lost", task=lost.task_id, sender=sender, first=lost.first, last=lost.last, owner=lost.peer
+            )
+
+    def _forwarded(self, news: ForwardTo, peer: str) -> None:
+        self._outbox.forwarded(news, peer, self.kernel.host.now())
+        self._send()
+
+    def _found(self, at: TaskAt, peer: str) -> None:
+        if at.peer:
+            self._sought.pop(at.task_id, None)
+            self._forwarded(ForwardTo(at.task_id, at.peer, at.epoch.n), peer)
+
+    # Sending ---------------------------------------------------------------------------------------------------
+
+    def _send(self) -> None:
+        unsent = self._outbox.take_unsent()
+        for it in unsent:
+            if isinstance(it, Seek):
+                self._seek(it.task_id)
+            else:
+                self._say(it.peer, it.letter)
+        if unsent and not self._looking:
+            self._look_later()
+
+    def _seek(self, task_id: str) -> None:
+        self._found(whereabouts(self.agent, task_id, self._records.get(TaskId.parse(task_id))), self.agent)
+        for peer in asked_now(self._mesh.neighbours(), self.kernel.host.now()):
+            self._say(peer, WhereIs(task_id))
+        self._sought = {it: times for it, times in self._sought.items() if it in self._outbox.waiting()}
+        self._sought[task_id] = times = self._sought.get(task_id, 0) + 1
+        if times == SOUGHT_IN_VAIN:
+            self.log(
+                "warning", f"packets for {task_id} wait: no agent that is linked has that task{self._near(task_id)}"
+            )
+
+    def _near(self, task_id: str) -> str:
+        """Returns which task may be meant by one that no agent has, as the end of a sentence."""
+        birthplace, _, name = task_id.partition("/")
+        agents = [self.agent, *self._mesh.connected()]
+        if birthplace in agents:
+            return did_you_mean(task_id, [str(it) for it in self._records.all() if it.birthplace == birthplace])
+        return did_you_mean(task_id, [join(agent, name) for agent in agents])
+
+    def _look_later(self) -> None:
+        self._looking = True
+        self.after_host(RESEND_S / 2, self._look)
+
+    def _look(self) -> None:
+        """Sends again what was not acknowledged for too long."""
+        self._outbox.look(self.kernel.host.now())
+        self._looking = False
+        if self._outbox.waiting():
+            self._look_later()
+        self._send()
+
+    def _service_of(self, task_id: TaskId) -> Reference | None:
+        """Returns the service here that has a record of a task, where it runs. Any thread."""
+        service = self._records.service_of(task_id)
+        return self.kernel.actor(service) if service else None

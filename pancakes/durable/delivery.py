@@ -1,0 +1,669 @@
+"""Reliable delivery of packets to tasks wherever they run: numbered streams, receipts and duplicate filters. Pure.
+
+A sender keeps each letter until it is acknowledged, and sends it again until then, in order. The receiver takes only
+the next letter of each stream, so a late, doubled or reordered letter has no second effect and overtakes nothing. If
+the task has migrated, the agent that had it names the new one, and the sender sends the letter there itself: each
+agent speaks only for itself (docs/protocol.md, packets). A task that sends letters takes its stream along when it
+migrates.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from hashlib import blake2s
+from typing import Annotated, Any, Final
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.durable.record import TaskId
+from pancakes.durable.snapshot import Posted, PostedTo
+from pancakes.errors import MailboxFull
+from pancakes.packet import Packet, agent_of, packet_type
+
+WINDOW: Final = 1024
+"""Most letters to one task that wait for their acknowledgement."""
+WINDOW_BYTES: Final = 4 * 1024 * 1024
+"""Most bytes of these letters; one may always wait. A sender that moves takes them along, in its snapshot."""
+IN_FLIGHT: Final = 64
+"""Most letters to one task that are on their way at once; the others wait until one of these is acknowledged."""
+RESEND_S: Final = 0.3
+"""First pause before what is on its way is sent again, in host time; it doubles ..."""
+LONGEST_S: Final = 2.4
+"""... up to this; from then on neighbours are asked, because the agent that knew where the task is may be gone."""
+ASKED: Final = 16
+"""So many neighbours are asked at a time; of more, each in its turn, so that unused links may end all the same."""
+STREAMS: Final = 1024
+"""Most streams that a task's duplicate filter remembers; of more, the one not heard from for longest is forgotten."""
+MOST_OF_SENDER: Final = STREAMS // 2
+"""So many of them are of one agent: one that begins stream after stream has only its own forgotten."""
+StreamName = Annotated[str, msgspec.Meta(max_length=512)]
+MOST_STREAMS: Final = 1024
+"""An owner is asked about so many streams at once; of the others nothing is known to be lost."""
+
+
+@packet_type("post.letter")
+class Letter(msgspec.Struct, frozen=True):
+    """A packet on its way to a task.
+
+    Attributes:
+        task_id: the task, as `birthplace/name`.
+        stream: the sender's stream as this task's agent knows it, see `name_to`; it moves with a task that sends. A
+            sender that lost its memory begins a new one.
+        seq: number in that stream, to this task, from 1.
+        first: the lowest number that was not acknowledged when this was sent; nothing before it comes again.
+        packet: the packet, as the wire writes it.
+        sender: the agent that sends it, and wants to hear what became of it.
+    """
+
+    task_id: str
+    stream: StreamName
+    seq: int
+    first: int
+    packet: bytes
+    sender: str
+
+
+@packet_type("post.receipt")
+class Receipt(msgspec.Struct, frozen=True):
+    """Says that every letter of a stream up to `seq` has had its effect.
+
+    Attributes:
+        task_id: the task.
+        stream: the stream.
+        seq: up to which number.
+        epoch_n: how many hand-offs the task has behind it; the task is with the sender of this.
+        began_n: the number of the epoch under which the task began there from a snapshot; -1: that is not known.
+        began_seq: up to which letter of the stream that snapshot has the effects; -1: that is not known.
+        began_life: tells its beginnings under one epoch apart: each later one, after a crash of its agent, is higher.
+    """
+
+    task_id: str
+    stream: str
+    seq: int
+    epoch_n: int
+    began_n: int = -1
+    began_seq: int = -1
+    began_life: int = 0
+
+
+@packet_type("post.when")
+class AskBegan(msgspec.Struct, frozen=True):
+    """Asks the agent that says that it owns a task from what state it began there; answered by `StreamsBegan`.
+
+    Attributes:
+        task_id: the task.
+        streams: the streams in which the agent that asks has sent it letters.
+    """
+
+    task_id: str
+    streams: Annotated[tuple[StreamName, ...], msgspec.Meta(max_length=MOST_STREAMS)]
+
+
+@packet_type("post.streams_began")
+class StreamsBegan(msgspec.Struct, frozen=True):
+    """Says from what state a task began where it is now: so that its senders know what was lost with its last agent.
+
+    Attributes:
+        task_id: the task.
+        began_n: as in `Receipt`.
+        upto: the `began_seq` of each stream that was asked for, as in `Receipt`.
+        began_life: as in `Receipt`.
+    """
+
+    task_id: str
+    began_n: int
+    upto: dict[str, int]
+    began_life: int = 0
+
+
+@packet_type("post.forward_to")
+class ForwardTo(msgspec.Struct, frozen=True):
+    """Says that the task is not here, and which agent has it as far as is known here.
+
+    Attributes:
+        task_id: the task.
+        peer: the agent to try.
+        epoch_n: how many hand-offs that news knows of; older news never replaces newer.
+    """
+
+    task_id: str
+    peer: str
+    epoch_n: int
+
+
+UNKNOWN: Final = (-1, 0)
+
+
+class _Correspondence(msgspec.Struct):
+    """All that goes to one task in one stream.
+
+    Attributes:
+        name: what the stream is called in letters to this task.
+        host: where the task is thought to be.
+        epoch_n: how fresh that is.
+        packets: what is not acknowledged, by number.
+        size_bytes: how much they take.
+        next_seq: number of the next letter.
+        in_flight: how many of `packets`, from the first on, have been sent.
+        due_s: when these are sent again.
+        pause_s: how long that is put off the next time.
+        began: `began_n` and `began_life` of the agent that has acknowledged last; `UNKNOWN`: none has.
+    """
+
+    name: str
+    host: str
+    epoch_n: int = -1
+    packets: OrderedDict[int, bytes] = msgspec.field(default_factory=OrderedDict)
+    size_bytes: int = 0
+    next_seq: int = 1
+    in_flight: int = 0
+    due_s: float = 0.0
+    pause_s: float = RESEND_S
+    began: tuple[int, int] = UNKNOWN
+
+    @property
+    def acknowledged(self) -> int:
+        """Up to which number all was acknowledged."""
+        return self.next_seq - len(self.packets) - 1
+
+
+class LostLetters(msgspec.Struct, frozen=True):
+    """Letters that were acknowledged, and whose effect the state does not have that the task began from since.
+
+    Attributes:
+        task_id: the task that they were for.
+        first: the number of the first one.
+        last: that of the last one.
+        peer: the agent that has the task now.
+        sender: the task that has sent them, as `birthplace/name`; empty: the sender does not move.
+    """
+
+    task_id: str
+    first: int
+    last: int
+    peer: str
+    sender: str = ""
+
+
+class OutgoingLetter(msgspec.Struct, frozen=True):
+    """What to send, and to which agent.
+
+    Attributes:
+        peer: the agent.
+        letter: the letter.
+    """
+
+    peer: str
+    letter: Letter
+
+
+class Seek(msgspec.Struct, frozen=True):
+    """Ask this agent and neighbours (`asked_now`) which one has a task: the one that had it does not answer.
+
+    They are not sent the letters, which are for that agent only.
+
+    Attributes:
+        task_id: the task, as `birthplace/name`.
+    """
+
+    task_id: str
+
+
+ToSend = OutgoingLetter | Seek
+
+
+def name_to(stream: str, task_id: str) -> str:
+    """Returns what a stream is called in letters to one task.
+
+    Only an agent that gets these letters may learn it. Another that knew it could send a letter of that name to the
+    task, and the sender's own would be taken for old ones: acknowledged, without effect.
+
+    Args:
+        stream: `NAME#SECRET`; the name is for people.
+        task_id: the task, as `birthplace/name`.
+    """
+    name, _, secret = stream.partition("#")
+    if not secret:
+        return stream  # it comes from a state directory of before, and is known by this name
+    return f"{name}#{blake2s(task_id.encode(), key=secret.encode(), digest_size=12).hexdigest()}"
+
+
+def asked_now(neighbours: Sequence[str], now_s: float) -> Sequence[str]:
+    """Returns the neighbours that are asked now where a task is; at one time they are the same for all tasks."""
+    if len(neighbours) <= ASKED:
+        return neighbours
+    first = int(now_s / LONGEST_S) * ASKED % len(neighbours)
+    return [*neighbours, *neighbours][first : first + ASKED]
+
+
+class Outgoing:
+    """The letters of one stream that are not acknowledged.
+
+    Args:
+        stream: its name, that no other stream ever had, and its secret; see `name_to`.
+        agent: the agent that sends them.
+    """
+
+    def __init__(self, stream: str, agent: str) -> None:
+        self.stream = stream
+        self._agent = agent
+        self._to: dict[str, _Correspondence] = {}
+        self._lost: list[LostLetters] = []
+
+    @classmethod
+    def of(cls, posted: Posted, agent: str) -> Outgoing:
+        """Returns the stream as its sender took it along; what it has not been told of is sent again."""
+        stream = cls(posted.stream, agent)
+        for to in posted.to:
+            first = to.next_seq - len(to.packets)
+            packets = OrderedDict(enumerate(to.packets, first))
+            size = sum(map(len, to.packets))
+            name = name_to(posted.stream, to.task_id)
+            stream._to[to.task_id] = _Correspondence(
+                name, to.host, to.epoch_n, packets, size, to.next_seq, began=(to.began_n, to.began_life)
+            )
+        return stream
+
+    def posted(self) -> Posted:
+        """Returns the stream for a sender that takes it along."""
+        return Posted(
+            self.stream,
+            tuple(
+                PostedTo(task_id, to.host, to.epoch_n, to.next_seq, tuple(to.packets.values()), *to.began)
+                for task_id, to in self._to.items()
+            ),
+        )
+
+    def names(self) -> Iterable[str]:
+        """Returns what the stream is called in letters, by the task that they are for."""
+        return [to.name for to in self._to.values()]
+
+    def name_for(self, task_id: str) -> str:
+        """Returns what the stream is called in letters to a task that something was sent to; empty: nothing was."""
+        to = self._to.get(task_id)
+        return to.name if to is not None else ""
+
+    def host_of(self, task_id: TaskId) -> tuple[int, str] | None:
+        """Returns how fresh the news is of where a task is, and where that is; None: nothing was ever sent to it."""
+        to = self._to.get(str(task_id))
+        return (to.epoch_n, to.host) if to is not None else None
+
+    def post(self, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[ToSend]:
+        """Takes a packet, and returns what is to be sent now.
+
+        Args:
+            task_id: the task that it is for.
+            packet: the packet, as the wire writes it.
+            host: where the task is, as far as the caller knows; used for the first packet to this task only.
+            now_s: host time.
+
+        Raises:
+            MailboxFull: too many wait for this task already.
+        """
+        to = self._to.get(str(task_id))
+        if to is None:
+            to = self._to[str(task_id)] = _Correspondence(name_to(self.stream, str(task_id)), host)
+        if len(to.packets) >= WINDOW or (to.packets and to.size_bytes + len(packet) > WINDOW_BYTES):
+            raise MailboxFull(
+                f"{len(to.packets)} packets for the task {task_id} ({to.size_bytes} bytes) wait for their"
+                " acknowledgement already"
+            )
+        if not to.packets:
+            to.pause_s = RESEND_S
+            to.due_s = now_s + RESEND_S
+        to.packets[to.next_seq] = packet
+        to.size_bytes += len(packet)
+        to.next_seq += 1
+        return self._fill(str(task_id), to)
+
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[ToSend]:
+        """Forgets what has had its effect, and returns what may follow.
+
+        Only the agent that the letters went to is believed: of another, what it acknowledges is sent on to where the
+        task is, whose filter knows it.
+        """
+        to = self._to.get(receipt.task_id)
+        if to is None or receipt.stream != to.name or peer != to.host:
+            return []
+        self._began(receipt.task_id, to, (receipt.began_n, receipt.began_life), receipt.began_seq, peer)
+        if receipt.epoch_n >= to.epoch_n:
+            to.host, to.epoch_n = peer, receipt.epoch_n
+        while to.packets and next(iter(to.packets)) <= receipt.seq:
+            to.size_bytes -= len(to.packets.popitem(last=False)[1])
+            to.in_flight = max(0, to.in_flight - 1)
+            to.pause_s = RESEND_S
+            to.due_s = now_s + RESEND_S
+        return self._fill(receipt.task_id, to)
+
+    def is_unsure_of(self, task_id: str, epoch_n: int) -> bool:
+        """Returns whether what was acknowledged for a task may be lost, now that it is owned under an epoch.
+
+        Under one epoch too: its agent may have crashed, and have begun from its last checkpoint.
+        """
+        to = self._to.get(task_id)
+        return to is not None and to.acknowledged > 0 and 0 <= to.began[0] <= epoch_n
+
+    def began(self, news: StreamsBegan, peer: str) -> None:
+        """Learns from what state a task began where it is now."""
+        to = self._to.get(news.task_id)
+        if to is not None and to.name in news.upto:
+            self._began(news.task_id, to, (news.began_n, news.began_life), news.upto[to.name], peer)
+
+    def _began(self, task_id: str, to: _Correspondence, began: tuple[int, int], upto: int, peer: str) -> None:
+        if began <= to.began:
+            return
+        first_time, to.began = to.began == UNKNOWN, began
+        if not first_time and 0 <= upto < to.acknowledged:
+            self._lost.append(LostLetters(task_id, upto + 1, to.acknowledged, peer))
+
+    def take_lost(self) -> list[LostLetters]:
+        """Returns what is known to be lost, and forgets it."""
+        lost, self._lost = self._lost, []
+        return lost
+
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[ToSend]:
+        """Learns of a peer where a task has gone, and returns what waits for it.
+
+        Older news than what is known is ignored, and so is that of an agent that was not asked.
+        """
+        to = self._to.get(news.task_id)
+        if to is None or (peer != to.host and to.pause_s < LONGEST_S):
+            return []
+        # Of one epoch there is one owner, whose own word is as good as a receipt of it.
+        if news.epoch_n < to.epoch_n or (news.epoch_n == to.epoch_n and news.peer != peer):
+            return []
+        moved = news.peer != to.host
+        to.host, to.epoch_n = news.peer, news.epoch_n
+        if not moved or not to.packets:
+            return []
+        to.pause_s = RESEND_S
+        return self._again(news.task_id, to, now_s)
+
+    def due(self, now_s: float) -> list[ToSend]:
+        """Returns what is to be sent again."""
+        out: list[ToSend] = []
+        for task_id, to in self._to.items():
+            if not to.packets or to.due_s > now_s:
+                continue
+            lost = to.pause_s >= LONGEST_S
+            out.extend(self._again(task_id, to, now_s))
+            if lost:
+                out.append(Seek(task_id))
+            to.pause_s = min(2 * to.pause_s, LONGEST_S)
+        return out
+
+    def waiting(self) -> dict[str, int]:
+        """Returns how many packets wait for their acknowledgement, by task."""
+        return {task_id: len(to.packets) for task_id, to in self._to.items() if to.packets}
+
+    def _again(self, task_id: str, to: _Correspondence, now_s: float) -> list[ToSend]:
+        to.due_s = now_s + to.pause_s
+        to.in_flight = 0
+        return self._fill(task_id, to)
+
+    def _fill(self, task_id: str, to: _Correspondence) -> list[ToSend]:
+        """Returns what may be sent besides what is on its way."""
+        if not to.packets:
+            to.in_flight = 0
+            return []
+        first = next(iter(to.packets))
+        sent = to.in_flight
+        to.in_flight = min(len(to.packets), IN_FLIGHT)
+        # The numbers of what is not acknowledged have no gap.
+        return [
+            OutgoingLetter(to.host, self._letter(task_id, to, seq)) for seq in range(first + sent, first + to.in_flight)
+        ]
+
+    def _letter(self, task_id: str, to: _Correspondence, seq: int) -> Letter:
+        return Letter(task_id, to.name, seq, next(iter(to.packets)), to.packets[seq], self._agent)
+
+
+def false_name(letter: Letter, packet: Packet | None, peer: str) -> str:
+    """Returns the name in a letter that is another's than the peer's that brought it; empty: there is none.
+
+    Args:
+        letter: the letter.
+        packet: the packet in it; None: it cannot be read.
+        peer: the agent that brought it.
+    """
+    if letter.sender != peer:
+        return letter.sender
+    return packet.source if packet is not None and agent_of(packet.source) != peer else ""
+
+
+class Incoming:
+    """A task's duplicate filter: how far each stream has had its effect. It moves with the task.
+
+    Args:
+        heard: what it begins with, by stream.
+    """
+
+    __slots__ = ("_heard", "_of")
+
+    def __init__(self, heard: Mapping[str, int] | None = None) -> None:
+        self._heard = dict(heard or {})
+        self._of: dict[str, dict[str, None]] = {}  # the streams of each agent, since it began here
+
+    def is_next(self, stream: str, seq: int, first: int) -> bool:
+        """Returns whether a letter is the next of its stream.
+
+        What lies before `first` was acknowledged, and never comes again: a task that went back to an earlier
+        checkpoint goes on from there.
+        """
+        return seq == max(self._heard.get(stream, 0) + 1, first)
+
+    def is_old(self, stream: str, seq: int) -> bool:
+        """Returns whether a letter has had its effect already."""
+        return seq <= self._heard.get(stream, 0)
+
+    def took(self, stream: str, seq: int, sender: str = "") -> None:
+        """A letter of an agent has had its effect."""
+        # To the end of the table, which is in the order in which they were heard.
+        self._heard.pop(stream, None)
+        self._heard[stream] = seq
+        if sender:
+            mine = self._of[sender] = self._of.pop(sender, {})
+            mine.pop(stream, None)
+            mine[stream] = None
+            if len(mine) > MOST_OF_SENDER:
+                self._heard.pop(_take_first(mine), None)
+            if len(self._of) > STREAMS:
+                _take_first(self._of)
+        while len(self._heard) > STREAMS:
+            del self._heard[next(iter(self._heard))]
+
+    def heard(self) -> dict[str, int]:
+        """Returns the whole filter, what was heard from last at its end."""
+        return dict(self._heard)
+
+
+def _take_first(table: dict[str, Any]) -> str:
+    first = next(iter(table))
+    del table[first]
+    return first
+
+
+class Outbox:
+    """The streams of one agent.
+
+    A stream to which no task adds any more, because its task has gone on in another one, is kept until all of it is
+    acknowledged. What a task sends on its way out (a thread of its own, its `on_stop`) goes in the common stream: of
+    streams of its own, one for each move, there would be ever more where no agent acknowledges them.
+
+    Args:
+        name: begins the names of all streams that are begun here; no other start of any agent ever had it.
+        agent: the agent.
+        secret: what no other agent can guess; the secret of each stream is drawn from it.
+
+    Attributes:
+        name: the same name.
+        agent: the same agent.
+    """
+
+    def __init__(self, name: str, agent: str, secret: str = "") -> None:
+        self.name = name
+        self.agent = agent
+        self._secret = secret
+        self._begun = 0
+        self._common = self._begin(name)
+        self._streams: dict[str, Outgoing] = {self._common.stream: self._common}
+        self._named: dict[str, Outgoing] = {}  # by what they are called in letters
+        self._of: dict[str, Outgoing] = {}  # the streams that tasks add to, by the sender's id
+        self._left: dict[str, Outgoing | None] = {}  # those of tasks that stand still for a hand-off
+        self._ending: set[str] = set()  # tasks that have left for good, and whose actor has not ended
+
+    def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[ToSend]:
+        """Takes a packet, and returns what is to be sent now.
+
+        Args:
+            sender: the task that sends it, as `birthplace/name`; empty: the sender does not move.
+            task_id: the task that it is for.
+            packet: the packet, as the wire writes it.
+            host: where that task is, as far as is known; used for the first packet of this sender to it only.
+            now_s: host time.
+
+        Raises:
+            MailboxFull: too many of this sender wait for this task already.
+        """
+        stream = self._stream_of(sender)
+        follows = stream.post(task_id, packet, host, now_s)
+        self._named[stream.name_for(str(task_id))] = stream
+        return follows
+
+    def host_of(self, sender: str, task_id: TaskId) -> str:
+        """Returns where a task is thought to be; empty: nothing that is kept here was ever sent to it."""
+        own = self._stream_of(sender).host_of(task_id)
+        if own is not None:
+            return own[1]
+        known = [found for stream in self._streams.values() if (found := stream.host_of(task_id)) is not None]
+        return max(known)[1] if known else ""
+
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[ToSend]:
+        """Forgets what has had its effect, and returns what may follow."""
+        stream = self._named.get(receipt.stream)
+        if stream is None:
+            return []
+        follows = stream.acknowledged(receipt, peer, now_s)
+        self._drop_done(stream)
+        return follows
+
+    def unsure_of(self, task_id: str, epoch_n: int) -> tuple[str, ...]:
+        """Returns the streams, as letters to a task name them, whose letters may be lost now that an epoch owns it."""
+        streams = self._streams.values()
+        return tuple(stream.name_for(task_id) for stream in streams if stream.is_unsure_of(task_id, epoch_n))
+
+    def began(self, news: StreamsBegan, peer: str) -> None:
+        """Learns from what state a task began where it is now."""
+        for stream in self._streams.values():
+            stream.began(news, peer)
+
+    def take_lost(self) -> list[LostLetters]:
+        """Returns what is known to be lost, and forgets it."""
+        senders = {stream.stream: sender for sender, stream in self._of.items()}
+        return [
+            replace(lost, sender=senders.get(name, ""))
+            for name, stream in self._streams.items()
+            for lost in stream.take_lost()
+        ]
+
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[ToSend]:
+        """Learns of a peer where a task has gone, and returns what waits for it."""
+        return [dispatch for stream in self._streams.values() for dispatch in stream.forwarded(news, peer, now_s)]
+
+    def due(self, now_s: float) -> list[ToSend]:
+        """Returns what is to be sent again."""
+        return [dispatch for stream in self._streams.values() for dispatch in stream.due(now_s)]
+
+    def waiting(self) -> dict[str, int]:
+        """Returns how many packets wait for their acknowledgement, by the task that they are for."""
+        waiting: dict[str, int] = {}
+        for stream in self._streams.values():
+            for task_id, count in stream.waiting().items():
+                waiting[task_id] = waiting.get(task_id, 0) + count
+        return waiting
+
+    # A sender that moves ---------------------------------------------------------------------------------------
+
+    def leave(self, sender: str) -> Posted | None:
+        """A sender stands still and is about to leave: returns its stream, to which nothing may be added from now on.
+
+        What is in it is sent all the same: its new host will send it again under the same numbers.
+        """
+        if sender not in self._left:
+            self._left[sender] = self._of.pop(sender, None)
+        stream = self._left[sender]
+        return stream.posted() if stream is not None else None
+
+    def stay(self, sender: str) -> None:
+        """It does not leave after all, and goes on with its stream."""
+        stream = self._left.pop(sender, None)
+        if stream is not None:
+            self._of[sender] = stream
+
+    def gone(self, sender: str, ends: bool = False) -> None:
+        """It has left for good, with its stream; `ends`: its actor is still to end here, and `ended` is to follow."""
+        stream = self._left.pop(sender, None)
+        if stream is not None:
+            self._forget(stream)
+        if ends:
+            self._ending.add(sender)
+
+    def ended(self, sender: str) -> None:
+        """Nothing of a sender that has left runs here any more."""
+        self._ending.discard(sender)
+
+    def arrive(self, sender: str, posted: Posted | None, fresh: bool) -> None:
+        """A sender begins from a snapshot.
+
+        Args:
+            sender: the task.
+            posted: the stream that is in the snapshot.
+            fresh: whether nothing of it has run since; else numbers may have been given out that the snapshot does not
+                know of, so that only what is in it may be sent again, and the task begins a new stream.
+        """
+        self._ending.discard(sender)
+        if not fresh and sender in self._of:
+            return  # it failed and begins anew: its stream has never left
+        former = [self._left.pop(sender, None), self._of.pop(sender, None)]
+        if posted is not None:
+            if fresh or posted.stream not in self._streams:
+                arrived = self._streams[posted.stream] = Outgoing.of(posted, self.agent)
+                self._named.update(dict.fromkeys(arrived.names(), arrived))
+            stream = self._streams[posted.stream]
+            if fresh:
+                self._of[sender] = stream
+            former.append(stream)
+        for done in former:
+            if done is not None:
+                self._drop_done(done)
+
+    def _stream_of(self, sender: str) -> Outgoing:
+        if not sender or sender in self._left or sender in self._ending:
+            return self._common
+        stream = self._of.get(sender)
+        if stream is None:
+            self._begun += 1
+            stream = self._of[sender] = self._begin(f"{self.name}/{self._begun}")
+            self._streams[stream.stream] = stream
+        return stream
+
+    def _begin(self, name: str) -> Outgoing:
+        # A secret of its own, as it moves with its sender, and the agent there learns it.
+        secret = blake2s(name.encode(), key=self._secret.encode(), digest_size=16).hexdigest()
+        return Outgoing(f"{name}#{secret}", self.agent)
+
+    def _drop_done(self, stream: Outgoing) -> None:
+        is_kept = self._streams.get(stream.stream) is stream  # and not another one, that has come under its name
+        if is_kept and stream is not self._common and not stream.waiting() and stream not in self._open():
+            self._forget(stream)
+
+    def _forget(self, stream: Outgoing) -> None:
+        self._streams.pop(stream.stream, None)
+        for name in stream.names():
+            self._named.pop(name, None)
+
+    def _open(self) -> Iterator[Outgoing | None]:
+        yield from self._of.values()
+        yield from self._left.values()

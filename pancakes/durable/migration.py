@@ -1,0 +1,361 @@
+"""Migrates hosted tasks away: asks for bids, pauses the task, hands it over, and does what follows.
+
+`Mover` takes the request of a person or a rule, and the award of the Task Migrator. `Departures` carries out what the
+hand-off asks of the task: pause, resume, leave. All in the service's actor.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from pancakes.control import Configure, Describe, Migrate, Remove, Reschedule, Stop
+from pancakes.durable.bidding_messages import (
+    MIGRATOR,
+    AttemptOver,
+    BidAwarded,
+    BrokenOff,
+    HasMoved,
+    MoveOver,
+    Negotiate,
+    ServiceBegan,
+)
+from pancakes.durable.handoff_events import AttemptFailed, Award, Freeze, FreezeFailed, Frozen, HandedOver
+from pancakes.durable.hosting import HostingService, Move, Place
+from pancakes.durable.ledger import Ledger, Sequel
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.rules import AGAIN_S, CostChoice, MigrationRule, cost_text, fault_of_choice, is_of_core
+from pancakes.durable.snapshot import Snapshot
+from pancakes.durable.state_machine import PartConcluded, StartWanted, StillOverdue, StoodStill, TakeDown
+from pancakes.errors import ControlRefused, MigrationError, PancakesError
+from pancakes.kernel.handlers import LATEST
+from pancakes.kernel.mailbox import tell
+from pancakes.packet import SYSCTRL, SYSTEM, Packet, agent_of, join
+from pancakes.supervision.lifecycle import RESTS, Request, State
+from pancakes.supervision.messages import Carried, GoOn, StandStill
+from pancakes.supervision.slots import STUCK_S, Slot
+
+
+class Departures:
+    """Carries out what hand-offs ask of tasks that leave one service. All in that service's actor.
+
+    Args:
+        host: the service.
+    """
+
+    def __init__(self, host: HostingService) -> None:
+        self._host = host
+
+    def freeze(self, slot: Slot, place: Place, effect: Freeze) -> StoodStill | None:
+        """Has a task stand still; its actor answers `StoodStill`. Where it has none, that is returned."""
+        if slot.task is None:
+            return StoodStill(effect.offer, reason="it does not run")
+        tell(slot.task, StandStill(effect.offer))
+        self._host.after_host(STUCK_S, partial(self._host.feed_place, place, StillOverdue(effect.offer)))
+        return None
+
+    def take_down(self, slot: Slot, place: Place, effect: TakeDown) -> Frozen | FreezeFailed:
+        """Writes down a task that stands still, and holds its actuators; returns what follows."""
+        self._host.hold_actuators(slot, "its task is handed over")
+        assert isinstance(effect.carried, Carried)
+        try:
+            snapshot = self._host.snapshot(slot, effect.carried, self._host.outbox.leave(place.task_id))
+        except PancakesError as error:
+            self._host.outbox.stay(place.task_id)
+            self.let_go_on(slot)
+            return FreezeFailed(effect.offer, str(error))
+        self._host.event("task_frozen", task=slot.name, offer=effect.offer.n)
+        move = place.move
+        sequel = Sequel(move.then, move.ledger).encode() if move is not None else b""
+        return Frozen(effect.offer, snapshot, sequel)
+
+    def let_go_on(self, slot: Slot) -> None:
+        """Lets a task go on that stands still."""
+        if slot.task is not None:
+            tell(slot.task, GoOn())
+
+    def resume(self, place: Place, slot: Slot | None) -> None:
+        """Lets a task go on that does not leave after all."""
+        self._host.outbox.stay(place.task_id)
+        if slot is not None and slot.task is not None:
+            self._host.event("task_resumed", task=slot.name)
+            self.let_go_on(slot)
+
+    def drop(self, place: Place, slot: Slot | None, ends: bool) -> None:
+        """Forgets what is owed for a task, and kept for it."""
+        self._host.kernel.registry.unreserve(join(self._host.address, place.task_id.name))
+        # What it was, down to the last byte of its state, is elsewhere now.
+        place.came_from, place.letters, place.written, place.ask_again_s = "", None, None, 0.0
+        self._host.outbox.gone(place.task_id, ends)
+        if ends and slot is not None:
+            # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.
+            self._host.hold_actuators(slot, "its task was handed over")
+            self._host.kernel.registry.release(slot.address)
+
+    def vacate(self, slot: Slot) -> list[Place]:
+        """A task was given away: what is left of it here is the tombstone in the journal.
+
+        Returns:
+            The places of other tasks of this name, which may wait for its slot.
+        """
+        slot.carried = None
+        slot.mailbox.clear_data()
+        if slot.fence is not None:
+            self._host.outbox.ended(slot.fence.task_id)
+        if slot.name not in self._host.residents:
+            del self._host.slots[slot.name]
+            self._host.kernel.tasks.strike_out(self._host.name, slot.name)
+        return self._host.places.named(slot.name)
+
+
+class Mover:
+    """Looks after the moves of one service's tasks. All in that service's actor.
+
+    Args:
+        host: the service.
+    """
+
+    def __init__(self, host: HostingService) -> None:
+        self._host = host
+        self._broken_off: list[tuple[Record, Ledger]] = []  # by the end of this service's predecessor
+        self._watched: list[str] = []
+        self._asks = 0
+
+    def begin(self) -> None:
+        """The service has begun: accounts for the moves that its predecessor's end has broken off."""
+        for record, ledger in self._broken_off:
+            reason = f"{self._host.address} was started anew before {ledger.winner} had the task"
+            stayed = ledger.stayed(str(record.offer), reason)
+            self._host.kernel.tell(MIGRATOR, BrokenOff(self._host, record.task_id, stayed, reason))
+        self._host.kernel.tell(MIGRATOR, ServiceBegan(self._host))
+
+    def found(self, record: Record) -> None:
+        """Learns of a record that was on disk."""
+        if record.phase is Phase.FROZEN and (ledger := self.sequel_of(record).ledger) is not None:
+            self._broken_off.append((record, ledger))
+
+    def sequel_of(self, record: Record) -> Sequel:
+        """Returns what is to follow a hand-over; nothing, where that cannot be read."""
+        try:
+            return Sequel.decode(record.sequel)
+        except MigrationError as error:
+            self._host.log("error", f"what was to follow the hand-over of {record.task_id} is not done: {error}")
+            return Sequel()
+
+    def refuse_elsewhere(self, slot: Slot, body: Any) -> None:
+        """Looks whether something can be asked here of a task.
+
+        Raises:
+            ControlRefused: it is on its way, it has left, or it is being removed.
+        """
+        place = self._host.places.at[slot.name]
+        record, volatile = place.standing.record, place.standing.volatile
+        describes = isinstance(body, Describe)
+        going = volatile.freezing or record.under_way
+        if going and not describes:
+            peer = volatile.asked or record.peer
+            raise ControlRefused(f"{slot.address} is being handed over between {self._host.agent} and {peer}")
+        if place.standing.leaving and not describes:
+            raise ControlRefused(f"{slot.address} was handed over, and has not ended yet")
+        if place.removal is not None and not describes:
+            raise ControlRefused(f"{slot.address} is being removed")
+        asks_state = describes and (body.state or body.began)
+        changes = asks_state or isinstance(body, Stop | Reschedule | Configure | Migrate | Remove)
+        if record.phase is Phase.RELEASED and not record.removed and changes:
+            raise ControlRefused(f"{record.task_id} moved to {record.peer}")
+
+    # Asking for a move -----------------------------------------------------------------------------------------
+
+    def negotiate(self, slot: Slot, body: Migrate, answer: Request | None) -> None:
+        """Has the Task Migrator ask the neighbours for bids.
+
+        Args:
+            slot: the task.
+            body: what is asked for.
+            answer: the request to answer; None where a rule asks.
+
+        Raises:
+            ControlRefused: the task cannot move now.
+        """
+        self.refuse_elsewhere(slot, body)
+        host = self._host
+        place = host.places.at[slot.name]
+        if slot.task is None or slot.life.state is not State.RUNNING:
+            raise ControlRefused(f"{slot.how_it_is}, so it cannot move")
+        if not slot.spec.type:
+            raise ControlRefused(f"{slot.address} has no entry point under which another agent could find its class")
+        if place.move is not None:
+            raise ControlRefused(f"{slot.address} is being moved already")
+        fault = fault_of_choice(body.cost)
+        if fault:
+            raise ControlRefused(f"{slot.address} cannot move: {fault}")
+        if body.then and body.then not in host.slots:
+            raise ControlRefused(f"{host.address} has no task {body.then!r} that could follow {slot.name}")
+        if host.kernel.actor(MIGRATOR) is None:
+            raise ControlRefused(f"{slot.address} cannot move: the Network Service of {host.agent} is stopped")
+        offer = self._offer(place, body.cost)
+        self._asks += 1
+        rule = slot.spec.rule
+        request = Solicit(
+            place.task_id,
+            self._asks,
+            slot.spec.type,
+            slot.spec.version,
+            host.name,
+            slot.spec.cls.requires,
+            body.cost,
+            rule.below if rule is not None and rule.when == "battery" else None,
+            offer,
+        )
+        place.move = Move(request, body.then, answer, body.dry_run)
+        asked_by = answer.by if answer is not None else "rule"
+        host.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
+        host.kernel.tell(MIGRATOR, Negotiate(self._host, request, asked_by, body.to, body.dry_run))
+
+    def _offer(self, place: Place, cost: CostChoice) -> bytes:
+        """Returns what bidders are told of a task.
+
+        Raises:
+            ControlRefused: that is too much.
+        """
+        record = place.standing.record
+        try:
+            return Snapshot.decode(record.snapshot).offer() if record.snapshot and not is_of_core(cost) else b""
+        except MigrationError as error:
+            raise ControlRefused(f"{place.task_id} cannot move for the cost {cost_text(cost)}: {error}") from None
+
+    def watch(self, slot: Slot) -> None:
+        """A task runs: watches what its rule for moving is about."""
+        rule = slot.spec.rule
+        if rule is not None and rule.when not in self._watched:
+            self._watched.append(rule.when)
+            self._host.subscribe(SYSTEM, rule.when, self._on_reading, keep=LATEST)
+
+    def _on_reading(self, packet: Packet) -> None:
+        """A reading that rules watch has come."""
+        host = self._host
+        if agent_of(packet.source) != host.agent:
+            return
+        for slot in list(host.slots.values()):
+            rule = slot.spec.rule
+            if rule is None or rule.when != packet.type or slot.life.state is not State.RUNNING:
+                continue
+            place = host.places.at[slot.name]
+            if host.kernel.host.now() < place.ask_again_s or place.move is not None:
+                continue
+            # What is to follow may exist only on the agent where the rule was written.
+            then = rule.then if rule.then in host.slots else ""
+            try:
+                if rule.met_by(packet.body):
+                    self.negotiate(slot, Migrate(slot.name, then=then, cost=rule.cost), None)
+            except (ControlRefused, MigrationError) as error:
+                self._refused(place, rule, f"the rule of {slot.address} could not move it: {error}")
+
+    # What the Task Migrator tells ------------------------------------------------------------------------------
+
+    def heard(self, place: Place, message: BidAwarded | MoveOver) -> Award | PartConcluded | None:
+        """The bids are compared, or a move is over; returns what follows."""
+        if isinstance(message, MoveOver):
+            return self._over(place, message)
+        if place.move is not None:
+            place.move.ledger = message.ledger
+        return Award(message.peer, message.request)
+
+    def _over(self, place: Place, over: MoveOver) -> PartConcluded | None:
+        move, place.move = place.move, None
+        if move is not None and move.answer is not None:
+            self._host.reply(move.answer, over.reason, over.result)
+        if move is not None and over.reason and not move.dry_run:
+            rule = place.slot.spec.rule if place.slot is not None and move.answer is None else None
+            why = f"{over.task_id} stays on {self._host.agent}: {over.reason}"
+            self._refused(place, rule, why, "info" if move.answer is not None else "warning")
+        if place.account is None or over.reason:
+            return None
+        place.account = None
+        return PartConcluded()
+
+    def _refused(self, place: Place, rule: MigrationRule | None, why: str, level: str = "warning") -> None:
+        """No agent takes a task now. Where its rule has asked, that says what is done then.
+
+        Args:
+            place: the task's place.
+            rule: the rule that asked for the move; None: a person did, or a program.
+            why: why it stays, as a sentence.
+            level: that of the sentence on `log`; one who has asked is told it anyway.
+        """
+        host, slot = self._host, place.slot
+        host.log(level, why)
+        place.ask_again_s = host.kernel.host.now() + (rule.again_s if rule is not None else AGAIN_S)
+        other = host.slots.get(rule.otherwise) if rule is not None and rule.otherwise else None
+        if slot is None or other is None or other.life.state not in RESTS:
+            return
+        if reason := host.admit(other):
+            host.log("error", f"{other.address} cannot start in the place of {slot.address}: {reason}")
+            return
+        host.log("warning", f"{slot.address} is stopped, and {other.address} starts in its place")
+        # As anybody would ask for it: so it is wanted stopped, also after a reboot. The other one waits for what the
+        # task holds.
+        host.publish(SYSCTRL, Stop(slot.name))
+        host.feed_place(host.places.at[other.name], StartWanted())
+
+    def migrator_began(self) -> None:
+        """The migrator has started anew and knows of no negotiation: the requests that wait are answered.
+
+        A hand-off under way goes on without it, and with it the move.
+        """
+        for place in list(self._host.places.values()):
+            if place.account is not None:
+                self._host.kernel.tell(MIGRATOR, place.account)
+            elif place.move is not None and place.move.ledger is None:
+                self._over(place, MoveOver(place.task_id, "the Task Migrator was started anew", None))
+
+    # What hand-offs ask for ------------------------------------------------------------------------------------
+
+    def attempt_failed(self, place: Place, effect: AttemptFailed) -> None:
+        """The hand-off to a bidder has come to nothing, or (no peer) none can begin now."""
+        ledger = place.move.take_ledger() if place.move is not None else None
+        if effect.peer or place.move is not None:
+            message = AttemptOver(self._host, place.task_id, effect.peer, effect.reason, ledger)
+            self._host.kernel.tell(MIGRATOR, message)
+
+    def handed_over(self, place: Place, effect: HandedOver) -> None:
+        """Another agent has the task: does what is to follow."""
+        self._host.event("task_handed_over", task=place.task_id.name, to=effect.peer, epoch=effect.epoch.n)
+        sequel = self.sequel_of(place.standing.record)
+        # In a turn of its own: after a restart of the agent this comes while the other tasks are being started.
+        self._host.call(lambda: self._conclude(place, effect, sequel))
+
+    def _conclude(self, place: Place, effect: HandedOver, sequel: Sequel) -> None:
+        host, task_id, peer = self._host, place.task_id, effect.peer
+        anew = f"the Task Migrator of {host.agent}" if place.move is not None else host.address
+        on_its_way = f"{anew} was started anew while the task was on its way"
+        note = f"{on_its_way}, so the duration ends with the choice of {peer}"
+        # Where the migrator does not run, it is told once it does.
+        place.account = HasMoved(host, task_id, peer, str(effect.epoch), sequel.ledger, note)
+        host.kernel.tell(MIGRATOR, place.account)
+        self._follow(sequel.then, place)
+
+    def _follow(self, name: str, gone: Place) -> None:
+        """Starts a task because another one has gone; once its record says that it is wanted, that is concluded."""
+        host = self._host
+        slot = host.slots.get(name)
+        reason = ""
+        if slot is None or slot.life.state not in RESTS:
+            if name and (slot is None or slot.life.state in (State.STOPPING, State.STUCK)):
+                reason = f"{name} cannot follow: {host.address} has no such task at rest"
+        elif reason := host.admit(slot):
+            reason = f"{slot.address} cannot follow: {reason}"
+        else:
+            place = host.places.at[slot.name]
+            place.follows = gone.task_id
+            host.feed_place(place, StartWanted())
+            return
+        if reason:
+            host.log("error", reason)
+        host.feed_place(gone, PartConcluded())
+
+    def followed(self, place: Place, gone: TaskId) -> None:
+        """The start of a task that follows another one is decided."""
+        place.follows = None
+        self._host.feed_place(self._host.places[gone], PartConcluded())

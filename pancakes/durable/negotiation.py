@@ -1,0 +1,379 @@
+"""Bidding without its actors: whether an agent can take a task, and which bid wins. Pure.
+
+`Capability` compares what a task needs with what an agent has. `Reservations` are the slots kept for tasks that are
+about to arrive. `Negotiation` collects the answers of the neighbours and keeps the account. Once one neighbour has
+bid, the others have half a second; before that, silence is tolerated longer, because a neighbour may have to import
+the task's class first. The cheapest bid wins, ties by name. If the hand-off to it fails, the next bid wins. The task
+runs on meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.durable.ledger import Ledger, Line
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import Epoch, TaskId
+from pancakes.durable.rules import cost_text, fault_of, fault_of_choice, names_of
+from pancakes.errors import NoCandidate
+from pancakes.util.text import hint_of
+
+HOST_ROLE: Final = "agent"
+"""The one role whose agents are asked to take a task: no simulated world, no terminal."""
+
+BATTERY_MARGIN: Final = 0.10
+"""A candidate's battery must lie at least this much above the level where the task would move on: no ping-pong."""
+
+
+class Capability(msgspec.Struct, frozen=True):
+    """What an agent has to offer to a task, at the moment of asking.
+
+    Attributes:
+        role: its role on the mesh.
+        devices: the types of its devices.
+        types: the task types that it knows, with the version of the distribution they come from.
+        faults: for each task type that is installed and cannot be loaded, why.
+        services: the services that run here and take tasks in.
+        records: for each task of which there is a record here, the service that has it.
+        names: which task each name here belongs to: those that run, are stopped, or are about to arrive.
+        costs: the cost functions that it knows.
+        battery_level: what is left of its battery, 0 to 1; None where it has none.
+    """
+
+    role: str = HOST_ROLE
+    devices: tuple[str, ...] = ()
+    types: Mapping[str, str] = msgspec.field(default_factory=dict)
+    faults: Mapping[str, str] = msgspec.field(default_factory=dict)
+    services: tuple[str, ...] = ("client",)
+    records: Mapping[TaskId, str] = msgspec.field(default_factory=dict)
+    names: Mapping[str, TaskId] = msgspec.field(default_factory=dict)
+    costs: tuple[str, ...] = ("tasks",)
+    battery_level: float | None = None
+
+    def refusal_of(self, request: Solicit) -> str:
+        """Returns why this agent cannot take the task, all reasons in one phrase; empty where it can."""
+        return "; ".join(reason for reason in self._reasons(request) if reason)
+
+    def _reasons(self, request: Solicit) -> tuple[str, ...]:
+        return (
+            "" if self.role == HOST_ROLE else f"is no host of tasks but in the role {self.role!r}",
+            self._service(request),
+            self._devices(request),
+            self._type(request),
+            self._name(request),
+            self._cost(request),
+            self._battery(request),
+        )
+
+    def _service(self, request: Solicit) -> str:
+        if request.service not in self.services:
+            there = f"only {', '.join(self.services)}" if self.services else "nor any other"
+            return f"runs no service {request.service!r} that takes tasks in, {there}"
+        record = self.records.get(request.task_id, request.service)
+        if record != request.service:
+            return f"has a record of {request.task_id} in its service {record!r}, not in {request.service!r}"
+        return ""
+
+    def _devices(self, request: Solicit) -> str:
+        lacking = [device for device in request.requires if device not in self.devices]
+        if not lacking:
+            return ""
+        kind = "device type" if len(lacking) == 1 else "device types"
+        return f"lacks the {kind} {', '.join(lacking)}"
+
+    def _type(self, request: Solicit) -> str:
+        here = self.types.get(request.type)
+        if here is None:
+            return self.faults.get(request.type, f"knows no task type {request.type!r}")
+        if not compatible(request.version, here):
+            return f"has {request.type} in version {here}, not {request.version}"
+        return ""
+
+    def _name(self, request: Solicit) -> str:
+        holder = self.names.get(request.task_id.name)
+        if holder is None or holder == request.task_id:
+            return ""
+        return f"has a task named {request.task_id.name} already ({holder})"
+
+    def _cost(self, request: Solicit) -> str:
+        unknown = [name for name in names_of(request.cost) if name not in self.costs]
+        if unknown:
+            kind = "cost function" if len(unknown) == 1 else "cost functions"
+            return f"knows no {kind} {', '.join(repr(name) for name in unknown)}"
+        return fault_of_choice(request.cost)
+
+    def _battery(self, request: Solicit) -> str:
+        level, below = self.battery_level, request.moves_on_below
+        if level is None or below is None or level >= below + BATTERY_MARGIN:
+            return ""
+        return f"has {level:.0%} of its battery, too near to the {below:.0%} at which the task would move on"
+
+
+def compatible(offered: str, here: str) -> bool:
+    """Returns whether a task of the version `offered` may be built from the version `here`.
+
+    It may where both have the same number up to the first that is not 0, as semantic versioning promises.
+    """
+    return _line_of(offered) == _line_of(here)
+
+
+def _line_of(version: str) -> tuple[str, ...]:
+    line: list[str] = []
+    for part in version.split("."):
+        line.append(part)
+        if part != "0":
+            break
+    return tuple(line)
+
+
+class Reservation(msgspec.Struct, frozen=True):
+    """A place kept for one task.
+
+    Attributes:
+        peer: the agent that it would come from.
+        offer: the hand-off that it is kept for.
+        until_s: host time at which it is given up.
+    """
+
+    peer: str
+    offer: Epoch
+    until_s: float
+
+
+class Reservations:
+    """Keeps the slots, at most one for each task. Advisory: no safety hangs on it, and a crash empties it."""
+
+    def __init__(self) -> None:
+        self._slots: dict[TaskId, Reservation] = {}
+
+    def keep(self, task_id: TaskId, slot: Reservation) -> None:
+        """Keeps a slot; it replaces an older one for the same task."""
+        self._slots[task_id] = slot
+
+    def free(self, task_id: TaskId) -> None:
+        """Gives the slot for a task up, if there is one: it has arrived, or does not come."""
+        self._slots.pop(task_id, None)
+
+    def peer_of(self, task_id: TaskId, now_s: float) -> str:
+        """Returns the agent that a slot for a task is kept for at `now_s` (host time); empty: none is."""
+        slot = self._slots.get(task_id)
+        return slot.peer if slot is not None and slot.until_s > now_s else ""
+
+    def number(self, peer: str, now_s: float) -> int:
+        """Returns how many slots are kept for a peer at `now_s` (host time)."""
+        return sum(slot.peer == peer and slot.until_s > now_s for slot in self._slots.values())
+
+    def kept(self, now_s: float) -> tuple[TaskId, ...]:
+        """Returns the tasks that a slot is kept for at `now_s` (host time), in order; drops what has expired."""
+        self._slots = {task_id: slot for task_id, slot in self._slots.items() if slot.until_s > now_s}
+        return tuple(sorted(self._slots))
+
+
+MOST_TERMS: Final = 64
+"""A bid has no more terms, ..."""
+MOST_LETTERS: Final = 1000
+"""... and no reason more letters: the accounts of moves are kept on disk."""
+
+
+class Awarded(msgspec.Struct, frozen=True):
+    """`peer` is to get the task: begin the hand-off, then say `failed` or `moved`."""
+
+    peer: str
+
+
+class Exhausted(msgspec.Struct, frozen=True):
+    """No neighbour can take the task, or the request was only to know which could.
+
+    Attributes:
+        error: what to tell the asker; its message has each neighbour's reason. None after a dry run that
+            found a candidate.
+    """
+
+    error: NoCandidate | None
+
+
+Outcome = Awarded | Exhausted
+
+
+class Negotiation:
+    """One asking for bids, until the task has moved or stays.
+
+    Each method that may decide something returns an `Outcome`, or None where nothing is decided by it.
+
+    Args:
+        request: what is asked; sent to each of `asked` by the caller.
+        source: as in `Ledger`.
+        asked_by: the task or person that wants the move, for the ledger.
+        neighbours: the neighbours in a role that hosts tasks.
+        now_s: host time.
+        to: the only neighbour to ask; empty: all.
+        dry_run: compare, and move nothing.
+        window_s: how long to wait for other answers where a bid has come, in host time.
+        patience_s: how long to wait where none has.
+        cause: as in `Ledger`.
+
+    Attributes:
+        asked: the neighbours that are asked.
+        latest_s: when the window closes at the latest, in host time.
+    """
+
+    def __init__(
+        self,
+        request: Solicit,
+        source: str,
+        asked_by: str,
+        neighbours: Iterable[str],
+        now_s: float,
+        to: str,
+        dry_run: bool,
+        window_s: float,
+        patience_s: float,
+        cause: str,
+    ) -> None:
+        self._known = known = sorted(dict.fromkeys(neighbours))
+        self.request = request
+        self.asked: tuple[str, ...] = tuple(peer for peer in known if not to or peer == to)
+        self._source = source
+        self._asked_by = asked_by
+        self._to = to
+        self.dry_run = dry_run
+        self._window_s = window_s
+        self._patience_s = patience_s
+        self.latest_s = now_s + patience_s
+        self._cause = cause
+        self._began_s = now_s
+        self._ended_s: float | None = None
+        self._open = True
+        self._chosen = ""
+        self._lines: dict[str, Line] = {}
+
+    @property
+    def open(self) -> bool:
+        """Whether answers are still waited for."""
+        return self._open
+
+    @property
+    def chosen(self) -> str:
+        """The neighbour that the hand-off is under way to, or that has the task; empty where none."""
+        return self._chosen
+
+    def begin(self, now_s: float) -> Outcome | None:
+        """Begins. To be called before the answers come; decides at once where there is no neighbour to ask."""
+        return None if self.asked else self._close(now_s)
+
+    def bid(self, peer: str, cost: float, terms: Mapping[str, float], now_s: float) -> Outcome | None:
+        """Takes a bid. One that cannot be compared counts as a refusal."""
+        fault = fault_of(cost, terms)
+        if len(terms) > MOST_TERMS or any(len(name) > MOST_LETTERS for name in terms):
+            fault = f"it has more than {MOST_TERMS} terms, or too long a name"
+        if fault:
+            return self._answer(Line(peer, "refused", "refused", reason=f"its bid does not count: {fault}"), now_s)
+        return self._answer(Line(peer, "bid", "lost", cost, dict(terms)), now_s)
+
+    def refuse(self, peer: str, reason: str, now_s: float) -> Outcome | None:
+        """Takes a refusal, or the news that the link to `peer` is gone."""
+        return self._answer(Line(peer, "refused", "refused", reason=reason[:MOST_LETTERS]), now_s)
+
+    def tick(self, now_s: float) -> Outcome | None:
+        """Closes the window once it is time. To be called after `window_s`, and after `patience_s`."""
+        return self._close(now_s) if self._open and self._late(now_s) else None
+
+    def failed(self, peer: str, reason: str, now_s: float) -> Outcome | None:
+        """Takes the news that the hand-off to the chosen neighbour came to nothing; the next one's turn."""
+        if self._open or peer != self._chosen or self._ended_s is not None:
+            return None
+        self._lines[peer] = replace(self._lines[peer], fate="failed", reason=reason[:MOST_LETTERS])
+        return self._choose(now_s)
+
+    def moved(self, peer: str, now_s: float) -> None:
+        """Takes the news that the chosen neighbour owns the task."""
+        if not self._open and peer == self._chosen and self._ended_s is None:
+            self._ended_s = now_s
+
+    def ledger(self, now_s: float) -> Ledger:
+        """Returns the account as it stands at `now_s` (host time)."""
+        ended_s = now_s if self._ended_s is None else self._ended_s
+        if self._ended_s is None:
+            outcome = "undecided"
+        elif not self._chosen:
+            outcome = "stayed"
+        else:
+            outcome = "dry run" if self.dry_run else "moved"
+        return Ledger(
+            task_id=str(self.request.task_id),
+            source=self._source,
+            asked_by=self._asked_by,
+            cost=cost_text(self.request.cost),
+            outcome=outcome,  # type: ignore[arg-type]  # mypy does not narrow the literals above
+            winner=self._chosen,
+            lines=tuple(self._explained(self._lines[peer]) for peer in self.asked if peer in self._lines),
+            duration_s=ended_s - self._began_s,
+            to=self._to,
+            cause=self._cause,
+        )
+
+    def _answer(self, line: Line, now_s: float) -> Outcome | None:
+        if line.peer not in self.asked:
+            return None
+        if not self._open or self._late(now_s):
+            outcome = self._close(now_s) if self._open else None
+            known = self._lines[line.peer]
+            if known.answer == "silent":
+                late = f"answered later than {self._waited_s:g} s"
+                self._lines[line.peer] = Line(line.peer, "refused", "refused", line.cost, line.terms, late)
+            return outcome
+        # The first answer counts: one that comes again may be an old one.
+        self._lines.setdefault(line.peer, line)
+        return self._close(now_s) if len(self._lines) == len(self.asked) or self._late(now_s) else None
+
+    @property
+    def _waited_s(self) -> float:
+        """How long a silent neighbour is waited for, as things stand."""
+        has_bid = any(line.answer == "bid" for line in self._lines.values())
+        return self._window_s if has_bid else self._patience_s
+
+    def _late(self, now_s: float) -> bool:
+        return now_s >= self._began_s + self._waited_s
+
+    def _close(self, now_s: float) -> Outcome:
+        self._open = False
+        for peer in self.asked:
+            silence = f"did not answer within {self._waited_s:g} s"
+            self._lines.setdefault(peer, Line(peer, "silent", "silent", reason=silence))
+        return self._choose(now_s)
+
+    def _choose(self, now_s: float) -> Outcome:
+        bids = sorted((line.cost, peer) for peer, line in self._lines.items() if line.fate == "lost")
+        if not bids:
+            self._chosen = ""
+            self._ended_s = now_s
+            return Exhausted(NoCandidate(self._sentence()))
+        self._chosen = bids[0][1]
+        self._lines[self._chosen] = replace(self._lines[self._chosen], fate="won")
+        if self.dry_run:
+            self._ended_s = now_s
+            return Exhausted(None)
+        return Awarded(self._chosen)
+
+    def _explained(self, line: Line) -> Line:
+        if line.fate != "lost" or not self._chosen:
+            return line
+        best = self._lines[self._chosen].cost
+        why = "has the same cost and a lower name" if best == line.cost else "is cheaper"
+        return replace(line, reason=f"{self._chosen} {why}")
+
+    def _sentence(self) -> str:
+        name = self.request.task_id.name
+        if self.asked:
+            reasons = "; ".join(f"{peer}: {self._lines[peer].reason}" for peer in self.asked)
+            return f"no neighbour can take {name}: {reasons}"
+        if self._to == self._source:
+            return f"{name} is on {self._to} already: name another agent"
+        if self._to:
+            hint = hint_of(self._to, self._known)
+            return f"no neighbour can take {name}: {self._to} is no neighbour that hosts tasks{hint}"
+        return f"no neighbour can take {name}: there is no neighbour that hosts tasks"

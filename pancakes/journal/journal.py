@@ -1,0 +1,451 @@
+"""The journal: durable entries, an id for life and a counter of boots; and a journal in memory.
+
+Where entries are stored is a subclass's matter: `MemoryJournal` here (virtual time and tests), `FileJournal` in
+`pancakes.journal.file_journal`. Each entry is sealed with a checksum and the id of its journal, so nothing torn or
+foreign is ever believed. What cannot be believed is set aside under another name and reported. All methods wait for
+the disk, and one thread at a time calls them.
+"""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain, count
+from typing import Any, Final, NamedTuple
+from urllib.parse import quote, unquote
+
+import msgspec
+
+from pancakes import __version__
+from pancakes.errors import PancakesError
+from pancakes.util import codecs
+from pancakes.util.codecs import MALFORMED, sha256, why_malformed
+
+_MAGIC: Final = b"PNCKJRN1"
+_DIGEST_BYTES: Final = 32
+
+
+class JournalError(PancakesError):
+    """The journal cannot be opened, read or written; the message names the file."""
+
+
+class JournalLost(JournalError):
+    """The state directory is not the one any more that was opened: another process may open what lies there now."""
+
+
+class JournalEntry(msgspec.Struct, frozen=True, array_like=True):
+    """One durable thing. A later entry of the same kind and key takes its place.
+
+    Attributes:
+        kind: what it is (`task`, `fence`, `ledger`), in lower-case letters.
+        key: which of its kind, such as a task's id.
+        data: what is kept; the journal does not look into it.
+    """
+
+    kind: str
+    key: str
+    data: bytes
+
+
+class SetAside(msgspec.Struct, frozen=True):
+    """An entry that was found, could not be believed, and was put aside under another name.
+
+    Attributes:
+        name: where it lay.
+        now: where it lies now; people may look at it, the journal never does.
+        reason: why it was not believed.
+        kind: what it claims to be, as far as its name tells; empty where it does not.
+        key: which of that kind, as far as its name tells.
+        entry: what can be read of it all the same: it is whole, but of another journal; None: nothing.
+        times: how often an entry of this name was set aside, this time included.
+    """
+
+    name: str
+    now: str
+    reason: str
+    kind: str
+    key: str
+    entry: JournalEntry | None = None
+    times: int = 1
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.reason}: it was set aside as {self.now}"
+
+
+class Unbelievable(Exception):
+    """Sealed bytes are not what they should be; the message goes on from the file's name."""
+
+
+class _Sealed(msgspec.Struct, frozen=True, array_like=True):
+    journal: str
+    entry: JournalEntry
+
+
+_DECODE: Final = codecs.decoder(_Sealed)
+
+
+def seal(journal: str, entry: JournalEntry) -> bytes:
+    """Returns an entry as it is stored by the journal with the id `journal`: marked, and with its checksum.
+
+    Raises:
+        JournalError: there is no memory for it.
+    """
+    try:
+        body = codecs.encode(_Sealed(journal, entry))
+    except MemoryError as error:
+        raise JournalError(
+            f"the {len(entry.data)} bytes of {entry.kind} {entry.key} cannot be written: {error}"
+        ) from None
+    return _MAGIC + sha256(body) + body
+
+
+def unseal(journal: str, sealed: bytes) -> JournalEntry:
+    """Returns the entry that was stored.
+
+    Args:
+        journal: id of the journal that must have stored it; empty where any will do.
+        sealed: what was read.
+
+    Raises:
+        Unbelievable: the bytes are torn, damaged, or another journal's.
+    """
+    if not sealed.startswith(_MAGIC):
+        raise Unbelievable("is no file of a journal" if sealed else "is empty")
+    head = len(_MAGIC) + _DIGEST_BYTES
+    body = sealed[head:]
+    if sha256(body) != sealed[len(_MAGIC) : head]:
+        raise Unbelievable(f"is torn or damaged ({len(sealed)} bytes, wrong checksum)")
+    try:
+        contents = _DECODE(body)
+    except MALFORMED as error:
+        raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
+    if journal and contents.journal != journal:
+        raise Unbelievable(f"belongs to the journal {contents.journal}, this is {journal}")
+    return contents.entry
+
+
+FORMAT: Final = 1
+"""Of what a journal keeps: a later version of Pancakes that keeps it otherwise has a higher one, and reads this."""
+SUFFIX: Final = ".rec"
+"""What names of stored entries end with."""
+BAD: Final = ".bad"
+"""What is appended to the name of what was set aside."""
+MOST_NAMES: Final = 8
+"""So many names of agents a journal remembers, the newest."""
+_BAD_NAME: Final = re.compile(rf"(.+{re.escape(SUFFIX)})(?:\.(\d+))?{re.escape(BAD)}")
+_IDENTITY: Final = "identity"
+_LONGEST_NAME: Final = 200
+
+
+class DiskUse(NamedTuple):
+    """What a journal has asked of its disk since it was opened: flash wears out by both.
+
+    Attributes:
+        syncs: how often it has waited until all was on the disk (`fsync`).
+        written_bytes: how much it has written.
+    """
+
+    syncs: int = 0
+    written_bytes: int = 0
+
+
+class Journal(ABC):
+    """The durable entries of one agent.
+
+    Its id (`uuid`) is made with it; a journal with another id under the same agent's name means that the
+    disk was lost. All methods wait for the disk and are called in one thread at a time.
+
+    Attributes:
+        uuid: the journal's id.
+        boot: how often it was opened, this time included.
+        life: drawn anew at each opening: two that have the same boot and another life are copies of one journal.
+        copy: which copy of the journal this is, where a file at a time was copied, as backups and moves to another
+            disk do; empty: the original. A copy of the whole disk is taken for what it is a copy of.
+        copied: whether this opening is the first of that copy.
+        former: the names of the agents that have opened it before, other than the one that does now.
+        set_aside: what was found at opening and could not be believed; to be reported by name.
+        missing: what was set aside at this opening or an earlier one, and has no entry in its place since then.
+        written_by: the version of Pancakes that opened it last before; empty: it is new, or that was not written down.
+        place: where it is kept, for people.
+        remarks: what people should know about that place, each a sentence.
+        check_s: how often, in seconds, `check` should be called; None: there is nothing to check.
+        use: what it has asked of the disk so far.
+    """
+
+    uuid: str
+    boot: int
+    life: str
+    copy: str
+    copied: bool
+    former: tuple[str, ...]
+    set_aside: tuple[SetAside, ...]
+    missing: tuple[SetAside, ...]
+    written_by: str
+    place: str
+    remarks: tuple[str, ...] = ()
+    check_s: float | None = None
+    use: DiskUse = DiskUse()
+
+    def entries(self, kind: str) -> list[JournalEntry]:
+        """Returns all entries of a kind, in the order of their keys."""
+        return [entry for (has, _), entry in sorted(self._entries.items()) if has == kind]
+
+    def read(self, kind: str, key: str) -> JournalEntry | None:
+        """Returns one entry, or None where there is none."""
+        return self._entries.get((kind, key))
+
+    def write(self, batch: Sequence[JournalEntry]) -> None:
+        """Makes entries durable, all of them at the price of little more than one.
+
+        When it returns they are on disk for good. When it raises, or when the machine dies in it, each of
+        them is either wholly there or not at all.
+
+        Raises:
+            JournalError: the disk is full, gone, or read-only; or an entry's kind is no word.
+            JournalLost: see `check`.
+        """
+        newest: dict[str, JournalEntry] = {}
+        for entry in batch:
+            if not re.fullmatch(r"[a-z]+", entry.kind) or entry.kind == _IDENTITY:
+                raise JournalError(f"{entry.kind!r} is no kind of journal entry: lower-case letters are")
+            newest[name_of(entry.kind, entry.key)] = entry
+        self._store(newest)
+        self._entries.update(((entry.kind, entry.key), entry) for entry in newest.values())
+
+    def check(self) -> None:
+        """Looks whether the journal still is what was opened.
+
+        Raises:
+            JournalLost: it is not; the message says what has happened.
+        """
+        return
+
+    @abstractmethod
+    def close(self) -> None:
+        """Lets go of the journal, so that another process may open it. A second call does nothing."""
+
+    def _store(self, newest: Mapping[str, JournalEntry]) -> None:
+        """Makes entries durable, by the names under which each is stored."""
+        self._replace({name: seal(self.uuid, entry) for name, entry in newest.items()})
+
+    def _open(self, new_uuid: Callable[[], str], agent: str, doubt: str = "") -> None:
+        """Reads everything there is, puts aside what cannot be believed, and counts the boot.
+
+        Args:
+            new_uuid: makes the id of a new journal.
+            agent: the name of the agent that opens it.
+            doubt: why this is not believed to be the journal that it says it is; empty: it is.
+
+        Raises:
+            JournalError: a later version of Pancakes has written it, in another format. Nothing of it was changed.
+        """
+        self._entries: dict[tuple[str, str], JournalEntry] = {}
+        aside: list[SetAside] = []
+        names = self._names(SUFFIX)
+        identity = name_of(_IDENTITY, _IDENTITY)
+        self.life, found = new_uuid(), _JournalIdentity()
+        if identity in names:
+            try:
+                if doubt:
+                    raise Unbelievable(doubt)
+                found = _read_identity(self._load(identity))
+            except Unbelievable as error:
+                aside.append(self._put_aside(identity, str(error)))
+        if found.format > FORMAT:
+            raise JournalError(
+                f"{self.place} is of the format {found.format}, which Pancakes {found.version} has written, and this is"
+                f" Pancakes {__version__}, which reads formats up to {FORMAT}: start it with that version"
+            )
+        self.written_by = found.version
+        # Without an identity of its own, entries that are there belong to another journal, and are put aside.
+        self.uuid, mark = found.uuid or self.life, self._mark()
+        self.copied = bool(found.uuid) and found.mark != mark
+        self.copy = self.life if self.copied else found.copy
+        for name in names:
+            if name == identity:
+                continue
+            try:
+                entry = unseal(self.uuid, self._load(name))
+                if name_of(entry.kind, entry.key) != name:
+                    raise Unbelievable(f"has the entry {entry.kind} {entry.key}, which is not what its name says")
+            except Unbelievable as error:
+                aside.append(self._put_aside(name, str(error)))
+            else:
+                self._entries[entry.kind, entry.key] = entry
+        self.set_aside = tuple(aside)
+        self.missing = self._missing()
+        self.boot = found.boot + 1
+        self.former = tuple(name for name in found.agents if name != agent)
+        names_now = ((*self.former, agent) if agent else self.former)[-MOST_NAMES:]
+        now = _JournalIdentity(self.uuid, self.boot, names_now, mark, self.copy, FORMAT, __version__)
+        contents = codecs.encode_small(now)
+        self._replace({identity: seal(self.uuid, JournalEntry(_IDENTITY, _IDENTITY, contents))})
+
+    def _is_of(self, journal: str) -> bool:
+        """Returns whether the identity that is stored is that of the journal with this id."""
+        name = name_of(_IDENTITY, _IDENTITY)
+        try:
+            return name in self._names(SUFFIX) and bool(unseal(journal, self._load(name)))
+        except Unbelievable:
+            return False
+
+    def _put_aside(self, name: str, reason: str) -> SetAside:
+        kind, key = _parts_of(name)
+        taken = self._names(BAD)
+        numbered = (f"{name}.{number}{BAD}" for number in count(2))
+        bad = next(bad for bad in chain((name + BAD,), numbered) if bad not in taken)
+        self._rename(name, bad)
+        return SetAside(self._place(name), self._place(bad), reason, kind, key)
+
+    def _missing(self) -> tuple[SetAside, ...]:
+        """Returns what lies aside and has no entry in its place; of several of one name the newest."""
+        newest: dict[str, tuple[int, str]] = {}
+        for bad in self._names(BAD):
+            match = _BAD_NAME.fullmatch(bad)
+            if match:
+                name, number = match[1], int(match[2] or 1)
+                newest[name] = max(newest.get(name, (0, "")), (number, bad))
+        missing: list[SetAside] = []
+        for name, (times, bad) in sorted(newest.items()):
+            kind, key = _parts_of(name)
+            if (kind, key) in self._entries or kind == _IDENTITY:
+                continue
+            sealed = self._load(bad)
+            try:
+                unseal(self.uuid, sealed)
+                reason = "is not what its name says"
+            except Unbelievable as error:
+                reason = str(error)
+            entry = _readable(sealed, name)
+            missing.append(SetAside(self._place(name), self._place(bad), reason, kind, key, entry, times))
+        return tuple(missing)
+
+    @abstractmethod
+    def _mark(self) -> str:
+        """Returns what a copy of the place does not have in common with it, and what it keeps for life."""
+
+    @abstractmethod
+    def _names(self, ending: str) -> list[str]:
+        """Returns the names of all that is stored and ends with `ending`, sorted."""
+
+    @abstractmethod
+    def _place(self, name: str) -> str:
+        """Returns where `name` lies, for people."""
+
+    @abstractmethod
+    def _load(self, name: str) -> bytes:
+        """Returns what is stored under `name`."""
+
+    @abstractmethod
+    def _replace(self, contents: dict[str, bytes]) -> None:
+        """Stores each value under its name for good, each atomically."""
+
+    @abstractmethod
+    def _rename(self, name: str, new: str) -> None:
+        """Gives what lies at `name` another name, which is free."""
+
+
+class _JournalIdentity(NamedTuple):
+    uuid: str = ""
+    boot: int = 0
+    agents: tuple[str, ...] = ()
+    mark: str = ""
+    copy: str = ""
+    format: int = 1
+    version: str = ""
+
+
+_DECODE_LIST: Final = codecs.decoder(list[Any])
+_DECODE_IDENTITY: Final = codecs.decoder(_JournalIdentity)
+
+
+def _read_identity(sealed: bytes) -> _JournalIdentity:
+    entry = unseal("", sealed)
+    try:
+        known = _DECODE_LIST(entry.data)[: len(_JournalIdentity._fields)]  # a later version may have more to say
+        return _DECODE_IDENTITY(codecs.encode_small(known))
+    except MALFORMED as error:
+        raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
+
+
+def _readable(sealed: bytes, name: str) -> JournalEntry | None:
+    try:
+        entry = unseal("", sealed)
+    except Unbelievable:
+        return None
+    return entry if name_of(entry.kind, entry.key) == name else None
+
+
+def name_of(kind: str, key: str) -> str:
+    """Returns the name under which an entry is stored.
+
+    Raises:
+        JournalError: it would be too long.
+    """
+    name = f"{kind}.{quote(key, safe='')}"
+    if len(name) > _LONGEST_NAME:
+        raise JournalError(f"the key {key!r} is too long for a journal entry: {len(name)} of {_LONGEST_NAME} letters")
+    return name + SUFFIX
+
+
+def _parts_of(name: str) -> tuple[str, str]:
+    kind, dot, key = name.removesuffix(SUFFIX).partition(".")
+    return (kind, unquote(key)) if dot else ("", "")
+
+
+MARK: Final = "mark"
+"""Under this name a disk has what no copy of it has that is made a file at a time: leave it out there."""
+
+
+class MemoryJournal(Journal):
+    """A journal whose disk is a dictionary: it survives the agent that dies, if the dictionary is kept.
+
+    Args:
+        disk: what is stored, by name. An empty one is a new disk.
+        new_uuid: the id that a new journal gets; in virtual time it comes from the seed.
+        agent: the name of the agent that opens it.
+
+    Attributes:
+        fault: why nothing can be written; empty: everything can.
+        latency_s: how long a write takes in virtual time.
+    """
+
+    place = "memory"
+    fault: str = ""
+    latency_s: float = 0.002
+
+    def __init__(self, disk: dict[str, bytes], new_uuid: str, agent: str = "") -> None:
+        self._disk = disk
+        if "lock" in disk:
+            raise JournalError("the journal is in use already: two agents cannot share one")
+        disk["lock"] = b""
+        self._closed = False
+        self._open(lambda: new_uuid, agent)
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            self._disk.pop("lock", None)
+
+    def _mark(self) -> str:
+        return self._disk.setdefault(MARK, self.life.encode()).decode()
+
+    def _names(self, ending: str) -> list[str]:
+        return sorted(name for name in self._disk if name.endswith(ending))
+
+    def _place(self, name: str) -> str:
+        return name
+
+    def _load(self, name: str) -> bytes:
+        return self._disk[name]
+
+    def _replace(self, contents: dict[str, bytes]) -> None:
+        if self._closed:
+            raise JournalError("the journal is closed")
+        if self.fault:
+            raise JournalError(self.fault)
+        self._disk.update(contents)
+
+    def _rename(self, name: str, new: str) -> None:
+        self._disk[new] = self._disk.pop(name)

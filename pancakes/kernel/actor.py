@@ -1,0 +1,574 @@
+"""Actors: the base of tasks and services, a pykka actor that talks by packets (paper §3, Figure 2).
+
+`Component` handles one mailbox, in turns that its dispatcher gives, one at a time; it never blocks. Other actors know
+it as a `Reference`. They give it data with `tell`, never a function; `Call` and `Told` wait in the control lane and
+are dropped with their actor, so a successor at the same address never gets them. Its docstrings say which methods
+other threads may call.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
+from time import thread_time
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import pykka
+
+from pancakes.errors import ControlRefused, NoPermit, PancakesError, describe, traceback_of
+from pancakes.events import Event, Log, LogLine, check_levels
+from pancakes.kernel.dispatchers import TURN, is_for_program
+from pancakes.kernel.handlers import (
+    DEFAULT_KEEP,
+    NO_HANDLERS,
+    Handlers,
+    Keep,
+    Subscription,
+    keep_of,
+    period_of,
+    plan_of,
+)
+from pancakes.kernel.mailbox import Call, ChannelQueue, Mailbox, Told
+from pancakes.kernel.pykka_actor import Flag, PykkaActor
+from pancakes.kernel.timer import TaskTimer
+from pancakes.packet import CTRL, LOG, READER, Cause, Fence, LocalTime, Packet, type_name, type_of
+from pancakes.util.class_checks import check_called, check_marks, check_overrides
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from pancakes.kernel.kernel import Kernel
+    from pancakes.kernel.timer import OneShot
+
+
+def _ignore_end(component: Component, error: BaseException | None) -> None:
+    """Is told of an end that no other part waits for."""
+
+
+COMPONENT_HOOKS: Final = ("on_start", "on_stop", "on_failure", "on_receive", "blocking")
+"""The names of `Component` that a class of a user may have as well."""
+
+
+class Component(PykkaActor):
+    """A task or a service: an actor with an address, driven by packets and by time.
+
+    Its methods run one at a time, in turns that its dispatcher gives; it never blocks. What another
+    thread may call is said so: `call`, `log`, `event`, and all of its pykka ref.
+
+    Args:
+        kernel: the kernel it belongs to.
+        address: its address, `agent/service` or `agent/service/task`; also its pykka URN.
+        mailbox: the mailbox of its slot; None: one of its own.
+
+    Attributes:
+        agent: the agent's name.
+        name: the last part of the address.
+        after_turn: called in the actor after each of its turns; None: nothing is.
+    """
+
+    blocking: bool = False
+    """Whether it may wait, and therefore needs a thread of its own."""
+
+    actor_inbox: Mailbox  # type: ignore[assignment]
+    actor_stopped: Flag  # type: ignore[assignment]
+
+    # In the class, as few ever rest: it saves each actor three attributes.
+    __paused = False
+    __frozen = False
+    __held: Sequence[Call] = ()
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where a method cannot be called as Pancakes calls it."""
+        super().__init_subclass__(**others)
+        check_overrides(cls)
+        check_marks(cls)
+        check_levels(cls)
+
+    def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None) -> None:
+        # pykka's own __init__ would make a UUID and an Event, the most of an actor's cost.
+        self.kernel = kernel
+        self.address = address
+        self.agent = kernel.agent
+        self.name = address.rpartition("/")[2]
+        self.actor_inbox = mailbox if mailbox is not None else Mailbox()
+        self.actor_inbox.closed = False
+        self.actor_stopped = Flag()
+        self.timers: dict[str, TaskTimer] = {}
+        self.fence: Fence | None = None
+        self.exited: Callable[[Any, BaseException | None], None] = _ignore_end
+        self.after_turn: Callable[[], None] | None = None
+        self.__handlers = plan_of(type(self)).handlers
+        self.__shares_handlers = True
+        self.__started = False
+        self.__seq = kernel.seq_of(address)
+        self.__in_hand: Packet | None = None
+
+    # What a component uses -------------------------------------------------------------------------------------
+
+    def now(self) -> float:
+        """Returns the mission time in seconds. Any thread."""
+        return self.kernel.now()
+
+    def local_time(self, packet: Packet) -> LocalTime | None:
+        """Returns when a packet was published, on this agent's own mission clock, and how well that is known.
+
+        Its stamp is the mission time of its publisher's agent, whose clock began at another moment and runs at another
+        rate. The heartbeats of the link between the two tell how the clocks stand to each other (docs/time.md). Any
+        thread.
+
+        Returns:
+            None where that is not known: there was no link to that agent in its present life, or no heartbeat has come
+            back on it yet; one of the missions is held; the packet is from an earlier life of that agent.
+        """
+        return self.kernel.local_time(packet)
+
+    @cached_property
+    def random(self) -> random.Random:
+        """Random numbers of this component's own, seeded from the agent's seed and the address."""
+        return self.kernel.random_for(self.address)
+
+    def publish(self, channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
+        """Publishes a packet.
+
+        Args:
+            channel: where.
+            body: an instance of a registered packet type.
+            to: its destination (see `pancakes.packet`); empty: the subscribers on this agent.
+            cause: the packet that led to this one; None: the one that is being handled, if any.
+
+        Returns:
+            The packet, whose `seq` a reply would name.
+
+        Raises:
+            UnknownChannel: the stream has no such channel.
+            MailboxFull: a `reliable` subscriber has no room, or too many packets for the task that is its destination
+                wait already; no subscriber got the packet.
+            LocalProtocolError: the body is of no registered type, or too large to travel.
+            NoPermit: a guarded task does not know now whether another agent runs it.
+        """
+        fence = self.fence
+        if fence is not None and channel != LOG:
+            permits = self.kernel.permits
+            if not permits.may_act(fence):
+                permits.hold_back(fence, "packets")
+                raise NoPermit(f"{self.address} may not act until its guardians answer")
+            if channel == CTRL and to:
+                fence = permits.limited(fence, math.inf)
+        in_hand = self.__in_hand
+        if cause is None and in_hand is not None:
+            cause = (in_hand.source, in_hand.seq)
+        sent_s, seq = self.kernel.now(), self.__seq.take()
+        packet = Packet(channel, type_of(body), self.address, to, sent_s, seq, body, cause, fence)
+        self.kernel.stream.publish(packet)
+        return packet
+
+    @cached_property
+    def log(self) -> Log:
+        """Publishes lines for people on `log`: `self.log.warning("no echo")`. Any thread."""
+        return Log(self.__say)
+
+    def __say(self, level: str, text: str, traceback: str) -> None:
+        self.__tell_log(LogLine(level, text, traceback))
+
+    def event(self, kind: str, /, **fields: Any) -> None:
+        """Publishes an event for programs on `log`. Any thread."""
+        self.__tell_log(Event(kind, fields))
+
+    def __tell_log(self, body: Any) -> None:
+        try:
+            self.publish(LOG, body)
+        except PancakesError:
+            # No component may fail because a reader of `log` has no room, or because the stream is being taken down.
+            self.kernel.stream.undelivered += 1
+
+    def subscribe(
+        self,
+        channel: str,
+        body: type | str | None,
+        handler: Callable[[Packet], None],
+        keep: Keep | Literal["latest"] = DEFAULT_KEEP,
+    ) -> None:
+        """Calls `handler` with each packet on `channel` from now on; for what is known at run time only.
+
+        Raises:
+            UnknownChannel: the stream has no such channel.
+            ClassError: the handler is `async def`, or cannot be called with a packet; or `keep` is nothing of that
+                kind.
+        """
+        kept = keep_of(keep)
+        check_called(handler, ("packet",), "subscribe calls it with a packet", "def handle(packet: Packet) -> None")
+        name = body if body is None or isinstance(body, str) else type_name(body)
+        if self.__shares_handlers:
+            self.__handlers = {channel: Handlers(shared) for channel, shared in self.__handlers.items()}
+            self.__shares_handlers = False
+        self.__handlers.setdefault(channel, Handlers()).add(name, lambda component, packet: handler(packet))
+        self.kernel.stream.subscribe(self.address, self.actor_inbox, Subscription(channel, name, kept))
+
+    def open_channel(self, name: str) -> None:
+        """Adds a channel to the information stream; one that is there already is left alone."""
+        self.kernel.stream.open(name)
+
+    def close_channel(self, name: str) -> None:
+        """Removes a channel that was added; the five core channels stay.
+
+        Raises:
+            UnknownChannel: there is no such channel, or it is a core channel.
+        """
+        self.kernel.stream.close(name)
+
+    def after(self, delay_s: float, function: Callable[[], None]) -> OneShot:
+        """Calls `function` in this actor in `delay_s` seconds of mission time."""
+        return self.kernel.timer.after(delay_s, lambda: self.call(function))
+
+    def after_host(self, delay_s: float, function: Callable[[], None]) -> OneShot:
+        """Calls `function` in this actor in `delay_s` seconds of host time (for time-outs between agents)."""
+        return self.kernel.timer.after_host(delay_s, lambda: self.call(function))
+
+    def call(self, function: Callable[[], None]) -> None:
+        """Calls `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it."""
+        if not self.actor_stopped.is_set():
+            self.actor_inbox.put(Call(self, function))
+
+    def reschedule(self, rate_hz: float, timer: str = "") -> None:
+        """Changes the rate of a time-driven method, from its next tick on.
+
+        Args:
+            rate_hz: ticks for each second of mission time; 0 lets it rest.
+            timer: the method's name; empty: the first of the class.
+
+        Raises:
+            ValueError: the rate is no rate, or the component has no such timer.
+        """
+        changed = self.timer_of(rate_hz, timer)
+        changed.period_s = period_of(rate_hz)
+        self.__tick(changed)
+
+    def timer_of(self, rate_hz: float, timer: str = "") -> TaskTimer:
+        """Returns the timer that `reschedule` would change; see there."""
+        period_of(rate_hz)
+        if not self.timers:
+            raise ValueError(f"{self.address} is not time-driven")
+        name = timer or next(iter(self.timers))
+        if name not in self.timers:
+            raise ValueError(f"{self.address} has no timer {name!r}, only {', '.join(self.timers)}")
+        return self.timers[name]
+
+    def revoke(self) -> None:
+        """Takes the right to publish away from an actor that cannot be ended. Any thread."""
+
+        def refuse(channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
+            raise ControlRefused(f"{self.address} was stopped and may publish nothing more")
+
+        self.publish = refuse  # type: ignore[method-assign]
+
+    def pause(self) -> None:
+        """Handles no tick and no packet until `resume`; calls (`after`) go on, packets wait. In the actor.
+
+        A pause does not move with a task: on the other agent it runs.
+        """
+        self.__paused = True
+        self.__rest()
+
+    def resume(self) -> None:
+        """Goes on after `pause`, unless Pancakes has frozen it meanwhile, to move it for instance. In the actor."""
+        self.__paused = False
+        self.__go_on()
+
+    # Hooks -----------------------------------------------------------------------------------------------------
+
+    def on_start(self) -> None:
+        """Called first, in the actor. An error here ends it."""
+
+    def on_stop(self) -> None:
+        """Called last, in the actor, where it was stopped and did not fail."""
+
+    # How it runs -----------------------------------------------------------------------------------------------
+
+    @property
+    def author_class(self) -> type:
+        """The class of which its author would say that it is theirs: a failure shows a line of its package."""
+        return type(self)
+
+    @property
+    def actor_urn(self) -> str:  # type: ignore[override]
+        """The address: pykka's name for an actor."""
+        return self.address
+
+    @cached_property
+    def _actor_ref(self) -> pykka.ActorRef[Any]:  # type: ignore[override]
+        # Components talk by packets; few are ever asked for the pykka ref that pykka makes for each.
+        return pykka.ActorRef(self)
+
+    @staticmethod
+    def _create_actor_inbox() -> Any:
+        return Mailbox()
+
+    def begin_loop(self) -> None:
+        self.kernel.attach(self)
+
+    def take_turn(self, slice_s: float | None) -> None:
+        """Handles what waits, control first; then hands the token of the mailbox back.
+
+        The dispatcher calls it, in the thread that holds the token.
+
+        Args:
+            slice_s: after this time the turn ends even if more waits; None: no limit.
+        """
+        mailbox = self.actor_inbox
+        deferred: list[Callable[[], None]] = []
+        TURN.deferred = deferred
+        READER.set(self)
+        meter = self.kernel.meter
+        begun_s = thread_time() if meter is not None else 0.0
+        try:
+            try:
+                if not self.__started:
+                    self.__begin()
+                if mailbox.control:
+                    self.__handle_control()
+                # A component that has ended has no mailbox any more.
+                if mailbox.waiting and not mailbox.paused and mailbox.component is self and self.acts():
+                    self.__handle_data(math.inf if slice_s is None else self.kernel.host.now() + slice_s)
+            except BaseException as error:  # SystemExit in one actor must not end the others.
+                self.__raise_to_program(error)
+                if is_for_program(error):
+                    self.kernel.unraised(error)
+                self.__finish(partial(self.__fail, error))
+            if self.after_turn is not None:
+                self.__finish(self.after_turn)
+        finally:
+            self.__do_all_deferred(deferred)
+        if meter is not None:
+            meter.turn(self.address, thread_time() - begun_s)
+        # A component that has ended keeps the token, so that what is put from now on waits for the successor.
+        if mailbox.component is self:
+            mailbox.end_turn()
+
+    def __finish(self, function: Callable[[], None]) -> None:
+        """Does what ends a turn, or this actor. The thread, which may be the timer's, outlives whatever that does."""
+        try:
+            function()
+        except BaseException as error:
+            self.__raise_to_program(error)
+            self.__tell_failure(f"the end of {self.address}'s turn failed", error)
+
+    def __raise_to_program(self, error: BaseException) -> None:
+        """Raises an exception again that is for the program, if this turn runs on the program's own thread.
+
+        Its handlers may have been broken off anywhere, so this actor gets no other turn: it keeps the token, as one
+        does whose turn never ends.
+        """
+        if is_for_program(error) and self.kernel.virtual is not None:
+            raise error
+
+    def __do_all_deferred(self, deferred: list[Callable[[], None]]) -> None:
+        try:
+            for function in deferred:  # which may put off more
+                self.__do_deferred(function)
+        finally:
+            TURN.deferred = None
+            READER.set(None)
+
+    def __do_deferred(self, function: Callable[[], None]) -> None:
+        try:
+            function()
+        except Exception as error:  # the thread, and the right to turns, must outlive it
+            text = f"what a turn of {self.address} had put off failed: {type(error).__name__}: {error}"
+            self.kernel.log("error", text)
+
+    def __begin(self) -> None:
+        self.__started = True
+        # Its predecessor may have ended while it stood still.
+        self.actor_inbox.paused = False
+        plan = plan_of(type(self))
+        self.before_start()
+        for subscription in plan.subscriptions:
+            self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
+        self.on_start()
+        for method, period in plan.periods.items():
+            period_s = self.initial_period_s(method, period.period_s)
+            timer = TaskTimer(self, method, getattr(type(self), method), period_s, self.kernel)
+            self.timers[method] = timer
+            self.kernel.task_timers.add(timer)
+            self.__tick(timer)
+        self.after_start()
+
+    def freeze(self) -> None:
+        """For subclasses: lets none of its author's code run until `thaw`: calls, too, wait. In the actor.
+
+        It is apart from `pause`, so that an author's `resume` does not end it, nor `thaw` an author's pause.
+        """
+        self.__frozen = True
+        self.__rest()
+
+    def thaw(self) -> None:
+        """For subclasses: goes on after `freeze`. In the actor."""
+        self.__frozen = False
+        held, self.__held = self.__held, ()
+        for call in held:
+            self.actor_inbox.put(call)
+        self.__go_on()
+
+    @property
+    def is_frozen(self) -> bool:
+        return self.__frozen
+
+    def __rest(self) -> None:
+        self.actor_inbox.paused = True
+        for timer in self.timers.values():
+            self.kernel.timer.cancel(timer)
+
+    def __go_on(self) -> None:
+        if self.__paused or self.__frozen or not self.actor_inbox.paused:
+            return
+        self.actor_inbox.paused = False
+        for timer in self.timers.values():
+            self.__tick(timer)
+
+    def acts(self) -> bool:
+        """For subclasses: returns whether the next tick or packet may be handled. In the actor."""
+        return True
+
+    def before_start(self) -> None:
+        """For subclasses: comes before `on_start` and before anything is subscribed to."""
+
+    def after_start(self) -> None:
+        """For subclasses: comes once everything runs."""
+
+    def initial_period_s(self, method: str, period_s: float) -> float:
+        """For subclasses: the period that a time-driven method begins with; `period_s` is what the class says."""
+        return period_s
+
+    def __tick(self, timer: TaskTimer) -> None:
+        if timer.period_s < math.inf and not self.actor_inbox.paused:
+            self.kernel.timer.every(timer, timer.period_s)
+        else:
+            self.kernel.timer.cancel(timer)
+
+    def __handle_control(self) -> None:
+        mailbox = self.actor_inbox
+        control = mailbox.control
+        # Only what waits now: one that tells itself something must not starve the others.
+        for _ in range(len(control)):
+            if mailbox.component is not self:
+                return
+            item = control.popleft()
+            if isinstance(item, TaskTimer):
+                if item.component is self:
+                    item.run()
+            elif isinstance(item, Told):
+                if item.component is self:
+                    self.take_message(item.message)
+            elif isinstance(item, Call):
+                if item.component is self:
+                    if self.__frozen or not self.acts():
+                        self.__held = (*self.__held, item)
+                    else:
+                        item.function()
+            else:
+                self.handle_envelope(item)
+
+    def __handle_data(self, until_s: float) -> None:
+        mailbox = self.actor_inbox
+        for queue in list(mailbox.waiting):
+            goes_on = self.__work_off(queue, until_s)
+            if mailbox.component is not self:  # the mailbox is the successor's now
+                return
+            mailbox.strike_out(queue)
+            if not goes_on:
+                return
+
+    def __work_off(self, queue: ChannelQueue, until_s: float) -> bool:
+        """Handles what waits in one queue, as long as there is time. Returns whether the turn may go on."""
+        mailbox = self.actor_inbox
+        for _ in range(len(queue)):
+            packet = queue.take()
+            if packet is None:
+                return True
+            self.__handle(packet)
+            if mailbox.control:
+                self.__handle_control()
+                if mailbox.component is not self:
+                    return False
+            if mailbox.paused or (until_s < math.inf and self.kernel.host.now() > until_s):
+                return False
+        return True
+
+    def __handle(self, packet: Packet) -> None:
+        self.__in_hand = packet
+        for handler in self.__handlers.get(packet.channel, NO_HANDLERS)[packet.type]:
+            handler(self, packet)
+        self.__in_hand = None
+
+    def take_message(self, message: Any) -> Any:
+        """For subclasses: handles what `tell` has brought. In the actor."""
+        raise TypeError(f"{self.address} knows nothing of {message!r}")
+
+    def on_receive(self, message: Any) -> Any:
+        """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
+        raise TypeError(f"{self.address} takes packets, not {message!r}")
+
+    def run_handlers(self, packet: Packet) -> None:
+        """Handles a packet at once, past the queues and their bounds. In the actor."""
+        try:
+            self.__handle(packet)
+        finally:
+            self.__in_hand = None
+
+    def drain(self) -> None:
+        """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
+        for queue in self.actor_inbox.queues.values():
+            while (packet := queue.take()) is not None:
+                self.run_handlers(packet)
+
+    # How it ends -----------------------------------------------------------------------------------------------
+
+    def end_loop(self) -> None:
+        error: BaseException | None = None
+        try:
+            self.on_stop()
+        except BaseException as failure:  # SystemExit, too, ends no more than this actor
+            self.__raise_to_program(failure)
+            error = failure
+        self.end_actor(error)
+
+    def __fail(self, error: BaseException) -> None:
+        packet = self.__in_hand
+        if packet is not None:  # else it was a tick or a call
+            self.__in_hand = None
+            self.kernel.dead_letters.failed(self.address, self.actor_inbox.queues[packet.channel], packet)
+        if self.actor_stopped.is_set():
+            self.__tell_failure(f"{self.address} failed while it stopped", error)
+            return
+        try:
+            self.on_failure(type(error), error, error.__traceback__)
+        except BaseException as second:
+            self.__raise_to_program(second)
+            self.__tell_failure(f"on_failure of {self.address} failed as well", second)
+        self.end_actor(error)
+
+    def __tell_failure(self, what: str, error: BaseException) -> None:
+        self.kernel.log("error", f"{what}: {describe(error, self.author_class)}", traceback_of(error))
+
+    def on_failure(
+        self,
+        exception_type: type[BaseException] | None,
+        exception_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Called in the actor where one of its methods raised; it ends after that, and its service decides."""
+
+    def end_actor(self, error: BaseException | None) -> None:
+        self.actor_stopped.set()
+        for timer in self.timers.values():
+            self.kernel.timer.cancel(timer)
+        self.kernel.task_timers.remove(self)
+        self.kernel.registry.remove(self)
+        # Its subscriptions stay: its service knows whether a successor will read what is published.
+        mailbox = self.actor_inbox
+        mailbox.component = None
+        mailbox.closed = True
+        mailbox.clear_control()
+        self.exited(self, error)

@@ -1,0 +1,348 @@
+"""Declare what a component reacts to: `@on` a packet, `@every` so often, and how many packets may wait (paper §3.2).
+
+`plan_of` reads the marks of a class once and keeps the result, because thousands of actors share one class. A queue
+policy (`Keep`) bounds what waits for a slow reader in packets and in bytes: `latest`, `queue(n)` or `reliable(n)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from numbers import Real
+from typing import Any, Final, Literal, NamedTuple, Never, TypeVar
+
+import msgspec
+
+from pancakes.errors import ClassError
+from pancakes.packet import Packet, covers, type_name
+from pancakes.util.class_checks import PERIOD, SUBSCRIPTIONS, check_called, place_of_function
+
+MOST_BYTES: Final = 16 * 1024 * 1024
+"""So many bytes of bodies wait under a subscription, besides bodies lighter than `LIGHT_BYTES`; one may always wait."""
+
+
+class Keep(msgspec.Struct, frozen=True):
+    """What a subscription does when its reader is slow, or the bodies that wait take more than `MOST_BYTES`.
+
+    Attributes:
+        limit: how many packets wait at the most.
+        reliable: whether a packet that finds no room is refused to its publisher; else the oldest falls
+            out and is counted.
+    """
+
+    limit: int
+    reliable: bool = False
+
+    @property
+    def counts_losses(self) -> bool:
+        """Whether a packet that falls out is lost: not where only the newest is wanted."""
+        return self.reliable or self.limit > 1
+
+    def is_full(self, waiting: int, waiting_bytes: int, weight: int) -> bool:
+        """Returns whether one more packet finds no room.
+
+        Args:
+            waiting: how many packets wait.
+            waiting_bytes: the bytes of the heavy ones among them.
+            weight: the bytes of the packet; 0 for a light one.
+        """
+        return waiting >= self.limit or (waiting > 0 and weight > 0 and waiting_bytes + weight > MOST_BYTES)
+
+
+LATEST = Keep(1)
+"""Only the newest packet waits."""
+
+
+def queue(limit: int) -> Keep:
+    """Up to `limit` packets wait; then the oldest falls out, and is counted.
+
+    Raises:
+        ClassError: the limit is no whole number of at least 1.
+    """
+    return Keep(_checked(limit, "queue"))
+
+
+def reliable(limit: int) -> Keep:
+    """Up to `limit` packets wait; then publishing raises `MailboxFull`, and no subscriber gets the packet.
+
+    Raises:
+        ClassError: the limit is no whole number of at least 1.
+    """
+    return Keep(_checked(limit, "reliable"), reliable=True)
+
+
+def keep_of(keep: Keep | Literal["latest"]) -> Keep:
+    """Returns what a subscription is to do, as its author has written it.
+
+    Raises:
+        ClassError: it is nothing of that kind; it would fail whoever publishes.
+    """
+    if isinstance(keep, Keep):
+        return keep
+    if keep == "latest":
+        return LATEST
+    raise ClassError(f'keep is {keep!r}: write keep="latest", keep=queue(100) or keep=reliable(100)')
+
+
+def _checked(limit: int, name: str) -> int:
+    if type(limit) is not int or limit < 1:
+        raise ClassError(f"{name} takes how many packets wait at the most, a whole number from 1, and not {limit!r}")
+    return limit
+
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+DEFAULT_KEEP = queue(256)
+MOST_HZ = 10_000.0
+"""No timer ticks faster: one that did would leave its agent time for nothing else."""
+
+
+class Tick(msgspec.Struct, frozen=True, gc=False):
+    """What a time-driven method is given.
+
+    Attributes:
+        time_s: the deadline of this tick, in mission time.
+        missed: how many ticks before it never came, because the component was late.
+        lateness_s: how long after its deadline the method was called, in mission time.
+    """
+
+    time_s: float
+    missed: int = 0
+    lateness_s: float = 0.0
+
+
+class Subscription(msgspec.Struct, frozen=True):
+    """What a method listens to.
+
+    Attributes:
+        channel: the channel.
+        type: the name of the packets' type; None: all types.
+        keep: what happens when the component is slow.
+        addressed: only packets whose destination is this component.
+    """
+
+    channel: str
+    type: str | None
+    keep: Keep
+    addressed: bool = False
+
+
+class Period(msgspec.Struct, frozen=True):
+    """How often a method is called, in seconds of mission time; infinity: not before it is rescheduled."""
+
+    period_s: float
+
+
+def on(
+    channel: str,
+    body: type | str | None = None,
+    *,
+    keep: Keep | Literal["latest"] = DEFAULT_KEEP,
+    addressed: bool = False,
+) -> Callable[[_F], _F]:
+    """Makes a method event-driven: it is called with each packet on `channel`, in the component's actor.
+
+    Args:
+        channel: the channel to listen to.
+        body: the class of the packets' bodies, or their type's name; None: packets of all types.
+        keep: what waits when the component is slow: `"latest"`, `queue(n)` or `reliable(n)`.
+        addressed: only packets whose destination is this component.
+
+    Raises:
+        ClassError: the method is `async def`, or cannot be called with a packet; it has an `@every`, or listens to such
+            packets already; or `keep` is nothing of that kind.
+    """
+    if not isinstance(channel, str):
+        raise ClassError(f'@on takes the name of a channel, not {channel!r}: write @on("system")')
+    name = body if body is None or isinstance(body, str) else type_name(body)
+    subscription = Subscription(channel, name, keep_of(keep), addressed)
+
+    def mark(method: _F) -> _F:
+        wanted = f"def {_name_of(method)}(self, packet: Packet) -> None"
+        check_called(method, ("self", "packet"), "@on calls it with a packet", wanted)
+        before = getattr(method, SUBSCRIPTIONS, ())
+        if hasattr(method, PERIOD):
+            raise _both(method)
+        if any(it.channel == channel and (it.type == name or None in (it.type, name)) for it in before):
+            raise ClassError(
+                f"{_head(method)} is decorated twice with @on({channel!r}) for the same packets, with each of which it"
+                " would be called twice: leave one of them out"
+            )
+        setattr(method, SUBSCRIPTIONS, (*before, subscription))
+        return method
+
+    return mark
+
+
+def every(*bare: Never, hz: float | None = None, period_s: float | None = None) -> Callable[[_F], _F]:
+    """Makes a method time-driven: it is called with a `Tick` at a rate that can be changed while it runs.
+
+    Args:
+        bare: nothing: a number without a name could be a rate or a period.
+        hz: ticks for each second of mission time; 0: none before it is rescheduled.
+        period_s: instead, seconds of mission time from tick to tick.
+
+    Raises:
+        ClassError: neither a rate nor a period is given, or both, or one that no timer can have; or the method is
+            `async def`, or cannot be called with a `Tick`; or it has an `@on` or another `@every`.
+    """
+    period = _period(bare, hz, period_s)
+
+    def mark(method: _F) -> _F:
+        wanted = f"def {_name_of(method)}(self, tick: Tick) -> None"
+        check_called(method, ("self", "tick"), "@every calls it with a Tick", wanted)
+        if hasattr(method, PERIOD):
+            raise ClassError(
+                f"{_head(method)} is decorated twice with @every, and a method has one rate: leave one of them out, or"
+                " write a second method"
+            )
+        if hasattr(method, SUBSCRIPTIONS):
+            raise _both(method)
+        setattr(method, PERIOD, period)
+        return method
+
+    return mark
+
+
+def _period(bare: tuple[Any, ...], hz: float | None, period_s: float | None) -> Period:
+    if bare and not isinstance(bare[0], Real):
+        raise ClassError(f"@every takes a rate or a period, not {bare[0]!r}: write @every(hz=10)")
+    if bare:
+        ways = f"@every(hz={bare[0]:g}) for a rate, @every(period_s={bare[0]:g}) for a period"
+        raise ClassError(f"@every({bare[0]:g}) does not say whether that is a rate or a period: write {ways}")
+    given = period_s if hz is None else hz
+    if given is None or (hz is not None and period_s is not None):
+        raise ClassError("@every takes either a rate or a period: write @every(hz=10), or @every(period_s=0.1)")
+    if not isinstance(given, Real) or isinstance(given, bool):
+        raise ClassError(f"@every takes a number, not {given!r}: write @every(hz=10), or @every(period_s=0.1)")
+    try:
+        return Period(period_of(given) if hz is not None else checked_period(given))
+    except ValueError as error:
+        raise ClassError(f"@every: {error}") from None
+
+
+def period_of(rate_hz: float) -> float:
+    """Returns the period of a rate, in seconds; infinity for 0.
+
+    Raises:
+        ValueError: the rate is negative, no number, or above `MOST_HZ`.
+    """
+    if not 0 <= rate_hz <= MOST_HZ:
+        raise ValueError(f"a rate must lie between 0 and {MOST_HZ:,.0f} ticks a second, not {rate_hz:g}")
+    return 1.0 / rate_hz if rate_hz > 0 else float("inf")
+
+
+def checked_period(period_s: float) -> float:
+    """Returns a period that a timer may have, in seconds; infinity lets it rest.
+
+    Raises:
+        ValueError: it is shorter than that of `MOST_HZ`, or no number.
+    """
+    if not period_s >= 1.0 / MOST_HZ:
+        raise ValueError(f"a period must be at least {1.0 / MOST_HZ:g} s, not {period_s:g} s")
+    return float(period_s)
+
+
+def subscriptions_of(cls: type) -> list[tuple[Subscription, str]]:
+    """Returns what the methods of a class listen to, as (subscription, method name), in the order of the class."""
+    return [
+        (subscription, name) for name in _names(cls) for subscription in getattr(getattr(cls, name), SUBSCRIPTIONS, ())
+    ]
+
+
+def periods_of(cls: type) -> dict[str, Period]:
+    """Returns the time-driven methods of a class, in the order of the class."""
+    return {name: period for name in _names(cls) if (period := getattr(getattr(cls, name), PERIOD, None)) is not None}
+
+
+def _both(method: Any) -> ClassError:
+    return ClassError(
+        f"{_head(method)} is decorated with both @on and @every, and one gives it a Packet, the other a Tick: write two"
+        " methods, which may call a third"
+    )
+
+
+def _head(method: Any) -> str:
+    return f"{place_of_function(method)}: {getattr(method, '__qualname__', method).rpartition('<locals>.')[2]}"
+
+
+def _name_of(method: Any) -> str:
+    return str(getattr(method, "__name__", "handle"))
+
+
+def _names(cls: type) -> list[str]:
+    # Bases first, each in the order of its text; an overriding method keeps the place of what it overrides.
+    names = {name: None for base in reversed(cls.__mro__) for name in vars(base) if not name.startswith("__")}
+    return [name for name in names if callable(getattr(cls, name, None))]
+
+
+MOST_PLANS: Final = 1024
+"""So many classes are remembered; a program that makes one class after the other must not keep them all."""
+
+Handler = Callable[[Any, Packet], None]
+"""What a component does with a packet; called with the component and the packet."""
+
+
+class Handlers(dict[str | None, tuple[Handler, ...]]):
+    """What a component does with the packets of one channel, by their type: all of its handlers for it, in order."""
+
+    __slots__ = ("for_all",)
+
+    def __init__(self, like: Handlers | None = None) -> None:
+        super().__init__(like or {})
+        self.for_all: tuple[Handler, ...] = like.for_all if like is not None else ()
+
+    def add(self, type_name: str | None, handler: Handler) -> None:
+        """Adds a handler; those for all types (None) come after those for one."""
+        if type_name is None:
+            self.for_all = (*self.for_all, handler)
+            for name in self:
+                self[name] = (*self[name], handler)
+        else:
+            own = self[type_name]
+            before = len(own) - len(self.for_all)
+            self[type_name] = (*own[:before], handler, *own[before:])
+
+    def __missing__(self, type_name: str | None) -> tuple[Handler, ...]:
+        return self.for_all
+
+
+NO_HANDLERS = Handlers()
+
+
+class Plan(NamedTuple):
+    """What the methods of a class react to.
+
+    Attributes:
+        subscriptions: the packets.
+        handlers: what is done with them, by channel; all components of the class share that, which is a kilobyte less
+            for each. Not to be changed.
+        periods: the time-driven methods.
+    """
+
+    subscriptions: tuple[Subscription, ...]
+    handlers: dict[str, Handlers]
+    periods: dict[str, Period]
+
+
+@lru_cache(maxsize=MOST_PLANS)
+def plan_of(cls: type) -> Plan:
+    """Returns what the methods of a class react to; each class is read once."""
+    handlers: dict[str, Handlers] = {}
+    marked = subscriptions_of(cls)
+    for subscription, method in marked:
+        handler = getattr(cls, method)
+        if subscription.addressed:
+            handler = only_addressed(handler)
+        handlers.setdefault(subscription.channel, Handlers()).add(subscription.type, handler)
+    return Plan(tuple(subscription for subscription, _ in marked), handlers, periods_of(cls))
+
+
+def only_addressed(handler: Handler) -> Handler:
+    """Keeps from a handler what another subscription of its component to the same type brings in."""
+
+    def handle(component: Any, packet: Packet) -> None:
+        if packet.destination not in ("", component.agent) and covers(packet.destination, component.address):
+            handler(component, packet)
+
+    return handle

@@ -1,0 +1,442 @@
+"""The information stream: the channels on which the components of an agent talk (paper §3.1).
+
+Publishing costs no hop. The publisher's thread reads a `Route`, an immutable snapshot of the readers of one type and
+destination, and puts the packet into their mailboxes. Any thread may call it. Packets for other agents go to the
+gateway, packets for a task wherever it is go to the courier.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+import msgspec
+
+from pancakes.errors import MailboxFull, PancakesError, UnknownChannel
+from pancakes.kernel.handlers import Keep, Subscription
+from pancakes.kernel.mailbox import ChannelQueue, Mailbox
+from pancakes.kernel.payload_size import LIGHT_BYTES, weight_of
+from pancakes.packet import CORE_CHANNELS, CTRL, NEIGHBOURS, TO_TASK, Packet, agent_of, covers
+from pancakes.util.class_checks import check_called
+from pancakes.util.text import fault_of_name, hint_of
+
+Tap = Callable[[Packet], None]
+
+
+class Listener(msgspec.Struct):
+    """One component that reads one channel.
+
+    Attributes:
+        bounds: by the types that it reads, None for all others.
+        open_types: those of the types that it gets whatever their destination.
+    """
+
+    address: str
+    mailbox: Mailbox
+    queue: ChannelQueue
+    bounds: dict[str | None, Keep] = {}
+    open_types: tuple[str | None, ...] = ()
+
+    def add(self, subscription: Subscription) -> None:
+        """Adds what it reads."""
+        self.bounds[subscription.type] = subscription.keep
+        if not subscription.addressed and subscription.type not in self.open_types:
+            self.open_types = (*self.open_types, subscription.type)
+        self.queue.bound(self.bounds)
+
+    def reads(self, type_name: str, addressed: bool) -> bool:
+        """Returns whether a packet of this type is for it; `addressed`: its destination names it."""
+        types: Collection[str | None] = self.bounds if addressed else self.open_types
+        return type_name in types or None in types
+
+    def keep_of(self, type_name: str) -> Keep:
+        """Returns the bound of packets of a type that it reads."""
+        return self.bounds.get(type_name) or self.bounds[None]
+
+    def refuse(self, packet: Packet, weight: int) -> None:
+        """Raises `MailboxFull` where it has no room for a packet that it must not lose."""
+        if not self.queue.refuses(packet, weight):
+            return
+        reader = self.mailbox.component
+        raise MailboxFull(
+            f"{reader.address if reader else 'a task between restarts'} has no room for {packet.type!r} from"
+            f" {packet.source} on {packet.channel!r}: {len(self.queue)}"
+            + (f" ({self.queue.heavy_bytes} bytes) wait already" if weight else " wait already")
+        )
+
+    def describe(self) -> dict[str, Any]:
+        """Returns its address and how it reads, as plain values."""
+        return {"address": self.address, **self.bounds_and_queue()}
+
+    def bounds_and_queue(self) -> dict[str, Any]:
+        """Returns how it reads, as plain values: types are None for all of them; `limit` counts packets.
+
+        `waiting_bytes` are those of the heavy packets among them, which `MOST_BYTES` bounds.
+
+        It gets `open_types` whatever their destination, the other `types` only where a packet's destination names it.
+        """
+        keeps = list(self.bounds.values())
+        return {
+            "types": _names(self.bounds),
+            "open_types": _names(self.open_types),
+            "keep": "reliable" if any(keep.reliable for keep in keeps) else "newest",
+            "limit": sum(keep.limit for keep in keeps),
+            "waiting": len(self.queue),
+            "waiting_bytes": self.queue.heavy_bytes,
+            "dropped": self.queue.dropped(),
+        }
+
+
+class Route(msgspec.Struct, frozen=True):
+    """The readers of packets of one type and destination on one channel: an immutable snapshot, read without a lock.
+
+    Attributes:
+        queues: the queues of all components that get the packets.
+        reliable: those components that may refuse a packet.
+        taps: functions that see the packets besides.
+    """
+
+    queues: tuple[ChannelQueue, ...]
+    reliable: tuple[Listener, ...]
+    taps: tuple[Tap, ...]
+
+    def give(self, packet: Packet, weight: int) -> None:
+        """Gives a packet to all of them, or to none; `weight`: its bytes, where it is a heavy one.
+
+        Raises:
+            MailboxFull: a `reliable` subscriber has no room; no subscriber got the packet.
+        """
+        # All reliable readers are asked before any of them gets the packet: a retry must not double it.
+        for reader in self.reliable:
+            reader.refuse(packet, weight)
+        for queue in self.queues:
+            queue.put(packet, weight)
+        for tap in self.taps:
+            tap(packet)
+
+    def give_all(self, packets: Sequence[Packet], weight: int) -> None:
+        """Gives packets, where there is no tap and no reader may refuse one; `weight`: the bytes of each, if heavy."""
+        for packet in packets:
+            for queue in self.queues:
+                queue.put(packet, weight)
+
+    def give_where_room(self, packet: Packet, weight: int) -> None:
+        """Gives a packet, which cannot come again, to all of them that have room, and counts it for the others."""
+        for queue in self.queues:
+            if queue.refuses(packet, weight):
+                queue.refused += 1
+            else:
+                queue.put(packet, weight)
+        for tap in self.taps:
+            tap(packet)
+
+
+def _names(types: Collection[str | None]) -> list[str] | None:
+    """Returns the names of types, sorted; None where all types are meant."""
+    return None if None in types else sorted(str(name) for name in types)
+
+
+Gateway = Callable[[Packet], None]
+"""Takes packets whose destination is elsewhere. Called in the publisher's thread, must not block."""
+
+MOST_ROUTES = 4096
+"""So many snapshots are kept; a peer that makes up one type or destination after the other must not fill the memory."""
+
+
+class InformationStream:
+    """The channels of one agent.
+
+    Publishing costs no hop: the publisher's thread reads an immutable snapshot of the subscribers and puts
+    the packet into their mailboxes. All methods may be called from any thread.
+
+    Args:
+        agent: the agent's name.
+
+    Attributes:
+        gateway: takes packets whose destination is another agent; the Network Service sets it.
+        courier: takes packets whose destination is a task, wherever it is.
+        unheard: takes packets for a component of this agent, and commands, that none got; the kernel sets it.
+    """
+
+    def __init__(self, agent: str) -> None:
+        self.agent = agent
+        self.gateway: Gateway | None = None
+        self.courier: Gateway | None = None
+        self.unheard: Gateway = lambda packet: None
+        self._lock = threading.Lock()
+        self._readers: dict[str, dict[str, Listener]] = {name: {} for name in CORE_CHANNELS}
+        # And the types that each wants to see, and the follower elsewhere for which it does.
+        self._taps: dict[str, tuple[tuple[Tap, tuple[str, ...], str], ...]] = {}
+        self._outgoing: tuple[Tap, ...] = ()
+        self._openers: tuple[Callable[[str], None], ...] = ()
+        self._routes: dict[tuple[str, str, str], Route] = {}  # by channel, type and destination
+        self.undelivered = 0
+
+    def channels(self) -> list[str]:
+        """Returns the names of all channels, core channels first."""
+        return list(self._readers)
+
+    def open(self, name: str) -> None:
+        """Adds a channel; one that is there already is left alone.
+
+        Raises:
+            PancakesError: no channel can have such a name.
+        """
+        if fault := fault_of_name(name):
+            raise PancakesError(f"{self.agent} cannot open this channel: {fault}")
+        with self._lock:
+            if name in self._readers:
+                return
+            self._readers[name] = {}
+            told = self._openers
+        for tell in told:
+            tell(name)
+
+    def each_channel(self, tell: Callable[[str], None]) -> None:
+        """Calls `tell` with the name of each channel that there is, and of each that is opened from now on.
+
+        For what is opened later it is called in the thread that opens it, before that publishes anything there.
+        """
+        with self._lock:
+            self._openers = (*self._openers, tell)
+            there = list(self._readers)
+        for name in there:
+            tell(name)
+
+    def close(self, name: str) -> None:
+        """Removes a channel and its subscriptions.
+
+        Raises:
+            UnknownChannel: there is no such channel, or it is a core channel.
+        """
+        with self._lock:
+            if name in CORE_CHANNELS:
+                raise UnknownChannel(f"{name!r} is a core channel and cannot be removed")
+            if name not in self._readers:
+                raise UnknownChannel(f"{self.agent} has no channel {name!r}{hint_of(name, self._readers)}")
+            del self._readers[name]
+            self._taps.pop(name, None)
+            self._forget(name)
+
+    def publish(self, packet: Packet) -> int:
+        """Gives a packet to all that it concerns.
+
+        Returns:
+            How many components of this agent got it.
+
+        Raises:
+            UnknownChannel: there is no such channel here.
+            MailboxFull: a `reliable` subscriber has no room, or too many packets for the task that is its destination
+                wait already; no subscriber got the packet.
+            LocalProtocolError: its destination is elsewhere and its body cannot travel, or is no task.
+        """
+        destination = packet.destination
+        if not destination:
+            return self._give(packet, "")
+        if agent_of(destination) == self.agent:
+            return self._give(packet, destination)
+        if packet.channel not in self._readers:
+            raise self._unknown(packet)
+        gateway, taps = self.courier if destination.startswith(TO_TASK) else self.gateway, self._outgoing
+        if gateway is None:
+            self.undelivered += 1
+        else:
+            gateway(packet)
+        for tap in taps:
+            tap(packet)
+        return 0
+
+    def inject(self, packet: Packet) -> int:
+        """Publishes a packet that came from another agent, on its own channel here.
+
+        Returns:
+            How many components of this agent it was for.
+
+        Raises:
+            UnknownChannel: as `publish`.
+            MailboxFull: a `reliable` subscriber has no room. The publisher cannot be asked to wait, so all others get
+                the packet, and for this one it counts as dropped.
+        """
+        destination = "" if packet.destination == NEIGHBOURS else packet.destination
+        try:
+            return self._give(packet, destination)
+        except MailboxFull:
+            # It may be another route by now, or none: readers come and go.
+            self._route_of(packet, destination).give_where_room(packet, weight_of(packet.body))
+            raise
+
+    def inject_all(
+        self, packets: Sequence[Packet], refused: Callable[[Packet, PancakesError], None], size: int | None = None
+    ) -> None:
+        """Publishes packets that came from another agent: on one channel, of one type and with one destination.
+
+        The stream looks once for the components that get them, and tells each once that something waits.
+
+        Args:
+            packets: the packets, in their order.
+            refused: called with each packet that found no room, or no channel, and why; see `inject`.
+            size: how many bytes they took on the wire, where that is known.
+        """
+        first = packets[0]
+        destination = "" if first.destination == NEIGHBOURS else first.destination
+        route = self._routes.get((first.channel, first.type, destination))
+        if route is not None and size is not None and route.queues and not route.reliable and not route.taps:
+            each = size // len(packets)
+            route.give_all(packets, each if each > LIGHT_BYTES else 0)
+            return
+        for packet in packets:
+            try:
+                self.inject(packet)
+            except PancakesError as error:
+                refused(packet, error)
+
+    def tap(self, channel: str, tap: Tap, types: tuple[str, ...] = (), by: str = "") -> None:
+        """Calls `tap` with every packet published here on `channel`, in the publisher's thread; it must not block.
+
+        Args:
+            channel: the channel.
+            tap: what is called.
+            types: the types of the packets that it sees; empty: all.
+            by: the address of the follower elsewhere for which it hears; empty: it hears for none.
+
+        Raises:
+            UnknownChannel: there is no such channel.
+            ClassError: it is `async def`, or cannot be called with a packet.
+        """
+        check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
+        with self._lock:
+            if channel not in self._readers:
+                raise UnknownChannel(f"{self.agent} has no channel {channel!r}{hint_of(channel, self._readers)}")
+            self._taps[channel] = (*self._taps.get(channel, ()), (tap, types, by))
+            self._forget(channel)
+
+    def untap(self, channel: str, tap: Tap) -> None:
+        """Ends what `tap` began."""
+        with self._lock:
+            self._taps[channel] = tuple(other for other in self._taps.get(channel, ()) if other[0] != tap)
+            self._forget(channel)
+
+    def tap_outgoing(self, tap: Tap) -> None:
+        """Calls `tap` with every packet published here for another agent, as `tap` does."""
+        check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
+        with self._lock:
+            self._outgoing = (*self._outgoing, tap)
+
+    def untap_outgoing(self, tap: Tap) -> None:
+        """Ends what `tap_outgoing` began."""
+        with self._lock:
+            self._outgoing = tuple(other for other in self._outgoing if other != tap)
+
+    def subscribe(self, address: str, mailbox: Mailbox, subscription: Subscription) -> None:
+        """Puts packets into a component's mailbox from now on.
+
+        Raises:
+            UnknownChannel: there is no such channel.
+        """
+        with self._lock:
+            readers = self._readers.get(subscription.channel)
+            if readers is None:
+                raise UnknownChannel(
+                    f"{address} cannot subscribe to {subscription.channel!r}: {self.agent} has no such"
+                    f" channel{hint_of(subscription.channel, self._readers)}"
+                )
+            reader = readers.get(address)
+            if reader is None:
+                queue = mailbox.subscribe(subscription.channel)
+                reader = readers[address] = Listener(address, mailbox, queue)
+            reader.add(subscription)
+            self._forget(subscription.channel)
+
+    def unsubscribe(self, address: str) -> None:
+        """Ends all subscriptions of a component."""
+        with self._lock:
+            for channel, readers in self._readers.items():
+                if readers.pop(address, None) is not None:
+                    self._forget(channel)
+
+    def silence(self) -> None:
+        """Ends all subscriptions and taps: no subscriber gets what is published from now on."""
+        with self._lock:
+            for readers in self._readers.values():
+                readers.clear()
+            self._taps.clear()
+            self._outgoing = ()
+            self._routes.clear()
+            self.gateway = None
+            self.courier = None
+
+    def subscribers(self, channel: str) -> list[str]:
+        """Returns the addresses of the components that read a channel."""
+        return list(self._readers.get(channel, {}))
+
+    def followers(self, channel: str) -> list[str]:
+        """Returns the addresses of the followers of a channel that are elsewhere."""
+        return [by for _, _, by in self._taps.get(channel, ()) if by]
+
+    def describe(self, channel: str) -> list[dict[str, Any]]:
+        """Returns the readers of a channel, with their bounds, and what waits or was lost there, as plain values.
+
+        Raises:
+            UnknownChannel: there is no such channel.
+        """
+        with self._lock:
+            readers = self._readers.get(channel)
+            if readers is None:
+                raise UnknownChannel(f"{self.agent} has no channel {channel!r}{hint_of(channel, self._readers)}")
+            return [reader.describe() for reader in readers.values()]
+
+    def readings(self, address: str) -> list[dict[str, Any]]:
+        """Returns what a component reads: as `describe` says, with the channel instead of the address."""
+        with self._lock:
+            found = [(name, readers[address]) for name, readers in self._readers.items() if address in readers]
+            return [{"channel": name, **reader.bounds_and_queue()} for name, reader in found]
+
+    def _forget(self, channel: str) -> None:
+        """Drops the snapshots of one channel; they are built again when they are needed. Under the lock."""
+        for key in [key for key in self._routes if key[0] == channel]:
+            del self._routes[key]
+
+    def _route_of(self, packet: Packet, destination: str) -> Route:
+        return self._routes.get((packet.channel, packet.type, destination)) or self._new_route(packet, destination)
+
+    def _new_route(self, packet: Packet, destination: str) -> Route:
+        """Makes the snapshot for packets like this one; an empty destination means all subscribers here."""
+        with self._lock:
+            readers = self._readers.get(packet.channel)
+            if readers is None:
+                raise self._unknown(packet)
+            is_addressed = destination not in ("", self.agent)
+            listeners = [
+                reader
+                for reader in readers.values()
+                if (not destination or covers(destination, reader.address))
+                and reader.reads(packet.type, addressed=is_addressed)
+            ]
+            # A stable order of those that are told, which decides the order of their turns in virtual time.
+            listeners.sort(key=lambda reader: len(reader.bounds) > 1)
+            route = Route(
+                tuple(reader.queue for reader in listeners),
+                tuple(reader for reader in listeners if reader.keep_of(packet.type).reliable),
+                tuple(tap for tap, types, _ in self._taps.get(packet.channel, ()) if not types or packet.type in types),
+            )
+            if len(self._routes) >= MOST_ROUTES:
+                self._routes.clear()
+            self._routes[packet.channel, packet.type, destination] = route
+            return route
+
+    def _give(self, packet: Packet, destination: str) -> int:
+        route = self._route_of(packet, destination)
+        route.give(packet, weight_of(packet.body) if route.queues else 0)
+        if not route.queues:
+            if destination and not route.taps:
+                self.undelivered += 1
+            if destination or packet.channel == CTRL:
+                self.unheard(packet)
+        return len(route.queues)
+
+    def _unknown(self, packet: Packet) -> UnknownChannel:
+        return UnknownChannel(
+            f"{packet.source} published {packet.type!r} to {packet.channel!r}, but {self.agent} has no such channel"
+            f"{hint_of(packet.channel, self._readers)}"
+        )

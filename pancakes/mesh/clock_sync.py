@@ -1,0 +1,275 @@
+"""Estimate the clocks of a peer from heartbeats, and convert its stamps to this agent's mission time. Pure.
+
+A pong carries the host time at which it was sent. That moment lies between the ping and the pong here, so half a
+round trip bounds the error. Of each period the answer with the shortest round trip is kept (NTP's clock filter, RFC
+5905). `ClockEstimate` derives offset, drift and bounds; `PeerClock` adds the peer's mission time and time of day.
+`mission_of_fleet` chooses the running mission that an agent joins when it starts. For the exchange over links see
+`pancakes.mesh.peer_clocks`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+
+from pancakes.packet import LocalTime
+from pancakes.util.timebase import Timebase
+
+MOST_DRIFT: Final = 0.1
+"""Two clocks whose rates differ by more than this are none that Pancakes can work with."""
+WANDER: Final = 2e-5
+"""So much the rate of a clock may change while it is looked at: by its temperature, or because it is disciplined."""
+SHARE: Final = 0.1
+"""Ways that are longer than the shortest by no more than this share of it count about as much."""
+STEADY_S: Final = 1e-5
+"""And by no more than this."""
+SOON_S: Final = 0.5
+"""Answers must be further apart than this to tell much about the drift."""
+MOST_KEPT: Final = 32
+LONGEST_SLOT_S: Final = 5.0
+"""Of the answers in so long a time one is kept at least."""
+SLOTS: Final = 8
+"""So many are kept of the time that has passed, where that is less than as many of the longest slots."""
+
+
+class ClockOffset(msgspec.Struct, frozen=True):
+    """How a peer's host clock stands to one's own.
+
+    Attributes:
+        at_s: the moment at which it stands so, in one's own host time.
+        offset_s: how far the peer's clock is ahead then, in seconds.
+        bound_s: the truth lies no further from it.
+        drift: how many seconds the peer's clock gains in each second of one's own.
+        drift_bound: the truth lies no further from it.
+    """
+
+    at_s: float
+    offset_s: float
+    bound_s: float
+    drift: float = 0.0
+    drift_bound: float = MOST_DRIFT
+
+    def offset_at(self, own_s: float) -> float:
+        """Returns how far the peer's clock is ahead at a moment of one's own host time."""
+        return self.offset_s + self.drift * (own_s - self.at_s)
+
+    def bound_at(self, own_s: float) -> float:
+        """Returns how far from the truth that may be."""
+        return self.bound_s + self.drift_bound * abs(own_s - self.at_s)
+
+    def own_s(self, peer_s: float) -> float:
+        """Returns one's own host time at a moment of the peer's."""
+        return self.at_s + (peer_s - self.at_s - self.offset_s) / (1.0 + self.drift)
+
+
+class PingAnswer(msgspec.Struct, frozen=True):
+    """An answer to a ping that was kept.
+
+    Attributes:
+        slot_s: since when it is the best one, in host time.
+        at_s: the middle of its round trip.
+        offset_s: how far the peer's clock was ahead.
+        error_s: half the round trip.
+    """
+
+    slot_s: float
+    at_s: float
+    offset_s: float
+    error_s: float
+
+
+class ClockEstimate:
+    """What is believed of one peer's host clock. One thread.
+
+    Attributes:
+        found: how it stands to one's own; None: that was never measured.
+        kept: the answers that it rests on, the oldest first.
+    """
+
+    def __init__(self) -> None:
+        self.found: ClockOffset | None = None
+        self.kept: list[PingAnswer] = []
+
+    def take(self, sent_s: float, peer_s: float, back_s: float) -> bool:
+        """Takes the answer to a ping.
+
+        Args:
+            sent_s: when the ping left, in one's own host time.
+            peer_s: when it was answered, in the peer's.
+            back_s: when the answer came, in one's own.
+
+        Returns:
+            Whether it goes with what was believed before. Where it does not, one of the clocks was set, or stood still
+            with its machine, and only this answer is believed.
+        """
+        at_s, error_s = (sent_s + back_s) / 2, (back_s - sent_s) / 2
+        offset_s, found = peer_s - at_s, self.found
+        fits = found is None or abs(offset_s - found.offset_at(at_s)) <= error_s + found.bound_at(at_s)
+        if not fits:
+            self.kept.clear()
+        self._keep(at_s, offset_s, error_s)
+        self.found = self._believed(at_s)
+        return fits
+
+    def rest(self) -> None:
+        """The link has ended: keeps what is believed, without the answers, which take a hundred times the room."""
+        self.kept.clear()
+
+    def _keep(self, at_s: float, offset_s: float, error_s: float) -> None:
+        kept = self.kept
+        if kept:
+            last = kept[-1]
+            slot_s = min(LONGEST_SLOT_S, (at_s - kept[0].slot_s) / SLOTS)
+            if at_s - last.slot_s < slot_s:
+                if error_s <= last.error_s + self._growth() * (at_s - last.at_s):
+                    kept[-1] = PingAnswer(last.slot_s, at_s, offset_s, error_s)
+                return
+        kept.append(PingAnswer(at_s, at_s, offset_s, error_s))
+        if len(kept) > MOST_KEPT:
+            del kept[0]
+
+    def _growth(self) -> float:
+        """Returns by how much an answer gets worse in each second."""
+        return self.found.drift_bound if self.found is not None else MOST_DRIFT
+
+    def _believed(self, at_s: float) -> ClockOffset:
+        """Returns what is likely among what all answers allow; the oldest are given up until they allow something."""
+        while len(self.kept) > 1:
+            drifts = self._allowed_drifts(at_s)
+            lowest_s = max(it.offset_s - it.error_s + drifts[0] * (at_s - it.at_s) for it in self.kept)
+            highest_s = min(it.offset_s + it.error_s + drifts[1] * (at_s - it.at_s) for it in self.kept)
+            if drifts[0] <= drifts[1] and lowest_s <= highest_s:
+                offset_s, drift = self._likely(at_s, *drifts)
+                offset_s = _within(offset_s, lowest_s, highest_s)
+                bound_s = max(offset_s - lowest_s, highest_s - offset_s)
+                return ClockOffset(at_s, offset_s, bound_s, drift, max(drift - drifts[0], drifts[1] - drift))
+            del self.kept[0]
+        (answer,) = self.kept
+        return ClockOffset(answer.at_s, answer.offset_s, answer.error_s)
+
+    def _allowed_drifts(self, at_s: float) -> tuple[float, float]:
+        """Returns the least and the greatest drift that the answers allow: none, where the first is the greater."""
+        growth = self._growth()
+        newest = min(self.kept, key=lambda it: it.error_s + growth * abs(at_s - it.at_s))
+        low, high = -MOST_DRIFT, MOST_DRIFT
+        for other in self.kept:
+            between_s = newest.at_s - other.at_s
+            if between_s == 0.0:
+                continue
+            slope = (newest.offset_s - other.offset_s) / between_s
+            error = (newest.error_s + other.error_s) / abs(between_s) + WANDER
+            low, high = max(low, slope - error), min(high, slope + error)
+        return low, high
+
+    def _likely(self, at_s: float, least: float, most: float) -> tuple[float, float]:
+        """Returns the offset at a moment and the drift: those of a line through the answers with the shortest ways."""
+        shortest_s = min(it.error_s for it in self.kept)
+        rows = []
+        for it in self.kept:
+            excess_s = it.error_s - shortest_s + SHARE * shortest_s + STEADY_S + WANDER * abs(at_s - it.at_s)
+            rows.append((1.0 / (excess_s * excess_s), it.at_s - at_s, it.offset_s))
+        weight = sum(row[0] for row in rows)
+        middle_s = sum(row[0] * row[1] for row in rows) / weight
+        offset_s = sum(row[0] * row[2] for row in rows) / weight
+        spread = sum(row[0] * (row[1] - middle_s) ** 2 for row in rows)
+        common = sum(row[0] * (row[1] - middle_s) * (row[2] - offset_s) for row in rows)
+        # Answers of one moment tell little of the drift but the noise of their ways; and most clocks have next to none.
+        usual, firm = (0.0 if least <= 0.0 <= most else (least + most) / 2), weight * SOON_S * SOON_S
+        drift = _within((common + firm * usual) / (spread + firm), least, most)
+        return offset_s - drift * middle_s, drift
+
+
+def _within(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
+ROUNDING_S: Final = 1e-6
+"""A stamp that lies before the beginning of its mission by no more than this lies at it."""
+
+
+class PeerClock(msgspec.Struct, frozen=True):
+    """What is known of the clocks of a peer.
+
+    Attributes:
+        offset: how its host clock stands to one's own.
+        timebase: what its mission time and its time of day are, as its host clock counts.
+    """
+
+    offset: ClockOffset
+    timebase: Timebase
+
+    def local_time(self, stamp_s: float, own: Timebase) -> LocalTime | None:
+        """Returns when a stamp of the peer was, on one's own mission clock.
+
+        Args:
+            stamp_s: the peer's mission time.
+            own: what one's own mission time is.
+
+        Returns:
+            None where that cannot be known: one of the two missions is held, or the stamp is that of a mission that was
+            held, or of an earlier life of the peer.
+        """
+        theirs = self.timebase
+        zero_s, own_zero_s = theirs.zero_s(), own.zero_s()
+        if zero_s is None or own_zero_s is None or stamp_s <= 0.0 or stamp_s < theirs.start_s - ROUNDING_S:
+            return None
+        host_s = self.offset.own_s(zero_s + stamp_s / theirs.speed)
+        return LocalTime((host_s - own_zero_s) * own.speed, self.offset.bound_at(host_s) * own.speed)
+
+    def mission_at(self, own_s: float) -> float | None:
+        """Returns the peer's mission time at a moment of one's own host time, in seconds; None: its mission is held."""
+        zero_s = self.timebase.zero_s()
+        return (own_s + self.offset.offset_at(own_s) - zero_s) * self.timebase.speed if zero_s is not None else None
+
+    def day_ahead_s(self, own: Timebase, now_s: float) -> float | None:
+        """Returns how far the peer's time of day is ahead of one's own; None: one of the two has none.
+
+        Args:
+            own: what one's own time of day is.
+            now_s: one's own host time.
+        """
+        theirs_s, own_s = self.timebase.day_s, own.day_s
+        return theirs_s - own_s + self.offset.offset_at(now_s) if theirs_s is not None and own_s is not None else None
+
+
+AGREE_S: Final = 1.0
+"""Missions that are no further apart are one, in mission seconds: agents never begin quite together."""
+
+
+class PeerMission(msgspec.Struct, frozen=True):
+    """The mission of a peer.
+
+    Attributes:
+        peer: the peer.
+        zero_s: the host time of the agent that asks at which it was 0; negative where that was before its clock began.
+        bound_s: the truth lies no further from it, in host seconds.
+        speed: mission seconds for each host second.
+    """
+
+    peer: str
+    zero_s: float
+    bound_s: float
+    speed: float
+
+
+def mission_of_fleet(missions: Sequence[PeerMission], speed: float) -> PeerMission | None:
+    """Returns the mission that goes on here: that of the most peers, so that no single one misleads; of two, the older.
+
+    Args:
+        missions: those of the peers.
+        speed: how fast the mission runs here; one that runs at another speed is another one.
+
+    Returns:
+        Of the peers that agree, the one of which it is known best; None: there is none.
+    """
+    same = [it for it in missions if it.speed == speed]
+    groups = [
+        [it for it in same if abs(it.zero_s - one.zero_s) * speed <= AGREE_S + (it.bound_s + one.bound_s) * speed]
+        for one in same
+    ]
+    if not groups:
+        return None
+    chosen = max(groups, key=lambda group: (len(group), -min(it.zero_s for it in group)))
+    return min(chosen, key=lambda it: (it.bound_s, it.peer))

@@ -1,0 +1,108 @@
+"""Gossip: agents tell each other where others can be dialled, so that a fleet becomes a full mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final, Protocol
+
+from pancakes.mesh.address import LOCAL, reachable_from
+from pancakes.mesh.links import Links
+from pancakes.mesh.messages import AgentSeen, Gossip, Hello, Role
+from pancakes.mesh.partial_mesh import FewLinks, Sighting
+from pancakes.mesh.peers import Peers
+from pancakes.mesh.session import Session
+from pancakes.mesh.transport import Transport
+
+ADDRESSES: Final = 64
+"""Most addresses in one message to a new link."""
+BEACON_ADDRESSES: Final = 8
+"""So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
+every agent the square of the fleet, for what all agents know: a new link gets them all.
+"""
+TO_ONE: Final = 32
+"""So many agents are in a beacon to one peer: of a thousand, each agent hears of each within half a minute."""
+
+_EVERYWHERE: Final = (LOCAL, "tcp")
+"""Each agent dials these; other schemes those agents alone that are linked by them, or listen at them."""
+
+
+class Says(Protocol):
+    """Sends gossip over a link."""
+
+    def __call__(self, session: Session, message: Gossip) -> None:
+        """Tells a peer of others."""
+
+
+class Gossiper:
+    """What one agent tells its peers of others. In the transport's thread.
+
+    Args:
+        role: the role of this agent.
+        links: its links.
+        say: sends what it tells.
+        transport: knows the ways to addresses.
+        few: knows all agents, where this one keeps links to a few alone; None: it tells of those that are linked.
+    """
+
+    def __init__(self, role: Role, links: Links, say: Says, transport: Transport, few: FewLinks | None) -> None:
+        # A client that looks at two agents must not make neighbours of them: it belongs to neither.
+        self._tells = role != "client"
+        self._links = links
+        self._say = say
+        self._transport = transport
+        self._few = few
+        self._beacons = 0
+
+    def beacon(self, own: Hello, peers: Peers, now_s: float) -> None:
+        """Tells all peers of this agent and some others; or one peer, in turn, of many."""
+        hearers = list(self._links)
+        if self._few is not None:
+            others = self._few.some(TO_ONE, now_s)
+            hearers = hearers[self._beacons % len(hearers) :][:1] if hearers else []
+        else:
+            others = peers.gossip()
+            if len(others) > BEACON_ADDRESSES:
+                first = self._beacons * BEACON_ADDRESSES % len(others)
+                others = (others + others)[first : first + BEACON_ADDRESSES]
+        self._beacons += 1
+        agents = [*([(own.name, own.listen, 0.0)] if own.listen else ()), *others]
+        self._links.announced(sum([self._tell(session, agents) for session in hearers]))
+
+    def stood_up(self, session: Session, peers: Peers, now_s: float) -> None:
+        """Tells a new peer of all agents, and the others of it, unless it is known."""
+        hello, is_news = session.hello, peers.is_news(session.number)
+        if self._few is None:
+            agents = peers.gossip()
+        else:  # a link that comes and goes is no reason to tell everything again
+            agents = self._few.fresh(now_s) if is_news else self._few.some(TO_ONE, now_s)
+        for first in range(0, len(agents), ADDRESSES):
+            self._tell(session, agents[first : first + ADDRESSES])
+        # Of an address that peers have named they know, and the newcomer hears of all others and dials them.
+        if hello is not None and hello.listen and hello.role != "client" and is_news:
+            for other in self._links:
+                self._tell(other, [(hello.name, hello.listen, 0.0)])
+
+    def _tell(self, session: Session, agents: Iterable[Sighting]) -> bool:
+        """Tells a peer of agents other than itself, as far as it can dial them; returns whether there were any."""
+        if not self._tells or session.hello is None:
+            return False
+        own = set(session.hello.listen)
+        schemes = {*_EVERYWHERE, *map(_scheme, (session.remote, *own))}
+        named = [
+            AgentSeen(name, address, age_s)
+            for name, listen, age_s in agents
+            if own.isdisjoint(listen) and (address := self._best(session.remote, schemes, listen))
+        ]
+        if named:
+            self._say(session, Gossip(tuple(named)))
+        return bool(named)
+
+    def _best(self, remote: str, schemes: set[str], listen: Sequence[str]) -> str:
+        """Returns the cheapest address of an agent that a peer can dial, the first of equal ones; empty: none."""
+        there = reachable_from(remote, listen, self._transport.reach)
+        dialled = [address for address in there if _scheme(address) in schemes]
+        return min(dialled, key=lambda address: self._transport.facts(address).cost, default="")
+
+
+def _scheme(address: str) -> str:
+    return address.partition("://")[0]

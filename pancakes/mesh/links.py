@@ -1,0 +1,310 @@
+"""The links of an agent that are up: the table of them, their heartbeats, and what the log says about them.
+
+The transport's thread changes the table; all threads read it. `Upkeep` sends heartbeats when they are due, and ends
+links whose peers take no more bytes. `LinkLog` logs a refusal again only if its reason has changed, and logs clients
+at level debug, because they come and go all the time.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Final
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.address import is_local
+from pancakes.mesh.link import Action, LinkTimes, Over
+from pancakes.mesh.messages import Hello
+from pancakes.mesh.session import CountersOfAll, Session
+from pancakes.mesh.transport import UNSAID, Scheduled, Transport
+
+
+class Links:
+    """The sessions that are up, and what was sent over all that ever were.
+
+    Args:
+        change: takes the sessions over which packets go from now on, as `Sending.change`: before other threads find a
+            link that stands, and after they find one no more. So what they send to a peer that they find has a way.
+    """
+
+    def __init__(self, change: Callable[[Mapping[str, Session], tuple[Session, ...]], None]) -> None:
+        self._change = change
+        self._up: dict[str, Session] = {}  # both are replaced, never changed: all threads read them
+        self._said: dict[str, Hello] = {}
+        self._counters = CountersOfAll()
+        self._lock = threading.Lock()
+        self._mission_packets = 0  # over links that have ended, and announcements
+
+    def __iter__(self) -> Iterator[Session]:
+        """The sessions that are up, by the names of their peers."""
+        return iter(_by_name(self._up))
+
+    def __len__(self) -> int:
+        return len(self._up)
+
+    def add(self, session: Session, hello: Hello) -> None:
+        """A link stands, to the agent that said `hello`."""
+        session.stood_up(hello, self._counters.of(hello.name, self._up))
+        up = {**self._up, hello.name: session}
+        self._change(up, _neighbours(up))
+        self._up = up
+        self._said = dict(sorted({**self._said, hello.name: hello}.items()))
+
+    def remove(self, session: Session) -> None:
+        """A link has ended."""
+        session.is_up = False
+        with self._lock:
+            self._mission_packets += session.counted
+            self._up = {name: other for name, other in self._up.items() if other is not session}
+            self._said = {name: hello for name, hello in self._said.items() if name in self._up}
+        self._change(self._up, _neighbours(self._up))
+        if session.role == "client":
+            self._counters.forget(session.peer)  # clients come under ever new names
+
+    def by_name(self) -> dict[str, Session]:
+        """Returns the sessions that are up, by the names of their peers. Not to be changed."""
+        return self._up
+
+    def neighbours(self) -> tuple[Session, ...]:
+        """Returns the sessions of the peers in the role `agent`, by name."""
+        return _neighbours(self._up)
+
+    def connected(self) -> Mapping[str, Hello]:
+        """Returns what all peers said about themselves, by name, in the order of their names."""
+        return self._said
+
+    def rtt_s(self, peer: str) -> float | None:
+        """Returns the smoothed round trip time to a peer, or None where there is none yet."""
+        session = self._up.get(peer)
+        return session.link.rtt_s if session is not None and session.link is not None else None
+
+    def announced(self, peers: int) -> None:
+        """An announcement went to so many peers."""
+        with self._lock:
+            self._mission_packets += peers
+
+    def mission_packets_sent(self) -> int:
+        """Returns how many mission packets went out; see `Mesh.mission_packets_sent`."""
+        with self._lock:
+            return self._mission_packets + sum(session.counted for session in self)
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Returns the state of the links as plain values."""
+        return [session.describe() for session in self]
+
+
+def _by_name(up: Mapping[str, Session]) -> list[Session]:
+    return [up[name] for name in sorted(up)]
+
+
+def _neighbours(up: Mapping[str, Session]) -> tuple[Session, ...]:
+    return tuple(session for session in _by_name(up) if session.role == "agent")
+
+
+DROPS_REPORTED_EVERY_S: Final = 5.0
+"""The log names a slow peer, or one that speaks for another, at most that often, in seconds of host time."""
+_AGAIN_S: Final = 60.0
+"""So often, in host time, it names the same reason again for which a place gets no link."""
+_MOST_PLACES: Final = 256
+_NEWS: Final = ("version", "fleet", "name", "full", "protocol")
+
+
+class LinkLog:
+    """Says what happens to links.
+
+    Args:
+        say: takes (level, text).
+        static: the addresses of the configuration, which a person counts on.
+    """
+
+    def __init__(self, say: Callable[[str, str], None], static: Sequence[str]) -> None:
+        self._say = say
+        self._static = static
+        # The last that was told, when that was, and how many were not told of since; by the place that it is about, and
+        # by how loud that was.
+        self._last_reason: dict[tuple[str, str], tuple[str, float, int]] = {}
+
+    def stood_up(self, session: Session, hello: Hello) -> None:
+        """A link stands."""
+        level = "debug" if hello.role == "client" else "info"
+        self._say(level, f"{hello.name} ({hello.role}, {session.remote}) is connected")
+
+    def ended(self, session: Session, over: Over) -> None:
+        """A link that stood has ended."""
+        is_client = session.role == "client"
+        why = over.refused or over.refusing
+        # A client gives its place up to another as often as one comes: nothing to warn of each time.
+        is_usual = why is None or (is_client and over.refusing == "full")
+        level = "warning" if over.broken or not is_usual else "debug" if is_client else "info"
+        self._say(level, f"the link to {session.peer} has ended: {over.reason}")
+
+    def not_made(self, session: Session, over: Over, now_s: float) -> None:
+        """A connection did not become a link.
+
+        Of an address that is dialled, each new reason is told. Of the connections that come in from one place, one is
+        told of each 5 s, and one each minute while the reason stays the same; it says how many were not.
+        """
+        why = over.refused or over.refusing or ""
+        place = session.address or (f"a connection from {_place(session.remote)}" if session.remote else "a connection")
+        text = f"no link over {place}: {over.reason}"
+        # That one of two links goes is usual.
+        quiet = "info" if session.address in self._static and not why else "debug"
+        # Its transport will have nothing to do with it.
+        stranger = not session.address and session.link is None and UNSAID not in over.reason
+        level = "warning" if over.broken or over.turned_away or stranger or why in _NEWS else quiet
+        if len(self._last_reason) > _MOST_PLACES:
+            self._last_reason.clear()
+        last, said_s, untold = self._last_reason.get((place, level), ("", -math.inf, 0))
+        if session.address and last == text:
+            return
+        if not session.address and now_s < said_s + (_AGAIN_S if last == text else DROPS_REPORTED_EVERY_S):
+            self._last_reason[place, level] = (last, said_s, untold + 1)
+            return
+        self._last_reason[place, level] = (text, now_s, 0)
+        self._say(level, f"{text} (and {untold} others, that were not told of)" if untold else text)
+
+    def given_up(self, agent: str, packets: int) -> None:
+        """No link to an agent came to stand for which packets were waiting."""
+        if packets:
+            lost = f"{packets} packets for {agent} are" if packets > 1 else f"a packet for {agent} is"
+            self._say("warning", f"{lost} lost: no link to it could be made")
+
+    def drops(self, session: Session, now_s: float) -> None:
+        """Names a peer that lost packets since it was last named."""
+        dropped = sum(session.counters.dropped.values())
+        if dropped > session.reported_drops and now_s - session.reported_s >= DROPS_REPORTED_EVERY_S:
+            lost = ", ".join(f"{count} on {channel}" for channel, count in sorted(session.counters.dropped.items()))
+            self._say("warning", f"{session.peer} is slow; packets given up so far: {lost}")
+            session.reported_drops, session.reported_s = dropped, now_s
+
+    def false_source(self, session: Session, fault: str, number: int, now_s: float) -> None:
+        """Packets came that their peer may not send: `number` more."""
+        session.refused += number
+        if now_s - session.refused_said_s >= DROPS_REPORTED_EVERY_S:
+            self._say("warning", f"{fault}; packets refused so far: {session.refused}")
+            session.refused_said_s = now_s
+
+    def attempt(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Calls what the mesh was given; its failure is told, and must not cost a link."""
+        try:
+            function(*arguments)
+        except Exception as error:  # whatever it is, it belongs in the log
+            text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
+            name = getattr(function, "__qualname__", repr(function))
+            self._say("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")
+
+
+def _place(remote: str) -> str:
+    """Returns where a connection comes from, without the port or the process, which may be another each time."""
+    return "this machine" if is_local(remote) else remote.rpartition(":")[0]
+
+
+class Alarm:
+    """Calls a function when it is due. In the transport's thread.
+
+    Args:
+        transport: in whose thread the function is called.
+        now: the host clock.
+        function: what is called.
+        slack_s: so much later it is called than it is due, so that what is due soon after need not be waited for anew.
+
+    Attributes:
+        due_s: the host time for which it is set; infinity: it is not.
+    """
+
+    def __init__(
+        self, transport: Transport, now: Callable[[], float], function: Callable[[], None], slack_s: float = 0.0
+    ) -> None:
+        self.due_s = math.inf
+        self._transport = transport
+        self._now = now
+        self._function = function
+        self._slack_s = slack_s
+        self._timer: Scheduled | None = None
+
+    def set(self, due_s: float) -> None:
+        """Sets it for this time instead of any other; infinity: it is not to ring."""
+        if due_s == self.due_s:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self.due_s = due_s
+        if due_s < math.inf:
+            self._timer = self._transport.call_later(max(0.0, due_s + self._slack_s - self._now()), self._ring)
+
+    def _ring(self) -> None:
+        self._timer, self.due_s = None, math.inf
+        self._function()
+
+
+TOGETHER: Final = 0.1
+"""So much of a heartbeat later the times of links are kept, so that one wake-up of the thread serves many of them."""
+
+
+class Upkeep:
+    """Looks after the links of one agent when something is due.
+
+    Args:
+        sessions: its connections, by number, which change.
+        transport: in whose thread it works.
+        now: the host clock.
+        times: the times of links.
+        log: tells of packets that were given up.
+        act: carries out what a link asks for.
+        end: ends a link.
+    """
+
+    def __init__(
+        self,
+        sessions: Mapping[int, Session],
+        transport: Transport,
+        now: Callable[[], float],
+        times: LinkTimes,
+        log: LinkLog,
+        act: Callable[[Session, Sequence[Action]], None],
+        end: Callable[[Session, Over], None],
+    ) -> None:
+        self._sessions = sessions
+        self._now = now
+        self._times = times
+        self._log = log
+        self._act = act
+        self._end = end
+        self._alarm = Alarm(transport, now, self._run, TOGETHER * times.heartbeat_s)
+
+    def watch(self, session: Session) -> None:
+        """Sees to it that a link is looked after when it has something to do."""
+        if session.link is not None and session.number in self._sessions:
+            session.due_s = session.link.due_s()
+            if session.due_s < self._alarm.due_s:
+                self._alarm.set(session.due_s)
+
+    def _run(self) -> None:
+        self._alarm.due_s = -math.inf  # not to be set for each link
+        now_s = self._now()
+        try:
+            for session in list(self._sessions.values()):
+                if session.due_s <= now_s:
+                    self._tick(session, now_s)
+        finally:
+            self._alarm.set(min([session.due_s for session in self._sessions.values()], default=math.inf))
+
+    def _tick(self, session: Session, now_s: float) -> None:
+        link = session.link
+        if link is None or session.number not in self._sessions:
+            return
+        if session.is_up:
+            if session.stuck_s(now_s) >= (limit_s := self._times.stuck_s):
+                self._end(session, Over(f"{session.peer} took nothing for {limit_s:g} s of what waits for it"))
+                return
+            session.quiet_s(now_s)
+            if session.counters.dropped:
+                self._log.drops(session, now_s)
+        due_s = link.due_s()
+        if due_s > now_s:  # mostly something has been sent meanwhile, and nothing is to be done yet
+            session.due_s = due_s
+            return
+        self._act(session, link.tick(now_s))
+        self.watch(session)

@@ -1,0 +1,167 @@
+"""Keep the clocks of all peers of an agent, and tell each peer the clocks of this one.
+
+It runs in the transport's thread; `clock_of`, `describe` and `missions` may be called from any thread. What is known
+of a peer outlasts its link. The estimates themselves are in `pancakes.mesh.clock_sync`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.mesh.clock_sync import ClockEstimate, PeerClock, PeerMission
+from pancakes.mesh.link import Measured, TimebaseHeard
+from pancakes.mesh.links import Links
+from pancakes.mesh.session import Session
+from pancakes.util.timebase import Timebase
+
+DAY_STEP_S: Final = 0.01
+"""A time of day that was set by less is not told anew."""
+MOST_REMEMBERED: Final = 512
+"""The clocks of so many peers are known at most, those whose links have ended among them."""
+
+
+class _PeerKnown(msgspec.Struct):
+    """What is known of one peer.
+
+    Attributes:
+        life: its journal and boot: another life has another mission, and may have another clock.
+        estimate: of its host clock.
+        timebase: what it told last; None: nothing yet.
+    """
+
+    life: tuple[str, int, str]
+    estimate: ClockEstimate
+    timebase: Timebase | None = None
+
+
+class Timekeeping:
+    """The clocks of one agent's peers. In the transport's thread, but for what is said to be for any.
+
+    What is known of a peer outlasts its link, and gets worse with time; of one that comes back in the same life it is
+    known at once.
+
+    Args:
+        own: returns what the agent's own mission time and time of day are; None: this is a terminal, which has none.
+        now: the host clock.
+        links: the links of the agent.
+        tell: sends a message over a link.
+    """
+
+    def __init__(
+        self,
+        own: Callable[[], Timebase] | None,
+        now: Callable[[], float],
+        links: Links,
+        tell: Callable[[Session, Timebase], None],
+    ) -> None:
+        self._own = own
+        self._now = now
+        self._links = links
+        self._tell = tell
+        self._known: dict[str, _PeerKnown] = {}
+        self._clocks: dict[str, PeerClock] = {}
+
+    def clock_of(self, peer: str) -> PeerClock | None:
+        """Returns what is known of a peer's clocks; None: nothing. Any thread."""
+        return self._clocks.get(peer)
+
+    def describe(self, peer: str) -> dict[str, Any] | None:
+        """Returns how a peer's clocks stand to one's own, as plain values; None: nothing is known. Any thread."""
+        clock, own, now_s = self._clocks.get(peer), self._own, self._now()
+        if clock is None or own is None:
+            return None
+        offset, base = clock.offset, own()
+        mission_s, own_zero_s = clock.mission_at(now_s), base.zero_s()
+        ahead_s = None
+        if mission_s is not None and own_zero_s is not None and clock.timebase.speed == base.speed:
+            ahead_s = mission_s - (now_s - own_zero_s) * base.speed
+        return {
+            "offset_s": offset.offset_at(now_s),
+            "bound_s": offset.bound_at(now_s),
+            "drift": offset.drift,
+            "drift_bound": offset.drift_bound,
+            "mission_ahead_s": ahead_s,
+            "day_ahead_s": clock.day_ahead_s(base, now_s),
+        }
+
+    def missions(self, may_say: Callable[[str], bool]) -> tuple[tuple[PeerMission, ...], bool]:
+        """Returns the missions that run on linked agents that may say so, and whether of one it is not known yet.
+
+        Any thread. Terminals have no mission of the fleet's.
+        """
+        found, unknown, now_s = [], False, self._now()
+        for session in self._links:
+            if session.role == "client" or not may_say(session.peer):
+                continue
+            clock = self._clocks.get(session.peer)
+            if clock is None:
+                unknown = True
+            elif (mission_s := clock.mission_at(now_s)) is not None and mission_s >= 0.0:
+                zero_s, speed = now_s - mission_s / clock.timebase.speed, clock.timebase.speed
+                found.append(PeerMission(session.peer, zero_s, clock.offset.bound_at(now_s), speed))
+        return tuple(found), unknown
+
+    def stood_up(self, session: Session) -> None:
+        """A link stands."""
+        hello = session.hello
+        assert hello is not None
+        life = (hello.journal, hello.boot, hello.life)
+        known = self._known.pop(hello.name, None)
+        if known is None or known.life != life:
+            known = _PeerKnown(life, ClockEstimate())
+            self._clocks.pop(hello.name, None)
+        self._known[hello.name] = known
+        while len(self._known) > MOST_REMEMBERED:
+            self._forget(next(iter(self._known)))
+        self._tell_own(session)
+
+    def ended(self, session: Session) -> None:
+        """A link has ended."""
+        if session.role == "client":  # they come under ever new names
+            self._forget(session.peer)
+        elif (known := self._known.get(session.peer)) is not None:
+            known.estimate.rest()
+
+    def changed(self) -> None:
+        """The agent's own mission has begun."""
+        for session in self._links:
+            self._tell_own(session)
+
+    def heard(self, session: Session, what: Measured | TimebaseHeard) -> None:
+        """A peer has answered a ping, or tells of its clocks."""
+        known = self._known.get(session.peer)
+        if known is None or not session.is_up:  # before the link stands it is not known whose clock that is
+            return
+        if isinstance(what, TimebaseHeard):
+            known.timebase = what.timebase
+        else:
+            if not known.estimate.take(what.sent_s, what.peer_s, what.back_s) and session.link is not None:
+                session.link.hurry()
+            self._tell_own(session)
+        if known.estimate.found is not None and known.timebase is not None:
+            self._clocks[session.peer] = PeerClock(known.estimate.found, known.timebase)
+
+    def _tell_own(self, session: Session) -> None:
+        """Tells a peer of one's own clocks, where it does not know them as they are."""
+        if self._own is None:
+            return
+        own, told = self._own(), session.told_timebase
+        if told is not None and _mission_of(told) == _mission_of(own) and _same_day(told.day_s, own.day_s):
+            return
+        session.told_timebase = own
+        self._tell(session, own)
+
+    def _forget(self, peer: str) -> None:
+        self._known.pop(peer, None)
+        self._clocks.pop(peer, None)
+
+
+def _mission_of(timebase: Timebase) -> tuple[float | None, float, float]:
+    return timebase.began_s, timebase.start_s, timebase.speed
+
+
+def _same_day(told_s: float | None, own_s: float | None) -> bool:
+    return told_s == own_s if told_s is None or own_s is None else abs(told_s - own_s) <= DAY_STEP_S

@@ -1,0 +1,382 @@
+"""What an agent believes of its peers: certificates and rosters over links, new keys, and what peers may send.
+
+`Rosters` distributes the signed roster: an agent that knows a higher number gives it to one that has a lower one. The
+signature is checked in a process of its own, so that no running agent imports `cryptography`. `Rekeying` takes a new
+key while the agent runs, and makes its links again one after the other. `Trust` joins both with the access rules. All
+of it runs in the transport's thread.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.admission import Bucket
+from pancakes.mesh.links import Links
+from pancakes.mesh.messages import Hello, Refusal, RosterNumber, RosterText
+from pancakes.mesh.session import Session
+from pancakes.mesh.transport import Scheduled
+from pancakes.packet import Packet
+from pancakes.security.access import Access, asks, fault_of_source
+from pancakes.security.roster import FALSE, UNKEPT, Bearer, Roster, fault_of_bearer, read_signed
+
+if TYPE_CHECKING:
+    from pancakes.security.keys import Keys
+
+
+LOOK_S: Final = 60.0
+"""So often the peers are told the number again, and looked at whether their certificates have ended."""
+CHECK_S: Final = 30.0
+"""So long the check of a signature may take."""
+MOST_CHECKS: Final = 4
+"""So many rosters are checked at a time; of each peer one."""
+
+UNCHECKED: Final = "a roster cannot be checked without cryptography: pip install 'pancakes-agents[keys]'"
+
+
+class RosterFault(NamedTuple):
+    """Why an agent does not go by a roster, or cannot keep it.
+
+    Attributes:
+        number: the number of the roster; 0: the same is true of each that will come.
+        text: why, as a sentence.
+    """
+
+    number: int
+    text: str
+
+
+LookAgain = Callable[[float, Callable[[], None]], Scheduled]
+
+
+class Rosters:
+    """The roster that an agent knows, and the peers that it tells of it. In the transport's thread.
+
+    Args:
+        keys: the agent's keys; None: it has none, and none of this happens.
+        links: its links.
+        tell: sends a message over a link.
+        refuse: ends a link, for a reason that the peer is told.
+        call_later: as `Transport.call_later`.
+        log: takes (level, text).
+
+    Attributes:
+        fault: why the roster that was given last is not taken, or is not kept; None: all is well.
+    """
+
+    def __init__(
+        self,
+        keys: Keys | None,
+        links: Links,
+        tell: Callable[[Session, RosterNumber | RosterText], None],
+        refuse: Callable[[Session, Refusal, str], None],
+        call_later: LookAgain,
+        log: Callable[[str, str], None],
+    ) -> None:
+        self._keys = keys
+        self._links = links
+        self._tell = tell
+        self._refuse = refuse
+        self._call_later = call_later
+        self._log = log
+        self._checking: set[str] = set()
+        self._unkept = False
+        self.fault: RosterFault | None = None
+
+    def begin(self) -> None:
+        """The mesh has begun."""
+        if self._keys is not None:
+            if not can_check():
+                self.fault = RosterFault(0, UNCHECKED)
+            self._call_later(LOOK_S, self._look)
+
+    def stood_up(self, session: Session) -> None:
+        """A link stands."""
+        if self._keys is not None and self._keys.roster is not None:
+            self._tell(session, RosterNumber(self._keys.roster.number))
+
+    def heard(self, session: Session, message: RosterNumber | RosterText) -> None:
+        """A peer tells its number, or gives its roster."""
+        keys = self._keys
+        if keys is None:
+            return
+        own = keys.roster.number if keys.roster is not None else 0
+        if isinstance(message, RosterText):
+            self._check(keys, session, message.text)
+        elif message.number > own:
+            self._tell(session, RosterNumber(own))
+        elif message.number < own:
+            self._tell(session, RosterText(keys.roster_text))
+
+    def _check(self, keys: Keys, session: Session, text: bytes) -> None:
+        """Has the signature of a roster checked, in a process of its own."""
+        try:
+            _, roster = read_signed(text)
+        except ValueError as error:
+            self._refuse(session, "name", f"the roster that it gave cannot be read: {error}")
+            return
+        if keys.roster is not None and roster.number <= keys.roster.number:
+            return  # another peer was faster
+        if fault := keys.fault_of_roster(roster):
+            self._not_taken(session, roster, fault)
+            return
+        if session.peer in self._checking or len(self._checking) >= MOST_CHECKS:
+            return  # it is told the number again, and gives the roster again
+        self._checking.add(session.peer)
+
+        def check() -> None:
+            fault, code = keep(keys, text)
+            self._call_later(0.0, lambda: self._checked(keys, session, roster, text, fault, code))
+
+        threading.Thread(target=check, name="roster", daemon=True).start()
+
+    def _not_taken(self, session: Session, roster: Roster, fault: str) -> None:
+        self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
+        self.fault = RosterFault(roster.number, fault)
+
+    def _checked(self, keys: Keys, session: Session, roster: Roster, text: bytes, fault: str, code: int) -> None:
+        self._checking.discard(session.peer)
+        if code == FALSE:
+            self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
+            self._refuse(session, "name", fault)
+        elif code not in (0, UNKEPT):
+            self._not_taken(session, roster, fault)
+        elif keys.learn(roster, text):
+            # A disk that is full must not let a revoked peer stay: it is obeyed now, and written later.
+            self._unkept = code == UNKEPT
+            self.fault = RosterFault(roster.number, fault) if fault else None
+            if fault:
+                self._log("error", f"{fault}. This agent goes by it until it ends")
+            revoked = len(roster.revoked)
+            self._log("info", f"{session.peer} gave the roster {roster.number} of {roster.fleet}: {revoked} revoked")
+            if own := keys.fault_of(keys.own):
+                self._log("error", f"no agent of {roster.fleet} believes this one any more: {own}")
+            self._end_those_revoked(keys)
+            self._tell_all()
+
+    def _look(self) -> None:
+        if self._keys is not None:
+            self._end_those_revoked(self._keys)
+            self._tell_all()
+            if self._unkept:
+                self._keep_again(self._keys)
+            self._call_later(LOOK_S, self._look)
+
+    def _keep_again(self, keys: Keys) -> None:
+        """Tries again to write down the roster that this agent goes by."""
+        text = keys.roster_text
+
+        def again() -> None:
+            _, code = keep(keys, text)
+            self._call_later(0.0, lambda: self._kept(keys, text, code))
+
+        threading.Thread(target=again, name="roster", daemon=True).start()
+
+    def _kept(self, keys: Keys, text: bytes, code: int) -> None:
+        if code == 0 and text == keys.roster_text:
+            self._unkept, self.fault = False, None
+
+    def _tell_all(self) -> None:
+        for session in self._links:
+            self.stood_up(session)
+
+    def _end_those_revoked(self, keys: Keys) -> None:
+        for session in self._links:
+            if session.certified is not None and (fault := keys.fault_of(session.certified)):
+                self._refuse(session, "name", f"{session.peer} is not believed any more: {fault}")
+
+
+def can_check() -> bool:
+    """Returns whether the library is installed that checks the signature of a roster."""
+    try:
+        return importlib.util.find_spec("cryptography") is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def keep(keys: Keys, text: bytes) -> tuple[str, int]:
+    """Checks the signature of a roster, and keeps it beside the keys. Waits for a process, in a thread of its own.
+
+    Returns:
+        What is wrong, as a sentence (empty: nothing, it is kept), and the exit code of `check_roster`.
+    """
+    import subprocess
+
+    command = [sys.executable, "-m", "pancakes.security.check_roster", str(keys.folder)]
+    try:
+        ended = subprocess.run(command, input=text, capture_output=True, timeout=CHECK_S)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"its signature cannot be checked: {error}", 1
+    if ended.returncode == 0:
+        return "", 0
+    said = ended.stderr.decode(errors="replace").strip().splitlines()
+    return said[-1] if said else f"its check ended with {ended.returncode}", ended.returncode
+
+
+KEY_RELOAD_S: Final = 60.0
+"""So often it looks whether there is a new key."""
+PAUSE_S: Final = 1.0
+"""So long after one link the next is made anew: an agent is never without all of them at a time."""
+
+
+class Rekeying:
+    """Looks for a new key, and makes the links that stand anew with it, one after the other.
+
+    Args:
+        keys: the agent's keys; None: it has none, and none of this happens.
+        links: its links.
+        refuse: ends a link, and tells the peer why. In the transport's thread.
+        call_later: as `Transport.call_later`.
+        log: takes (level, text).
+    """
+
+    def __init__(
+        self,
+        keys: Keys | None,
+        links: Links,
+        refuse: Callable[[Session, Refusal, str], None],
+        call_later: Callable[[float, Callable[[], None]], Scheduled],
+        log: Callable[[str, str], None],
+    ) -> None:
+        self._keys = keys
+        self._links = links
+        self._refuse = refuse
+        self._call_later = call_later
+        self._log = log
+        self._old: deque[Session] = deque()
+
+    def begin(self) -> None:
+        """The mesh has begun. In the transport's thread."""
+        if self._keys is not None:
+            self._call_later(KEY_RELOAD_S, self._look)
+
+    def reload(self, dry_run: bool = False) -> bool:
+        """Takes the key that lies there now; returns whether it is a new one. Any thread.
+
+        Args:
+            dry_run: whether it is only looked for.
+
+        Raises:
+            PancakesError: it cannot be used, or there are no keys.
+        """
+        if self._keys is None:
+            raise PancakesError("it has no keys: pancakes fleet join, and start it again")
+        is_new = self._keys.reload(dry_run)
+        if dry_run or not is_new:
+            return is_new
+        self._log("info", f"there is a new key in {self._keys.folder}, and links are made anew with it")
+        self._call_later(0.0, self._begin)
+        return True
+
+    def _look(self) -> None:
+        try:
+            self.reload()
+        except PancakesError as error:
+            self._log("warning", str(error))
+        self._call_later(KEY_RELOAD_S, self._look)
+
+    def _begin(self) -> None:
+        runs = bool(self._old)
+        self._old = deque(session for session in self._links if session.certified is not None)
+        if not runs:
+            self._next()
+
+    def _next(self) -> None:
+        if self._old:
+            # Of two links the one that ends as a duplicate is made anew by both sides, at once.
+            self._refuse(self._old.popleft(), "duplicate", "there is a new key, and links are made anew")
+            self._call_later(PAUSE_S, self._next)
+
+
+MOST_ASKED_HZ: Final = 1000.0
+"""So often a peer may ask this agent for something, in a second; as much at once. The rest is refused."""
+
+
+class Trust:
+    """The keys, the roster and the rules of one agent, as its links need them. In the transport's thread.
+
+    Args:
+        role: the role of this agent.
+        keys: its keys; None: it has none.
+        access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
+        links: its links.
+        tell: sends a message over a link.
+        refuse: ends a link, and tells the peer why.
+        call_later: as `Transport.call_later`.
+        now: the host clock.
+        log: takes (level, text).
+    """
+
+    def __init__(
+        self,
+        role: str,
+        keys: Keys | None,
+        access: Access | None,
+        links: Links,
+        tell: Callable[[Session, RosterNumber | RosterText], None],
+        refuse: Callable[[Session, Refusal, str], None],
+        call_later: Callable[[float, Callable[[], None]], Scheduled],
+        now: Callable[[], float],
+        log: Callable[[str, str], None],
+    ) -> None:
+        self._role = role
+        self._access = access
+        self._links = links
+        self._now = now
+        self.rosters = Rosters(keys, links, tell, refuse, call_later, log)
+        self.rekeying = Rekeying(keys, links, refuse, call_later, log)
+        if access is not None:
+            access.bearer_of = self._bearer_of
+
+    def begin(self) -> None:
+        """The mesh has begun."""
+        self.rosters.begin()
+        self.rekeying.begin()
+
+    def fault_of_hello(self, session: Session, hello: Hello) -> str:
+        """Returns in what a hello is not as the certificate of its sender says, as a sentence; empty: in nothing."""
+        shown = session.certified
+        return fault_of_bearer(shown, hello.name, hello.role, hello.fleet) if shown is not None else ""
+
+    def fault_of_packet(self, session: Session, packet: Packet) -> str:
+        """Returns why the peer may not send packets with this head, as a sentence; empty: it may."""
+        access = self._access
+        if access is None:
+            return ""
+        return fault_of_source(self._role, session.peer, session.role, packet) or access.fault_of_packet(
+            *_bearer(session), session.peer, packet
+        )
+
+    def asks_too_much(self, session: Session, first: Packet, number: int) -> str:
+        """Returns why what the peer asks for is refused, as a sentence; empty: it asks for nothing, or not too often.
+
+        Args:
+            session: the link that the packets came over.
+            first: the first of them; the others have the same head.
+            number: how many they are.
+        """
+        if self._access is None or not asks(first) or self._asked_of(session).take(number, self._now()):
+            return ""
+        return f"{session.peer} asks for more than {MOST_ASKED_HZ:g} things in a second"
+
+    def _asked_of(self, session: Session) -> Bucket:
+        if session.asked is None:
+            session.asked = Bucket(MOST_ASKED_HZ, MOST_ASKED_HZ, self._now())
+        return session.asked
+
+    def _bearer_of(self, peer: str) -> tuple[Bearer, bool] | None:
+        """See `Access.bearer_of`. Any thread."""
+        session = self._links.by_name().get(peer)
+        return _bearer(session) if session is not None else None
+
+
+def _bearer(session: Session) -> tuple[Bearer, bool]:
+    shown = session.certified
+    if shown is not None:
+        return Bearer(shown.name, shown.role, shown.groups), True
+    return Bearer(session.peer, "operator" if session.role == "client" else session.role), False

@@ -1,0 +1,108 @@
+"""Reads the records of an MCAP file, also of one that was cut off or damaged."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from mcap.exceptions import McapError
+from mcap.records import Chunk, McapRecord, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from pancakes.recording.records import RecordingError
+from pancakes.util.files import check_plain
+from pancakes.util.runtime_dir import is_locked
+
+MOST_BYTES: Final = 128 << 20
+"""No record of a file is larger, and no chunk once it is unpacked: packets have 16 MiB at the most."""
+READ_ERRORS: Final = (McapError, ValueError, KeyError, OverflowError, OSError, struct.error)
+"""What reading a file raises that was cut off, torn, or never a recording."""
+
+
+@dataclass
+class Damage:
+    """What lies between records that can be read, and cannot be read itself.
+
+    Attributes:
+        chunks: how many chunks.
+        size_bytes: how large they are.
+    """
+
+    chunks: int = 0
+    size_bytes: int = 0
+
+
+def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
+    """Gives the records of a file, those in chunks as well. A chunk that is damaged is left out and counted.
+
+    Raises:
+        READ_ERRORS: here it ends, whole or not.
+    """
+    for record in StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=MOST_BYTES).records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        try:
+            inside = breakup_chunk(_unpacked(record), validate_crc=True)
+        except Exception:  # whatever a decompressor raises; the next chunk can be read all the same
+            damage.chunks += 1
+            damage.size_bytes += len(record.data)
+        else:
+            yield from inside
+
+
+def _unpacked(chunk: Chunk) -> Chunk:
+    """Returns a chunk without compression, whatever it says of its own size: a few bytes may stand for gigabytes.
+
+    Raises:
+        ValueError: it is larger than any chunk that is written.
+        Exception: whatever a decompressor raises.
+    """
+    if chunk.uncompressed_size > MOST_BYTES:
+        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
+    if chunk.compression == "zstd":
+        import zstandard
+
+        unpacker = zstandard.ZstdDecompressor(max_window_size=MOST_BYTES).stream_reader(chunk.data)
+        data = unpacker.read(chunk.uncompressed_size + 1)
+    elif chunk.compression == "lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
+    else:
+        return chunk
+    if len(data) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes has others")
+    return replace(chunk, compression="", data=data)
+
+
+def metadata_of(file: BinaryIO) -> Iterator[Metadata]:
+    """Gives the metadata records of a file as far as it is whole; what is between them is not looked at."""
+    with suppress(*READ_ERRORS):
+        for record in StreamReader(file, emit_chunks=True, record_size_limit=MOST_BYTES).records:
+            if isinstance(record, Metadata):
+                yield record
+
+
+def opened(path: Path) -> BinaryIO:
+    """Opens a file of a recording.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    try:
+        check_plain(path)
+        return path.open("rb")
+    except OSError as error:
+        raise RecordingError(f"the recording {path} cannot be read: {error.strerror or error}") from None
+
+
+def is_being_written(file: BinaryIO) -> bool:
+    """Returns whether a recorder has this file open: it locks what it writes, for as long as it lives."""
+    with suppress(OSError):  # this file system knows no locks
+        return is_locked(file)
+    return False

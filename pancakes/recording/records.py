@@ -1,0 +1,143 @@
+"""What a recording consists of: packets as they were seen, and descriptions of the tasks.
+
+`pancakes rerun` needs the descriptions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.errors import PancakesError
+from pancakes.packet import Packet, packet_type
+from pancakes.util.clock import SET_SINCE_S
+
+NANOSECONDS: Final = 1_000_000_000
+
+
+def date_of(time_ns: int, timespec: str = "seconds", sep: str = " ") -> str:
+    """Returns a time of a recording as a date for people, in UTC."""
+    if time_ns < SET_SINCE_S * NANOSECONDS:
+        return "not known: the clock of the machine was not set"
+    return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(sep, timespec)
+
+
+class RecordingError(PancakesError):
+    """A recording cannot be written or read; the message names the file."""
+
+
+class RecordedPacket(msgspec.Struct, frozen=True, gc=False):
+    """One packet as it was seen.
+
+    Attributes:
+        time_ns: when it was recorded, in nanoseconds: since 1970 where agents run live, since the agents were made
+            in virtual time.
+        agent: the agent on whose channel it was seen; a packet that travels is seen on the agent that sends it, and
+            on the agent that gets it.
+        packet: the packet.
+    """
+
+    time_ns: int
+    agent: str
+    packet: Packet
+
+    @property
+    def topic(self) -> str:
+        """The MCAP topic that it belongs to."""
+        return f"/{self.agent}/{self.packet.channel}/{self.packet.type}"
+
+    @property
+    def task_id(self) -> str:
+        """The identity for life of the task that published it, whichever agent it was on; empty where none did."""
+        return self.packet.fence.task_id if self.packet.fence is not None else ""
+
+
+CHANNEL: Final = "recording"
+"""What stands in a topic in place of a channel: the recorder itself writes these messages."""
+
+
+@packet_type("task_description")
+class TaskDescription(msgspec.Struct, frozen=True):
+    """A task, as its agent described it to the recorder.
+
+    Attributes:
+        task_id: its identity for life, `birthplace/name`; empty for a task that cannot move.
+        address: its address then.
+        type: the name of its class's entry point, or of its class.
+        epoch: how often it had been handed over.
+        mission_s: mission time at its agent when it was as is said here.
+        settings: its settings, as plain values.
+        state: its state, as plain values.
+        timers: its time-driven methods: `timer` and `rate_hz`.
+        reads: what it subscribed to: `channel` and `types` (None: all).
+        requires: the device types that it depends on.
+        time_ns: when it was as is said here, as the recording counts time (see `Entry`).
+        began: where the recording saw it start: when that was (`time_ns`, `mission_s`), and what it began with
+            (`settings` and `state`, both without what the class itself says; `periods_s` of its timers, `rate_hz` of
+            its configuration). None where it ran already.
+        seed: of the random numbers of its agent.
+    """
+
+    task_id: str
+    address: str
+    type: str
+    epoch: int
+    mission_s: float
+    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    state: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    timers: tuple[Mapping[str, Any], ...] = ()
+    reads: tuple[Mapping[str, Any], ...] = ()
+    requires: tuple[str, ...] = ()
+    time_ns: int = 0
+    began: Mapping[str, Any] | None = None
+    seed: int = 0
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any], time_ns: Callable[[float], int], seed: int, seen: bool) -> TaskDescription:
+        """Makes it of what an agent answers to `Describe(target, state=True, began=seen)`.
+
+        Args:
+            told: the answer.
+            time_ns: turns the agent's host time, in seconds, into the recording's.
+            seed: of the random numbers of the agent.
+            seen: whether the recording saw the task start.
+
+        Raises:
+            KeyError, TypeError: it is no such answer.
+        """
+        fence = told["fence"] or {"task_id": "", "epoch": 0}
+        return cls(
+            task_id=fence["task_id"],
+            address=f"{told['agent']}/{told['service']}/{told['task']}",
+            type=told["type"],
+            epoch=fence["epoch"],
+            mission_s=told["mission_s"],
+            settings=told["settings"],
+            state=told["state"],
+            timers=tuple({"timer": timer["timer"], "rate_hz": timer["rate_hz"]} for timer in told["timers"]),
+            reads=tuple({"channel": reads["channel"], "types": reads["types"]} for reads in told["reads"]),
+            requires=tuple(told["requires"]),
+            time_ns=time_ns(told["host_s"]),
+            began=_began(told["began"], time_ns) if seen else None,
+            seed=seed,
+        )
+
+    def reads_packet(self, channel: str, type_name: str) -> bool:
+        """Returns whether it subscribed to packets of a type on a channel."""
+        return any(
+            reads["channel"] == channel and (reads["types"] is None or type_name in reads["types"])
+            for reads in self.reads
+        )
+
+
+def _began(told: Mapping[str, Any], time_ns: Callable[[float], int]) -> dict[str, Any]:
+    began = {key: value for key, value in told.items() if key != "host_s"}
+    return {**began, "time_ns": time_ns(told["host_s"])}
+
+
+def is_described(target: str) -> bool:
+    """Returns whether a recording has what a task is, given as `service/task`: not of an agent's own ones."""
+    return not target.startswith(("log/", "network/", "device/"))

@@ -1,1 +1,0 @@
-"""What runs an agent: its kernel, its services, the lives of its tasks, its configuration and its records on disk."""

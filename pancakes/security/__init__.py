@@ -1,0 +1,1 @@
+"""Keys, certificates, rosters and access rules of a fleet."""

@@ -1,0 +1,157 @@
+"""Decide what a peer may do at this agent: whose packets it may send, and which rights they need.
+
+Each agent speaks only for itself; clients may also replay packets. A peer with a certificate has the rights that the
+roster gives it, any other peer those of the agent's own file. Pure, except for the table of peers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from pancakes.control import CONTROLS, Reply
+from pancakes.packet import CORE_CHANNELS, CTRL, NETWORK, SYSCTRL, SYSTEM, Packet, agent_of, type_name
+from pancakes.security.roster import AccessRule, Bearer, Right, Roster, allows
+
+
+def fault_of_source(own_role: str, peer: str, role: str, packet: Packet) -> str:
+    """Returns why a peer may not send packets of the source of this one, as a sentence; empty where it may.
+
+    The packets of an agent come over the link to that agent alone. But on `system`, and on channels that are no core
+    channels, a client replays what others once said (`pancakes replay`), and follows what others say to its peer.
+
+    Args:
+        own_role: the role of this agent.
+        peer: the name of the agent, or terminal, at the other end of the link.
+        role: its role.
+        packet: one of the packets, which have one source and one channel.
+    """
+    source, channel = packet.source, packet.channel
+    if agent_of(source) == peer or ("client" in (own_role, role) and may_be_replayed(channel)):
+        return ""
+    return f"{peer} ({role}) sends packets of {source} on {channel!r}, and may speak for itself alone"
+
+
+def may_be_replayed(channel: str) -> bool:
+    """Returns whether a terminal may send what others said on this channel."""
+    return channel == SYSTEM or channel not in CORE_CHANNELS
+
+
+_ASKING: Final = frozenset(map(type_name, CONTROLS))
+_CONTROL_TYPES: Final = _ASKING | {type_name(Reply)}
+_MOST_KNOWN: Final = 4096
+_AMONG_ITSELF: Final = ("migration.", "guard.", "post.", "task.")
+"""Types of packets by which agents answer what was asked: the state machines know which agents they asked."""
+
+
+def right_of(body: object) -> Right:
+    """Returns the right that a control packet needs."""
+    return "look" if getattr(body, "dry_run", False) else CONTROLS[type(body)]
+
+
+def asks(packet: Packet) -> bool:
+    """Returns whether a packet asks an agent for something."""
+    return packet.channel == SYSCTRL and packet.type in _ASKING
+
+
+def needs(packet: Packet) -> tuple[Right, tuple[str, ...]] | None:
+    """Returns the right that a packet of a peer needs to be let in, and what for; None: none here.
+
+    A control packet is looked at where it is known what it is about; so is a hand-off, and a letter to a task.
+    """
+    channel, kind = packet.channel, packet.type
+    if channel == SYSCTRL and kind in _CONTROL_TYPES:
+        return None
+    if channel == CTRL:
+        return "command", (packet.destination, kind)
+    if channel == NETWORK:
+        if kind.startswith(_AMONG_ITSELF):
+            return None
+    return "publish", (channel,)
+
+
+class Access:
+    """What one agent lets its peers do.
+
+    A peer with a certificate may do what the rules of the roster say. Any other came by `local://`, or to an agent that
+    is `insecure`: it may do all, or what the agent's own file says.
+
+    Args:
+        agent: the agent.
+        roster: returns the roster that is known; None: the agent has no keys.
+        own: the rules of the agent's own file for peers without a certificate; None: it has none, and they may do all.
+        refused: rights that the agent's own file gives to no peer.
+    """
+
+    def __init__(
+        self,
+        agent: str,
+        roster: Callable[[], Roster | None] | None = None,
+        own: Sequence[AccessRule] | None = None,
+        refused: Sequence[Right] = (),
+    ) -> None:
+        self._agent = agent
+        self._roster = roster
+        self._own = own
+        self._refused = frozenset(refused)
+        self._known: dict[tuple[Bearer, Right, tuple[str, ...]], bool] = {}
+        self._known_of: Roster | None = None
+        self.bearer_of: Callable[[str], tuple[Bearer, bool] | None] = lambda peer: None
+        """Takes a peer; returns what it is, and whether a certificate says so; None: it has no link."""
+
+    def fault(self, peer: str, right: Right, *on: str) -> str:
+        """Returns why a peer may not do something, as a sentence; empty: it may. Any thread.
+
+        Args:
+            peer: the name of the peer; the agent itself may do all.
+            right: the right that it needs.
+            on: what for; where that has several names, one of them is enough.
+        """
+        if peer == self._agent:
+            return ""
+        found = self.bearer_of(peer)
+        if found is not None:
+            return self.fault_of(*found, right, on)
+        if self._roster is None and self._own is None and not self._refused:
+            return ""
+        return f"{self._agent} has no link to {peer} any more, so it is not known what {peer} may do"
+
+    def fault_of_packet(self, who: Bearer, certified: bool, peer: str, packet: Packet) -> str:
+        """Returns why a packet is not let in, as a sentence; empty: it is. In the transport's thread.
+
+        Args:
+            who: the peer.
+            certified: whether a certificate says so.
+            peer: its name on the mesh.
+            packet: the packet, whose source was looked at.
+        """
+        if not certified and self._own is None and not self._refused:
+            return ""
+        if agent_of(packet.source) != peer and (fault := self.fault_of(who, certified, "replay", (packet.channel,))):
+            return fault
+        needed = needs(packet)
+        return self.fault_of(who, certified, *needed) if needed is not None else ""
+
+    def fault_of(self, who: Bearer, certified: bool, right: Right, on: tuple[str, ...]) -> str:
+        """As `fault`, of a bearer."""
+        if right in self._refused:
+            return f"{self._agent} lets no peer do this: its own file refuses the right {right!r}"
+        if not certified:
+            if self._own is None or allows(self._own, who, right, on, self._agent):
+                return ""
+            return f"{self._lacks(who, right, on)} (the [access] of its own file)"
+        roster = self._roster() if self._roster is not None else None
+        if roster is not self._known_of or len(self._known) > _MOST_KNOWN:
+            self._known, self._known_of = {}, roster
+        known = self._known.get((who, right, on))
+        if known is None:
+            known = roster is not None and allows(roster.allow, who, right, on, self._agent)
+            self._known[who, right, on] = known
+        if known:
+            return ""
+        number = roster.number if roster is not None else 0
+        grant = f"pancakes fleet allow {who.name} {right} --on '{on[0]}' --at {self._agent}"
+        return f"{self._lacks(who, right, on)} (roster {number}). To grant it: {grant}"
+
+    def _lacks(self, who: Bearer, right: Right, on: tuple[str, ...]) -> str:
+        return f"{self._agent} does not let {who.name} ({who.role}) do this: it lacks the right {right!r} on {on[0]!r}"

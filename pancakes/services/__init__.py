@@ -1,0 +1,1 @@
+"""The services that every agent has (device, network, log), and the root that supervises them."""

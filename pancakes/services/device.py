@@ -1,0 +1,511 @@
+"""The Device Service: one task for each sensor and actuator of the agent (paper §3.3)."""
+
+from __future__ import annotations
+
+import math
+import random
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+from pancakes.control import Hold, SetFence
+from pancakes.devices.driver import Actuator, Driver, Sensor
+from pancakes.devices.health import Line, MissRule, Readings
+from pancakes.devices.validation import fault_of_command, fault_of_reading
+from pancakes.durable.ownership import TaskAt
+from pancakes.errors import MailboxFull, NoPermit, PancakesError, describe
+from pancakes.events import Log
+from pancakes.kernel.handlers import Tick, every, on
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.registry import DeviceEntry
+from pancakes.mesh.transport import Transport
+from pancakes.packet import CTRL, NETWORK, SYSTEM, Packet, agent_of, body_class, is_of_type
+from pancakes.service import Service
+from pancakes.services.fence import ActuatorFence, FencesOfAgent
+from pancakes.supervision.messages import ChangeTask
+from pancakes.supervision.restart import RestartSpec
+from pancakes.supervision.slots import Slot
+from pancakes.task import Task, TaskSpec
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from pancakes.kernel.kernel import Kernel
+    from pancakes.kernel.timer import OneShot
+
+
+MOST_REFUSED: Final = 256
+"""Of so many sources it is remembered why their commands were refused."""
+
+
+class DeviceSpec(msgspec.Struct, frozen=True):
+    """A device as data, from `[device.NAME]`.
+
+    Attributes:
+        name: its name.
+        cls: the class of its driver.
+        type: name of the driver's entry point.
+        settings: the driver's settings, as plain values.
+        rate_hz: how often it is sampled; None: whenever the driver has something.
+        hold_after_s: an actuator goes to its safe hold after this mission time without a fresh command.
+        restart: what happens when the driver fails.
+        missed: when readings or commands that fail are too many, so that the device fails.
+        silent_s: a sensor without a reading for so long, in mission seconds, is silent; None: as its driver says.
+    """
+
+    name: str
+    cls: type[Driver]
+    type: str
+    settings: Mapping[str, Any]
+    rate_hz: float | None
+    hold_after_s: float
+    restart: RestartSpec
+    missed: MissRule = MissRule()
+    silent_s: float | None = None
+
+
+class SharedThings:
+    """What the drivers of one agent share, such as the connection to a bus. Any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._things: dict[str, Future[Any]] = {}
+
+    def get(self, key: str, make: Callable[[], Any]) -> Any:
+        """Returns the thing under `key`, making it first where it is not there.
+
+        A driver that opens while another makes the thing waits for that.
+        """
+        from concurrent.futures import Future  # only now: most drivers share nothing
+
+        made: Future[Any] = Future()
+        with self._lock:
+            thing = self._things.setdefault(key, made)
+        if thing is made:
+            try:
+                made.set_result(make())
+            except BaseException as error:
+                with self._lock:
+                    del self._things[key]
+                made.set_exception(error)
+        return thing.result()
+
+    def close(self) -> None:
+        """Closes all of them."""
+        with self._lock:
+            things = list(self._things.values())
+            self._things.clear()
+        for thing in things:
+            thing.result().close()
+
+
+class TaskContext:
+    """What a driver gets of its agent: see `pancakes.devices.driver.DeviceContext`."""
+
+    def __init__(self, task: DeviceTask, shared: SharedThings) -> None:
+        self._task = task
+        self._shared = shared
+        self.agent = task.agent
+        self.device = task.name
+        self.random: random.Random = task.random
+        self.transport: Transport = task.kernel.transport
+        self.virtual = task.kernel.virtual is not None
+
+    def now(self) -> float:
+        return self._task.now()
+
+    def deliver(self, body: Any) -> None:
+        self._task.deliver(body)
+
+    def missed(self, why: str) -> None:
+        self._task.missed(why)
+
+    def alive(self) -> None:
+        self._task.alive()
+
+    def send(self, channel: str, body: Any, to: str) -> None:
+        self._task.publish(channel, body, to)
+
+    def call(self, function: Callable[[], None]) -> None:
+        self._task.call(function)
+
+    def after(self, delay_s: float, function: Callable[[], None]) -> None:
+        self._task.after(delay_s, function)
+
+    @cached_property
+    def log(self) -> Log:
+        task, head = self._task, f"{self.device}: "
+        return Log(lambda level, text, traceback: task.log(level, head + text, traceback))
+
+    def mission_packets_sent(self) -> int:
+        return self._task.kernel.mission_packets_sent()
+
+    def network_awake(self) -> bool:
+        return self._task.kernel.stream.gateway is not None
+
+    def shared(self, key: str, make: Callable[[], Any]) -> Any:
+        return self._shared.get(key, make)
+
+
+class DeviceTask(Task):
+    """One device: samples a sensor at its rate, or carries out what an actuator's holder commands.
+
+    A reading that fails, or whose numbers are none, is missed and counted; so is a command that the hardware does not
+    take. Too many of them fail the device.
+
+    An actuator obeys the task that holds it (the kernel's registry says which) and, of that task, no epoch lower than
+    the highest it has seen. A new epoch is on disk before it is obeyed; the newest command waits that long. Without a
+    fresh command it goes to its safe hold.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        address: str,
+        mailbox: Mailbox | None = None,
+        *,
+        device: DeviceSpec,
+        shared: SharedThings,
+        fences: FencesOfAgent,
+        **others: Any,
+    ) -> None:
+        # The settings of a device are its driver's.
+        self.Settings = device.cls.Settings  # type: ignore[misc]
+        super().__init__(kernel, address, mailbox, **others)
+        self.device = device
+        self.blocking = device.cls.blocking
+        self._shared = shared
+        self._fence = ActuatorFence(self, fences, device.hold_after_s, self.command, self._refuse, self._hold)
+        self.driver: Driver | None = None
+        self._sensor: Sensor | None = None
+        self._actuator: Actuator | None = None
+        self._good_until_s = 0.0
+        self._guard_shot: OneShot | None = None
+        self._guard_s = math.inf
+        self._holding = True
+        self._crowded = False
+        self._refused: dict[str, str] = {}
+        self.readings = Readings(device.missed, "reading", None, 0.0)
+
+    @property
+    def author_class(self) -> type:
+        return self.device.cls
+
+    def on_start(self) -> None:
+        driver_class = self.device.cls
+        self._context = TaskContext(self, self._shared)
+        self._open_driver()
+        actuator = isinstance(self.driver, Actuator)
+        if actuator:
+            self.subscribe(CTRL, driver_class.type, self.command)
+            self.subscribe(NETWORK, TaskAt, self._told_where)
+        alone_s = self._actuator.holds_by_itself(self.device.hold_after_s) if self._actuator is not None else None
+        self.kernel.registry.add_device(
+            DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked, self.address, alone_s)
+        )
+
+    def on_settings(self) -> None:
+        # A driver reads its settings when it is opened, so it is opened anew.
+        self._close_driver()
+        self._open_driver()
+
+    def on_stop(self) -> None:
+        self.kernel.registry.remove_device(self.name)
+        self._close_driver()
+
+    def _open_driver(self) -> None:
+        self.driver = driver = self.device.cls(self._context, self.settings)
+        # Which of the two it is, is asked for each reading and each command.
+        self._sensor = driver if isinstance(driver, Sensor) else None
+        self._actuator = driver if isinstance(driver, Actuator) else None
+        silent_s = self.device.silent_s
+        if silent_s is None and self._sensor is not None:
+            silent_s = self._sensor.silent_s
+        noun = "command" if self._actuator is not None else "reading"
+        self.readings = readings = Readings(self.device.missed, noun, silent_s, self.now())
+        self.kernel.registry.set_readings(self.name, readings)
+        driver.open()
+        self._look_for_silence(readings)
+
+    def _look_for_silence(self, readings: Readings) -> None:
+        """Looks whether readings still come, each time that the newest may have grown too old."""
+        if readings is not self.readings or self._sensor is None:
+            return  # the driver was opened again since, or closed
+        left_s, silent, lines = readings.look(self.now())
+        self._say(lines)
+        if silent:
+            self._sensor.silent()
+        if left_s < math.inf:
+            self.after(left_s, lambda: self._look_for_silence(readings))
+
+    def _close_driver(self) -> None:
+        driver, self.driver, self._sensor, self._actuator = self.driver, None, None, None
+        if driver is None:
+            return
+        try:
+            if isinstance(driver, Actuator):
+                driver.hold()
+        finally:
+            driver.close()
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self.on_stop()
+
+    @every(hz=0)
+    def sample(self, tick: Tick) -> None:
+        """Takes a reading and publishes it."""
+        sensor = self._sensor
+        try:
+            if sensor is None:
+                if self._actuator is not None:
+                    self._actuator.tick()
+                return
+            reading = sensor.sample()
+            if reading is not None and (fault := self._fault_of(reading)):
+                raise PancakesError(fault)
+        except Exception as error:
+            if self.missed(describe(error, self.device.cls)):
+                raise
+            return
+        if reading is not None:
+            self._publish(reading)
+
+    def deliver(self, reading: Any) -> None:
+        """Publishes a reading on `system`; one of another class, or whose numbers are none, is missed. Any thread."""
+        if self.actor_stopped.is_set():
+            return
+        if fault := self._fault_of(reading):
+            self.missed(fault)
+        else:
+            self._publish(reading)
+
+    def _fault_of(self, reading: Any) -> str:
+        """Says why a body is no reading of this device; empty: it is one."""
+        driver = self.device.cls
+        wanted = body_class(driver.type)
+        if wanted is not None and not is_of_type(reading, driver.type):
+            brought = f"{driver.__qualname__} brings a {type(reading).__name__}"
+            return f"{brought}, and its type is {driver.type!r}, whose readings are each a {wanted.__name__}"
+        return fault_of_reading(reading)
+
+    def missed(self, why: str) -> bool:
+        """A reading, or a command, has failed; returns whether that was one too many. Any thread."""
+        if self.actor_stopped.is_set():
+            return False
+        lines, too_many = self.readings.missed(why, self.now())
+        self._say(lines)
+        return too_many
+
+    def alive(self) -> None:
+        """The hardware has said something that is no reading. Any thread."""
+        self._say(self.readings.alive(self.now()))
+
+    def _say(self, lines: Sequence[Line]) -> None:
+        for level, text in lines:
+            self.log(level, f"{self.name}: {text}")
+
+    def _publish(self, reading: Any) -> None:
+        self._say(self.readings.came(self.now()))
+        try:
+            self.publish(SYSTEM, reading)
+        except MailboxFull as error:
+            # A sensor goes on although a reader is slow. Said once: at 10 readings a second it would drown the rest.
+            if not self._crowded:
+                self._crowded = True
+                self.log("warning", f"readings of {self.name} are lost: {error}")
+        else:
+            self._crowded = False
+
+    @on(SYSTEM, None, addressed=True)
+    def receive(self, packet: Packet) -> None:
+        """Takes what was sent to this very device."""
+        if self.driver is not None:
+            self.driver.receive(packet)
+
+    def command(self, packet: Packet) -> None:
+        """Carries out a command of the actuator's holder; refuses those of all others."""
+        refusal = self._refusal(packet)
+        if refusal:
+            self._refuse(packet, refusal)
+            return
+        if fault := fault_of_command(packet.body):
+            self._refuse(packet, fault, "a number that is none")
+            # Its holder cannot reckon any more: the command before is not what it wants now either.
+            if not self._holding and packet.source == self.kernel.registry.holder(self.name):
+                self._hold("a command was no command")
+            return
+        if not self._fence.stands(packet):
+            return
+        fence, ttl_s, speed = packet.fence, self.device.hold_after_s, self.kernel.mission.speed
+        if fence is not None:
+            fence = self.kernel.permits.limited(fence, ttl_s / speed)
+            if fence.good_for_s is not None:
+                ttl_s = min(ttl_s, fence.good_for_s * speed)
+        if ttl_s <= 0:
+            self._come_late(packet)
+            return
+        if refusal := self._claim(packet.source):
+            self._refuse(packet, refusal)
+            return
+        driver = self._actuator
+        assert driver is not None
+        refused = self._refused.pop(packet.source, "")
+        now_s = self.now()
+        before_s, self._good_until_s = self._good_until_s, now_s + ttl_s
+        self._holding = False
+        # What a virtual actuator sends on is said under the right of the task that commands it.
+        self.fence = fence
+        try:
+            driver.apply(packet.body, ttl_s, packet.source)
+        except NoPermit:  # it was over before a virtual actuator had sent it on
+            self._come_late(packet)
+            return
+        except Exception as error:
+            self._refused[packet.source] = why = describe(error, self.device.cls)
+            if refused != why:
+                self.event("command_refused", device=self.name, by=packet.source, reason=why)
+            if self.missed(why):
+                raise
+            if before_s > now_s:  # the hardware still has the command before, which is good for no longer than it was
+                self._good_until_s = before_s
+        else:
+            self._say(self.readings.came(now_s))
+        finally:
+            self.fence = None
+        if self._good_until_s < self._guard_s:
+            self._guard_in(ttl_s)
+
+    def _come_late(self, packet: Packet) -> None:
+        """A command is of a guarded task that may not act now."""
+        assert packet.fence is not None
+        self.kernel.permits.hold_back(packet.fence, "commands")
+        if not self._holding:
+            self._hold("its task may not act")
+        self._refuse(packet, f"{packet.fence.task_id} may not act until its guardians answer")
+
+    def _refuse(self, packet: Packet, refusal: str, kind: str = "") -> None:
+        # Said once for each source and reason: at 10 commands a second it would drown everything else.
+        if self._refused.get(packet.source) != (kind or refusal):
+            self._refused[packet.source] = kind or refusal
+            if len(self._refused) > MOST_REFUSED:  # a peer may give itself ever new addresses
+                del self._refused[next(iter(self._refused))]
+            self.event("command_refused", device=self.name, by=packet.source, reason=refusal)
+            self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
+
+    def _refusal(self, packet: Packet) -> str:
+        # First of all: a task without a right must not get an actuator that is free just now.
+        if passed := self._fence.passed(packet):
+            return passed
+        holder = self.kernel.registry.holder(self.name)
+        if holder and packet.source != holder:
+            return f"it is held by {holder}"
+        if not holder and agent_of(packet.source) == self.agent:
+            return f"{packet.source} does not hold it"
+        return ""
+
+    def _claim(self, source: str) -> str:
+        """Lets another agent's virtual actuator hold this one for as long as its commands are fresh.
+
+        Returns:
+            Why it cannot; empty: it holds it.
+        """
+        registry = self.kernel.registry
+        holder = registry.holder(self.name) or registry.claim(self.name, source)
+        return f"it is held by {holder}" if holder and holder != source else ""
+
+    def _told_where(self, packet: Packet) -> None:
+        if packet.destination == self.address:
+            self._fence.told(packet)
+
+    def set_fence(self, change: ChangeTask) -> None:
+        body = change.body
+        if self._actuator is None or not isinstance(body, SetFence):
+            super().set_fence(change)  # which refuses
+            return
+        self._fence.set(body, change.request.by, lambda reason, result: self.answer_change(change, reason, result))
+
+    def _guard_in(self, ttl_s: float) -> None:
+        if self._guard_shot is not None:
+            self._guard_shot.cancel()
+        self._guard_s = self.now() + ttl_s
+        self._guard_shot = self.after(ttl_s, self._guard)
+
+    def _guard(self) -> None:
+        """Looks whether a fresh command has come in the time that the last one was good for."""
+        self._guard_s, self._guard_shot = math.inf, None
+        left_s = self._good_until_s - self.now()
+        if left_s > 1e-9:
+            self._guard_in(left_s)
+            return
+        if not self._holding:
+            self._hold("no fresh command")
+
+    @on(CTRL, Hold, addressed=True)
+    def hold(self, packet: Packet) -> None:
+        """Goes to the safe hold at once, where a service of this agent or the holder says so."""
+        if agent_of(packet.source) == self.agent or packet.source == self.kernel.registry.holder(self.name):
+            self._hold(packet.body.reason)
+
+    def _hold(self, reason: str) -> None:
+        self._holding = True
+        self._fence.drop()
+        if isinstance(self.driver, Actuator):
+            self.driver.hold()
+            self.event("safe_hold", device=self.name, reason=reason)
+            holder = self.kernel.registry.holder(self.name)
+            if holder and agent_of(holder) != self.agent:
+                self.kernel.registry.release(holder)
+
+
+class DeviceService(Service):
+    """Creates the device tasks and schedules them (paper §3.3).
+
+    Args:
+        devices: the devices that it looks after.
+        fences: what the actuators have seen of the tasks that command them.
+    """
+
+    def __init__(self, *args: Any, fences: FencesOfAgent, devices: Sequence[DeviceSpec] = (), **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._devices = tuple(devices)
+        self._shared = SharedThings()
+        self._fences = fences
+
+    def own_tasks(self) -> Sequence[TaskSpec]:
+        return [
+            TaskSpec(
+                name=device.name,
+                cls=DeviceTask,
+                type=device.type,
+                settings=device.settings,
+                rate_hz=device.rate_hz,
+                restart=device.restart,
+                device=device.cls.type,
+                arguments={"device": device, "shared": self._shared, "fences": self._fences},
+            )
+            for device in self._devices
+        ]
+
+    def on_stop(self) -> None:
+        self._shared.close()
+
+    def settings_class(self, slot: Slot) -> type:
+        device: DeviceSpec | None = slot.spec.arguments.get("device")
+        return device.cls.Settings if device is not None else super().settings_class(slot)
+
+    def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
+        marks = self._fences.fences.of(slot.name)
+        fences = [
+            {"task_id": task_id, "epoch": mark.n, "minter": mark.minter, "brought_by": mark.peer}
+            for task_id, mark in sorted(marks.items())
+        ]
+        told = {**super().describe_in_detail(slot), "fences": fences}
+        entry = next((it for it in self.kernel.registry.devices() if it.name == slot.name and it.actuator), None)
+        return {**told, "holds_by_itself_s": entry.holds_by_itself_s} if entry is not None else told
+
+    def author_of(self, slot: Slot) -> type:
+        device: DeviceSpec | None = slot.spec.arguments.get("device")
+        return device.cls if device is not None else super().author_of(slot)

@@ -1,0 +1,194 @@
+"""Drivers for the devices of a simulated robot or sensor node (`sim.*`).
+
+The hardware is in the world's process, at the other end of the hardware bus. Asking a sensor does not block: the
+reading is delivered when it arrives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+from pancakes.devices import Twist
+from pancakes.devices.driver import Actuator, DeviceContext, Sensor
+from pancakes.errors import PancakesError
+from pancakes.sim.hardware_bus import Attach, Attachment, BusClient, Drive, Halt, RawReading, Request, Sample
+from pancakes.sim.quantities import Positive
+from pancakes.sim.robot_models import robot_model
+
+
+class _BusDevice:
+    """What simulated sensors and actuators have in common: their place on the hardware bus."""
+
+    def __init__(self, context: DeviceContext, world: str) -> None:
+        self._context = context
+        self._bus: BusClient = context.shared(
+            f"sim.bus {world}", lambda: BusClient(context.transport, world, context.log)
+        )
+        self._refusal = ""
+        self.waiting = False
+        """Whether a request is under way whose reply has not come."""
+
+    def attach(self, attach: Attach) -> None:
+        self._bus.attach(Attachment(attach, self._reading, self._refused, self._lost))
+
+    def detach(self) -> None:
+        self._bus.detach(self._context.device)
+
+    def send(self, request: Request) -> bool:
+        return self._bus.send(request)
+
+    def _reading(self, answer: RawReading) -> None:
+        self.waiting = False
+        try:
+            body = answer.body()
+        except PancakesError as error:
+            self._refused(str(error))
+            return
+        self._context.deliver(body)
+
+    def _refused(self, reason: str) -> None:
+        self.waiting = False
+        if reason != self._refusal:  # the same reason at each sample needs no line each time
+            self._refusal = reason
+            self._context.log("error", reason)
+
+    def _lost(self) -> None:
+        self.waiting = False
+        self._refusal = ""
+
+
+class SimulatedSensor(Sensor):
+    """A sensor of a body in a simulated world."""
+
+    @dataclass
+    class Settings:
+        """Where the body is.
+
+        Attributes:
+            world: address of the world's hardware bus, such as `tcp://127.0.0.1:7499`.
+            body: the body's name in the world; empty means the agent's name.
+        """
+
+        world: str
+        body: str = ""
+
+    settings: Settings
+    tells_radio: ClassVar[bool] = False
+    _bus: _BusDevice | None = None
+
+    def open(self) -> None:
+        self._body = self.settings.body or self.context.agent
+        self._bus = _BusDevice(self.context, self.settings.world)
+        self._bus.attach(Attach(self._body, self.context.device, self.type))
+
+    def close(self) -> None:
+        if self._bus is not None:
+            self._bus.detach()
+
+    def sample(self) -> Any | None:
+        """Asks for a reading, which comes later. One question is under way at a time."""
+        bus = self._bus
+        if bus is not None and not bus.waiting:
+            packets_sent = self.context.mission_packets_sent() if self.tells_radio else None
+            listening = self.context.network_awake() if self.tells_radio else None
+            bus.waiting = True  # before sending: the reply comes in another thread
+            if not bus.send(Sample(self._body, self.context.device, self.type, packets_sent, listening)):
+                bus.waiting = False
+        return None
+
+
+class SimulatedPose(SimulatedSensor):
+    """The true pose of a body: for a robot alone, without a motion capture (`sim.pose`)."""
+
+    type = "pose"
+
+
+class SimulatedBattery(SimulatedSensor):
+    """A robot's battery, which also pays for its agent's radio: for what it sends, and while it listens
+    (`sim.battery`)."""
+
+    type = "battery"
+    tells_radio = True
+
+
+class SimulatedInfrared(SimulatedSensor):
+    """A robot's ring of infrared sensors (`sim.ir`)."""
+
+    type = "ir"
+
+
+class SimulatedSonar(SimulatedSensor):
+    """A robot's ring of sonars (`sim.sonar`)."""
+
+    type = "sonar"
+
+
+class SimulatedMotion(SimulatedSensor):
+    """A sensor node's motion sensor (`sim.motion`)."""
+
+    type = "motion"
+
+
+class DifferentialDrive(Actuator):
+    """The two wheels of a robot (`sim.differential_drive`).
+
+    A command too fast for the wheels is slowed down with its curvature kept.
+    """
+
+    type = "motors"
+
+    @dataclass
+    class Settings:
+        """Where the robot is, and what its wheels are like.
+
+        Attributes:
+            world: address of the world's hardware bus, such as `tcp://127.0.0.1:7499`.
+            body: the robot's name in the world; empty means the agent's name.
+            model: what kind of robot it is; the world refuses another than its own.
+            wheel_base_m: the distance between the wheels as it was measured on this robot, where that differs
+                from the model's.
+        """
+
+        world: str
+        body: str = ""
+        model: str = "khepera3"
+        wheel_base_m: Positive | None = None
+
+        def __post_init__(self) -> None:
+            robot_model(self.model)  # an unknown one is a fault of the settings
+
+    settings: Settings
+    _bus: _BusDevice | None = None
+
+    def open(self) -> None:
+        settings = self.settings
+        model = robot_model(settings.model)
+        self._body = settings.body or self.context.agent
+        self._wheelwork = model.drive
+        if settings.wheel_base_m is not None:
+            self._wheelwork = replace(model.drive, wheel_base_m=settings.wheel_base_m)
+        self._bus = _BusDevice(self.context, settings.world)
+        self._bus.attach(Attach(self._body, self.context.device, self.type, model.name))
+
+    def close(self) -> None:
+        if self._bus is not None:
+            self._bus.detach()
+
+    def apply(self, command: Twist, ttl_s: float, source: str) -> None:
+        """Runs the wheels; without a connection to the world the command is lost, as the wheels are."""
+        if self._bus is None:
+            return
+        wheels = self._wheelwork.wheels(command)
+        self._bus.send(
+            Drive(self._body, self.context.device, wheels.left_mps, wheels.right_mps, ttl_s, source),
+        )
+
+    def holds_by_itself(self, hold_after_s: float) -> float:
+        """The world, which stands for the robot's firmware, counts each command's time to live."""
+        return hold_after_s
+
+    def hold(self) -> None:
+        """Stops the wheels at once."""
+        if self._bus is not None:
+            self._bus.send(Halt(self._body, self.context.device))

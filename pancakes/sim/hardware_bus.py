@@ -1,0 +1,423 @@
+"""The hardware bus: how a simulated robot's devices talk to the simulated world. Messages, client and server.
+
+It stands for the wires inside a robot: it has connections of its own, is not affected by faults of the mesh, and costs
+no battery. Requests go to the world and replies come back, each in a frame as on the mesh. `BusClient` is the devices'
+end, one connection for all simulated devices of an agent; `BusServer` is the world's end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from threading import Lock
+from typing import Any, Final, Generic, TypeAlias, TypeVar
+
+import msgspec
+
+from pancakes.errors import RemoteProtocolError
+from pancakes.mesh.codec import FrameReader, frame
+from pancakes.mesh.transport import Connection, ConnectionHandler, Scheduled, Transport
+from pancakes.packet import body_class
+from pancakes.util import codecs
+from pancakes.util.codecs import MALFORMED, why_malformed
+
+
+class Attach(msgspec.Struct, tag_field="is", tag="attach", array_like=True, frozen=True):
+    """A device begins to use a body; refused where that cannot be.
+
+    Attributes:
+        body: the body's name.
+        device: the device's name, which stands on all replies to it.
+        type: the device's type.
+        model: the kind of robot that a drive believes it drives; empty for sensors.
+    """
+
+    body: str
+    device: str
+    type: str
+    model: str = ""
+
+
+class Drive(msgspec.Struct, tag_field="is", tag="drive", array_like=True, frozen=True):
+    """The wheels are to run.
+
+    Attributes:
+        body: the robot's name.
+        device: the device's name.
+        left_mps: speed of the left wheel.
+        right_mps: speed of the right wheel.
+        ttl_s: for how long that is good, in mission seconds; the wheels stand afterwards.
+        source: address of the task that commands it.
+    """
+
+    body: str
+    device: str
+    left_mps: float
+    right_mps: float
+    ttl_s: float
+    source: str
+
+
+class Halt(msgspec.Struct, tag_field="is", tag="halt", array_like=True, frozen=True):
+    """The wheels are to stand at once."""
+
+    body: str
+    device: str
+
+
+class Sample(msgspec.Struct, tag_field="is", tag="sample", array_like=True, frozen=True):
+    """A sensor is asked.
+
+    Attributes:
+        body: the body's name.
+        device: the device's name.
+        type: the device's type.
+        packets_sent: how many mission packets the body's agent has sent so far, told by the device that
+            measures the battery.
+        listening: whether the agent's Network Service is awake, told by the same device.
+    """
+
+    body: str
+    device: str
+    type: str
+    packets_sent: int | None = None
+    listening: bool | None = None
+
+
+class Attached(msgspec.Struct, tag_field="is", tag="attached", array_like=True, frozen=True):
+    """A device may use the body that it asked for."""
+
+    device: str
+
+
+class Reading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
+    """What a sensor says: the body of a packet of the device's type."""
+
+    device: str
+    type: str
+    value: Any
+
+
+class RawReading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
+    """A `Reading` as it arrives: its value is still packed, so that it is made into its class at once."""
+
+    device: str
+    type: str
+    value: msgspec.Raw
+
+    def body(self) -> Any:
+        """Returns the body of the packet; plain values where its type is unknown here.
+
+        Raises:
+            RemoteProtocolError: the value does not fit the type.
+        """
+        try:
+            return _decoder(body_class(self.type) or Any)(self.value)
+        except MALFORMED as error:
+            raise RemoteProtocolError(f"a packet of the type {self.type!r} has a bad body: {error}") from None
+
+
+class Refused(msgspec.Struct, tag_field="is", tag="refused", array_like=True, frozen=True):
+    """A request cannot be met, and why."""
+
+    device: str
+    reason: str
+
+
+Request: TypeAlias = Attach | Drive | Halt | Sample
+Reply: TypeAlias = Attached | Reading | Refused
+Replied: TypeAlias = Attached | RawReading | Refused
+
+_REQUESTS: Final[Callable[[Any], list[Request]]] = codecs.decoder(list[Request])
+_REPLIES: Final[Callable[[Any], list[Replied]]] = codecs.decoder(list[Replied])
+_Message = TypeVar("_Message")
+
+
+@cache
+def _decoder(cls: Any) -> Callable[[Any], Any]:
+    return codecs.decoder(cls)
+
+
+def encode(message: Request | Reply) -> bytes:
+    """Returns a message as a frame."""
+    return frame([codecs.encode(message)])
+
+
+class BusReader(Generic[_Message]):
+    """Makes messages of the bytes that come from the other end; see `RequestReader` and `ReplyReader`.
+
+    Args:
+        decode: makes the messages of a frame.
+        called: what a message is called.
+    """
+
+    def __init__(self, decode: Callable[[Any], list[_Message]], called: str) -> None:
+        self._frames = FrameReader()
+        self._decode = decode
+        self._called = called
+
+    def feed(self, data: bytes) -> list[_Message]:
+        """Takes bytes, and returns the messages that are now complete.
+
+        Raises:
+            RemoteProtocolError: the bytes are no such messages.
+        """
+        try:
+            return [message for payload in self._frames.feed(data) for message in self._decode(payload)]
+        except MALFORMED as error:
+            raise RemoteProtocolError(f"that is no {self._called}: {why_malformed(error)}") from None
+
+
+RequestReader: Final = partial(BusReader[Request], _REQUESTS, "request to a simulated world")
+"""Makes requests of the bytes that come from one client."""
+ReplyReader: Final = partial(BusReader[Replied], _REPLIES, "reply of a simulated world")
+"""Makes replies of the bytes that come from a world."""
+
+
+_FIRST_RETRY_S = 0.1
+_LONGEST_RETRY_S = 1.0
+_WARN_AFTER_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A device that uses a body, and what becomes of the replies to it.
+
+    The functions are called in the transport's thread.
+
+    Attributes:
+        attach: says which device uses which body.
+        reading: takes a reading.
+        refused: takes the reason why a request was refused.
+        lost: told that the world is gone: what was asked for will not come.
+    """
+
+    attach: Attach
+    reading: Callable[[RawReading], None]
+    refused: Callable[[str], None]
+    lost: Callable[[], None]
+
+
+class BusClient:
+    """Keeps a connection to a simulated world, and dials again where there is none.
+
+    `attach`, `detach`, `send` and `close` may be called from any thread.
+
+    Args:
+        transport: how to reach the world.
+        address: where its hardware bus listens.
+        log: takes (level, text), from any thread.
+    """
+
+    def __init__(self, transport: Transport, address: str, log: Callable[[str, str], None]) -> None:
+        self._transport = transport
+        self._address = address
+        self._log = log
+        self._lock = Lock()  # guards the two below; never kept over a call
+        self._attachments: dict[str, Attachment] = {}
+        self._closed = False
+        self._connection: Connection | None = None
+        self._reached = False  # whether the world has answered on this connection
+        self._retry: Scheduled | None = None
+        self._retry_s = _FIRST_RETRY_S
+        self._waited_s = 0.0
+        self._warned = False
+        self._transport.dial(address, _DialedConnection(self))
+
+    def attach(self, attachment: Attachment) -> None:
+        """Lets a device use a body, from now on and after each reconnection."""
+        with self._lock:
+            self._attachments = {**self._attachments, attachment.attach.device: attachment}
+        self.send(attachment.attach)
+
+    def detach(self, device: str) -> None:
+        """Forgets a device: it gets no more replies."""
+        with self._lock:
+            self._attachments = {name: one for name, one in self._attachments.items() if name != device}
+
+    def send(self, request: Request) -> bool:
+        """Sends a request; returns whether there is a connection for it. Without one it is dropped."""
+        connection = self._connection
+        if connection is None:
+            return False
+        connection.send(encode(request))
+        return True
+
+    def close(self) -> None:
+        """Closes the connection and dials no more."""
+        with self._lock:
+            self._closed = True
+        retry, connection = self._retry, self._connection
+        self._connection = None
+        if retry is not None:
+            retry.cancel()
+        if connection is not None:
+            connection.close("the devices are closed")
+
+    def opened(self, connection: Connection) -> None:
+        """A connection stands; called in the transport's thread, as are the two below."""
+        if self._closed:
+            connection.close("the devices are closed")
+            return
+        self._connection = connection
+        for attachment in self._attachments.values():
+            self.send(attachment.attach)
+
+    def replied(self, reply: Replied) -> None:
+        """The world has answered."""
+        if not self._reached:
+            self._reached = True
+            self._retry_s, self._waited_s, self._warned = _FIRST_RETRY_S, 0.0, False
+            self._log("info", f"reached the world at {self._address}")
+        attachment = self._attachments.get(reply.device)
+        if attachment is None:
+            return  # its device was closed meanwhile
+        if isinstance(reply, RawReading):
+            attachment.reading(reply)
+        elif isinstance(reply, Refused):
+            attachment.refused(reply.reason)
+
+    def lost(self, reason: str) -> None:
+        """The connection is gone, or could not be made."""
+        was_reached, self._reached = self._reached, False
+        self._connection = None
+        if self._closed:
+            return
+        if was_reached:
+            self._log("error", f"the world at {self._address} is gone ({reason})")
+            for attachment in self._attachments.values():
+                attachment.lost()
+        elif self._waited_s >= _WARN_AFTER_S and not self._warned:
+            self._warned = True
+            self._log("warning", f"the world at {self._address} does not answer ({reason}); trying on")
+        delay_s = self._retry_s
+        self._waited_s += delay_s
+        self._retry_s = min(2.0 * delay_s, _LONGEST_RETRY_S)
+        self._retry = self._transport.call_later(delay_s, self._dial)
+
+    def _dial(self) -> None:
+        if not self._closed:
+            self._transport.dial(self._address, _DialedConnection(self))
+
+
+class _DialedConnection(ConnectionHandler):
+    """One attempt at a connection, and the connection if it stands."""
+
+    def __init__(self, client: BusClient) -> None:
+        self._client = client
+        self._reader = ReplyReader()
+        self._connection: Connection | None = None
+
+    def opened(self, connection: Connection) -> None:
+        self._connection = connection
+        self._client.opened(connection)
+
+    def received(self, data: bytes) -> None:
+        try:
+            replies = self._reader.feed(data)
+        except RemoteProtocolError as error:
+            if self._connection is not None:
+                self._connection.close(str(error))
+            return
+        for reply in replies:
+            self._client.replied(reply)
+
+    def closed(self, reason: str) -> None:
+        self._client.lost(reason)
+
+
+Serve = Callable[[Request], Reply | None]
+Call = Callable[[Callable[[], None]], None]
+Log = Callable[[str, str], None]
+
+
+class BusServer:
+    """Takes requests from simulated devices and carries them to the actor that owns the world.
+
+    Args:
+        transport: where connections come in.
+        call: runs a function in the world's actor, later, from any thread.
+        serve: answers a request; called in the world's actor.
+        log: takes (level, text); called from the transport's thread.
+    """
+
+    def __init__(self, transport: Transport, call: Call, serve: Serve, log: Log) -> None:
+        self._transport = transport
+        self.call = call
+        self.serve: Serve | None = serve
+        self.log = log
+        self.clients: dict[_BusConnection, None] = {}
+        self._address = ""
+
+    def listen(self, address: str) -> str:
+        """Takes connections at `address` from now on; returns the address that was really taken.
+
+        Raises:
+            PancakesError: the address is in use, or is no address.
+        """
+        self._address = self._transport.listen(address, lambda: _BusConnection(self))
+        return self._address
+
+    def close(self) -> None:
+        """Answers nothing more, frees its address, and closes the connections: so the devices learn of it.
+
+        A world that is started again can listen there.
+        """
+        self.serve = None
+        if self._address:
+            self._transport.stop_listening(self._address)
+            self._address = ""
+        for client in tuple(self.clients):
+            client.close("the world has ended")
+
+
+class _BusConnection(ConnectionHandler):
+    """One agent's devices, at the end of a connection. Lives in the transport's thread."""
+
+    def __init__(self, server: BusServer) -> None:
+        self._server = server
+        self._reader = RequestReader()
+        self._connection: Connection | None = None
+
+    def opened(self, connection: Connection) -> None:
+        self._connection = connection
+        self._server.clients[self] = None
+        if self._server.serve is None:
+            self.close("the world has ended")
+
+    def received(self, data: bytes) -> None:
+        connection = self._connection
+        if connection is None:
+            return
+        try:
+            requests = self._reader.feed(data)
+        except RemoteProtocolError as error:
+            self._server.log("warning", f"the hardware bus closes the connection from {connection.remote}: {error}")
+            self.close(str(error))
+            return
+        if requests:
+            self._server.call(lambda: self._serve(connection, requests))
+
+    def closed(self, reason: str) -> None:
+        self._connection = None
+        self._server.clients.pop(self, None)
+
+    def close(self, reason: str) -> None:
+        """Ends the connection. Any thread."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close(reason)
+
+    def _serve(self, connection: Connection, requests: list[Request]) -> None:
+        """Runs in the world's actor."""
+        replies = []
+        for request in requests:
+            serve = self._server.serve
+            if serve is None:
+                return
+            reply = serve(request)
+            if reply is not None:
+                replies.append(encode(reply))
+        if replies:
+            connection.send(b"".join(replies))

@@ -1,0 +1,510 @@
+"""The simulated world: sensors with noise, the physics of all bodies, and the task `sim.world` that owns them.
+
+`Physics` needs no agent: it stays at mission time 0 until it is advanced, in steps of 10 ms, and repeats itself for the
+same seed and the same calls. `World` runs in an agent of the role `environment`, answers the hardware bus, and
+publishes the true state. While the mission is held at 0, so is the world.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from typing import Any, Final, TypeVar
+
+from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar
+from pancakes.errors import PancakesError
+from pancakes.packet import SYSTEM
+from pancakes.sim.arena import Arena, Fan
+from pancakes.sim.battery import BatteryModel
+from pancakes.sim.bodies import ContentSettings, Disc, NoiseSettings, Robot, SensorNode, Walker
+from pancakes.sim.hardware_bus import Attach, Attached, BusServer, Drive, Halt, Reading, Refused, Reply, Request, Sample
+from pancakes.sim.pedestrian import DECIDE_EVERY_S, Obstacle, Wayfinder
+from pancakes.sim.quantities import Positive
+from pancakes.sim.robot_models import IrRing, SonarRing, Wheels, robot_model
+from pancakes.sim.world_state import BodyState, Spent, WorldState
+from pancakes.task import Task, Tick, every
+
+_IR_RAYS = 3
+_SONAR_RAYS = 5
+_IR_MAX_RAW = 4095  # its converter has 12 bits
+
+
+@cache
+def _fan(ring: IrRing | SonarRing, rays: int, limit_m: float) -> Fan:
+    return Fan(ring.sensors, ring.cone_rad, rays, limit_m)
+
+
+class Senses:
+    """Reads the sensors of the bodies in an arena, at the moment they are asked.
+
+    Args:
+        arena: where the bodies are.
+        noise: how far the sensors are off.
+        random: draws the noise, and nothing else.
+    """
+
+    def __init__(self, arena: Arena, noise: NoiseSettings, random: random.Random) -> None:
+        self._arena = arena
+        self._noise = noise
+        self._normal = random.gauss
+
+    def battery(self, robot: Robot, noise_v: float) -> Battery:
+        """Measures a robot's battery."""
+        voltage_v = robot.battery.voltage_v + noise_v * self._normal()
+        return Battery(voltage_v, robot.battery.level_at(voltage_v))
+
+    def infrared(self, robot: Robot) -> Infrared:
+        """Asks a robot's infrared ring. Distances come from the raw values, noise and rounding included.
+
+        Raises:
+            PancakesError: robots of this kind have none.
+        """
+        ring = robot.infrared_ring()
+        normal, curve = self._normal, ring.curve
+        ir_share, ir_raw = self._noise.ir_share, self._noise.ir_raw
+        fan = _fan(ring, _IR_RAYS, curve.farthest_m)
+        raw = []
+        for distance_m in self._arena.ranges(robot.disc, fan):
+            noisy = ir_raw * normal()
+            if distance_m < math.inf:
+                noisy += curve.raw(distance_m) * (1.0 + ir_share * normal())
+            raw.append(round(noisy) if 0.0 < noisy < _IR_MAX_RAW else 0 if noisy < 1.0 else _IR_MAX_RAW)
+        return Infrared(fan.bearings_rad, tuple(map(curve.distance, raw)), curve.farthest_m, tuple(raw))
+
+    def sonar(self, robot: Robot) -> Sonar:
+        """Asks a robot's sonar ring.
+
+        Raises:
+            PancakesError: robots of this kind have none.
+        """
+        ring = robot.sonar_ring()
+        limit_m, sonar_m, normal = ring.max_range_m, self._noise.sonar_m, self._normal
+        fan = _fan(ring, _SONAR_RAYS, limit_m)
+        ranges_m = []
+        for distance_m in self._arena.ranges(robot.disc, fan):
+            if distance_m < math.inf:
+                distance_m += sonar_m * normal()
+            ranges_m.append(0.0 if distance_m < 0.0 else distance_m if distance_m < limit_m else limit_m)
+        return Sonar(fan.bearings_rad, tuple(ranges_m), limit_m)
+
+    def motion(self, sensor: SensorNode, discs: Sequence[Disc]) -> Motion:
+        """Asks a motion sensor which of some discs move where it looks.
+
+        Returns:
+            Whether there is one; where the nearest is, if the sensor can tell.
+        """
+        settings = sensor.motion
+        x_m, y_m = sensor.disc.position
+        nearest: tuple[float, float] | None = None
+        for disc in discs:
+            if math.hypot(*disc.velocity) < settings.least_speed_mps:
+                continue
+            dx_m, dy_m = disc.position[0] - x_m, disc.position[1] - y_m
+            range_m = math.hypot(dx_m, dy_m)
+            bearing_rad = math.remainder(math.atan2(dy_m, dx_m) - sensor.disc.theta_rad, math.tau)
+            seen = range_m <= settings.range_m and abs(bearing_rad) <= 0.5 * settings.field_of_view_rad
+            if seen and (nearest is None or range_m < nearest[0]):
+                nearest = (range_m, bearing_rad)
+        if nearest is None or not settings.locates:
+            return Motion(nearest is not None)
+        range_m = nearest[0] + settings.range_noise_m * self._normal()
+        bearing_rad = nearest[1] + settings.bearing_noise_rad * self._normal()
+        return Motion(True, math.remainder(bearing_rad, math.tau), max(range_m, 0.0))
+
+
+_T = TypeVar("_T")
+
+STEP_S: Final = 0.01
+"""The step of the simulation."""
+
+EARLY_S: Final = 1e-6
+"""A clock that reads this much less than a moment means that moment."""
+
+_LOOK_STEPS = round(DECIDE_EVERY_S / STEP_S)
+_WALKER_KG = 70.0
+
+
+@dataclass(frozen=True, slots=True)
+class Incident:
+    """Something that should not have happened.
+
+    Attributes:
+        kind: `collision` or `out_of_bounds`.
+        time_s: mission time.
+        names: the bodies that were part of it, sorted; a wall is called `wall`.
+        x_m: where.
+        y_m: where.
+    """
+
+    kind: str
+    time_s: float
+    names: tuple[str, ...]
+    x_m: float
+    y_m: float
+
+
+class Physics:
+    """A world with everything that its settings put into it.
+
+    Args:
+        settings: its contents.
+        random: all that is drawn is drawn from this.
+    """
+
+    def __init__(self, settings: ContentSettings, random: random.Random) -> None:
+        self._settings = settings
+        # One source for each purpose: the mover's way must not depend on how often a sensor was asked.
+        self._start_random = _branch(random)
+        self._wheel_normal = _branch(random).gauss
+        self._walk_random = _branch(random)
+        self._arena = Arena(settings.arena.width_m, settings.arena.height_m)
+        self._senses = Senses(self._arena, settings.noise, _branch(random))
+        self._robots: dict[str, Robot] = {}
+        self._sensors: dict[str, SensorNode] = {}
+        self._standing: list[BodyState] = []  # of the sensors, which never move
+        self._walkers: dict[str, Walker] = {}
+        self._outside: dict[str, bool] = {}
+        self._happenings: list[Incident] = []
+        self._steps = 0
+        self._fill()
+        bodies: dict[str, Robot | SensorNode | Walker] = {**self._robots, **self._sensors, **self._walkers}
+        self._discs = {name: body.disc for name, body in bodies.items()}
+
+    def _fill(self) -> None:
+        draw = self._start_random.uniform
+        for name, robot in self._settings.robots.items():
+            model = robot_model(robot.model)
+            disc = self._arena.add(
+                name,
+                robot.x_m + draw(-robot.spread_m, robot.spread_m),
+                robot.y_m + draw(-robot.spread_m, robot.spread_m),
+                robot.theta_rad + draw(-robot.spread_rad, robot.spread_rad),
+                model.radius_m,
+                model.mass_kg,
+            )
+            battery = BatteryModel(robot.battery, model.full_v, model.empty_v)
+            self._robots[name] = Robot(model, disc, battery, self._settings.noise.wheel, self._wheel_normal)
+        for name, sensor in self._settings.sensors.items():
+            disc = self._arena.add(name, sensor.x_m, sensor.y_m, sensor.theta_rad, sensor.radius_m)
+            self._sensors[name] = SensorNode(disc, sensor.motion)
+            self._standing.append(_body_state(disc, "sensor"))
+        for name, walker in self._settings.movers.items():
+            disc = self._arena.add(name, walker.x_m, walker.y_m, 0.0, walker.radius_m, _WALKER_KG)
+            disc.walk(0.0, 0.0)
+            way = Wayfinder(walker, self._arena.half_width_m, self._arena.half_height_m, _branch(self._walk_random))
+            standing = [
+                _obstacle(sensor.disc, max(walker.keep_out_m, walker.radius_m + sensor.disc.radius_m))
+                for sensor in self._sensors.values()
+            ]
+            self._walkers[name] = Walker(disc, way, walker, standing)
+
+    @property
+    def time_s(self) -> float:
+        """Mission time up to which it has advanced."""
+        return self._steps * STEP_S
+
+    def advance(self, to_s: float) -> None:
+        """Goes on in whole steps until the next would lie beyond `to_s`. Never goes back."""
+        last_step = math.floor((to_s + EARLY_S) / STEP_S)
+        while self._steps < last_step:
+            self._go(last_step)
+
+    def _go(self, last_step: int) -> None:
+        """Goes on by as many steps as no command begins or ends in, up to `last_step`."""
+        steps = self._steps
+        time_s = steps * STEP_S
+        if steps % _LOOK_STEPS == 0:
+            for walker in self._walkers.values():
+                self._look(walker, time_s)
+        changes_s = math.inf
+        for robot in self._robots.values():
+            good_until_s = robot.before_step(time_s)
+            if good_until_s < changes_s:
+                changes_s = good_until_s
+        until = min(last_step, steps - steps % _LOOK_STEPS + _LOOK_STEPS)
+        while until - 1 > steps and (until - 1) * STEP_S >= changes_s:
+            until -= 1
+        self._arena.step((steps + 1) * STEP_S, STEP_S, until - steps)
+        for robot in self._robots.values():
+            robot.rolls(until - steps, STEP_S)
+        self._steps = until
+        if until % _LOOK_STEPS == 0:
+            for robot in self._robots.values():
+                robot.settle(DECIDE_EVERY_S)
+            self._watch_bounds()
+
+    def _look(self, walker: Walker, time_s: float) -> None:
+        settings = walker.settings
+        robots = [
+            _obstacle(robot.disc, settings.radius_m + robot.model.radius_m + settings.clearance_m)
+            for robot in self._robots.values()
+        ]
+        fixed = list(walker.standing)
+        fixed += [
+            _obstacle(other.disc, settings.radius_m + 2 * other.disc.radius_m)
+            for other in self._walkers.values()
+            if other is not walker
+        ]
+        walker.disc.walk(*walker.wayfinder.decide(time_s, walker.disc.x_m, walker.disc.y_m, robots, fixed))
+
+    def _watch_bounds(self) -> None:
+        for name, robot in self._robots.items():
+            outside = not self._arena.inside(robot.disc)
+            if outside and not self._outside.get(name, False):
+                self._happenings.append(Incident("out_of_bounds", self.time_s, (name,), *robot.disc.position))
+            self._outside[name] = outside
+
+    def drive(self, name: str, wheels: Wheels, ttl_s: float, source: str) -> None:
+        """Lets a robot's wheels run for the next `ttl_s` seconds, or until the next command.
+
+        Args:
+            name: the robot.
+            wheels: how fast the wheels are to run.
+            ttl_s: for how long the command is good, in mission seconds.
+            source: address of the task that gave the command.
+
+        Raises:
+            PancakesError: there is no such robot, or one of the numbers is none.
+        """
+        told = (wheels.left_mps, wheels.right_mps, ttl_s)
+        if not all(map(math.isfinite, told)):  # the whole world would stand still for one of them
+            raise PancakesError(f"the wheels of {name} cannot run at {told[0]:g} and {told[1]:g} m/s for {ttl_s:g} s")
+        self._robot(name).drive(wheels, self.time_s + ttl_s, source)
+
+    def hold(self, name: str) -> None:
+        """Stops a robot's wheels.
+
+        Raises:
+            PancakesError: there is no such robot.
+        """
+        self._robot(name).hold()
+
+    def check(self, name: str, device_type: str, model: str = "") -> None:
+        """Makes sure that a body has a device of a type.
+
+        Args:
+            name: the body.
+            device_type: the type of the device.
+            model: for `motors`, the kind of robot that the device believes it drives.
+
+        Raises:
+            PancakesError: it has not, or it is a robot of another kind.
+        """
+        match device_type:
+            case "motors":
+                known = self._robot(name).model.name
+                if model != known:
+                    raise PancakesError(f"{name} is a {known} in the simulated world, its driver expects a {model!r}")
+            case "pose":
+                self._disc(name)
+            case "battery":
+                self._robot(name)
+            case "ir":
+                self._robot(name).infrared_ring()
+            case "sonar":
+                self._robot(name).sonar_ring()
+            case "motion":
+                self._sensor(name)
+            case _:
+                raise PancakesError(f"the simulated world has no device of the type {device_type!r}")
+
+    def sample(self, name: str, device_type: str) -> Any:
+        """Asks a body's sensor, which takes from its battery.
+
+        Returns:
+            The reading, a body of the packet type `device_type`.
+
+        Raises:
+            PancakesError: there is no such body, or it has no such sensor.
+        """
+        match device_type:
+            case "pose":
+                disc = self._disc(name)
+                reading: Any = Pose(*disc.position, disc.theta_rad)
+            case "battery":
+                reading = self._senses.battery(self._robot(name), self._settings.robots[name].battery.noise_v)
+            case "ir":
+                reading = self._senses.infrared(self._robot(name))
+            case "sonar":
+                reading = self._senses.sonar(self._robot(name))
+            case "motion":
+                reading = self._senses.motion(self._sensor(name), self._moving_discs(name))
+            case _:
+                raise PancakesError(f"the simulated world has no sensor of the type {device_type!r}")
+        robot = self._robots.get(name)
+        if robot is not None:
+            robot.battery.sampled(device_type)
+        return reading
+
+    def packets_sent(self, name: str, total: int) -> None:
+        """A robot's agent has sent `total` mission packets so far, which takes from its battery."""
+        robot = self._robots.get(name)
+        if robot is not None:
+            robot.battery.packets_sent(total)
+
+    def listens(self, name: str, listening: bool) -> None:
+        """A robot's agent says whether its radio listens, which takes from its battery."""
+        robot = self._robots.get(name)
+        if robot is not None:
+            robot.battery.listening = listening
+
+    def state(self) -> WorldState:
+        """Returns what all bodies do now."""
+        bodies = [
+            _body_state(robot.disc, "robot", robot.battery.voltage_v, robot.driven_by, robot.battery.spent)
+            for robot in self._robots.values()
+        ]
+        bodies += self._standing
+        bodies += [_body_state(walker.disc, "mover") for walker in self._walkers.values()]
+        return WorldState(self.time_s, tuple(bodies))
+
+    def take_happenings(self) -> list[Incident]:
+        """Returns what has happened since the last call and should not have."""
+        contacts = self._arena.take_contacts()
+        if not contacts and not self._happenings:
+            return []
+        happenings, self._happenings = self._happenings, []
+        for contact in contacts:
+            happenings.append(Incident("collision", contact.time_s, contact.names, contact.x_m, contact.y_m))
+        return sorted(happenings, key=lambda happening: happening.time_s)
+
+    def _robot(self, name: str) -> Robot:
+        return _named(name, self._robots, "robot")
+
+    def _sensor(self, name: str) -> SensorNode:
+        return _named(name, self._sensors, "sensor node")
+
+    def _moving_discs(self, sensor_name: str) -> list[Disc]:
+        """Returns what a motion sensor takes notice of, if it moves."""
+        discs = [walker.disc for walker in self._walkers.values()]
+        if self._sensor(sensor_name).motion.sees_robots:
+            discs += [robot.disc for robot in self._robots.values()]
+        return discs
+
+    def _disc(self, name: str) -> Disc:
+        return _named(name, self._discs, "body")
+
+
+def _named(name: str, known: Mapping[str, _T], noun: str) -> _T:
+    found = known.get(name)
+    if found is None:
+        raise PancakesError(f"the simulated world has no {noun} {name!r}, only {', '.join(known) or 'none'}")
+    return found
+
+
+def _branch(source: random.Random) -> random.Random:
+    return random.Random(source.getrandbits(64))
+
+
+def _obstacle(disc: Disc, distance_m: float) -> Obstacle:
+    return Obstacle(disc.x_m, disc.y_m, disc.vx_mps, disc.vy_mps, distance_m)
+
+
+def _body_state(
+    disc: Disc, kind: str, battery_v: float | None = None, driven_by: str = "", spent: Spent | None = None
+) -> BodyState:
+    theta_rad, v_mps, omega_radps = disc.course()
+    return BodyState(disc.name, kind, disc.x_m, disc.y_m, theta_rad, v_mps, omega_radps, battery_v, driven_by, spent)
+
+
+class World(Task):
+    """The simulated world.
+
+    Publishes a `world_state` packet on `system` at exact multiples of its period in mission time, and the events
+    `collision` and `out_of_bounds` on `log`.
+    """
+
+    @dataclass
+    class Settings(ContentSettings):
+        """The contents of the world, and its address. The contents are read once, when the task starts.
+
+        Attributes:
+            bus: address at which simulated devices reach it.
+            state_hz: how often it publishes its state; a period must be a whole number of steps of 10 ms.
+        """
+
+        bus: str = "tcp://127.0.0.1:7499"
+        state_hz: Positive = 20.0
+
+        def __post_init__(self) -> None:
+            ContentSettings.__post_init__(self)
+            steps = 1.0 / (self.state_hz * STEP_S)
+            if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+                raise ValueError(f"state_hz = {self.state_hz} gives a period that is no whole number of {STEP_S} s")
+
+    settings: Settings
+    _server: BusServer | None = None
+
+    def on_start(self) -> None:
+        self._simulation = Physics(self.settings, self.random)
+        self._state_steps = round(1.0 / (self.settings.state_hz * STEP_S))
+        self._next_state_step = 0
+        self._advanced_s = -1.0
+        self._server = BusServer(self.kernel.transport, self.call, self._serve, self.log)
+        address = self._server.listen(self.settings.bus)
+        self.log("info", f"the hardware bus listens at {address}")
+
+    def on_stop(self) -> None:
+        if self._server is not None:
+            self._server.close()
+
+    def on_failure(self, *error: Any) -> None:
+        self.on_stop()
+
+    def on_settings(self) -> None:
+        self.log("warning", "a world that runs keeps its contents: its new settings count from its next start")
+
+    def truth(self) -> WorldState:
+        """Returns what all bodies do, as of the newest step. To be read between two turns, in virtual time."""
+        return self._simulation.state()
+
+    def initial_period_s(self, method: str, period_s: float) -> float:
+        # Exactly when a state is due. A request in between lets the world go on to its moment.
+        return super().initial_period_s(method, 1.0 / self.settings.state_hz)
+
+    @every(hz=20)
+    def advance(self, tick: Tick) -> None:
+        """Goes on to the present."""
+        self._advance()
+
+    def _advance(self) -> None:
+        now = self.kernel.now  # not `self.now`, which only calls it: each request asks
+        now_s = now()
+        if now_s == self._advanced_s:
+            return  # several ask at one moment, in virtual time nearly always
+        self._advanced_s = now_s
+        while self._next_state_step * STEP_S <= now_s + EARLY_S:
+            self._simulation.advance(self._next_state_step * STEP_S)
+            self.publish(SYSTEM, self._simulation.state())
+            self._next_state_step += self._state_steps
+        self._simulation.advance(now_s)
+        for happening in self._simulation.take_happenings():
+            fields = asdict(happening)
+            self.event(fields.pop("kind"), **{**fields, "names": list(happening.names)})
+
+    def _serve(self, request: Request) -> Reply | None:
+        """Answers a request of a simulated device, at the world's present."""
+        self._advance()
+        simulation = self._simulation
+        try:
+            if type(request) is Sample:  # before the others: most of all are
+                if request.packets_sent is not None:
+                    simulation.packets_sent(request.body, request.packets_sent)
+                if request.listening is not None:
+                    simulation.listens(request.body, request.listening)
+                return Reading(request.device, request.type, simulation.sample(request.body, request.type))
+            match request:
+                case Drive():
+                    wheels = Wheels(request.left_mps, request.right_mps)
+                    simulation.drive(request.body, wheels, request.ttl_s, request.source)
+                case Attach():
+                    simulation.check(request.body, request.type, request.model)
+                    return Attached(request.device)
+                case Halt():
+                    simulation.hold(request.body)
+        except PancakesError as error:
+            return Refused(request.device, str(error))
+        return None

@@ -1,0 +1,97 @@
+"""Check what keeps an agent with a valid configuration from starting on this machine, or from being reached.
+
+`pancakes config check` and `pancakes-agent --check` warn of the same. No agent is started.
+"""
+
+from __future__ import annotations
+
+import grp
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pancakes.config.state_dir import state_dir_of
+from pancakes.errors import ConfigError, Fault
+from pancakes.journal.file_journal import fault_of
+from pancakes.mesh.address import is_local, parse_address
+from pancakes.mesh.sockets import why_not_here
+from pancakes.util.files import NoHome
+
+if TYPE_CHECKING:
+    from pancakes.config import Config
+    from pancakes.config.key_lines import KeyPath
+    from pancakes.util.plugins import Plugins
+
+
+def start_doubts(config: Config) -> Iterator[tuple[KeyPath, str]]:
+    """Yields why an agent would not start here, each a phrase behind the key that it is about.
+
+    Nothing is made or changed. Names of hosts are looked up, which may take some seconds.
+    """
+    if reason := _of_state(config):
+        yield ("agent", "state_dir"), reason
+    group = config.agent.local_group
+    if group and not _is_group(group):
+        yield ("agent", "local_group"), f"there is no group {group!r} on this machine"
+    for address in config.agent.listen:
+        if reason := _of_local(address) if is_local(address) else why_not_here(address):
+            yield ("agent", "listen"), f"cannot listen at {address}: {reason}"
+
+
+def _is_group(name: str) -> bool:
+    try:
+        grp.getgrnam(name)
+    except (KeyError, ValueError):  # ValueError: a NUL is in it
+        return False
+    return True
+
+
+def _of_state(config: Config) -> str:
+    try:
+        directory = state_dir_of(config)
+    except NoHome as error:
+        return str(error)
+    if directory is None:
+        return ""
+    try:
+        return fault_of(directory, directory.stat()) if directory.is_dir() else _why_not_made(directory)
+    except OSError as error:
+        return f"the state directory {directory} cannot be used: {error.strerror}"
+
+
+def _of_local(address: str) -> str:
+    path = parse_address(address).path
+    return _why_not_made(Path(path).parent) if path.startswith("/") else ""
+
+
+def _why_not_made(path: Path) -> str:
+    """Returns why a directory is none and cannot be made; empty: it is one, or can."""
+    there = next((it for it in (path, *path.absolute().parents) if os.path.lexists(it)), Path("/"))
+    if not there.is_dir():
+        return f"{there} is no directory"
+    return "" if os.access(there, os.W_OK | os.X_OK) else f"this user may not write in {there}"
+
+
+NOT_HERE: Final = "on this machine it does not start"
+
+
+def machine_doubts(config: Config, plugins: Plugins) -> list[Fault]:
+    """Returns what `pancakes config check` and `pancakes-agent --check` warn of: both say the same.
+
+    The configuration may be for another machine, so none of it is a fault.
+
+    Args:
+        config: a sound configuration.
+        plugins: where transports come from.
+    """
+    from pancakes.agent.transport_settings import keys_for, network_settings
+    from pancakes.config.checks import doubts_of
+
+    found = doubts_of(config)
+    found += [config.places.fault(key, f"{NOT_HERE}: {why}") for key, why in start_doubts(config)]
+    try:
+        keys_for(config, network_settings(config), plugins)
+    except ConfigError as error:
+        found += [fault._replace(problem=f"{NOT_HERE}: {fault.problem}") for fault in error.faults]
+    return found

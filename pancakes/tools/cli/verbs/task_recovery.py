@@ -1,0 +1,478 @@
+"""`pancakes task guards|take|revive|resolve|fence`: what a person does if the owner of a task is lost or disputed.
+
+`take` lets a guardian take over, `revive` starts a task from the newest checkpoint that any agent holds, `resolve`
+decides between two owners, and `fence` shows and sets the epochs that an actuator has seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+import msgspec
+
+from pancakes.client import Client
+from pancakes.control import (
+    Adopt,
+    Checkpoints,
+    Describe,
+    Forget,
+    Guarding,
+    HeldCheckpoint,
+    Reschedule,
+    Revive,
+    SetFence,
+    Stop,
+    Take,
+)
+from pancakes.durable.record import TaskId
+from pancakes.errors import ControlRefused, MigrationError, PancakesError
+from pancakes.packet import join
+from pancakes.tools.cli.agent_requests import (
+    accepted,
+    accepted_if_meant,
+    ask_each,
+    force_option,
+    meant,
+    must_be_meant,
+    order,
+    placed,
+)
+from pancakes.tools.cli.options import (
+    AGENT_NAME,
+    TASK_NAME,
+    Ask,
+    TaskName,
+    a_task,
+    agents,
+    asks_agents,
+    asks_agents_for,
+    dry_run_option,
+    orders_agents,
+)
+from pancakes.tools.cli.output import DRY_RUN
+from pancakes.tools.cli.verbs.agent_checks import is_awaited
+
+if TYPE_CHECKING:
+    from pancakes.client import Client
+    from pancakes.config.tables import TaskConfig
+
+
+GUARD_COLUMNS: Final = ("task_id", "owner", "permit_s", "guardian", "checkpoint", "age_s", "silent_s", "state")
+
+
+@click.command()
+@agents
+@asks_agents
+def guards(agents: tuple[str, ...], ask: Ask) -> None:
+    """List the guarded tasks of all agents, or of those that are named, with a line for each of their guardians.
+
+    A guardian that does not answer is listed as silent. `permit_s` says for how long the owner may act yet: empty where
+    it may not. `age_s` says how long ago the task was known to be as the guardian's newest checkpoint says, and
+    `silent_s` how long the guardian has not heard the owner.
+
+    \b
+    Example:
+        pancakes task guards
+        pancakes task guards agent1 --format json
+    """
+    rows = [row for _, answer in ask_each(ask, Guarding(), *agents) for row in answer]
+    owners = {(row["task_id"], row["epoch"]): row for row in rows if "guardians" in row}
+    shown = [_shown(row, owners.get((row["task_id"], row["epoch"]))) for row in rows]
+    for (task_id, epoch), owner in owners.items():
+        heard = {row["agent"] for row in rows if row["task_id"] == task_id and row["epoch"] == epoch}
+        for name in owner["guardians"]:
+            if name not in heard and not agents:
+                row = {"task_id": task_id, "owner": owner["owner"], "guardian": name, "state": "silent"}
+                shown.append({**dict.fromkeys(GUARD_COLUMNS), **row, "permit_s": _permit(owner)})
+    ask.show(sorted(shown, key=lambda row: (row["task_id"], row["guardian"])), GUARD_COLUMNS)
+
+
+def _shown(row: dict[str, Any], owner: dict[str, Any] | None) -> dict[str, Any]:
+    state = "guards" if row["lease"] else "owner silent"
+    if is_awaited(row):
+        state = f"owner silent, its lease ends in {row['lease_left_s']:.0f} s"
+    return {**row, "guardian": row["agent"], "permit_s": _permit(owner), "state": state}
+
+
+def _permit(owner: dict[str, Any] | None) -> float | None:
+    return owner["permit_s"] or None if owner is not None else None
+
+
+@click.command()
+@a_task
+@click.option(
+    "--birthplace", metavar="AGENT", type=AGENT_NAME, default="", help="Where it was born, if two bear its name."
+)
+@dry_run_option
+@asks_agents_for(10.0)
+def take(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
+    """Have a guarded task taken over whose owner is silent; AGENT is one of its guardians.
+
+    Guardians do that by themselves, unless the task says `takeover = "ask"`. More than half of them must say that the
+    owner is silent. --dry-run names the agent that would take it, and the newest checkpoint. What the task did after
+    that is lost: `age_s` says how old it was when the owner was heard last, and `silent_s` how long ago that is.
+
+    \b
+    Example:
+        pancakes task take agent2/ScanTarget --dry-run
+        pancakes task take agent2/ScanTarget
+    """
+    with ask.client() as client:
+        result = accepted(client, name.agent, Take(name.task, birthplace, dry_run)).result
+    row = {"task_id": result["task_id"], "taker": result["winner"], "done": DRY_RUN if dry_run else "taken over"}
+    row |= {key: result[key] for key in ("checkpoint", "age_s", "silent_s")}
+    ask.show([row], tuple(row))
+
+
+RUNS = ("running", "starting", "restarting", "stuck")
+
+
+@click.command()
+@a_task
+@click.option(
+    "--config", "path", metavar="FILE", default="", help="Begin anew, as FILE says: the lost agent's configuration."
+)
+@click.option(
+    "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what FILE has. Repeatable."
+)
+@click.option(
+    "--birthplace",
+    metavar="AGENT",
+    type=AGENT_NAME,
+    default="",
+    help="Where it was born, if checkpoints of two of its name are held. [with --config: FILE's agent]",
+)
+@force_option
+@dry_run_option
+@orders_agents
+def revive(
+    name: TaskName, path: str, sets: tuple[str, ...], birthplace: str, force: bool, dry_run: bool, ask: Ask
+) -> None:
+    """Run a task on AGENT whose own agent is gone for good: from the newest checkpoint that any agent holds of it.
+
+    Guardians hold checkpoints of guarded tasks, and agents whose hand-off is in doubt hold that of any task. Where no
+    agent holds one, --config says with what it begins anew: its state is lost then.
+
+    It runs under an epoch above all that can be known of it, so actuators obey it, and packets for it come to AGENT.
+    Where the lost agent comes back, its copy stands still once the two are linked. It is said which checkpoint it would
+    go on from, and what it may cost, and asked; if this is no terminal, nothing is done without --force, and the exit
+    code is 1.
+
+    A guarded task that stands still on AGENT, because more than half of its guardians are gone for good, goes on as it
+    stands. Where more than half are there, see `pancakes task take`.
+
+    \b
+    Example:
+        pancakes task revive agent2/ScanTarget
+        pancakes task revive agent2/ScanTarget --force
+        pancakes task revive agent2/ScanTarget --config agent1.toml --force
+    """
+    if sets and not path:
+        raise click.UsageError("--set changes what FILE has: say --config FILE too")
+    with ask.client() as client:
+        name = meant(client, name)
+        body, rate_hz = _configured(path, sets, name, birthplace) if path else (None, None)
+        birthplace = body.task_id.partition("/")[0] if body is not None else birthplace
+        held = _held(client, Checkpoints(name.task, birthplace))
+        services = {name.service} if name.service else {body.service} if body else {row["service"] for row in held}
+        here = _must_be_lost(client, name, services, held)
+        body = body or (Revive(here) if here and not held else _from_newest(client, name, held))
+        seen = max((row["seen"] for row in held), default=0)
+        made = msgspec.structs.replace(body, seen=seen)
+        reply = accepted_if_meant(
+            client,
+            name.agent,
+            lambda forced, dry: msgspec.structs.replace(made, force=forced or dry, dry_run=dry),
+            force,
+            dry_run,
+        )
+        if rate_hz is not None and not dry_run:
+            accepted(client, name.agent, Reschedule(f"{body.service}/{name.task}", rate_hz))
+    done = {"task_id": reply.result["task_id"], "done": DRY_RUN if dry_run else "revived", "number": reply.number}
+    goes_on_from = name_of(newest(held)) if body.checkpoint is not None else ""
+    ask.show([{"agent": name.agent, **done, "from": goes_on_from}], ("agent", *done, "from"))
+
+
+def _configured(path: str, sets: Sequence[str], name: TaskName, birthplace: str) -> tuple[Revive, float | None]:
+    """Returns how the task begins anew, and at what rate; None: as its class says."""
+    from pancakes.config import load
+    from pancakes.util.plugins import Plugins
+
+    config = load(path, sets, Plugins())
+    task: TaskConfig | None = config.tasks.get(name.task)
+    if task is None:
+        raise PancakesError(f"{config.path} has no [task.{name.task}]: it has {', '.join(config.tasks) or 'no task'}")
+    body = Revive(
+        f"{birthplace or config.agent.name}/{name.task}",
+        task.type,
+        name.service or task.service,
+        dict(task.settings),
+        msgspec.to_builtins(task.restart),
+        task.durability,
+        msgspec.to_builtins(task.migrate) if task.migrate is not None else None,
+        msgspec.to_builtins(task.guard_rule) if task.guard_rule is not None else None,
+    )
+    return body, task.rate_hz
+
+
+def _held(client: Client, asked: Checkpoints) -> list[dict[str, Any]]:
+    replies = client.ask_each(asked).replies
+    return [row for _, reply in replies if reply.ok for row in reply.result]
+
+
+def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequence[dict[str, Any]]) -> str:
+    """Looks whether the task runs, or is about to be taken over.
+
+    Args:
+        client: asks the agents.
+        name: the task.
+        services: those that may look after it; empty: any.
+        held: the checkpoints of it that agents hold.
+
+    Returns:
+        Its id, where it stands still on the agent that is to go on with it; else an empty text.
+
+    Raises:
+        ControlRefused: it does.
+    """
+    for agent in client.survey().agents:
+        for row in agent["tasks"]:
+            meant_here = row["task"] == name.task and row["service"] in (services or {row["service"]})
+            if not meant_here or row["state"] not in RUNS:
+                continue
+            if row.get("guarding") is None or row["guarding"]["permit_s"]:
+                raise ControlRefused(f"{name.task} is {row['state']} on {agent['agent']}: it is not lost")
+            if agent["agent"] != name.agent:
+                raise ControlRefused(
+                    f"{name.task} stands still on {agent['agent']}, with its state: `pancakes task revive"
+                    f" {agent['agent']}/{name.task}` has it go on there without its guardians"
+                )
+            return str(row["guarding"]["task_id"])
+    guarding = [row for row in held if row["guardians"]]
+    if guarding and has_quorum(newest(guarding), guarding):
+        row = newest(guarding)
+        raise ControlRefused(
+            f"more than half of the guardians of {row['task_id']} answer, so it is not lost: they have another agent go"
+            f" on with it by themselves, or at `pancakes task take {row['agent']}/{name.task}`"
+        )
+    return ""
+
+
+def newest(held: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """Returns the newest of some checkpoints."""
+    return max(held, key=lambda row: (row["epoch"], row["no"], row["agent"]))
+
+
+def has_quorum(row: dict[str, Any], held: Iterable[dict[str, Any]]) -> bool:
+    """Returns whether more than half of the guardians of a task, as one of them knows them, hold checkpoints."""
+    there = {one["agent"] for one in held if one["task_id"] == row["task_id"]}
+    return all(2 * len(there.intersection(agents)) > len(agents) for agents in row["guardians"])
+
+
+def name_of(row: dict[str, Any]) -> str:
+    """Returns how a checkpoint is called."""
+    n, minter = row["epoch"]
+    return f"{n}@{minter}/{row['no']}"
+
+
+def story_of(row: dict[str, Any]) -> str:
+    """Returns which checkpoint it is, how old it is and where it is held, as a clause."""
+    stopped = "" if row["wanted"] == "running" else f", of a task that was to be {row['wanted']}"
+    if row["age_s"] is None:
+        return f"the snapshot of the hand-off {row['epoch'][0]}@{row['epoch'][1]}, held by {row['agent']}{stopped}"
+    least = "at least " if row["at_least"] else ""
+    return f"checkpoint {name_of(row)}, {least}{row['age_s']:.1f} s old, held by {row['agent']}{stopped}"
+
+
+def _from_newest(client: Client, name: TaskName, held: Sequence[dict[str, Any]]) -> Revive:
+    """Fetches the newest checkpoint, and returns how the task goes on from it.
+
+    Raises:
+        ControlRefused: no agent holds one, or those of several tasks can be meant.
+    """
+    if not held:
+        raise ControlRefused(
+            f"no agent that answers holds a checkpoint of {name.task}: with --config FILE, where FILE is the"
+            f" configuration of the agent that is lost, it begins anew on {name.agent}"
+        )
+    ids = sorted({row["task_id"] for row in held})
+    if len(ids) > 1:
+        raise ControlRefused(f"checkpoints of {' and '.join(ids)} are held: say which --birthplace is meant")
+    row = newest(held)
+    asked = Checkpoints(name.task, row["task_id"].partition("/")[0], body=True)
+    bodies = accepted(client, row["agent"], asked).result
+    body = next((it for it in bodies if (it["epoch"], it["no"]) == (row["epoch"], row["no"])), None)
+    if body is None:
+        raise ControlRefused(f"{row['agent']} holds another checkpoint of {row['task_id']} by now: ask again")
+    checkpoint = HeldCheckpoint(body["snapshot"], tuple(row["epoch"]), row["no"], story_of(row))
+    return Revive(row["task_id"], service=name.service or row["service"], checkpoint=checkpoint)
+
+
+RESOLVE_COLUMNS: Final = ("agent", "task_id", "epoch", "was", "becomes")
+DISPUTED: Final = "disputed"
+
+
+@click.command()
+@a_task
+@click.option(
+    "--birthplace", metavar="AGENT", type=AGENT_NAME, default="", help="Where it was born, if two bear its name."
+)
+@force_option
+@dry_run_option
+@orders_agents
+def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask) -> None:
+    """Decide that of a task that two agents own the one on AGENT lives, with its state; the other is given up.
+
+    Two agents own a task after a backup was restored, a disk was cloned or emptied, or a task was adopted by mistake.
+    They notice it when they are linked: the one with the lower epoch stands still, with equal epochs both do. The one
+    that is given up is stopped, its state is gone, and packets for it go to AGENT.
+
+    \b
+    Example:
+        pancakes task resolve agent1/ScanTarget --dry-run
+        pancakes task resolve agent1/ScanTarget --force
+    """
+    with ask.client() as client:
+        name = placed(client, name)
+        agents = client.survey().agents
+        here = next((_task(agent, name) for agent in agents if agent["agent"] == name.agent), None)
+        if here is None:
+            raise ControlRefused(f"{name.agent} has no task {name.task}")
+        if here["rest"] == "forgotten" or here["rest"].startswith("moved"):
+            raise ControlRefused(f"{name} is not owned by {name.agent}: {here['rest']}")
+        others = [_owner(client, agent["agent"], name, birthplace) for agent in agents if agent["agent"] != name.agent]
+        owners = [owner for owner in others if owner is not None]
+        rests = here["rest"] == DISPUTED
+        if not owners and not rests:
+            raise ControlRefused(f"{name} is owned by {name.agent} alone, as far as the agents that answer know")
+        if not owners and not force:
+            raise ControlRefused(
+                f"the other owner of {name} does not answer: {here['reason']}. With --force it lives here all the same,"
+                " and the other one stands still when it is back"
+            )
+        given_up = ", ".join(f"{owner['task_id']} on {owner['agent']}" for owner in owners)
+        if owners:
+            must_be_meant(f"{given_up} is given up, and its state is lost; {name} lives", force, dry_run)
+        rows = [_row(owner, "given up") for owner in owners]
+        for owner in owners if not dry_run else ():
+            if owner["runs"]:
+                accepted(client, owner["agent"], Stop(name.target))
+            accepted(client, owner["agent"], Forget(name.target, birthplace, name.agent))
+        living = {"agent": name.agent, "task_id": rows[0]["task_id"] if rows else "", "epoch": ""}
+        if rests:
+            reply = accepted(client, name.agent, Adopt(name.target, True, birthplace, dry_run))
+            living["task_id"] = reply.result["task_id"]
+    was = "at rest" if rests else here["state"]
+    rows.append({**living, "was": was, "becomes": "running" if rests else was})
+    ask.show([{**row, "done": DRY_RUN if dry_run else "resolved"} for row in rows], (*RESOLVE_COLUMNS, "done"))
+
+
+def _task(agent: dict[str, Any], name: TaskName) -> dict[str, Any] | None:
+    found = [it for it in agent["tasks"] if it["task"] == name.task and it["service"] == name.service]
+    return found[0] if found else None
+
+
+def _owner(client: Client, agent: str, name: TaskName, birthplace: str) -> dict[str, Any] | None:
+    """Returns what an agent says of a task that it owns too; None: it does not."""
+    try:
+        reply = client.request(agent, Forget(name.target, birthplace, name.agent, dry_run=True))
+    except PancakesError:
+        return None
+    return {**reply.result, "agent": agent} if reply.ok else None
+
+
+def _row(owner: dict[str, Any], becomes: str) -> dict[str, Any]:
+    was = "running" if owner["runs"] else "at rest"
+    return {
+        "agent": owner["agent"],
+        "task_id": owner["task_id"],
+        "epoch": owner["epoch"],
+        "was": was,
+        "becomes": becomes,
+    }
+
+
+FENCE_COLUMNS = ("actuator", "task_id", "seen", "brought_by", "owner", "owner_has", "obeyed", "reason")
+"""What the actuator has seen of a task; which agent has the task now, under which epoch, or why that is not known."""
+
+
+@click.command()
+@click.argument("name", metavar="AGENT/ACTUATOR", type=TASK_NAME)
+@click.option("--set", "task_id", metavar="BIRTHPLACE/NAME", default="", help="Set the fence for this task.")
+@force_option
+@dry_run_option
+@orders_agents
+def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) -> None:
+    """Show which tasks have commanded an actuator, and whether it obeys those that have them now.
+
+    An actuator obeys no epoch of a task lower than the highest that it has seen: so a copy that has lost its right
+    moves no wheel. And it takes a higher one only from an agent that is known to have been given the task. Where those
+    that could say so are gone, or something brought an epoch too high, the task is refused, and the log says why.
+
+    With --set the actuator goes to its safe hold, and the fence is set to the epoch under which the task runs now. The
+    agent of the actuator asks all agents that it is connected to. It refuses where one of them does not answer, and
+    where none has the task; of two that have it, the higher epoch counts. See first, with `pancakes task list`, that
+    the task runs once. It asks first; if this is no terminal, nothing is done without --force.
+    `pancakes task migrations` keeps the account.
+
+    \b
+    Example:
+        pancakes task fence agent1/motors
+        pancakes task fence agent1/motors --set agent1/ScanTarget --dry-run
+        pancakes task fence agent1/motors --set agent1/ScanTarget
+    """
+    if dry_run and not task_id:
+        raise click.UsageError("--dry-run is about what --set would do: say for which task")
+    if force and not task_id:
+        raise click.UsageError("--force is about --set: say for which task")
+    if task_id:
+        try:
+            TaskId.parse(task_id)
+        except MigrationError as error:
+            raise click.BadParameter(str(error), param_hint="--set") from None
+    with ask.client() as client:
+        name = placed(client, name)
+        if task_id:
+            if not (force or dry_run):
+                accepted(client, name.agent, SetFence(name.target, task_id, dry_run=True))
+                must_be_meant(f"{name} goes to its safe hold, and forgets which epoch of {task_id} it has seen", force)
+            reply = accepted(client, name.agent, SetFence(name.target, task_id, dry_run))
+            row = {**reply.result, "done": DRY_RUN if dry_run else "set", "number": reply.number}
+            ask.show([row], tuple(row))
+            return
+        rows = fences_of(client, name.agent, name.target)
+    ask.show(rows, FENCE_COLUMNS)
+
+
+def fences_of(client: Client, agent: str, target: str) -> list[dict[str, Any]]:
+    """Returns what an actuator has seen of each task that has commanded it, and which agent has that task now.
+
+    Args:
+        client: asks.
+        agent: the agent of the actuator.
+        target: the actuator, as `service/device`.
+
+    Raises:
+        ControlRefused: there is no such device.
+        Unreachable: the agent does not answer.
+    """
+    rows: list[dict[str, Any]] = []
+    for mark in order(client, agent, Describe(target)).get("fences", []):
+        tried = client.request(agent, SetFence(target, mark["task_id"], dry_run=True))
+        seen = f"{mark['epoch']}@{mark['minter']}"
+        found = tried.result if tried.ok else {"owner": "", "now": ""}
+        rows.append(
+            {
+                "actuator": join(agent, target),
+                "task_id": mark["task_id"],
+                "seen": seen,
+                "brought_by": mark["brought_by"],
+                "owner": found["owner"],
+                "owner_has": found["now"],
+                "obeyed": found["now"] == seen if tried.ok else None,
+                "reason": tried.reason,
+            }
+        )
+    return rows

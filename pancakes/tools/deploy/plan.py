@@ -1,0 +1,382 @@
+"""Plan a deployment: from the agents of a fleet file and what their hosts report to what is done where.
+
+`plan_of` returns the plan, or raises with all that stands against it; nothing is changed on a host. `check_configs`
+checks the configurations with the wheels that are brought, on this machine. `change_of` is pure: what changes of one
+agent.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from pancakes.agent.transport_settings import keyed_addresses
+from pancakes.config import Config
+from pancakes.config.toml_reader import apply_set, tables_of, text_of
+from pancakes.config.toml_writer import document_text
+from pancakes.errors import PancakesError
+from pancakes.tools.deploy.wheels import (
+    CORE,
+    PIP,
+    Platform,
+    Wheel,
+    build_of,
+    digests,
+    distribution_of,
+    distribution_of_file,
+    extras_of,
+    libraries_for,
+    name_of,
+    version_of_file,
+)
+from pancakes.tools.launch.fleet_file import Member
+from pancakes.tools.launch.remote_hosts import Host, HostedAgent
+from pancakes.util.plugins import Plugins
+from pancakes.util.text import hint_of
+
+MARGIN: Final = 1.1
+"""What a disk loses beside the bytes of files."""
+
+
+@dataclass(frozen=True)
+class Supply:
+    """What is brought to one host.
+
+    Attributes:
+        host: the host.
+        build: the build of Pancakes and its plug-ins.
+        environment: the environment that is made of it there.
+        own: the wheels of Pancakes and its plug-ins, and that of pip.
+        libraries: the folder with what they need.
+        others: the wheels that are unpacked there, and that of pip.
+        missing: those of the wheels that are to be sent.
+        damaged: files of the environment there that were changed by hand, so that another one is made.
+    """
+
+    host: Host
+    build: str
+    environment: str
+    own: Sequence[Wheel]
+    libraries: str
+    others: Sequence[Wheel]
+    missing: Sequence[Wheel]
+    damaged: Sequence[str] = ()
+
+    @property
+    def brought_bytes(self) -> int:
+        """How much is sent."""
+        return sum(wheel.path.stat().st_size for wheel in self.missing)
+
+    def shortage(self) -> str:
+        """Returns a sentence if the disk over there has too little room; empty: it has enough."""
+        unpacked = 0
+        if self.environment not in self.host.is_["environments"]:
+            unpacked += sum(wheel.unpacked_bytes for wheel in self.own)
+        if self.libraries not in self.host.is_["libraries"]:
+            unpacked += sum(wheel.unpacked_bytes for wheel in self.others)
+        needed, free = MARGIN * (self.brought_bytes + unpacked), self.host.is_["free_bytes"]
+        if free >= needed:
+            return ""
+        left, wanted = (f"{value / 1e6:.0f} MB" for value in (free, needed))
+        disk = f"its disk ({self.host.is_['data']})"
+        return f"{self.host.name} has {left} left on {disk} and needs {wanted}: make room there"
+
+
+def needed_extras(config: Config, has_keys: bool, plugins: Plugins) -> list[str]:
+    """Returns the extras without which an agent would lack something that its configuration asks for.
+
+    Args:
+        config: its configuration.
+        has_keys: whether there are keys of it on its host.
+        plugins: where its transports are found.
+    """
+    network = config.services.get("network")
+    settings = network.settings if network is not None else {}
+    named = bool(settings.get("keys"))
+    keyed = bool(keyed_addresses(config.agent, plugins)) and not settings.get("insecure")
+    needed = {
+        "keys": has_keys or named or keyed,  # with keys but without this extra it takes no revocation
+        "metrics": any(service.type == "metrics" for service in config.services.values()),
+        "record": config.record is not None,
+    }
+    return [extra for extra, is_needed in needed.items() if is_needed]
+
+
+@dataclass(frozen=True)
+class AgentChange:
+    """One agent, as it is and as it is to be.
+
+    Attributes:
+        name, fleet, host: which it is, and where.
+        version: the version that it is to have.
+        environment: the environment of that.
+        config: the configuration of that, as TOML.
+        was: the version that it has; empty: none.
+        last: the one that it had before that; empty: none.
+        ran: whether it runs, kept so by a manager.
+        changed: what is another than in the version that it has, for people.
+        edited: a clause about what a person has changed on its host; empty: nothing.
+    """
+
+    name: str
+    fleet: str
+    host: str
+    version: str
+    environment: str
+    config: str
+    was: str
+    last: str
+    ran: bool
+    changed: tuple[str, ...] = ()
+    edited: str = ""
+
+    @property
+    def what(self) -> str:
+        """What is done: `nothing`, `start`, `switch`, or `new`."""
+        if self.was == self.version:
+            return "nothing" if self.ran else "start"
+        return "switch" if self.was else "new"
+
+
+def change_of(member: Member, told: HostedAgent, supply: Supply) -> AgentChange:
+    """Returns what is to be changed of an agent.
+
+    Args:
+        member: the agent.
+        told: what its host says of it (`pancakes.tools.remote_host.host_probe`).
+        supply: what is brought to its host.
+    """
+    config = effective_config(member.path, member.sets)
+    digest = digest_of(config)
+    base = f"{supply.build.partition('-')[0]}-{digest_of(supply.environment, config)[:12]}"
+    now, kept = told["version"], told["versions"]
+    # A file that was edited over there makes the version another one, whatever it is called.
+    is_same = (
+        now in series(base, {*kept, now}) and told["config"] == digest and told["environment"] == supply.environment
+    )
+    free = next(it for it in series(base, {*kept, now}) if it != now and kept.get(it, digest) == digest)
+    service = told["service"]
+    return AgentChange(
+        member.name,
+        member.config.agent.fleet,
+        member.host,
+        now if is_same else free,
+        supply.environment,
+        config,
+        now,
+        told["last"],
+        service is not None and service["state"] in ("active", "starting"),
+        () if is_same or not now else tuple(_changed(told, supply, digest)),
+        _edited(told),
+    )
+
+
+def digest_of(*texts: str) -> str:
+    """Returns a digest of texts, as hosts make it of a file."""
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()
+
+
+def series(base: str, used: Collection[str]) -> list[str]:
+    """Returns the names that something may have: its own, and others, until one is not in use."""
+    names = [base]
+    while names[-1] in used or len(names) < 1 + sum(it.startswith(f"{base}.") for it in used):
+        names.append(f"{base}.{len(names) + 1}")
+    return names
+
+
+def _edited(told: HostedAgent) -> str:
+    """Returns a clause if the configuration over there is not the one that was brought; empty: it is."""
+    brought = told["about"].get("config", "")
+    if not told["version"] or not brought or brought == told["config"]:
+        return ""
+    what = "was edited" if told["config"] else "is gone or cannot be read"
+    return f"its configuration {what} there since it was brought (versions/{told['version']}/agent.toml)"
+
+
+def _changed(told: HostedAgent, supply: Supply, digest: str) -> Iterator[str]:
+    """Yields what is another than in the version over there, for people."""
+    before = {distribution_of_file(it): (it, seal) for it, seal in dict(told["about"].get("wheels") or {}).items()}
+    after = {distribution_of_file(it): (it, seal) for it, seal in digests(supply.own).items()}
+    for name in sorted({*before, *after} - {PIP} if before else ()):
+        if name not in before:
+            yield f"{name} is new"
+        elif name not in after:
+            yield f"{name} is gone"
+        elif before[name] != after[name]:
+            was, now = (version_of_file(it[name][0]) for it in (before, after))
+            yield f"{name} {was} → {now}" if was != now else f"{name} {now} is another build"
+    if told["about"].get("libraries") != supply.libraries:
+        yield "libraries"
+    if told["config"] != digest:
+        yield "configuration"
+    if told["environment"] != supply.environment:
+        yield "environment"
+
+
+def effective_config(path: Path, sets: tuple[str, ...]) -> str:
+    """Returns an agent's file as TOML, with what a fleet file and the command line change of it.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    tables, places = tables_of(text_of(str(path)), str(path))
+    if not sets:
+        return text_of(str(path))
+    for change in sets:
+        apply_set(change, tables, places)
+    return document_text(tables)
+
+
+PROGRAM: Final = """
+import json, sys
+from pancakes.errors import ConfigError
+from pancakes.config import load
+from pancakes.util.plugins import Plugins
+
+plugins, faults = Plugins(), []
+for path, sets in json.load(sys.stdin):
+    try:
+        load(path, sets, plugins)
+    except ConfigError as error:
+        faults += [str(fault) for fault in error.faults]
+print(json.dumps(faults))
+"""
+
+
+def check_configs(members: Sequence[Member], own: Sequence[Wheel]) -> str:
+    """Checks the configurations of agents as the Pancakes and the plug-ins in some wheels read them.
+
+    Args:
+        members: the agents.
+        own: the wheels of Pancakes and its plug-ins.
+
+    Returns:
+        Why that cannot be done on this machine, as a clause; empty: it is done.
+
+    Raises:
+        PancakesError: some are not sound; the sentences name file, line and key.
+    """
+    with tempfile.TemporaryDirectory(prefix="pancakes-check-") as folder:
+        for wheel in own:
+            with zipfile.ZipFile(wheel.path) as archive:
+                archive.extractall(folder)
+        environment = {**os.environ, "PYTHONPATH": folder}
+        asked = json.dumps([(str(member.path), member.sets) for member in members])
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", PROGRAM], input=asked, capture_output=True, text=True, env=environment
+        )
+    try:
+        faults: list[str] = json.loads(done.stdout)
+    except ValueError:  # those wheels need libraries that this machine lacks
+        return next((line for line in reversed(done.stderr.splitlines()) if line.strip()), "its check says nothing")
+    if faults:
+        raise PancakesError("\n".join([*dict.fromkeys(faults), "nothing was brought to a host"]))
+    return ""
+
+
+@dataclass(frozen=True)
+class DeploymentPlan:
+    """What is to be done where.
+
+    Attributes:
+        supplies: what is brought, by host.
+        changes: the agents, in the order in which they are switched.
+    """
+
+    supplies: Mapping[str, Supply]
+    changes: Sequence[AgentChange]
+
+
+def plan_of(
+    members: Sequence[Member], hosts: Mapping[str, Host], own: Sequence[Wheel], extras: Sequence[str], anew: bool
+) -> DeploymentPlan:
+    """Returns what is to be done; nothing is changed on a host.
+
+    Args:
+        members: the agents that have a host.
+        hosts: their hosts.
+        own: the wheels of Pancakes and its plug-ins.
+        extras: those of Pancakes that are installed with it, beside those that the configurations need.
+        anew: whether newer libraries are looked for than those that were fetched before.
+
+    Raises:
+        PancakesError: a host cannot take part; the sentences say all that stands against it.
+    """
+    _check_extras(own, extras)
+    _check_running(members, hosts)
+    plugins = Plugins()
+    needed = [it for member in members for it in needed_extras(member.config, has_keys(member, hosts), plugins)]
+    extras = sorted({*extras, *needed})
+    by_platform: dict[Platform, list[Wheel]] = {}
+    supplies: dict[str, Supply] = {}
+    for name, host in hosts.items():
+        try:
+            platform = Platform.of(host.is_["python"], host.is_["platform"], host.is_["libc"])
+            if platform not in by_platform:
+                by_platform[platform] = libraries_for(own, extras, platform, anew)
+        except PancakesError as error:
+            raise PancakesError(f"{name}: {error}") from None
+        supplies[name] = _supply(host, own, by_platform[platform], platform)
+    changes = [change_of(it, hosts[it.host].agent(it.name), supplies[it.host]) for it in members if it.host]
+    return DeploymentPlan(supplies, changes)
+
+
+def has_keys(member: Member, hosts: Mapping[str, Host]) -> bool:
+    """Returns whether there are keys of an agent on its host."""
+    return bool(hosts[member.host].agent(member.name)["keys"])
+
+
+def _supply(host: Host, own: Sequence[Wheel], others: Sequence[Wheel], platform: Platform) -> Supply:
+    build = build_of(own)
+    version, python = build.partition("-")[0], f"py{platform.python}"
+    own = [*own, *(wheel for wheel in others if distribution_of(wheel) == PIP)]
+    made, folders, damaged = host.is_["environments"], host.is_["libraries"], []
+
+    def intact(kind: str, base: str, there: Collection[str]) -> str:
+        """Returns the name of what is there and as it was made, or else one that is free."""
+        names = series(base, there)
+        for name in names:
+            if name in there:
+                if not (found := host.link.obtain("damaged", kind=list[str], folder=kind, name=name)):
+                    return name
+                damaged.extend(found)
+        return next(name for name in names if name not in there)
+
+    libraries = intact("libraries", name_of(python, *platform.tags[:1], wheels=others), folders)
+    environment = intact("environments", name_of(f"{version}-{python}", libraries, wheels=own), made)
+    needed = {wheel.name: wheel for wheel in (*own, *(others if libraries not in folders else ()))}
+    lacks = set()
+    if environment not in made:
+        lacks = set(host.link.obtain("missing", kind=list[str], wheels=digests(needed.values())))
+    missing = [wheel for name, wheel in needed.items() if name in lacks]
+    return Supply(host, build, environment, own, libraries, others, missing, damaged)
+
+
+def _check_extras(own: Sequence[Wheel], extras: Sequence[str]) -> None:
+    (core,) = [wheel for wheel in own if distribution_of(wheel) == CORE]
+    known = extras_of(core)
+    for extra in extras:
+        if extra not in known:
+            raise PancakesError(f"Pancakes has no extra {extra!r}{hint_of(extra, known)}: {', '.join(known)}")
+
+
+def _check_running(members: Sequence[Member], hosts: Mapping[str, Host]) -> None:
+    """An agent that a person or a launcher has started is none that may be restarted here."""
+    problems = []
+    for member in members:
+        host = hosts[member.host]
+        pid, service = host.runs(member), host.agent(member.name)["service"]
+        if pid and (service is None or pid != service["pid"]):
+            advice = "end it first, with pancakes down --fleet-file or its launcher"
+            problems.append(f"{member.name} runs on {host.name} already (process {pid}), not by a deployment: {advice}")
+    if problems:
+        raise PancakesError("\n".join(problems))

@@ -1,0 +1,445 @@
+"""Hosts of a fleet: what each is, tunnels to its agents, and the agents of a launch that run there.
+
+`open_hosts` connects to all hosts at once and lists all that cannot be reached. A tunnel is a Unix socket that OpenSSH
+leads to an agent's own; the agent takes what comes through it for its own user's, so it asks for no keys.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol, TypedDict
+
+from pancakes.errors import PancakesError, Unreachable
+from pancakes.mesh.address import LOCAL
+from pancakes.tools.launch.fleet_file import Member
+from pancakes.tools.launch.ssh import (
+    OPEN_S,
+    HostError,
+    HostLink,
+    no_ssh,
+    scratch_file,
+    sentence_of,
+    silent,
+    ssh_command,
+    start_ssh,
+)
+from pancakes.util.clock import MonotonicClock
+
+
+class HostService(TypedDict):
+    """The service of an agent on a host."""
+
+    manager: str
+    state: str
+    pid: int
+    restarts: int
+
+
+class HostedAgent(TypedDict):
+    """What is on a host of an agent; see `pancakes.tools.remote_host.host_probe`, as for the others."""
+
+    keys: bool
+    python: str
+    socket: str
+    version: str
+    last: str
+    config: str
+    environment: str
+    versions: dict[str, str]
+    about: dict[str, Any]
+    service: HostService | None
+
+
+class HostEntry(TypedDict):
+    """An agent that runs on a host."""
+
+    name: str
+    fleet: str
+    role: str
+    pid: int
+
+
+class HostLook(TypedDict):
+    """What a host says of itself."""
+
+    user: str
+    python: list[int]
+    executable: str
+    platform: str
+    libc: list[str]
+    free_bytes: int
+    data: str
+    systemd: bool
+    environments: list[str]
+    libraries: list[str]
+    running: list[HostEntry]
+    agents: dict[str, HostedAgent]
+
+
+@dataclass(frozen=True)
+class Host:
+    """One host.
+
+    Attributes:
+        name: the host, as `ssh` takes it.
+        link: the connection.
+        is_: what it is (`pancakes.tools.remote_host.host_probe`).
+    """
+
+    name: str
+    link: HostLink
+    is_: HostLook
+
+    def agent(self, name: str) -> HostedAgent:
+        """Returns what is there of an agent."""
+        return self.is_["agents"][name]
+
+    def runs(self, member: Member) -> int:
+        """Returns the process of an agent there; 0: it does not run."""
+        agent = member.config.agent
+        entries = self.is_["running"]
+        return next((it["pid"] for it in entries if (it["fleet"], it["name"]) == (agent.fleet, agent.name)), 0)
+
+
+@contextmanager
+def open_hosts(members: Sequence[Member]) -> Iterator[dict[str, Host]]:
+    """Reaches the hosts of agents, all at once, and lets them go at the end.
+
+    Yields:
+        The hosts by name; none where all agents run on this machine.
+
+    Raises:
+        PancakesError: a host cannot be reached, or cannot run Pancakes; the sentences name all of these.
+    """
+    links: dict[str, HostLink] = {}
+    try:
+        for host in dict.fromkeys(member.host for member in members if member.host):
+            links[host] = HostLink(host)
+        yield _looked(members, links)
+    finally:
+        for link in links.values():
+            link.let_go()
+        for link in links.values():
+            link.close()
+
+
+def _looked(members: Sequence[Member], links: Mapping[str, HostLink]) -> dict[str, Host]:
+    hosts, problems = {}, []
+
+    def look(name: str) -> HostLook:
+        fleets = {it.name: it.config.agent.fleet for it in members if it.host == name}
+        found: HostLook = links[name].obtain("look", OPEN_S, HostLook, fleet_of=fleets)
+        if missing := [agent for agent in fleets if agent not in found["agents"]]:
+            raise HostError(f"{name} says nothing of {', '.join(missing)}")
+        return found
+
+    # Side by side: hosts that say nothing take their time once, and not one after the other.
+    with ThreadPoolExecutor(max_workers=max(1, len(links))) as threads:
+        looks = {name: threads.submit(look, name) for name in links}
+    for name, looked in looks.items():
+        try:
+            hosts[name] = Host(name, links[name], looked.result())
+        except PancakesError as error:
+            problems.append(str(error))
+    if problems:
+        raise PancakesError("\n".join(problems))
+    return hosts
+
+
+LOOK_S: Final = 0.05
+END_S: Final = 2.0
+"""A way that has not ended so long after it was told to is killed."""
+_NOW: Final = MonotonicClock().now
+
+
+@contextmanager
+def tunnels(hosts: Iterable[Host]) -> Iterator[dict[str, str]]:
+    """Makes a way to each agent of some hosts, whether it runs or not, and takes them away at the end. It may wait.
+
+    Yields:
+        The address of each agent, by its name.
+
+    Raises:
+        PancakesError: a host cannot be reached, or does not let these ways be made.
+    """
+    folder = tempfile.mkdtemp(prefix="pancakes-way-")
+    addresses: dict[str, str] = {}
+    made: list[_Tunnel] = []
+    try:
+        for host in hosts:
+            ways = {}
+            for name, agent in host.is_["agents"].items():
+                path = Path(folder) / f"{len(addresses)}.sock"
+                ways[path] = agent["socket"]
+                addresses[name] = f"{LOCAL}://{path}"
+            made.append(_Tunnel(host.name, ways))
+        until_s = _NOW() + OPEN_S
+        for tunnel in made:
+            tunnel.wait(until_s)
+        yield addresses
+    finally:
+        for tunnel in made:
+            tunnel.close()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+class _Tunnel:
+    """The ways to the agents of one host."""
+
+    def __init__(self, host: str, ways: dict[Path, str]) -> None:
+        self._host, self._ways = host, ways
+        options = [word for here, there in ways.items() for word in ("-L", f"{here}:{there}")]
+        options += ["-o", "ExitOnForwardFailure=yes", "-o", "StreamLocalBindMask=0177"]
+        self._errors = scratch_file()
+        try:
+            # It ends with what is at the other end of its standard input, however that ends.
+            command = [*ssh_command(host, "-T", *options), "exec sh -c 'while read -r line; do :; done'"]
+            self._process = start_ssh(command, subprocess.DEVNULL, self._errors)
+        except OSError as error:
+            os.close(self._errors)
+            raise PancakesError(no_ssh(error)) from None
+
+    def wait(self, until_s: float) -> None:
+        while not all(path.exists() for path in self._ways):
+            code = self._process.poll()
+            said = os.pread(self._errors, 65_536, 0).decode("utf-8", "replace")
+            if code is not None:
+                raise Unreachable(sentence_of(self._host, code, said))
+            if _NOW() > until_s:
+                raise Unreachable(silent(self._host, OPEN_S, said))
+            time.sleep(LOOK_S)
+
+    def close(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.terminate()
+        try:
+            self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        with contextlib.suppress(OSError):
+            os.close(self._errors)
+
+
+ALIVE_S: Final = 5.0
+"""So often a host hears that the launcher lives: where it hears nothing, it ends the agents."""
+KILL_S: Final = 2.0
+"""A connection over which no agent that was killed has ended for so long is given up."""
+LOST: Final = 255
+"""The exit code of an agent whose connection has ended, as that of `ssh`."""
+
+
+class HostListener(Protocol):
+    """Learns what becomes of agents, in the thread that runs the launch."""
+
+    def started_there(self, name: str, host: str, pid: int) -> None:
+        """An agent's process runs."""
+
+    def printed_there(self, name: str, text: str) -> None:
+        """It has printed a line."""
+
+    def said_there(self, name: str, line: str) -> None:
+        """It says how far it is, as `pancakes-agent --ready-fd` does."""
+
+    def ended_there(self, name: str, code: int, how: str) -> None:
+        """It has ended; `how` says it where the exit code does not."""
+
+    def failed_there(self, name: str, reason: str) -> None:
+        """It could not be started."""
+
+
+@dataclass(frozen=True)
+class HostStart:
+    """What a host needs to start an agent.
+
+    Attributes:
+        config: its configuration, as TOML.
+        sets: what is changed of it, as `--set` takes it.
+        keys: the files of its keys for this run, in base64.
+        fresh: whether it forgets what it remembers of its tasks, the first time.
+    """
+
+    config: str
+    sets: tuple[str, ...]
+    keys: Mapping[str, str]
+    fresh: bool = False
+
+
+class HostAgents:
+    """Starts and ends agents on hosts.
+
+    Args:
+        members: the agents that have a host.
+        starts: what each needs.
+        links: the connections that are open already, by host; they are closed here.
+        selector: is told which file descriptors are waited for; what it has for each is to be called.
+        now: the host time.
+    """
+
+    def __init__(
+        self,
+        members: Sequence[Member],
+        starts: Mapping[str, HostStart],
+        links: Mapping[str, HostLink],
+        selector: selectors.BaseSelector,
+        now: Callable[[], float],
+    ) -> None:
+        self._members = {member.name: member for member in members}
+        self._starts = dict(starts)
+        self._links = dict(links)
+        self._selector = selector
+        self._now = now
+        self._asked: dict[tuple[str, int], str] = {}
+        self._run: set[str] = set()
+        self._kill_s: dict[str, float] = {}
+        self._alive_s = now() + ALIVE_S
+
+    def attend(self, listener: HostListener) -> None:
+        """Begins to listen to the hosts."""
+        self._listener = listener
+        for host in self._links:
+            self._register(host)
+
+    @property
+    def due_s(self) -> float:
+        """When `tick` is due."""
+        return min([self._alive_s, *self._kill_s.values()])
+
+    def start(self, name: str) -> None:
+        """Starts an agent; the connection to its host is made anew where it was lost."""
+        member, start = self._members[name], self._starts[name]
+        link = self._links.get(member.host)
+        if link is None or link.lost:
+            try:
+                link = self._links[member.host] = HostLink(member.host)
+            except PancakesError as error:
+                self._listener.failed_there(name, str(error))
+                return
+            self._register(member.host)
+        self._run.add(name)
+        number = link.send(
+            "start",
+            fleet=member.config.agent.fleet,
+            agent=name,
+            config=start.config,
+            sets=list(start.sets),
+            keys=dict(start.keys),
+            fresh=start.fresh,
+        )
+        self._asked[member.host, number] = name
+        self._starts[name] = HostStart(start.config, start.sets, start.keys)
+        self._watch_writes(link)
+
+    def end(self, name: str) -> None:
+        """Tells an agent to end."""
+        self._order(name, "end")
+
+    def kill(self, name: str) -> None:
+        """Ends an agent by force."""
+        self._kill_s[name] = self._now() + KILL_S
+        self._order(name, "kill")
+
+    def tick(self) -> None:
+        """Time has passed."""
+        now_s = self._now()
+        if now_s >= self._alive_s:
+            self._alive_s = now_s + ALIVE_S
+            for host, link in self._links.items():
+                handles = (link.reads, link.writes)
+                if link.end_if_silent():
+                    self._lost(host, handles)
+                elif not link.lost:
+                    link.send("alive")
+                    self._watch_writes(link)
+        for name, at_s in list(self._kill_s.items()):
+            if now_s >= at_s:
+                del self._kill_s[name]
+                host = self._members[name].host
+                if name in self._run and not self._links[host].lost:
+                    self._lose(host, within_s=0.0)
+
+    def close(self) -> None:
+        """Ends all connections, and with them all agents."""
+        for link in self._links.values():
+            link.close()
+
+    def _order(self, name: str, word: str) -> None:
+        link = self._links[self._members[name].host]
+        if not link.lost:
+            link.send(word, agent=name)
+            self._watch_writes(link)
+
+    def _register(self, host: str) -> None:
+        link = self._links[host]
+        self._selector.register(link.reads, selectors.EVENT_READ, lambda: self._read(host))
+        self._watch_writes(link)
+
+    def _watch_writes(self, link: HostLink) -> None:
+        """Waits until the connection takes more, where requests wait."""
+        registered = link.writes in self._selector.get_map()
+        if link.has_more and not registered:
+            self._selector.register(link.writes, selectors.EVENT_WRITE, lambda: self._write(link))
+        elif registered and not link.has_more:
+            self._selector.unregister(link.writes)
+
+    def _write(self, link: HostLink) -> None:
+        link.flush()
+        self._watch_writes(link)
+
+    def _read(self, host: str) -> None:
+        link = self._links[host]
+        handles = (link.reads, link.writes)
+        told = link.read()
+        if link.lost:
+            self._lost(host, handles)
+            return
+        self._watch_writes(link)
+        for it in told:
+            self._take(host, it)
+
+    def _lose(self, host: str, within_s: float) -> None:
+        link = self._links[host]
+        handles = (link.reads, link.writes)
+        link.close(within_s)
+        self._lost(host, handles)
+
+    def _lost(self, host: str, handles: Sequence[int]) -> None:
+        for handle in handles:
+            if handle in self._selector.get_map():
+                self._selector.unregister(handle)
+        self._asked = {key: name for key, name in self._asked.items() if key[0] != host}
+        for name in [name for name in self._run if self._members[name].host == host]:
+            self._run.discard(name)
+            self._listener.ended_there(name, LOST, self._links[host].lost)
+
+    def _take(self, host: str, told: dict[str, Any]) -> None:
+        name = told.get("agent") or self._asked.pop((host, told.get("id", 0)), "")
+        if name not in self._run:
+            return
+        if "fault" in told:
+            self._run.discard(name)
+            self._listener.failed_there(name, f"{host} {told['fault']}")
+        elif "result" in told:
+            result = told["result"]
+            pid = result.get("pid") if isinstance(result, dict) else None
+            self._listener.started_there(name, host, pid if isinstance(pid, int) else 0)
+        elif told.get("event") == "line":
+            self._listener.printed_there(name, told.get("text", ""))
+        elif told.get("event") == "said":
+            self._listener.said_there(name, told.get("text", ""))
+        elif told.get("event") == "ended":
+            self._run.discard(name)
+            self._kill_s.pop(name, None)
+            self._listener.ended_there(name, told.get("code", LOST), "")

@@ -1,0 +1,689 @@
+"""Supervise a launched fleet: when each agent starts, restarts and ends, and the processes that do it.
+
+`Course` decides and is pure: events in, actions out. An agent starts once those it comes after are ready. If its
+process ends by itself, it is restarted as its policy says, or given up. On the way down an agent is told to end once
+those that come after it have ended. `Runner` carries the actions out in the main thread: processes, pipes, signals,
+other hosts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import selectors
+import signal
+import threading
+from codecs import getincrementaldecoder
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from signal import Signals
+from types import FrameType, MappingProxyType
+from typing import Any, Final, Protocol, assert_never
+
+from pancakes.supervision.lifecycle import (
+    Admitted,
+    Answer,
+    AskLeave,
+    Began,
+    Event,
+    Finished,
+    LeaveRefused,
+    LetGo,
+    Life,
+    LookAgain,
+    News,
+    Overdue,
+    Revoke,
+    Settle,
+    Spawn,
+    StartAsked,
+    State,
+    StopAsked,
+    Tell,
+    TellToEnd,
+    TryAt,
+    TryDue,
+    WriteRest,
+)
+from pancakes.supervision.lifecycle_table import handle
+from pancakes.supervision.restart import Restarts, RestartSpec
+from pancakes.tools.launch.fleet_file import Member, ProcessRestart
+from pancakes.tools.launch.process import Starter, end_all
+from pancakes.tools.launch.remote_hosts import HostAgents
+from pancakes.util.clock import MonotonicClock
+
+READY_S: Final = 30.0
+"""An agent that is not ready after so long is named, in seconds."""
+END_S: Final = 2.5
+"""An agent that was told to end is killed after so long; it ends itself sooner even where a task is stuck."""
+ALL_END_S: Final = 5.0
+"""So long after it was told to stop, whatever still runs is killed."""
+BAD_CONFIGURATION: Final = 4
+"""The exit code of an agent that would end in the same way each time."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpawnProcess:
+    """Start the agent's process."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Terminate:
+    """Tell the agent's process to end."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """End the agent's process by force."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class BeginMission:
+    """Let the mission of these agents begin, which they hold at 0."""
+
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TellPerson:
+    """Tell the person what has become of an agent.
+
+    Attributes:
+        name: the agent; empty where it is about the fleet.
+        event: what happened, in a word for programs.
+        text: the same as a phrase for people, to be read after the agent's name.
+    """
+
+    name: str
+    event: str
+    text: str
+
+
+Action = SpawnProcess | Terminate | Kill | BeginMission | TellPerson
+
+
+class _Place:
+    """What the course knows of one agent.
+
+    Attributes:
+        life: how far its process is.
+        how: how its process has ended, as a phrase; empty: it has not, or people know.
+        kill_s: when it is killed, once it was told to end.
+    """
+
+    def __init__(self, member: Member) -> None:
+        self.member = member
+        self.life = Life(member.name, Restarts(_spec(member.restart)))
+        self.started_s = 0.0
+        self.late = False
+        self.how = ""
+        self.kill_s: float | None = None
+
+    @property
+    def waits(self) -> bool:
+        return self.life.state is State.ASKED
+
+    @property
+    def ready(self) -> bool:
+        return self.life.state is State.RUNNING
+
+    @property
+    def runs(self) -> bool:
+        return self.life.state in (State.STARTING, State.RUNNING, State.STOPPING, State.STUCK)
+
+    @property
+    def killed(self) -> bool:
+        return self.life.state is State.STUCK
+
+    @property
+    def over(self) -> bool:
+        return self.life.state in (State.STOPPED, State.FAILED)
+
+
+class Course:
+    """The course of one fleet.
+
+    Args:
+        members: its agents, in the order in which they are to start.
+        begin: whether missions that wait at 0 are let begin once all agents are ready.
+        source: the pauses before restarts are drawn with it; None: with one of its own.
+    """
+
+    def __init__(self, members: Sequence[Member], begin: bool = True, source: random.Random | None = None) -> None:
+        self._places = {member.name: _Place(member) for member in members}
+        self._begin = begin
+        self._source = source or random.Random()
+        self._begun = False
+        self._stopping_s: float | None = None
+        self._failed = False
+        self._actions: list[Action] = []
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing runs any more, nor will."""
+        return all(place.over for place in self._places.values())
+
+    @property
+    def exit_code(self) -> int:
+        """0; 1 where an agent was given up, or never started."""
+        return int(self._failed)
+
+    @property
+    def deadline_s(self) -> float | None:
+        """When `tick` is due; None where nothing is waited for."""
+        times = [it.kill_s for it in self._places.values() if it.runs and not it.killed and it.kill_s is not None]
+        for place in self._places.values():
+            if place.life.state is State.STARTING and not place.late:
+                times.append(place.started_s + READY_S)
+            if place.life.restarts.due_s is not None:
+                times.append(place.life.restarts.due_s)
+        if self._stopping_s is not None and any(it.runs and not it.killed for it in self._places.values()):
+            times.append(self._stopping_s + ALL_END_S)
+        return min(times, default=None)
+
+    def start(self, now_s: float) -> list[Action]:
+        """Begins."""
+        for place in self._places.values():
+            self._feed(place, StartAsked(), now_s)
+        self._admit(now_s)
+        return self._done()
+
+    def unstartable(self, name: str, reason: str, now_s: float) -> list[Action]:
+        """A process could not be made, for a reason that is a phrase."""
+        self._failed = True
+        self._feed(self._places[name], Finished(f"cannot be started: {reason}", True, hopeless=True), now_s)
+        self._give_up_followers(now_s)
+        return self._done()
+
+    def ready(self, name: str, now_s: float, rests: Mapping[str, str] = MappingProxyType({})) -> list[Action]:
+        """An agent says that all which should run at its start does.
+
+        Args:
+            name: the agent.
+            now_s: the time.
+            rests: those of its tasks that do not start because of what happened when it ran before, and why.
+        """
+        place = self._places[name]
+        if place.life.state is not State.STARTING:
+            return []
+        self._feed(place, Began(), now_s)
+        if self._stopping_s is None:
+            for task, why in rests.items():
+                self._tell(name, "rests", f"does not start {task}: {why}")
+            if self._begun and place.member.config.clock.hold:
+                # An agent that was started again holds its mission once more, while that of the others goes on.
+                self._actions.append(BeginMission((name,)))
+            self._admit(now_s)
+            self._begin_if_all_are_ready()
+        return self._done()
+
+    def ended(self, name: str, code: int, now_s: float, how: str = "") -> list[Action]:
+        """A process has ended.
+
+        Args:
+            name: the agent.
+            code: its exit code; minus the number of the signal that ended it.
+            now_s: the time.
+            how: the same as a phrase, where the exit code does not say it.
+        """
+        place = self._places[name]
+        stopping = self._stopping_s is not None
+        place.how = (how or _how(code)) + (", killed because it took too long" if place.killed else "")
+        failed = code != 0 and not stopping
+        story = f"has ended ({place.how})"
+        self._feed(place, Finished(story, failed, code == BAD_CONFIGURATION, closing=stopping), now_s)
+        if stopping:
+            self._stop_next(now_s)
+        elif place.over:
+            self._give_up_followers(now_s)
+        return self._done()
+
+    def stop(self, now_s: float) -> list[Action]:
+        """A person wants an end; one that says so for the second time does not want to wait."""
+        if self._stopping_s is not None:
+            self._kill((place for place in self._places.values() if place.runs), now_s)
+            return self._done()
+        self._stopping_s = now_s
+        for place in self._places.values():
+            if not place.runs:
+                place.how = ""
+                self._feed(place, StopAsked(), now_s)
+        self._admit(now_s)
+        self._stop_next(now_s)
+        return self._done()
+
+    def tick(self, now_s: float) -> list[Action]:
+        """Time has passed."""
+        for place in self._places.values():
+            due_s = place.life.restarts.due_s
+            if due_s is not None and now_s >= due_s:
+                self._feed(place, TryDue(due_s), now_s)
+                self._feed(place, Admitted(), now_s)
+            if place.life.state is State.STARTING and not place.late and now_s >= place.started_s + READY_S:
+                place.late = True
+                self._tell(place.member.name, "late", f"is not ready after {READY_S:g} s")
+        too_late = self._stopping_s is not None and now_s >= self._stopping_s + ALL_END_S
+        overdue = [
+            place
+            for place in self._places.values()
+            if place.runs and (too_late or (place.kill_s is not None and now_s >= place.kill_s))
+        ]
+        self._kill(overdue, now_s)
+        return self._done()
+
+    def _done(self) -> list[Action]:
+        actions, self._actions = self._actions, []
+        return actions
+
+    # Starting --------------------------------------------------------------------------------------------------
+
+    def _admit(self, now_s: float) -> None:
+        """Starts the agents that wait and come after none that is not ready."""
+        for place in self._places.values():
+            if place.life.state is State.CALLED_OFF:
+                self._feed(place, LeaveRefused("the fleet ends"), now_s)
+            elif place.waits and all(self._places[other].ready for other in place.member.after):
+                self._feed(place, Admitted(), now_s)
+
+    def _give_up_followers(self, now_s: float) -> None:
+        """An agent has ended for good: those that come after it will never start."""
+        lost = True
+        while lost:
+            lost = False
+            for place in self._places.values():
+                gone = [other for other in place.member.after if self._places[other].over]
+                if place.waits and gone:
+                    self._failed = lost = True
+                    self._feed(place, LeaveRefused(f"{gone[0]}, which it comes after, has ended", for_good=True), now_s)
+                    told = f"is not started: {gone[0]}, which it comes after, has ended"
+                    self._tell(place.member.name, "given_up", told)
+        if self._begin and not self._begun and any(place.runs for place in self._places.values()) and self._held():
+            self._begin = False
+            self._tell("", "held", "the mission does not begin: not all agents of the fleet run")
+
+    def _held(self) -> list[str]:
+        return [name for name, place in self._places.items() if place.member.config.clock.hold]
+
+    def _begin_if_all_are_ready(self) -> None:
+        if not self._begin or self._begun or not all(place.ready for place in self._places.values()):
+            return
+        self._begun = True
+        held = tuple(self._held())
+        if held:
+            self._actions.append(BeginMission(held))
+
+    # Stopping --------------------------------------------------------------------------------------------------
+
+    def _stop_next(self, now_s: float) -> None:
+        """Tells those to end that no running agent comes after, the last that was started first."""
+        for name, place in reversed(self._places.items()):
+            later = any(other.runs and name in other.member.after for other in self._places.values())
+            if place.life.state in (State.STARTING, State.RUNNING) and not later:
+                place.kill_s = now_s + END_S
+                self._actions.append(Terminate(name))
+                self._feed(place, StopAsked(), now_s)
+
+    def _kill(self, places: Iterable[_Place], now_s: float) -> None:
+        for place in places:
+            if not place.killed:
+                self._feed(place, StopAsked(), now_s)
+                self._feed(place, Overdue(place.life.incarnation), now_s)
+
+    # What a life asks for --------------------------------------------------------------------------------------
+
+    def _feed(self, place: _Place, event: Event, now_s: float) -> None:
+        place.life, effects = handle(place.life, event, now_s, self._source.uniform)
+        name = place.member.name
+        for effect in effects:
+            match effect:
+                case Spawn():
+                    place.started_s, place.late = now_s, False
+                    self._actions.append(SpawnProcess(name))
+                case Revoke():
+                    self._actions.append(Kill(name))
+                case Tell():
+                    self._tell_life(place, effect, now_s)
+                # The course looks itself at what is due, and at what has ended (`tick`, `_admit`, `_stop_next`).
+                case AskLeave() | TellToEnd() | LetGo() | TryAt() | LookAgain() | Settle() | WriteRest() | Answer():
+                    pass
+                case _:
+                    assert_never(effect)
+
+    def _tell_life(self, place: _Place, effect: Tell, now_s: float) -> None:
+        name, restart = place.member.name, place.member.restart
+        match effect.news:
+            case News.STARTED:
+                if self._stopping_s is None:
+                    self._tell(name, "ready", "is ready")
+            case News.RESTARTS:
+                self._tell(name, "restarted", f"{effect.text} and is started again {place.life.restarts.when(now_s)}")
+            case News.STOPPED:
+                if place.how:
+                    self._tell(name, "ended", f"has ended ({place.how})")
+            case News.GIVEN_UP:
+                self._failed = True
+                why = ""
+                if restart.policy != "no" and not effect.hopeless:
+                    why = f" after {restart.at_most} restarts within {restart.within_s:g} s"
+                self._tell(name, "given_up", f"{effect.text} and is given up{why}" if place.how else effect.text)
+            case News.REFUSED | News.FAILED | News.FAILED_WHILE_STOPPING | News.FAILED_AT_THE_END | News.STUCK:
+                pass
+            case _:
+                assert_never(effect.news)
+
+    def _tell(self, name: str, event: str, text: str) -> None:
+        self._actions.append(TellPerson(name, event, text))
+
+
+def _spec(restart: ProcessRestart) -> RestartSpec:
+    return RestartSpec(restart.policy, restart.at_most, restart.within_s, restart.pause_s, restart.pause_max_s)
+
+
+def _how(code: int) -> str:
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"ended by {Signals(-code).name}"
+    except ValueError:  # a real-time signal has no name
+        return f"ended by the signal {-code}"
+
+
+LONGEST: Final = 65_536
+"""A line that has no end is cut after so many characters."""
+
+
+class Lines:
+    """The lines of one process. What is no UTF-8 is shown as replacement characters."""
+
+    def __init__(self) -> None:
+        self._decoder = getincrementaldecoder("utf-8")("replace")
+        self._begun = ""
+
+    def feed(self, data: bytes) -> Iterator[str]:
+        """Takes what was printed, and yields the lines that are whole by that."""
+        *whole, self._begun = (self._begun + self._decoder.decode(data)).split("\n")
+        for line in whole:
+            yield line.removesuffix("\r")
+        while len(self._begun) > LONGEST:
+            yield self._begun[:LONGEST]
+            self._begun = self._begun[LONGEST:]
+
+    def rest(self) -> Iterator[str]:
+        """Yields the last line, where it has no end."""
+        begun, self._begun = self._begun + self._decoder.decode(b"", final=True), ""
+        if begun:
+            yield begun
+
+
+_ENDS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_CHUNK: Final = 65_536
+
+
+class Voice(Protocol):
+    """Takes what a fleet says; in the thread that runs it."""
+
+    def line(self, agent: str, text: str) -> None:
+        """An agent has printed a line."""
+
+    def told(self, agent: str, event: str, text: str) -> None:
+        """Something has become of an agent; of the fleet where `agent` is empty. See `TellPerson`."""
+
+
+LetBegin = Callable[[dict[str, int]], list[str]]
+"""Lets the mission of agents begin, given their processes by name; returns sentences about what went wrong.
+
+It may wait, in a thread of its own."""
+
+Elsewhere = Callable[[selectors.BaseSelector, Callable[[], float]], HostAgents]
+"""Returns what starts and ends the agents that run on other hosts."""
+
+
+class _Process:
+    """One agent's process, and the pipes that lead to it."""
+
+    def __init__(self, member: Member, starter: Starter) -> None:
+        self.output, output = os.pipe()
+        self.ready, ready = os.pipe()
+        try:
+            self.process = starter.start(member.path, member.sets, output, ready)
+        except BaseException:
+            os.close(self.output)
+            os.close(self.ready)
+            raise
+        finally:
+            os.close(output)
+            os.close(ready)
+        os.set_blocking(self.output, False)
+        self.lines = Lines()
+        self.said = Lines()
+
+
+class Runner:
+    """Runs a fleet until it has ended, in the main thread.
+
+    SIGINT, SIGTERM and SIGHUP end it in order, for the second time at once.
+
+    Args:
+        members: its agents.
+        course: what decides.
+        voice: what is told to the person.
+        let_begin: see `LetBegin`.
+        elsewhere: see `Elsewhere`; it is asked for where a member has a host.
+    """
+
+    def __init__(
+        self,
+        members: Sequence[Member],
+        course: Course,
+        voice: Voice,
+        let_begin: LetBegin,
+        elsewhere: Elsewhere | None = None,
+    ) -> None:
+        self._members = {member.name: member for member in members}
+        self._course = course
+        self._voice = voice
+        self._let_begin = let_begin
+        self._now = MonotonicClock().now
+        self._starter = Starter()
+        self._processes: dict[str, _Process] = {}
+        self._selector = selectors.DefaultSelector()
+        self._pids: dict[str, int] = {}
+        self._rests: dict[str, dict[str, str]] = {}
+        self._elsewhere = elsewhere(self._selector, self._now) if elsewhere is not None else None
+        self._posted: deque[Callable[[], None]] = deque()
+        self._mute = False
+
+    def run(self) -> int:
+        """Runs the fleet; returns the exit code."""
+        self._wake_reader, self._wake_writer = os.pipe()
+        os.set_blocking(self._wake_writer, False)
+        os.set_blocking(self._wake_reader, False)
+        # The kernel may hand a signal to any thread: this wakes the one that waits here.
+        signal.set_wakeup_fd(self._wake_writer, warn_on_full_buffer=False)
+        for number in (*_ENDS, signal.SIGCHLD):
+            if number == signal.SIGCHLD or signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
+                signal.signal(number, self._heard)
+        self._selector.register(self._wake_reader, selectors.EVENT_READ, self._woken)
+        if self._elsewhere is not None:
+            self._elsewhere.attend(self)
+        try:
+            self._do(self._course.start(self._now()))
+            while not self._course.over:
+                self._wait()
+        finally:
+            if self._elsewhere is not None:
+                self._elsewhere.close()
+            end_all([it.process for it in self._processes.values()], 0.0)
+            self._starter.close()
+        return self._course.exit_code
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        if number != signal.SIGCHLD:
+            self._posted.append(lambda: self._do(self._course.stop(self._now())))
+
+    def _wait(self) -> None:
+        times = [self._course.deadline_s, self._elsewhere.due_s if self._elsewhere is not None else None]
+        deadline_s = min((it for it in times if it is not None), default=None)
+        timeout_s = None if deadline_s is None else max(0.0, deadline_s - self._now())
+        for key, _ in self._selector.select(timeout_s):
+            if self._selector.get_map().get(key.fd) is key:  # the end of a process closes its pipes
+                key.data()
+        while self._posted:
+            self._posted.popleft()()
+        if self._elsewhere is not None:
+            self._elsewhere.tick()
+        self._do(self._course.tick(self._now()))
+
+    def _woken(self) -> None:
+        os.read(self._wake_reader, _CHUNK)
+        for name, place in list(self._processes.items()):
+            code = place.process.poll()
+            if code is not None:
+                self._ended(name, place, code)
+
+    def _post(self, function: Callable[[], None]) -> None:
+        """Has a function called in the main thread. Any thread."""
+        self._posted.append(function)
+        with contextlib.suppress(BlockingIOError):  # it is full of reasons to wake up
+            os.write(self._wake_writer, b"\0")
+
+    # What the course wants -------------------------------------------------------------------------------------
+
+    def _do(self, actions: Sequence[Action]) -> None:
+        for action in actions:
+            match action:
+                case SpawnProcess(name):
+                    self._spawn(name)
+                case Terminate(name):
+                    if self._elsewhere is not None and self._members[name].host:
+                        self._elsewhere.end(name)
+                    else:
+                        self._processes[name].process.terminate()
+                case Kill(name):
+                    if self._elsewhere is not None and self._members[name].host:
+                        self._elsewhere.kill(name)
+                    else:
+                        self._processes[name].process.kill()
+                case BeginMission(names):
+                    self._begin(names)
+                case TellPerson(name, event, text):
+                    self._say(self._voice.told, name, event, text)
+
+    def _spawn(self, name: str) -> None:
+        self._rests[name] = {}
+        if self._elsewhere is not None and self._members[name].host:
+            self._elsewhere.start(name)
+            return
+        try:
+            place = _Process(self._members[name], self._starter)
+        except OSError as error:
+            self._do(self._course.unstartable(name, (error.strerror or str(error)).lower(), self._now()))
+            return
+        self._processes[name] = place
+        self._pids[name] = place.process.pid
+        self._selector.register(place.output, selectors.EVENT_READ, lambda: self._read(name, place))
+        self._selector.register(place.ready, selectors.EVENT_READ, lambda: self._read_ready(name, place))
+        self._say(self._voice.told, name, "started", f"runs as process {place.process.pid}")
+
+    def _begin(self, names: Sequence[str]) -> None:
+        pids = {name: self._pids[name] for name in names}
+
+        def let_begin() -> None:
+            problems = self._let_begin(pids)
+            self._post(lambda: told(problems))
+
+        def told(problems: list[str]) -> None:
+            for problem in problems:
+                self._say(self._voice.told, "", "held", problem)
+            if not problems:
+                self._say(self._voice.told, "", "begun", f"the mission of {', '.join(names)} begins")
+
+        threading.Thread(target=let_begin, name="begin", daemon=True).start()
+
+    # What the processes say -----------------------------------------------------------------------------------
+
+    def _read(self, name: str, place: _Process) -> bool:
+        """Reads what an agent has printed; returns whether there was something."""
+        try:
+            data = os.read(place.output, _CHUNK)
+        except BlockingIOError:
+            return False
+        for text in place.lines.feed(data) if data else place.lines.rest():
+            self._say(self._voice.line, name, text)
+        if not data:
+            self._selector.unregister(place.output)
+        return bool(data)
+
+    def _read_ready(self, name: str, place: _Process) -> None:
+        """Reads how far an agent says that it is (see `pancakes-agent --ready-fd`)."""
+        data = os.read(place.ready, _CHUNK)
+        if not data:
+            self._selector.unregister(place.ready)
+        for line in place.said.feed(data):
+            self._said(name, line)
+
+    def _said(self, name: str, line: str) -> None:
+        word, _, rest = line.partition(" ")
+        if word == "ready":
+            self._do(self._course.ready(name, self._now(), self._rests[name]))
+        elif word == "rests":
+            task, _, why = rest.partition(" ")
+            self._rests[name][task] = why
+
+    def _ended(self, name: str, place: _Process, code: int) -> None:
+        """A process has ended. What it printed last is read; a child that it left may keep the pipe open for ever."""
+        del self._processes[name]
+        registered = self._selector.get_map()
+        if place.ready in registered:
+            self._selector.unregister(place.ready)
+        if place.output in registered:
+            while self._read(name, place):
+                pass
+        if place.output in registered:
+            self._selector.unregister(place.output)
+            for text in place.lines.rest():
+                self._say(self._voice.line, name, text)
+        os.close(place.output)
+        os.close(place.ready)
+        self._do(self._course.ended(name, code, self._now()))
+
+    # What agents on other hosts do (`HostListener`) -----------------------------------------------------------------
+
+    def started_there(self, name: str, host: str, pid: int) -> None:
+        """See `HostListener`."""
+        self._pids[name] = pid
+        self._say(self._voice.told, name, "started", f"runs as process {pid} on {host}")
+
+    def printed_there(self, name: str, text: str) -> None:
+        """See `HostListener`."""
+        self._say(self._voice.line, name, text)
+
+    def said_there(self, name: str, line: str) -> None:
+        """See `HostListener`."""
+        self._said(name, line)
+
+    def ended_there(self, name: str, code: int, how: str) -> None:
+        """See `HostListener`."""
+        self._do(self._course.ended(name, code, self._now(), how))
+
+    def failed_there(self, name: str, reason: str) -> None:
+        """See `HostListener`."""
+        self._do(self._course.unstartable(name, reason, self._now()))
+
+    def _say(self, say: Callable[..., None], *what: Any) -> None:
+        """Says something. Where the reader of the output has ended (`| head`), the fleet ends, in silence."""
+        if self._mute:
+            return
+        try:
+            say(*what)
+        except OSError:
+            self._mute = True
+            self._posted.append(lambda: self._do(self._course.stop(self._now())))

@@ -1,0 +1,367 @@
+"""The metrics of an agent as Prometheus reads them, and the HTTP server for them on the loopback interface.
+
+Some metrics are counted as things happen, the others are read at each request. Needs `prometheus_client`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from http import HTTPStatus
+from itertools import chain
+from socketserver import ThreadingMixIn
+from typing import Any, Final
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
+
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    GCCollector,
+    Histogram,
+    PlatformCollector,
+    ProcessCollector,
+    make_wsgi_app,
+)
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from pancakes.errors import describe
+from pancakes.events import Event
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.mailbox import Runnable
+from pancakes.kernel.timer import TaskTimer
+from pancakes.supervision.lifecycle import State
+from pancakes.tools.loopback import names_loopback
+
+BUCKETS_S: Final = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+
+
+TIMER: Final = "agent service task timer"
+GUARDED: Final = "agent service task"
+MAILBOX: Final = "agent service task channel"
+FAMILIES: Final[Sequence[tuple[str, Any, str, str]]] = (
+    ("task_rate_hertz", GaugeMetricFamily, "The rate that was asked for.", TIMER),
+    ("task_ticks", CounterMetricFamily, "Ticks so far.", TIMER),
+    ("task_missed_ticks", CounterMetricFamily, "Ticks that were left out.", TIMER),
+    ("mailbox_waiting_packets", GaugeMetricFamily, "Packets that wait.", MAILBOX),
+    ("mailbox_handled_packets", CounterMetricFamily, "Packets taken out.", MAILBOX),
+    ("mailbox_dropped_packets", CounterMetricFamily, "Packets that a reader wanted and lost.", MAILBOX),
+    ("task_running", GaugeMetricFamily, "Whether a task runs.", "agent service task"),
+    ("task_starts", CounterMetricFamily, "How often a task was started.", "agent service task"),
+    ("guard_permit_seconds", GaugeMetricFamily, "For how long a guarded task may act yet.", GUARDED),
+    ("guard_answering_guardians", GaugeMetricFamily, "Guardians that have answered within a lease.", GUARDED),
+    ("guard_wanted_guardians", GaugeMetricFamily, "Guardians that a task is to have.", GUARDED),
+    (
+        "guard_checkpoint_age_seconds",
+        GaugeMetricFamily,
+        "How long ago a task was known to be as the checkpoint says that more than half of its guardians have.",
+        GUARDED,
+    ),
+    ("link_round_trip_seconds", GaugeMetricFamily, "Round trip of a link, smoothed.", "agent peer"),
+    ("link_sent_packets", CounterMetricFamily, "Packets sent.", "agent peer"),
+    ("link_received_packets", CounterMetricFamily, "Packets received.", "agent peer"),
+    ("link_sent_bytes", CounterMetricFamily, "Bytes sent.", "agent peer"),
+    ("link_received_bytes", CounterMetricFamily, "Bytes received.", "agent peer"),
+    ("link_waiting_packets", GaugeMetricFamily, "Packets that wait for a peer.", "agent peer"),
+    ("link_dropped_packets", CounterMetricFamily, "Packets that a slow peer missed.", "agent peer channel"),
+    ("undelivered_packets", CounterMetricFamily, "Packets that no subscriber took.", "agent"),
+    ("dead_letters", CounterMetricFamily, "Packets whose handler failed.", "agent"),
+    ("disk_syncs", CounterMetricFamily, "How often the agent has waited until its disk had all (fsync).", "agent"),
+    (
+        "disk_written_bytes",
+        CounterMetricFamily,
+        "What the agent has written to its journal.",
+        "agent",
+    ),
+    ("mission_seconds", GaugeMetricFamily, "The agent's mission clock.", "agent"),
+    ("battery_level_ratio", GaugeMetricFamily, "What is left of the battery.", "agent"),
+)
+"""What is read at each request: its name, its kind, what it is, and its labels."""
+
+_Value = tuple[str, list[str], float]
+"""The name of a metric, the values of its labels, and its own value."""
+
+
+class AgentMetrics(Collector):
+    """All metrics of one agent.
+
+    Args:
+        kernel: the agent's kernel.
+
+    Attributes:
+        registry: what Prometheus' exposition reads.
+        battery_level: what the agent's battery last said, from 0 to 1; None before that.
+    """
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+        self.battery_level: float | None = None
+        self.registry = CollectorRegistry()
+        # First, because it forgets what the others shall no longer tell.
+        self.registry.register(self)
+        self._lateness = Histogram(
+            "pancakes_task_lateness_seconds",
+            "How late ticks of time-driven tasks were, in mission time.",
+            ["agent", "service", "task", "timer"],
+            buckets=BUCKETS_S,
+            registry=self.registry,
+        )
+        self._late: dict[TaskTimer, Any] = {}
+        self._migrations = Counter(
+            "pancakes_migrations", "Moves of tasks away from this agent.", ["agent", "outcome"], registry=self.registry
+        )
+        self._arrivals = Counter(
+            "pancakes_task_arrivals", "Tasks that came from other agents.", ["agent"], registry=self.registry
+        )
+        self._takeovers = Counter(
+            "pancakes_guard_takeovers",
+            "How often this agent took over a guarded task whose agent was lost.",
+            ["agent", "service", "task"],
+            registry=self.registry,
+        )
+        self._failures = Counter(
+            "pancakes_task_failures",
+            "Tasks that ended by an error.",
+            ["agent", "service", "task", "then"],
+            registry=self.registry,
+        )
+        self._requests = Counter(
+            "pancakes_control_changes",
+            "Changes that were asked for by control packets.",
+            ["agent", "kind"],
+            registry=self.registry,
+        )
+        ProcessCollector(registry=self.registry)
+        PlatformCollector(registry=self.registry)
+        GCCollector(registry=self.registry)
+
+    # As it happens ---------------------------------------------------------------------------------------------
+
+    def ticked(self, timer: TaskTimer, lateness_s: float) -> None:
+        """Counts a tick. In the task's turn: the labels are looked up once."""
+        child = self._late.get(timer)
+        if child is None:
+            child = self._late[timer] = self._lateness.labels(*_place(timer.component), timer.method)
+        child.observe(lateness_s)
+
+    def happened(self, source: str, event: Event) -> None:
+        """Counts what an event of this agent tells of; `source` is the address that told it."""
+        agent, fields = self._kernel.agent, event.fields
+        service = (*source.split("/"), "")[1]  # a service tells what becomes of its own tasks
+        if event.kind == "migration" and fields["source"] == agent and not fields.get("dry_run"):
+            self._migrations.labels(agent, fields["outcome"]).inc()
+        elif event.kind == "task_arrived":
+            self._arrivals.labels(agent).inc()
+        elif event.kind == "task_taken":
+            self._takeovers.labels(agent, service, fields["task"]).inc()
+        elif event.kind == "task_failed":
+            self._failures.labels(agent, service, fields["task"], fields["then"]).inc()
+        elif event.kind in ("asked", "rate_changed", "settings_changed"):
+            self._requests.labels(agent, str(fields.get("what", event.kind))).inc()
+
+    # When it is asked for --------------------------------------------------------------------------------------
+
+    def collect(self) -> Iterator[Metric]:
+        """Reads the rest. In the thread of the HTTP server."""
+        self._forget()
+        families = {
+            name: kind(f"pancakes_{name}", text, labels=labels.split()) for name, kind, text, labels in FAMILIES
+        }
+        parts = (self._timers(), self._mailboxes(), self._tasks(), self._guards(), self._links(), self._agent())
+        for name, where, value in chain(*parts):
+            families[name].add_metric(where, value)
+        yield from families.values()
+
+    def describe(self) -> Iterator[Metric]:
+        """Tells nothing beforehand: what there is, depends on the agent."""
+        return iter(())
+
+    def _forget(self) -> None:
+        """Forgets the ticks of tasks that have ended: names that come and go must not fill the memory."""
+        alive = set(self._kernel.task_timers.all())
+        known = {timer: (*_place(timer.component), timer.method) for timer in list(self._late)}
+        kept = {where for timer, where in known.items() if timer in alive}
+        for timer, where in known.items():
+            if timer not in alive:
+                self._late.pop(timer, None)
+                if where not in kept:
+                    self._lateness.remove(*where)
+
+    def _timers(self) -> Iterator[_Value]:
+        for timer in self._kernel.task_timers.all():
+            where = [*_place(timer.component), timer.method]
+            yield "task_rate_hertz", where, timer.rate_hz
+            yield "task_ticks", where, timer.ticks
+            yield "task_missed_ticks", where, timer.missed_total
+
+    def _mailboxes(self) -> Iterator[_Value]:
+        for component in self._kernel.registry.components():
+            for channel, box in list(component.actor_inbox.queues.items()):
+                where = [*_place(component), channel]
+                yield "mailbox_waiting_packets", where, len(box)
+                yield "mailbox_handled_packets", where, box.handled
+                yield "mailbox_dropped_packets", where, box.dropped()
+
+    def _tasks(self) -> Iterator[_Value]:
+        for task in self._kernel.tasks.all():
+            where = [self._kernel.agent, task.service, task.name]
+            yield "task_running", where, task.life.state is State.RUNNING
+            yield "task_starts", where, task.life.incarnation
+
+    def _guards(self) -> Iterator[_Value]:
+        now_s = self._kernel.host.now()
+        for address, note in self._kernel.guard_notes.all().items():
+            where = address.split("/")
+            self._takeovers.labels(*where)  # one that was never taken over is told as such
+            told = note.plain(now_s, self._kernel.permits.left_s(note.right))
+            yield "guard_permit_seconds", where, told["permit_s"]
+            yield "guard_answering_guardians", where, told["answering"]
+            yield "guard_wanted_guardians", where, told["guard"]
+            if told["age_s"] is not None:
+                yield "guard_checkpoint_age_seconds", where, told["age_s"]
+
+    def _links(self) -> Iterator[_Value]:
+        for peer in self._kernel.links():
+            where = [self._kernel.agent, peer["name"]]
+            if peer["rtt_s"] is not None:
+                yield "link_round_trip_seconds", where, peer["rtt_s"]
+            yield "link_sent_packets", where, peer["packets_out"]
+            yield "link_received_packets", where, peer["packets_in"]
+            yield "link_sent_bytes", where, peer["bytes_out"]
+            yield "link_received_bytes", where, peer["bytes_in"]
+            yield "link_waiting_packets", where, sum(peer["waiting"].values())
+            for channel, count in peer["dropped"].items():
+                yield "link_dropped_packets", [*where, channel], count
+
+    def _agent(self) -> Iterator[_Value]:
+        kernel = self._kernel
+        yield "undelivered_packets", [kernel.agent], kernel.stream.undelivered
+        yield "dead_letters", [kernel.agent], kernel.dead_letters.count
+        syncs, written_bytes = kernel.disk_use()
+        yield "disk_syncs", [kernel.agent], syncs
+        yield "disk_written_bytes", [kernel.agent], written_bytes
+        yield "mission_seconds", [kernel.agent], kernel.mission.now()
+        if self.battery_level is not None:
+            yield "battery_level_ratio", [kernel.agent], self.battery_level
+
+
+def _place(component: Runnable) -> tuple[str, str, str]:
+    """Returns agent, service and task of a component; of a service the task is empty."""
+    agent, service, task = (*component.address.split("/"), "", "")[:3]
+    return agent, service, task
+
+
+HOST: Final = "127.0.0.1"
+"""Metrics tell much about an agent, and any program may ask for them: they are served to this machine only."""
+REQUEST_S: Final = 5.0
+"""The time that a request may take to arrive, in host time; then its connection is closed."""
+MOST_REQUESTS: Final = 16
+"""The most requests that are answered at a time."""
+LONGEST_BODY: Final = 64 * 1024
+"""The most that is read of a body, which no request here needs, so that its sender gets to read the answer."""
+
+_Respond = Callable[[str, list[tuple[str, str]]], object]
+
+
+class MetricsServer:
+    """Answers GET requests that name the loopback interface, in threads of its own, until it is closed.
+
+    Args:
+        port: the port; 0: a free one.
+        registry: what is served.
+        token: what a request must show, as `Authorization: Bearer TOKEN`; empty: nothing.
+
+    Attributes:
+        port: the port that it is at.
+
+    Raises:
+        OSError: the port cannot be had.
+    """
+
+    def __init__(self, port: int, registry: CollectorRegistry, token: str) -> None:
+        self._server = _Server((HOST, port), _MetricsRequestHandler)
+        self._server.set_app(_guarded(make_wsgi_app(registry), token))
+        self.port = self._server.server_port
+        self._thread = threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Listens no more. Not from one of its own threads."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+class _Server(ThreadingMixIn, WSGIServer):
+    """A thread for each request, and no more than so many at a time."""
+
+    daemon_threads = True
+
+    def __init__(self, *arguments: Any) -> None:
+        self._room = threading.Semaphore(MOST_REQUESTS)
+        super().__init__(*arguments)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if self._room.acquire(blocking=False):
+            super().process_request(request, client_address)
+            return
+        full = HTTPStatus.SERVICE_UNAVAILABLE
+        with contextlib.suppress(OSError):
+            head = f"HTTP/1.1 {full.value} {full.phrase}\r\nConnection: close\r\n\r\n"
+            request.send(f"{head}full: {MOST_REQUESTS} requests are being answered\n".encode())
+        self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._room.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Says nothing of a request that breaks off, or never comes."""
+
+
+class _MetricsRequestHandler(WSGIRequestHandler):
+    """Reads one request, and logs nothing."""
+
+    timeout = REQUEST_S
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Does nothing."""
+
+
+def _guarded(metrics: Callable[..., Iterable[bytes]], token: str) -> Callable[..., Iterable[bytes]]:
+    """Returns a WSGI application that hands on what may be asked, and says to others why not."""
+
+    def answer(environ: dict[str, Any], respond: _Respond) -> Iterable[bytes]:
+        method = environ["REQUEST_METHOD"]
+        if not names_loopback([environ.get("HTTP_HOST", "")]):
+            return _refuse(environ, respond, HTTPStatus.MISDIRECTED_REQUEST, f"these metrics are at http://{HOST} only")
+        if method != "GET":
+            sentence = f"{method[:20]} changes nothing here: there is only GET"
+            return _refuse(environ, respond, HTTPStatus.METHOD_NOT_ALLOWED, sentence, ("Allow", "GET"))
+        if token and not hmac.compare_digest(
+            environ.get("HTTP_AUTHORIZATION", "").encode(), f"Bearer {token}".encode()
+        ):
+            challenge = ("WWW-Authenticate", "Bearer")
+            return _refuse(environ, respond, HTTPStatus.UNAUTHORIZED, "show the token that the log names", challenge)
+        try:
+            return metrics(environ, respond)
+        except Exception as error:  # else the library would print a traceback
+            sentence = f"a defect in Pancakes or in prometheus_client: {describe(error)}"
+            return _refuse(environ, respond, HTTPStatus.INTERNAL_SERVER_ERROR, sentence)
+
+    return answer
+
+
+def _refuse(
+    environ: dict[str, Any], respond: _Respond, status: HTTPStatus, sentence: str, *headers: tuple[str, str]
+) -> Iterable[bytes]:
+    length = environ.get("CONTENT_LENGTH", "")
+    if length.isascii() and length.isdigit():
+        with contextlib.suppress(OSError):  # its sender may have announced more than ever comes
+            environ["wsgi.input"].read(min(int(length[:9]), LONGEST_BODY))
+    respond(f"{status.value} {status.phrase}", [("Content-Type", "text/plain; charset=utf-8"), *headers])
+    return [f"{sentence}\n".encode()]

@@ -1,0 +1,360 @@
+"""The program that Pancakes runs on a host: it serves requests from its standard input, and ends with that input.
+
+A request is a line of JSON, `{"id": 1, "do": "look", ...}`, and so is its reply, `{"id": 1, "result": ...}` or
+`{"id": 1, "fault": "a clause about the host"}`. Events are `{"event": "ended", ...}`; every few seconds comes
+`{"event": "alive"}`. The marker that `main` is given stands before each line, because the user's shell may print too.
+The agents of a launch are processes of this program, and end with it.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import errno
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pancakes.tools.remote_host.deployment import Deploying
+from pancakes.tools.remote_host.host_folders import HostFault, end_process, interpreter_for, prepare_environment
+from pancakes.tools.remote_host.host_probe import look
+
+END_S = 2.5
+"""An agent that was told to end is killed after so long."""
+FORGET = """
+import sys
+from pancakes.config import load
+from pancakes.tools.launch.clear_state import empty_state
+
+empty_state(load(sys.argv[1], sys.argv[2:], None))
+"""
+_CHUNK = 65_536
+
+Emit = Callable[..., None]
+"""Tells the launcher something: a word, and values by name."""
+
+
+class LaunchedAgent:
+    """One agent's process, and the pipes that lead to it."""
+
+    def __init__(self, process: subprocess.Popen[bytes], output: int, ready: int) -> None:
+        self.process = process
+        self.output: int | None = output
+        self.ready: int | None = ready
+        self.begun = b""
+        self.said = b""
+
+
+class LaunchedAgents:
+    """Starts and ends agents, and tells the launcher what they say.
+
+    Args:
+        emit: what tells it.
+    """
+
+    def __init__(self, emit: Emit) -> None:
+        self._emit = emit
+        self._agents: dict[str, LaunchedAgent] = {}
+        self._folder: str | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self._agents)
+
+    def start(
+        self, fleet: str, agent: str, config: str, sets: list[str], keys: Mapping[str, str], fresh: bool
+    ) -> dict[str, Any]:
+        """Starts an agent.
+
+        Args:
+            fleet: its fleet.
+            agent: its name.
+            config: its configuration, as TOML.
+            sets: what is changed of that, as `--set` takes it.
+            keys: the files of its keys for this run, by name, in base64; none: it has its own, or needs none.
+            fresh: whether it forgets what it remembers of its tasks.
+
+        Raises:
+            HostFault: it cannot be started.
+        """
+        python = interpreter_for(fleet, agent)
+        if not python:
+            raise HostFault("has no Pancakes: bring it there with pancakes deploy")
+        try:
+            path, sets = self._put(agent, config, sets, keys)
+            if fresh:
+                self._forget(python, path, sets)
+            self._agents[agent] = self._spawn(python, path, sets)
+        except OSError as error:
+            raise HostFault(f"cannot start {agent}: {(error.strerror or str(error)).lower()}") from None
+        return {"pid": self._agents[agent].process.pid}
+
+    def end(self, agent: str) -> None:
+        """Tells an agent to end."""
+        if agent in self._agents:
+            self._agents[agent].process.terminate()
+
+    def kill(self, agent: str) -> None:
+        """Ends an agent by force."""
+        if agent in self._agents:
+            self._agents[agent].process.kill()
+
+    def pipes(self) -> dict[int, Callable[[], None]]:
+        """Returns what is to be read, and what reads it."""
+        found: dict[int, Callable[[], None]] = {}
+        for name, it in self._agents.items():
+            if it.output is not None:
+                found[it.output] = lambda name=name, it=it: self._read(name, it)  # type: ignore[misc]
+            if it.ready is not None:
+                found[it.ready] = lambda name=name, it=it: self._read_ready(name, it)  # type: ignore[misc]
+        return found
+
+    def look(self) -> None:
+        """Tells of the agents that have ended."""
+        for name, it in list(self._agents.items()):
+            code = it.process.poll()
+            if code is None:
+                continue
+            del self._agents[name]
+            if it.output is not None:
+                os.set_blocking(it.output, False)
+                with contextlib.suppress(BlockingIOError):  # a child that it left keeps it open
+                    while it.output is not None:
+                        self._read(name, it)
+                self._close_output(name, it)
+            if it.ready is not None:
+                os.close(it.ready)
+            self._emit("ended", agent=name, code=code)
+
+    def end_all(self) -> None:
+        """Ends all of them, by force where they do not in time, and removes what was written for them."""
+        for it in self._agents.values():
+            it.process.terminate()
+        until_s = time.monotonic() + END_S
+        for it in self._agents.values():
+            try:
+                it.process.wait(max(0.0, until_s - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                it.process.kill()
+                it.process.wait()
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _put(self, agent: str, config: str, sets: list[str], keys: Mapping[str, str]) -> tuple[Path, list[str]]:
+        """Writes the configuration and the keys; returns where it is, and what is set."""
+        if self._folder is None:
+            self._folder = tempfile.mkdtemp(prefix="pancakes-launch-")
+        path = Path(self._folder) / f"{agent}.toml"
+        path.write_text(config, encoding="utf-8")
+        if not keys:
+            return path, sets
+        folder = Path(self._folder) / "keys" / agent
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for name, data in keys.items():
+            with open(os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
+                file.write(base64.b64decode(data))
+        return path, [*sets, f'service.network.settings.keys="{folder}"']
+
+    def _forget(self, python: str, path: Path, sets: list[str]) -> None:
+        done = subprocess.run([python, "-c", FORGET, str(path), *sets], capture_output=True, text=True)
+        if done.returncode:
+            raise HostFault(f"cannot begin afresh: {last_line(done.stderr)}")
+
+    def _spawn(self, python: str, path: Path, sets: list[str]) -> LaunchedAgent:
+        output, output_there = os.pipe()
+        ready, ready_there = os.pipe()
+        command = [python, "-m", "pancakes.tools.cli.agent_command", "--config", str(path)]
+        command += [f"--die-with-parent={os.getpid()}", f"--ready-fd={ready_there}"]
+        for change in sets:
+            command += ["--set", change]
+        try:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output_there,
+                stderr=output_there,
+                start_new_session=True,
+                pass_fds=(ready_there,),
+            )
+        except BaseException:
+            os.close(output)
+            os.close(ready)
+            raise
+        finally:
+            os.close(output_there)
+            os.close(ready_there)
+        return LaunchedAgent(process, output, ready)
+
+    def _read(self, name: str, it: LaunchedAgent) -> None:
+        assert it.output is not None
+        data = os.read(it.output, _CHUNK)
+        if not data:
+            self._close_output(name, it)
+            return
+        *whole, it.begun = (it.begun + data).split(b"\n")
+        if len(it.begun) > _CHUNK:
+            whole, it.begun = [*whole, it.begun], b""
+        for line in whole:
+            self._emit("line", agent=name, text=line.decode("utf-8", "replace").removesuffix("\r"))
+
+    def _close_output(self, name: str, it: LaunchedAgent) -> None:
+        if it.output is None:
+            return
+        os.close(it.output)
+        it.output = None
+        if it.begun:
+            self._emit("line", agent=name, text=it.begun.decode("utf-8", "replace"))
+
+    def _read_ready(self, name: str, it: LaunchedAgent) -> None:
+        """Reads how far an agent says that it is (see `pancakes-agent --ready-fd`)."""
+        assert it.ready is not None
+        data = os.read(it.ready, _CHUNK)
+        if not data:
+            os.close(it.ready)
+            it.ready = None
+            return
+        *whole, it.said = (it.said + data).split(b"\n")
+        for line in whole:
+            self._emit("said", agent=name, text=line.decode("utf-8", "replace"))
+
+
+def last_line(text: str) -> str:
+    """Returns the last line that says something."""
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it does not say why")
+
+
+SILENCE_S = 20.0
+"""A launcher from which nothing came for so long has gone, with its network perhaps: its agents end."""
+ALIVE_S = 5.0
+"""So often the launcher hears that this program lives, also while it does something that takes long."""
+MOST_WAITING = 1 << 20
+"""So many bytes wait for the launcher; then the agents wait until they can print on."""
+_SERVING_CHUNK = 65_536
+
+
+class Serving:
+    """Reads requests and carries them out, in one thread, until the standard input ends.
+
+    Args:
+        marker: what stands before each answer.
+    """
+
+    def __init__(self, marker: bytes) -> None:
+        self._marker = marker
+        self._out = bytearray()
+        self._lock = threading.Lock()
+        self._begun = b""
+        self._ends = False
+        self._heard_s = time.monotonic()
+        self._agents = LaunchedAgents(self._emit)
+        deploying = Deploying()
+        self._calls: dict[str, Callable[..., Any]] = {
+            "alive": lambda: None,
+            "look": look,
+            "end_process": end_process,
+            "start": self._agents.start,
+            "end": self._agents.end,
+            "kill": self._agents.kill,
+            **deploying.calls,
+        }
+
+    def run(self) -> None:
+        """Serves until the launcher has gone, and leaves no agent of a launch behind."""
+        reader, writer = os.pipe()
+        for end in (reader, writer):
+            os.set_blocking(end, False)
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+            signal.signal(number, self._told_to_end)
+        signal.signal(signal.SIGCHLD, lambda number, frame: None)
+        os.set_blocking(1, False)
+        threading.Thread(target=self._live, daemon=True).start()
+        try:
+            while not self._ends:
+                self._turn(reader)
+        finally:
+            self._agents.end_all()
+
+    def _turn(self, woken: int) -> None:
+        calls: dict[int, Callable[[], Any]] = {0: self._read, woken: lambda: os.read(woken, _SERVING_CHUNK)}
+        if len(self._out) < MOST_WAITING:
+            calls.update(self._agents.pipes())
+        readable, writable, _ = select.select(list(calls), [1] if self._out else [], [], 1.0)
+        for handle in readable:
+            calls[handle]()
+        self._agents.look()
+        if writable:
+            self._write()
+        if self._agents and time.monotonic() - self._heard_s > SILENCE_S:
+            self._ends = True
+
+    def _write(self) -> None:
+        with self._lock:
+            try:
+                del self._out[: os.write(1, self._out[:_SERVING_CHUNK])]
+            except BlockingIOError:
+                pass
+            except OSError:
+                self._ends = True
+
+    def _live(self) -> None:
+        """Tells that this program lives, in a thread of its own: the other may be at something that takes long."""
+        while True:
+            time.sleep(ALIVE_S)
+            if not self._out:
+                self._emit("alive")
+                self._write()
+
+    def _told_to_end(self, number: int, frame: Any) -> None:
+        self._ends = True
+
+    def _read(self) -> None:
+        data = os.read(0, 1 << 20)
+        self._heard_s = time.monotonic()
+        if not data:
+            self._ends = True
+        *lines, self._begun = (self._begun + data).split(b"\n")
+        for line in lines:
+            self._carry_out(json.loads(line))
+        self._heard_s = time.monotonic()  # what was asked for may have taken long
+
+    def _carry_out(self, request: dict[str, Any]) -> None:
+        number, call = request.pop("id"), self._calls[request.pop("do")]
+        try:
+            self._say({"id": number, "result": call(**request)})
+        except HostFault as fault:
+            self._say({"id": number, "fault": str(fault)})
+        except OSError as error:
+            self._say({"id": number, "fault": _fault_of(error)})
+
+    def _emit(self, event: str, **values: Any) -> None:
+        self._say({"event": event, **values})
+
+    def _say(self, what: dict[str, Any]) -> None:
+        with self._lock:
+            self._out += b"\n" + self._marker + json.dumps(what).encode() + b"\n"
+
+
+def _fault_of(error: OSError) -> str:
+    where = f" ({os.fsdecode(error.filename)})" if error.filename else ""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"has no room left on its disk{where}: make room there"
+    return f"refuses: {(error.strerror or str(error)).lower()}{where}"
+
+
+def main(marker: bytes) -> None:
+    """Begins.
+
+    Args:
+        marker: see above.
+    """
+    prepare_environment()
+    Serving(marker).run()

@@ -1,0 +1,434 @@
+"""Make a report of a recording: read it, draw it, and write one HTML page that needs nothing from outside.
+
+The page works on any screen and on paper. Its picker shows what led to any command; without scripts the slowest
+commands are left.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib import resources
+from pathlib import Path
+from string import Template
+from typing import Any, Final
+
+from pancakes.errors import PancakesError, needing_extra
+from pancakes.recording.clock_alignment import speed_of
+from pancakes.recording.records import NANOSECONDS, RecordingError, date_of
+from pancakes.tools.report.command_latency import PickedCommand, PickedCommands, Reaction, Reactions
+from pancakes.tools.report.findings import Findings
+from pancakes.tools.report.mission import Happening, TaskMove
+from pancakes.tools.report.plots import Palette, Picture
+
+
+def static_text(name: str) -> str:
+    """Returns the text of a file in `static`."""
+    return resources.files("pancakes.tools.report").joinpath("static", name).read_text(encoding="utf-8")
+
+
+SLOWEST: Final = 5
+"""The number of the slowest commands to each actuator that are shown where scripts do not run, too."""
+
+
+def picker_html(found: Reactions) -> str:
+    """Returns the part of the page, with its data and its script. Without scripts the slowest commands are left."""
+    picked = found.picked
+    data = picked.plain()
+    by_steps = {it.steps: it for it in found.reactions()}
+    shapes = (tuple(data["names"][place] for place in kind) for kind in data["kinds"])
+    data["distributions"] = [_distribution(by_steps.get(shape)) for shape in shapes]
+    # Nothing in it may look like the end of the script.
+    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+    left_out = f" {picked.left_out:,} commands to further actuators are left out." if picked.left_out else ""
+    return (
+        Template(static_text("picker.html")).substitute(left_out=left_out)
+        + _slowest(picked)
+        + f'<script type="application/json" id="commands-data">{text}</script>'
+        + f"<script>{static_text('picker.js')}</script>"
+    )
+
+
+def _distribution(reaction: Reaction | None) -> dict[str, Any] | None:
+    if reaction is None:
+        return None
+    shares = {name: _ms(value_s) for name, value_s in reaction.latency_s.quantiles().items()}
+    return {"count": reaction.count, **shares, "max": _ms(reaction.latency_s.largest)}
+
+
+def _slowest(picked: PickedCommands) -> str:
+    html = ""
+    for actuator in picked.actuators():
+        rows = "".join(_row(command) for command in actuator.slowest()[:SLOWEST])
+        if rows:
+            html += (
+                f"<details><summary>{escape(actuator.agent)} {escape(actuator.type)}: the slowest of {actuator.count:,}"
+                ' commands</summary><div class="wide" tabindex="0"><table><tr><th class="n">mission time [s]</th>'
+                f'<th class="n">took</th><th>step by step</th></tr>{rows}</table></div></details>'
+            )
+    return html
+
+
+def _row(command: PickedCommand) -> str:
+    parts = []
+    for step, following in zip(command.steps, (*command.steps[1:], None), strict=True):
+        took = f" → {_ms(step.travel_s + step.handling_s)} → " if following is not None else ""
+        parts.append(f"{escape(step.name)} #{step.packet.number}{took}")
+    took = _ms(command.latency_s)
+    return f'<tr><td class="n">{command.mission_s:.3f}</td><td class="n">{took}</td><td>{"".join(parts)}</td></tr>'
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms"
+
+
+MOST_ROWS: Final = 200
+
+
+def make_page(
+    title: str, about: Mapping[str, str], notes: Sequence[str], findings: Findings, pictures: Mapping[str, Picture]
+) -> str:
+    """Returns the page.
+
+    Args:
+        title: what it is about.
+        about: what is known of the recording as a whole.
+        notes: sentences on what is missing in it.
+        findings: what was found.
+        pictures: those that there are, by name.
+    """
+    sections = [
+        ("paths", "Paths", _shown(pictures, "paths", "Nothing in the recording has a place.")),
+        ("tasks", "Which agent ran which task", _shown(pictures, "tasks", "No task of a mission is in the recording.")),
+        ("moves", "Moves of tasks", _moves(findings, pictures)),
+        ("batteries", "Batteries", _shown(pictures, "batteries", "No battery is in the recording.")),
+        ("rates", "Rates", _rates(findings, pictures)),
+        ("lateness", "Lateness", _lateness(findings, pictures)),
+        ("drops", "Drops", _drops(findings, pictures)),
+        ("traffic", "Traffic", _traffic(findings, pictures)),
+        ("reactions", "Cause and effect", _reactions(findings, pictures)),
+        ("log", "What was said", _happenings(findings)),
+    ]
+    links = "".join(f'<a href="#{key}">{escape(name)}</a> ' for key, name, _ in sections)
+    told = "".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in about.items())
+    noted = "".join(f'<p class="note">{escape(note)}</p>' for note in notes)
+    body = "".join(f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>' for key, name, html in sections)
+    style = static_text("report.css") + static_text("picker.css")
+    return (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{style}</style></head><body>"
+        f"<header><h1>{escape(title)}</h1><dl>{told}</dl></header>{noted}<nav>{links}</nav>"
+        f"<main>{body}</main></body></html>\n"
+    )
+
+
+def _shown(pictures: Mapping[str, Picture], name: str, otherwise: str) -> str:
+    picture = pictures.get(name)
+    if picture is None:
+        return _faint(otherwise)
+    caption = escape(picture.caption)
+    svg = picture.svg.replace("<svg", f'<svg role="img" aria-label="{caption}"', 1)
+    return f"<figure>{_wide(svg)}<figcaption>{caption}</figcaption></figure>"
+
+
+def _faint(text: str) -> str:
+    return f'<p class="faint">{escape(text)}</p>'
+
+
+def _folded(title: str, html: str) -> str:
+    return f"<details><summary>{escape(title)}</summary>{html}</details>"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Returns a table; numbers are aligned to the right, what is not known is left empty."""
+    kept = list(rows)
+    numeric = [any(isinstance(row[place], int | float) for row in kept) for place in range(len(head))]
+    cells = [' class="n"' if it else "" for it in numeric]
+    html = "".join(f"<th{cell}>{escape(name)}</th>" for name, cell in zip(head, cells, strict=True))
+    lines = [
+        "<tr>" + "".join(f"<td{c}>{escape(_text(value))}</td>" for value, c in zip(row, cells, strict=True)) + "</tr>"
+        for row in kept[:MOST_ROWS]
+    ]
+    more = _faint(f"{len(kept) - MOST_ROWS} more are left out.") if len(kept) > MOST_ROWS else ""
+    return _wide(f"<table><tr>{html}</tr>{''.join(lines)}</table>") + more
+
+
+def _wide(html: str) -> str:
+    """Returns what may be wider than a screen; it scrolls by finger, by wheel and by the arrow keys."""
+    return f'<div class="wide" tabindex="0">{html}</div>'
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
+
+
+def _moves(findings: Findings, pictures: Mapping[str, Picture]) -> str:
+    moves = findings.moves
+    if not moves.moves:
+        return _faint("No task was asked to move.")
+    html = _shown(pictures, "moves", "") if "moves" in pictures else ""
+    html += "".join(_move(move) for move in moves.moves)
+    return html + (_faint(f"{moves.left_out} more are left out.") if moves.left_out else "")
+
+
+def _move(move: TaskMove) -> str:
+    to = f" to {move.winner}" if move.winner else ""
+    asker = {"rule": "a rule of its own", "guardians": "its guardians"}.get(move.asked_by, move.asked_by)
+    only = f"Only {move.to} was asked. " if move.to else ""
+    parts = [f"Asked for by {asker}; cost: {move.cost}. {only}It took {_seconds(move.duration_s)} of host time."]
+    if move.frozen_s is not None and move.started_s is not None:
+        parts.append(f"In mission time it stood still for {_seconds(move.started_s - move.frozen_s)}.")
+    if move.silence_s is not None:
+        parts.append(
+            f"Between its last packet there and its first here were {_seconds(move.silence_s)} of mission time."
+        )
+    rows = [(it.peer, it.answer, it.cost, it.fate, it.reason) for it in move.answers]
+    asked = _table(("asked", "answer", "cost", "fate", "reason"), rows) if rows else _faint("No neighbour was asked.")
+    head = f"{move.task_id} at {move.at_s:.1f} s: {move.outcome} from {move.source}{to}"
+    if move.outcome != "moved":
+        head = f"{move.task_id} at {move.at_s:.1f} s: {move.outcome}{f', best: {move.winner}' if to else ''}"
+    return f"<h3>{escape(head)}</h3><p>{escape(' '.join(parts))}</p>{asked}"
+
+
+def _seconds(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms" if abs(seconds) < 1.0 else f"{seconds:.3g} s"
+
+
+_NO_FIGURES: Final = (
+    "The recording has no figures of tasks: they are sampled by recorders that record all channels, or the channel"
+    " named recording as well."
+)
+
+
+def _rates(findings: Findings, pictures: Mapping[str, Picture]) -> str:
+    if not findings.rates.samples:
+        return _faint(_NO_FIGURES)
+    rows = [
+        (timer.agent, timer.task, timer.timer, at.asked_hz, at.achieved_hz, at.during_s)
+        for _, timer in sorted(findings.rates.timers.items())
+        for at in timer.at
+    ]
+    head = ("agent", "task", "timer", "asked for [Hz]", "achieved [Hz]", "for [s]")
+    return _shown(pictures, "rates", "No task was driven by time for long enough.") + _table(head, rows)
+
+
+def _lateness(findings: Findings, pictures: Mapping[str, Picture]) -> str:
+    if not findings.rates.samples:
+        return _faint(_NO_FIGURES)
+    rows = [
+        (
+            timer.agent,
+            timer.task,
+            timer.timer,
+            timer.ticks,
+            timer.missed,
+            1e3 * timer.lateness_mean_s,
+            *(_report_page_ms(timer.lateness_quantile_s(share)) for share in (0.5, 0.99)),
+            1e3 * timer.lateness_max_s,
+        )
+        for _, timer in sorted(findings.rates.timers.items(), key=lambda it: (-it[1].lateness_max_s, it[0]))
+    ]
+    head = ("agent", "task", "timer", "ticks", "missed", "mean [ms]", "p50 [ms]", "p99 [ms]", "largest [ms]")
+    shown = _shown(pictures, "lateness", "No tick was late, as is so in virtual time.")
+    told = _faint("In mission time. The largest counts from the start of the task on, also before the recording began.")
+    return shown + (_table(head, rows) + told if "lateness" in pictures else "")
+
+
+def _report_page_ms(seconds: float | None) -> float | None:
+    return 1e3 * seconds if seconds is not None else None
+
+
+def _drops(findings: Findings, pictures: Mapping[str, Picture]) -> str:
+    rates = findings.rates
+    if not rates.samples:
+        return _faint(_NO_FIGURES)
+    rows = [(it.agent, it.task, it.total) for it in rates.drops.values() if it.total]
+    html = _shown(pictures, "drops", "No packet fell out of a mailbox.")
+    if rows:
+        html += _table(("agent", "task", "packets"), sorted(rows, key=lambda row: -row[2]))
+    lost = [(agent, peer, link.dropped) for (agent, peer), link in rates.links.items() if link.dropped]
+    if lost:
+        html += "<h3>On links whose other end was slow</h3>" + _table(("from", "to", "packets"), lost)
+    odd = [
+        (agent, rates.undelivered[agent], rates.dead_letters[agent])
+        for agent in sorted(rates.undelivered)
+        if rates.undelivered[agent] or rates.dead_letters[agent]
+    ]
+    return html + (_table(("agent", "without a reader", "handler failed"), odd) if odd else "")
+
+
+def _traffic(findings: Findings, pictures: Mapping[str, Picture]) -> str:
+    traffic = findings.traffic
+    html = _shown(pictures, "traffic-links", "Nothing that went between agents was recorded.")
+    if "traffic-links" in pictures:
+        html += _shown(pictures, "traffic-channels", "")
+        for name, flow in (("link", traffic.links), ("channel", traffic.channels)):
+            counted = [(it, int(flow.packets.total(it)), int(flow.bytes.total(it))) for it in flow.names()]
+            html += _table((name, "packets", "bytes"), counted)
+        html += _faint(
+            "Packets that were recorded, in the size in which they travel; without what links say themselves."
+        )
+    if findings.rates.links:
+        links = [
+            (agent, peer, _report_page_ms(link.rtt_s), link.packets_out, link.bytes_out, link.packets_in, link.bytes_in)
+            for (agent, peer), link in sorted(findings.rates.links.items())
+        ]
+        head = ("agent", "link to", "round trip [ms]", "packets out", "bytes out", "packets in", "bytes in")
+        html += _folded("Links as agents count them, since they stood", _table(head, links))
+    rows = [(*topic, count) for topic, count in sorted(findings.topics.items())]
+    return html + _folded("All that was recorded", _table(("agent", "channel", "type", "packets"), rows))
+
+
+def _reactions(findings: Findings, pictures: Mapping[str, Picture]) -> str:
+    found = findings.reactions
+    if not found.commands:
+        return _faint("No actuator was commanded.")
+    alone = f"{found.uncaused:,} of them answer no packet" if found.uncaused else "each of them answers a packet"
+    said = f"{found.commands:,} commands to actuators; {alone} that was recorded."
+    html = f"<p>{said}</p>" + _shown(pictures, "reactions", "")
+    for it in found.reactions()[:12]:
+        means, travels = [*it.step_means_s, None], [*it.travel_means_s, None]
+        rows = [
+            (step, 1e3 * mean if mean is not None else None, 1e3 * travel if travel is not None else None)
+            for step, mean, travel in zip(it.steps, means, travels, strict=True)
+        ]
+        shares = ", ".join(f"{name} {_seconds(value_s)}" for name, value_s in it.latency_s.quantiles().items())
+        html += f"<h3>{it.count:,} times: {shares}, longest {_seconds(it.latency_s.largest)}</h3>"
+        html += _table(("step", "to the next [ms]", "of that between agents [ms]"), rows)
+    left = len(found.reactions()) - 12
+    html += _faint(f"{left} rarer kinds of chains are left out.") if left > 0 else ""
+    return html + picker_html(found)
+
+
+def _happenings(findings: Findings) -> str:
+    said = findings.happenings
+    html = "<h3>Warnings, errors, failures</h3>" + (_said(said.grave) if said.grave else _faint("None."))
+    if said.told:
+        html += "<h3>Events</h3>" + _said(said.told)
+    return html + (_faint(f"{said.left_out} more are left out.") if said.left_out else "")
+
+
+def _said(happenings: Sequence[Happening]) -> str:
+    rows = [(round(it.t_s, 2), it.agent, it.kind, it.text, it.count) for it in happenings]
+    return _table(("time [s]", "agent", "what", "", "times"), rows)
+
+
+PAGE: Final = "report.html"
+FIGURES: Final = "report.json"
+
+
+@dataclass(frozen=True)
+class Made:
+    """A report that was made.
+
+    Attributes:
+        page: its page.
+        files: all its files, the page first, each with what it shows.
+        notes: sentences on what is missing in the recording.
+    """
+
+    page: Path
+    files: tuple[tuple[Path, str], ...]
+    notes: tuple[str, ...]
+
+
+def make_report(path: Path, out: Path, task_id: str = "") -> Made:
+    """Makes a report.
+
+    Args:
+        path: the recording: a file with its parts, or all files of a folder.
+        out: the folder for the report; files of its names that are there are replaced.
+        task_id: tell only of this task, `birthplace/name`; empty: of all.
+
+    Raises:
+        PancakesError: there is no such recording or task, matplotlib or mcap is missing, or nothing can be written.
+    """
+    with needing_extra("a report cannot be drawn"):
+        import matplotlib  # noqa: F401
+    with needing_extra("no recording can be read"):
+        from pancakes.recording.reader import RecordingReader
+    reader = RecordingReader(path)
+    findings = Findings.of(reader.entries(), task_id, reader.mission_time())
+    if not findings.packets:
+        raise RecordingError(f"{path} has no packets" + _because(reader.notes()))
+    if task_id and not findings.course.lanes:
+        raise PancakesError(f"no task {task_id!r} is in {path}: `pancakes record info` lists those that are")
+    notes = [f"{note}: the rest of it is not in this report" if "cut off" in note else note for note in reader.notes()]
+    if findings.strange:
+        notes.append(f"{findings.strange} packets are of types that are unknown here, or were others once: left out")
+    virtual = any(reading.about.get("clock") == "mission time" for reading in reader.readings)
+    about = {
+        "recording": ", ".join(file.name for file in reader.files),
+        "agents": ", ".join(findings.agents),
+        "began": "in virtual time" if virtual else date_of(findings.first_ns),
+        findings.time.name: f"{findings.begin_s:.1f} to {findings.end_s:.1f} s",
+        "packets": f"{findings.packets:,}",
+    }
+    speeds = {speed_of(reading.about) for reading in reader.readings}
+    if not virtual and speeds - {1.0}:
+        took_s = (findings.last_ns - findings.first_ns) / NANOSECONDS
+        many = ", ".join(f"{speed:g}" for speed in sorted(speeds))
+        about["took"] = f"{took_s:.1f} s of host time, at {many} mission seconds a second"
+    if task_id:
+        about["task"] = task_id
+    try:
+        return _write(path, out, findings, about, notes)
+    except OSError as error:
+        raise PancakesError(f"the report cannot be written to {out}: {error.strerror or error}") from None
+
+
+def _write(path: Path, out: Path, findings: Findings, about: dict[str, str], notes: list[str]) -> Made:
+
+    out.mkdir(parents=True, exist_ok=True)
+    pictures = draw_all(findings, out)
+    title = f"Report on {path.name if path.is_file() else path.resolve().name}"
+    page = out / PAGE
+    page.write_text(make_page(title, about, notes, findings, {it.name: it for it in pictures}), encoding="utf-8")
+    figures = out / FIGURES
+    figures.write_text(json.dumps(findings.plain(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    files = [(page, "the report"), (figures, "its figures, for other programs")]
+    files += [(out / f"{it.name}{suffix}", it.caption) for it in pictures for suffix in (".png", ".svg")]
+    return Made(page, tuple(files), tuple(notes))
+
+
+def draw_all(findings: Findings, out: Path) -> list[Picture]:
+    """Draws all that there is something to see of, into files as well.
+
+    Args:
+        findings: what was found.
+        out: the folder.
+
+    Raises:
+        OSError: the files cannot be written.
+    """
+    from pancakes.tools.report import plots
+
+    # Those that move or run tasks come first: they get the colours that are easiest to tell apart.
+    busy = [*sorted(findings.paths.commands), *sorted(findings.paths.batteries), *findings.agents]
+    palette = Palette([*busy, *findings.paths.truth])
+    traffic = findings.traffic
+    draws: tuple[Callable[[], Picture | None], ...] = (
+        lambda: plots.draw_paths(findings, palette, out),
+        lambda: plots.draw_course(findings, palette, out),
+        lambda: plots.draw_moves(findings, palette, out),
+        lambda: plots.draw_batteries(findings, palette, out),
+        lambda: plots.draw_rates(findings, palette, out),
+        lambda: plots.draw_lateness(findings, palette, out),
+        lambda: plots.draw_drops(findings, palette, out),
+        lambda: plots.draw_traffic(findings, out, "traffic-links", traffic.links, "link"),
+        lambda: plots.draw_traffic(findings, out, "traffic-channels", traffic.channels, "channel"),
+        lambda: plots.draw_reactions(findings, out),
+    )
+    return [picture for picture in (draw() for draw in draws) if picture is not None]
+
+
+def _because(notes: Sequence[str]) -> str:
+    text = "; ".join(notes)
+    return f": {text}" if text else ""

@@ -1,0 +1,201 @@
+"""What a page shows, and its last minutes: named values, frames of changes, and states of tasks. Pure.
+
+A page that has seen one version of the `Board` gets all changes since. `FrameHistory` keeps pieces that can be fetched
+one by one. Times are seconds on the page's timeline.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pancakes.tools.short_state import ShortState
+from pancakes.util import codecs
+
+
+class Board:
+    """Named plain values. A page that has seen one version gets all changes since, however long ago that was.
+
+    So the board keeps nothing for its pages: a slow page gets the newest values only.
+
+    Attributes:
+        version: goes up with each change.
+    """
+
+    def __init__(self) -> None:
+        self.version = 0
+        self._entries: OrderedDict[str, tuple[int, Any]] = OrderedDict()
+
+    def set(self, key: str, value: Any) -> None:
+        """Writes a value; one that is there already is no change. None takes it away."""
+        known = self._entries.get(key)
+        if known[1] == value if known is not None else value is None:
+            return
+        self.version += 1
+        self._entries[key] = (self.version, value)
+        self._entries.move_to_end(key)
+
+    def get(self, key: str) -> Any:
+        """Returns a value, None where there is none."""
+        entry = self._entries.get(key)
+        return entry[1] if entry is not None else None
+
+    def keys(self, prefix: str = "") -> list[str]:
+        """Returns the names of the values that are there, of those that begin with `prefix`."""
+        return [key for key, (_, value) in self._entries.items() if value is not None and key.startswith(prefix)]
+
+    def since(self, version: int) -> dict[str, Any]:
+        """Returns what changed after a version, the oldest change first; what was taken away since is None."""
+        changed: list[tuple[str, Any]] = []
+        for key, (when, value) in reversed(self._entries.items()):
+            if when <= version:
+                break
+            changed.append((key, value))
+        return dict(reversed(changed))
+
+    def all(self) -> dict[str, Any]:
+        """Returns all values."""
+        return {key: value for key, (_, value) in self._entries.items() if value is not None}
+
+
+CHUNK_S: Final = 10.0
+"""How much of the timeline is one piece."""
+SPAN_S: Final = 600.0
+"""How much of it is kept."""
+MOST_BYTES: Final = 64 * 1024 * 1024
+"""How much memory that may take; then less is kept."""
+
+
+@dataclass(slots=True)
+class _Chunk:
+    """A piece: all that was to be seen at its beginning, and the changes since."""
+
+    number: int
+    begin_s: float
+    key: bytes
+    frames: list[bytes] = field(default_factory=list)
+    size: int = 0
+
+
+class FrameHistory:
+    """Keeps frames, each what changed since the one before.
+
+    Args:
+        span_s: see `SPAN_S`.
+        most_bytes: see `MOST_BYTES`.
+    """
+
+    def __init__(self, span_s: float = SPAN_S, most_bytes: int = MOST_BYTES) -> None:
+        self._span_s = span_s
+        self._most_bytes = most_bytes
+        self._chunks: deque[_Chunk] = deque()
+        self._size = 0
+        self._count = 0
+        self._end_s = 0.0
+
+    def due(self, t: float) -> bool:
+        """Returns whether the frame at `t` needs everything, as a new piece begins with it."""
+        return not self._chunks or t - self._chunks[-1].begin_s >= CHUNK_S
+
+    def add(self, t: float, frame: Any) -> None:
+        """Keeps a frame: one that has everything where that is `due`, else what changed."""
+        data = codecs.encode_json(frame)
+        if self.due(t):
+            self._chunks.append(_Chunk(self._count, t, data))
+            self._count += 1
+        else:
+            self._chunks[-1].frames.append(data)
+        self._end_s = t
+        self._chunks[-1].size += len(data)
+        self._size += len(data)
+        while len(self._chunks) > 1 and (self._chunks[1].begin_s < t - self._span_s or self._size > self._most_bytes):
+            self._size -= self._chunks.popleft().size
+
+    def begin_s(self) -> float:
+        """Returns where on the timeline it begins."""
+        return self._chunks[0].begin_s if self._chunks else 0.0
+
+    def at(self, t: float) -> bytes:
+        """Returns the piece around `t` as JSON: `begin`, `end`, `open` (whether it still grows), `key`, `frames`.
+
+        Before the beginning that is the first one, after the end the last; `null` where there is none.
+        """
+        if not self._chunks:
+            return b"null"
+        found = 0
+        for index, chunk in enumerate(self._chunks):
+            if chunk.begin_s <= t:
+                found = index
+        chunk = self._chunks[found]
+        last = found == len(self._chunks) - 1
+        end_s = self._end_s if last else self._chunks[found + 1].begin_s
+        return b'{"begin":%s,"end":%s,"open":%s,"key":%s,"frames":[%s]}' % (
+            codecs.encode_json(chunk.begin_s),
+            codecs.encode_json(end_s),
+            b"true" if last else b"false",
+            chunk.key,
+            b",".join(chunk.frames),
+        )
+
+
+MOST_STATE_BYTES: Final = 8 * 1024 * 1024
+"""How much memory all of them may take; then less is kept."""
+
+
+@dataclass(slots=True)
+class _SeenState:
+    """A state, and from when until when the task was seen with it."""
+
+    first_s: float
+    last_s: float
+    state: ShortState
+
+
+class StateHistory:
+    """Keeps short states of tasks, each as long as the timeline goes back. Times are seconds on it.
+
+    Args:
+        span_s: how much of the timeline is kept.
+        most_bytes: see `MOST_BYTES`.
+    """
+
+    def __init__(self, span_s: float = SPAN_S, most_bytes: int = MOST_STATE_BYTES) -> None:
+        self._span_s = span_s
+        self._most_bytes = most_bytes
+        self._seen: dict[str, deque[_SeenState]] = {}
+        self._order: deque[tuple[str, _SeenState]] = deque()
+        self._size = 0
+
+    def add(self, task: str, t: float, state: ShortState) -> None:
+        """Notes that a task was seen with a state.
+
+        Args:
+            task: its address, as `agent/service/task`.
+            t: when; not before what was noted last.
+            state: what there is room for of its state.
+        """
+        seen = self._seen.setdefault(task, deque())
+        if seen and seen[-1].state == state:
+            seen[-1].last_s = t
+            return
+        seen.append(_SeenState(t, t, state))
+        self._order.append((task, seen[-1]))
+        self._size += state.size()
+        while len(self._order) > 1 and (self._order[0][1].last_s < t - self._span_s or self._size > self._most_bytes):
+            self._forget_oldest()
+
+    def at(self, task: str, t: float) -> tuple[float, ShortState] | None:
+        """Returns when a task was seen last, at `t` or before, and with which state; None where it was not."""
+        for seen in reversed(self._seen.get(task, ())):
+            if seen.first_s <= t:
+                return min(t, seen.last_s), seen.state
+        return None
+
+    def _forget_oldest(self) -> None:
+        task, seen = self._order.popleft()
+        self._size -= seen.state.size()
+        of_task = self._seen[task]
+        of_task.popleft()
+        if not of_task:
+            del self._seen[task]

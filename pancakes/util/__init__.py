@@ -1,0 +1,1 @@
+"""Helpers below everything else: encoding, checks of users' classes, text, clocks, files, plug-ins."""

@@ -1,0 +1,237 @@
+"""Encode and decode msgpack and JSON, and digest bytes; all of Pancakes uses these functions, not msgspec's own.
+
+Two faults of msgspec (0.22) can crash the process without a message. This module prevents both:
+
+* msgspec stores what it knows of a class in that class, before this information is complete. If another thread decodes
+  the class meanwhile, it follows pointers that are not set. So all decoders and type infos are built under one lock.
+  A part of it is msgspec's issue 744; the crash is not reported.
+* If memory runs out while `Encoder.encode` grows its output, msgspec frees the output twice. `encode_into` raises
+  MemoryError instead. msgspec's JSON decoder does not check whether it got memory for a text, so long JSON is read by
+  Python's own decoder.
+
+pyproject.toml forbids msgspec's functions elsewhere. `MALFORMED` lists all errors that decoding can raise. `sha256`
+does without OpenSSL, whose import costs megabytes. docs/architecture.md describes how the faults were found.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, Final, TypeVar, overload
+
+import msgspec
+from msgspec import inspect
+
+
+def plain_of(text: bytes | str) -> Any:
+    """Returns what JSON says, as plain values.
+
+    Raises:
+        ValueError: it is no JSON, is nested thousands deep, or has a number of thousands of digits.
+    """
+    import json  # takes 2 ms of a start
+
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deep") from None
+
+
+MALFORMED: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
+"""All that msgspec's decoders raise. `RecursionError`: they are nested thousands deep."""
+
+
+def why_malformed(error: Exception) -> str:
+    """Returns what is wrong with the bytes, to stand in a sentence behind what they should have been."""
+    return "it is nested too deep" if isinstance(error, RecursionError) else str(error)
+
+
+try:
+    from _sha256 import sha256 as _own_sha256  # type: ignore[import-not-found] # Python 3.11
+except ImportError:
+    try:
+        from _sha2 import sha256 as _own_sha256  # type: ignore[import-not-found] # from Python 3.12 on
+    except ImportError:
+        from hashlib import sha256 as _own_sha256
+
+LONG_BYTES: Final = 256 * 1024
+"""From this length on OpenSSL computes the digest."""
+
+
+def sha256(data: bytes) -> bytes:
+    """Returns the digest, 32 bytes."""
+    if len(data) < LONG_BYTES:
+        digest: bytes = _own_sha256(data).digest()
+        return digest
+    import hashlib
+
+    return hashlib.sha256(data).digest()
+
+
+UNENCODABLE: Final = (TypeError, ValueError, OverflowError, RuntimeError, MemoryError, msgspec.MsgspecError)
+"""All that encoding raises. `RuntimeError`: it is too deep, or a mapping that its owner changes meanwhile."""
+LONG_JSON_BYTES: Final = 64 * 1024
+"""JSON that is longer is read by Python's own decoder, which takes longer and survives a lack of memory."""
+
+_T = TypeVar("_T")
+
+_LOCK: Final = threading.RLock()  # again by one thread: a type may run code of its own where it is resolved
+_BUILT: Final[set[type]] = set()
+_MSGPACK: Final = msgspec.msgpack.Encoder()
+
+
+@overload
+def decoder(kind: type[_T], extension: Callable[[int, memoryview], Any] | None = None) -> Callable[[Any], _T]: ...
+
+
+@overload
+def decoder(kind: Any, extension: Callable[[int, memoryview], Any] | None = None) -> Callable[[Any], Any]: ...
+
+
+def decoder(kind: Any, extension: Callable[[int, memoryview], Any] | None = None) -> Callable[[Any], Any]:
+    """Returns what makes an instance of a type of msgpack; to be kept, because making it takes long. Any thread.
+
+    Args:
+        kind: the type.
+        extension: makes a value of the number and the bytes of a msgpack extension type; None: there is none.
+
+    Raises:
+        TypeError: msgspec cannot decode such a type.
+    """
+    with _LOCK:
+        return msgspec.msgpack.Decoder(kind, ext_hook=extension).decode
+
+
+@overload
+def json_decoder(kind: type[_T]) -> Callable[[bytes | str], _T]: ...
+
+
+@overload
+def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]: ...
+
+
+def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]:
+    """Returns what makes an instance of a type of JSON; see `decoder`.
+
+    It raises what `pancakes.util.codecs` says.
+    """
+    with _LOCK:
+        decode: Callable[[bytes | str], Any] = msgspec.json.Decoder(kind).decode
+
+    def decode_any(data: bytes | str) -> Any:
+        if len(data) <= LONG_JSON_BYTES:
+            return decode(data)
+        try:
+            plain = plain_of(data)
+        except ValueError as error:
+            raise msgspec.DecodeError(f"JSON is malformed: {error}") from None
+        return msgspec.convert(plain, kind, str_keys=True)
+
+    return decode_any
+
+
+@overload
+def convert(value: Any, kind: type[_T], hook: Callable[[Any, Any], Any] | None = None) -> _T: ...
+
+
+@overload
+def convert(value: Any, kind: Any, hook: Callable[[Any, Any], Any] | None = None) -> Any: ...
+
+
+def convert(value: Any, kind: Any, hook: Callable[[Any, Any], Any] | None = None) -> Any:
+    """Makes an instance of a type of plain values. Any thread.
+
+    Args:
+        value: the plain values.
+        kind: the type.
+        hook: makes an instance of a type that msgspec does not know, of that type and a plain value; with one, the
+            keys of mappings may be texts that stand for numbers.
+
+    Raises:
+        msgspec.ValidationError: they do not fit.
+        TypeError: msgspec cannot make such a type.
+    """
+    if not (isinstance(kind, type) and kind in _BUILT):
+        _build(kind)
+    return msgspec.convert(value, kind, str_keys=hook is not None, dec_hook=hook)
+
+
+def converter(kind: Any) -> Callable[[Any], Any]:
+    """Returns `convert` for a type that is no class and is met often: it is looked at now, and never again."""
+    _build(kind)
+    return partial(msgspec.convert, type=kind)
+
+
+def type_info(kind: Any) -> inspect.Type:
+    """Returns what msgspec knows of a type; see `convert` for the errors."""
+    with _LOCK:
+        return inspect.type_info(kind)
+
+
+def schema_components(
+    cls: type, ref_template: str, hook: Callable[[type], dict[str, Any]] | None = None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns the JSON Schema of a class, and those of the classes in it, see `msgspec.json.schema_components`."""
+    with _LOCK:
+        (schema,), components = msgspec.json.schema_components((cls,), schema_hook=hook, ref_template=ref_template)
+    return schema, components
+
+
+def _build(kind: Any) -> None:
+    with _LOCK:
+        msgspec.msgpack.Decoder(kind)
+        if isinstance(kind, type):  # other types may be equal and not the same, and msgspec notes it with the one
+            _BUILT.add(kind)
+
+
+# Encoding --------------------------------------------------------------------------------------------------------
+
+
+def _grown(encode_into: Callable[[Any, bytearray], None], value: Any) -> bytes:
+    buffer = bytearray()
+    try:
+        encode_into(value, buffer)
+        return bytes(buffer)
+    except MemoryError:
+        raise MemoryError("there is no memory left to encode it") from None
+
+
+encode_small: Final = _MSGPACK.encode
+"""Encodes what is sure to be small as msgpack, in half the time that `encode` takes."""
+
+
+def encode(value: Any) -> bytes:
+    """Encodes a value as msgpack. Any thread.
+
+    Raises:
+        UNENCODABLE: it cannot be encoded; a MemoryError says in its sentence that there is no memory for it.
+    """
+    return _grown(_MSGPACK.encode_into, value)
+
+
+def encoder(hook: Callable[[Any], Any]) -> Callable[[Any], bytes]:
+    """Returns what encodes a value as msgpack; the hook makes values that msgspec knows of those that it does not."""
+    return partial(_grown, msgspec.msgpack.Encoder(enc_hook=hook).encode_into)
+
+
+def unencodable_in(value: Any, encode: Callable[[Any], bytes]) -> tuple[str | int, ...]:
+    """Returns where in plain values the first one is that cannot be encoded; empty: no part of it alone is at fault."""
+    if not isinstance(value, (Mapping, list, tuple)):
+        return ()
+    parts = value.items() if isinstance(value, Mapping) else enumerate(value)
+    for key, part in parts:
+        try:
+            encode(part)
+        except UNENCODABLE:
+            return (key, *unencodable_in(part, encode))
+    return ()
+
+
+def json_encoder(hook: Callable[[Any], Any] | None = None) -> Callable[[Any], bytes]:
+    """Returns what encodes a value as JSON; the hook makes plain values of what msgspec does not know."""
+    return partial(_grown, msgspec.json.Encoder(enc_hook=hook).encode_into)
+
+
+encode_json: Final = json_encoder()
+"""Encodes a value as JSON; see `encode` for the errors."""

@@ -1,0 +1,32 @@
+"""Read the docstrings that people are shown, also if Python was told to drop them (`python -OO`, `PYTHONOPTIMIZE=2`)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+
+def docstring_of(thing: type | Callable[..., Any]) -> str:
+    """Returns the docstring of a class or function, without its indent; empty if it has none of its own."""
+    doc = vars(thing).get("__doc__") if isinstance(thing, type) else thing.__doc__
+    if isinstance(thing, type) and doc and doc.startswith(f"{thing.__name__}("):
+        doc = ""  # what @dataclass writes where there is none
+    if doc or sys.flags.optimize < 2:
+        from inspect import cleandoc
+
+        return cleandoc(doc) if doc else ""
+    return _in_source(thing)
+
+
+def _in_source(thing: type | Callable[..., Any]) -> str:
+    import ast
+    import inspect
+    import textwrap
+
+    try:
+        (defined,) = ast.parse(textwrap.dedent(inspect.getsource(thing))).body
+    except (OSError, TypeError, SyntaxError, ValueError):  # its text is not there
+        return ""
+    found = ast.get_docstring(defined) if isinstance(defined, (ast.FunctionDef, ast.ClassDef)) else None
+    return found or ""

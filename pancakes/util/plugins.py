@@ -1,0 +1,332 @@
+"""Find plug-ins by entry point: the core's own parts and those of other distributions alike.
+
+A distribution says in its metadata what it offers:
+
+    [options.entry_points]
+    pancakes.tasks =
+        encirclement.ScanTarget = pancakes_encirclement.scan_target:ScanTarget
+
+Nothing is imported before it is asked for. A bad plug-in is reported by name and does not affect the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from importlib.metadata import Distribution, distributions
+from itertools import islice
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from pancakes.errors import ClassError, PluginError, chain_of
+from pancakes.util.class_checks import check_loaded
+from pancakes.util.text import suggestion
+
+GROUPS: Final = {
+    "pancakes.tasks": "task type",
+    "pancakes.services": "service type",
+    "pancakes.drivers": "driver",
+    "pancakes.costs": "cost",
+    "pancakes.transports": "transport",
+    "pancakes.packets": "packet module",
+    "pancakes.demos": "demo",
+    "pancakes.commands": "command",
+}
+"""The entry point groups, and what a person calls one of their entries."""
+
+BROUGHT_BY: Final = {
+    "pancakes.tasks": {
+        "encirclement": "pancakes-encirclement",
+        "ros2": "pancakes-ros2",
+        "sensor_field": "pancakes-sensor-field",
+    },
+    "pancakes.services": {"mqtt": "pancakes-mqtt", "ros2": "pancakes-ros2"},
+    "pancakes.drivers": {
+        "khepera3": "pancakes-pi",
+        "mqtt": "pancakes-mqtt",
+        "pi": "pancakes-pi",
+        "ros2": "pancakes-ros2",
+        "sensor_field": "pancakes-sensor-field",
+    },
+    "pancakes.costs": {"encirclement": "pancakes-encirclement"},
+    "pancakes.transports": {"zenoh": "pancakes-zenoh"},
+    "pancakes.demos": {
+        "encirclement": "pancakes-encirclement",
+        "energy": "pancakes-encirclement",
+        "intruder": "pancakes-encirclement",
+        "pioneer": "pancakes-encirclement",
+        "rescue": "pancakes-encirclement",
+        "ros2": "pancakes-ros2",
+        "sensor-field": "pancakes-sensor-field",
+    },
+    "pancakes.commands": {"zenoh": "pancakes-zenoh"},
+}
+"""The distributions beside the core that come with Pancakes, by group and by what stands before the dot of a name."""
+
+
+class UnknownPlugin(PluginError):
+    """No distribution offers a plug-in of this name.
+
+    Attributes:
+        problem: the sentence without its suggestion.
+        suggestion: what was probably meant, or an empty string.
+    """
+
+    def __init__(self, problem: str, near: str) -> None:
+        self.problem = problem
+        self.suggestion = near
+        super().__init__(f"{problem}, did you mean {near!r}?" if near else problem)
+
+
+class Version(NamedTuple):
+    """Where a plug-in comes from. Both are empty for one that was registered in code."""
+
+    distribution: str
+    version: str
+
+
+class Offered(NamedTuple):
+    """One entry point, as its distribution states it; it need not be good.
+
+    Attributes:
+        name: its name.
+        place: `module:attribute`; empty for one that was registered in code.
+        version: its distribution.
+    """
+
+    name: str
+    place: str
+    version: Version
+
+
+class _Offer(msgspec.Struct, frozen=True):
+    """One entry point of one distribution; `load` imports it."""
+
+    version: Version
+    value: str
+    load: Callable[[], Any]
+
+
+_Offers = dict[str, list[_Offer]]
+"""The offers of one group by name; more than one under a name is an error."""
+
+
+class Plugins:
+    """All plug-ins of this Python environment. May be asked from any thread.
+
+    Args:
+        extra: plug-ins that are registered in code, by (group, name); they hide installed ones of the same name.
+    """
+
+    def __init__(self, extra: Mapping[tuple[str, str], Any] | None = None) -> None:
+        self._extra = dict(extra or {})
+        for group, _ in self._extra:
+            _check_group(group)
+        self._installed: dict[str, _Offers] | None = None
+        self._unreadable: list[PluginError] = []
+        self._loaded: dict[tuple[str, str], Any] = {}
+        self._broken: dict[tuple[str, str], str] = {}
+
+    def names(self, group: str) -> list[str]:
+        """Returns the names of all plug-ins of a group, sorted."""
+        return sorted(self._offers(group))
+
+    def get(self, group: str, name: str) -> Any:
+        """Returns a plug-in, imported at the first call.
+
+        Raises:
+            UnknownPlugin: no distribution offers it.
+            PluginError: it cannot be imported, or two distributions offer it. The message names the distribution
+                and the reason.
+        """
+        key = (group, name)
+        if key in self._broken:
+            raise PluginError(self._broken[key])
+        if key not in self._loaded:
+            try:
+                self._loaded.setdefault(key, _load(group, name, self._find(group, name)))
+            except UnknownPlugin:
+                raise
+            except PluginError as error:
+                self._broken[key] = str(error)
+                raise
+        return self._loaded[key]
+
+    def at_hand(self, group: str, name: str) -> bool:
+        """Returns whether `get` answers without an import: it was asked before, or there is nothing to import."""
+        key = (group, name)
+        return key in self._loaded or key in self._broken or key in self._extra or name not in self._offers(group)
+
+    def offered(self, group: str) -> list[Offered]:
+        """Returns all entry points of a group, by name; also those that are offered twice. Imports nothing."""
+        return [
+            Offered(name, offer.value, offer.version)
+            for name, offers in sorted(self._offers(group).items())
+            for offer in sorted(offers, key=lambda offer: offer.version)
+        ]
+
+    def version(self, group: str, name: str) -> Version:
+        """Returns the distribution that offers a plug-in, and its version. Imports nothing.
+
+        Raises:
+            UnknownPlugin: no distribution offers it.
+            PluginError: two distributions offer it.
+        """
+        return self._find(group, name).version
+
+    def brings_tasks(self) -> dict[str, str]:
+        """Returns the version of each distribution that offers task types. Imports nothing."""
+        offers = (offer for several in self._offers("pancakes.tasks").values() for offer in several)
+        return dict(sorted({offer.version for offer in offers if offer.version.distribution}))
+
+    def load_packets(self) -> list[PluginError]:
+        """Imports all that registers body types of packets.
+
+        Returns:
+            The plug-ins that failed; the others are registered.
+        """
+        failed = []
+        for name in self.names("pancakes.packets"):
+            try:
+                self.get("pancakes.packets", name)
+            except PluginError as error:
+                failed.append(error)
+        return failed
+
+    def unreadable(self) -> list[PluginError]:
+        """Returns a sentence for each distribution whose entry points cannot be read."""
+        self._offers("pancakes.tasks")  # which reads all of them
+        return list(self._unreadable)
+
+    def problems(self) -> list[PluginError]:
+        """Returns what has failed so far: distributions that cannot be read, plug-ins that cannot be loaded."""
+        return [*self._unreadable, *(PluginError(text) for text in self._broken.values())]
+
+    def _offers(self, group: str) -> _Offers:
+        _check_group(group)
+        if self._installed is None:  # reading the metadata of all distributions costs milliseconds, so once, and late
+            self._installed, self._unreadable = _scan()
+        offers = dict(self._installed.get(group, {}))
+        for (extra_group, name), plugin in self._extra.items():
+            if extra_group == group:
+                offers[name] = [_Offer(Version("", ""), "", lambda plugin=plugin: plugin)]  # type: ignore[misc]
+        return offers
+
+    def _find(self, group: str, name: str) -> _Offer:
+        """Returns the one offer of a name."""
+        offers = self._offers(group)
+        if name not in offers:
+            raise _unknown(group, name, list(offers))
+        if len(offers[name]) > 1:
+            several = sorted(offers[name], key=lambda offer: offer.version)
+            sources = " and ".join(f"{offer.version.distribution} ({offer.value})" for offer in several)
+            raise PluginError(f"the {GROUPS[group]} {name!r} is offered twice, by {sources}: uninstall one of them")
+        return offers[name][0]
+
+
+def _check_group(group: str) -> None:
+    if group not in GROUPS:
+        raise ValueError(f"{group!r} is no group of plug-ins; there are {', '.join(GROUPS)}")
+
+
+def _load(group: str, name: str, offer: _Offer) -> Any:
+    try:
+        found = offer.load()
+        check_loaded(found)
+    except ClassError as error:  # its sentence says where
+        raise PluginError(f"the {GROUPS[group]} {name!r}{_source(offer)} cannot be loaded: {error}") from None
+    except (Exception, SystemExit) as error:  # an import may raise anything, and a script even ends the process
+        raise PluginError(f"the {GROUPS[group]} {name!r}{_source(offer)} cannot be loaded: {_line(error)}") from None
+    return found
+
+
+def _source(offer: _Offer) -> str:
+    """Where a plug-in comes from, for a sentence; nothing for one that was registered in code."""
+    version = offer.version
+    return f" of {version.distribution} {version.version} ({offer.value})" if version.distribution else ""
+
+
+def to_install(group: str, name: str, known: Collection[str]) -> str:
+    """Returns the command that brings a plug-in whose distribution is not installed; empty: none is known.
+
+    Args:
+        group: its group.
+        name: its name.
+        known: the names of the group that are installed.
+    """
+    family = name.partition(".")[0]
+    distribution = BROUGHT_BY.get(group, {}).get(family, "")
+    is_there = any(other.partition(".")[0] == family for other in known)
+    return f"pip install {distribution}" if distribution and not is_there else ""
+
+
+def _unknown(group: str, name: str, known: list[str]) -> UnknownPlugin:
+    problem = f"unknown {GROUPS[group]} {name!r}"
+    if command := to_install(group, name, known):
+        return UnknownPlugin(f"{problem}: {command}", "")
+    family = f"{name.partition('.')[0]}."
+    if "." in name and not any(other.startswith(family) for other in known):
+        problem += f": no installed distribution provides {group.removeprefix('pancakes.')} under {family!r}"
+    return UnknownPlugin(problem, suggestion(name, known))
+
+
+def _line(error: BaseException) -> str:
+    """An exception in one line: where it was raised, by way of which files, and what it came of."""
+    parts: list[str] = []
+    for cause in islice(chain_of(error), MOST_CAUSES):
+        message = " ".join(str(cause).split())
+        text = f"{type(cause).__name__}: {message}" if message else type(cause).__name__
+        way = _way(cause)
+        parts.append(f"{text} ({way})" if way else text)
+    return ", because of ".join(parts)
+
+
+def _way(error: BaseException) -> str:
+    """The lines by way of which an exception came, those of Python's own import left out."""
+    from traceback import walk_tb  # only where something went wrong
+
+    way = []
+    for frame, line in walk_tb(error.__traceback__):
+        path = frame.f_code.co_filename
+        if not path.startswith("<frozen ") and frame.f_globals.get("__name__") not in _LOADING:
+            way.append(f"{path.rpartition('/')[2]}:{line}")
+    return " > ".join(way[-MOST_LINES:])
+
+
+_LOADING: Final = (__name__, "importlib", "importlib.metadata")
+MOST_CAUSES: Final = 4
+MOST_LINES: Final = 4
+
+
+def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:
+    """Reads what all installed distributions offer to us."""
+    groups: dict[str, _Offers] = {group: {} for group in GROUPS}
+    unreadable = []
+    seen = []
+    for distribution in distributions():
+        try:
+            points = [point for point in distribution.entry_points if point.group in GROUPS]
+            if not points:
+                continue
+            version = _version(distribution)
+        except Exception as error:  # foreign files: whatever is wrong with them is theirs
+            name = distribution.metadata.get_all("Name", ["a distribution"])[0]
+            place = f"{name} in {distribution.locate_file('')}"
+            unreadable.append(PluginError(f"the entry points of {place} cannot be read: {_line(error)}"))
+            continue
+        if version.distribution in seen:
+            continue  # found again further down sys.path, as an editable install is from its own directory
+        seen.append(version.distribution)
+        for point in points:
+            offer = _Offer(version, point.value, point.load)
+            same = groups[point.group].setdefault(point.name, [])
+            if all(other.version != offer.version or other.value != offer.value for other in same):
+                same.append(offer)
+    return groups, unreadable
+
+
+def _version(distribution: Distribution) -> Version:
+    metadata = distribution.metadata
+    if "Name" not in metadata or "Version" not in metadata:
+        raise ValueError("its metadata has no Name, or no Version")
+    return Version(metadata["Name"], metadata["Version"])
