@@ -104,6 +104,7 @@ WHERE: dict[tuple[str, str], str] = {
     ("docs/security.md", "pancakes fleet enrol agent3"): f"{LIVE}.test_security_of_two_robots",
     ("docs/security.md", "pancakes task stop"): f"{LIVE}.test_security_of_two_robots",
     ("docs/security.md", "pancakes fleet revoke"): f"{LIVE}.test_security_of_two_robots",
+    ("docs/runbook.md", "pancakes"): "not run: what an operator does after a fault; tests/cli and tests/services",
     ("docs/simulation.md", "from pancakes.simulation"): f"{HERE}.test_simulation_prints_what_its_guide_says",
     ("docs/simulation.md", "import gymnasium"): f"{HERE}.test_simulation_makes_a_learning_environment",
     ("docs/simulation.md", "pancakes demo"): "not run: 200 missions; .ci/run has eight of the README",
