@@ -1,4 +1,4 @@
-"""Read the docstrings that people are shown, also if Python was told to drop them (`python -OO`, `PYTHONOPTIMIZE=2`)."""
+"""Read docstrings that people are shown, also if Python was told to drop them (`python -OO`, `PYTHONOPTIMIZE=2`)."""
 
 from __future__ import annotations
 
