@@ -6,153 +6,121 @@ The standard library's parser does not report lines.
 from __future__ import annotations
 
 import re
-import tomllib
-from bisect import bisect_right
-from collections.abc import Iterator, Sequence
-from typing import Any, Final
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.errors import Fault
 from pancakes.settings import dotted
+from pancakes.util.toml import toml_values
+
+if TYPE_CHECKING:
+    from tomlkit.items import Item, Key, Table
 
 KeyPath = tuple[str | int, ...]
 """The keys that lead to a value, from the outermost; an integer is a place in a list, from 0."""
 
-_SIMPLE_KEY: Final = r"""(?:[A-Za-z0-9_-]+|"(?:\\.|[^"\\\n])*"|'[^'\n]*')"""
-_SIMPLE = re.compile(_SIMPLE_KEY)
-_KEY = re.compile(rf"{_SIMPLE_KEY}(?:[ \t]*\.[ \t]*{_SIMPLE_KEY})*")
-_BLANK = re.compile(r"(?:[ \t\n]|#[^\n]*)*")
-_STRING = re.compile(
-    r'"""(?:\\.|[^\\])*?"""(?:"{0,2})' r"|'''.*?'''(?:'{0,2})" r'|"(?:\\.|[^"\\\n])*"' r"|'[^'\n]*'",
-    re.DOTALL,
-)
-_SCALAR = re.compile(r"[^,\]}#\n]+")
+MOST_EQUAL_SIGNS: Final = 16
+"""At most so many equal signs in quotes are looked for in a key."""
 
 
-def key_at(text: str, position: int = 0) -> tuple[list[str], int] | None:
-    """Reads a key, such as `task."a.b".rate_hz`.
+def split_pair(text: str) -> tuple[tuple[str, ...], str, str] | None:
+    """Split `task."a.b".rate_hz = 5` at its equal sign.
 
     Returns:
-        The parts of the key and the position after it; None where no key begins at `position`.
+        The parts of the key, the key as it is written, and what follows the equal sign; None if no key stands first.
     """
-    found = _KEY.match(text, position)
-    if not found:
-        return None
-    parts = []
-    for simple in _SIMPLE.findall(found[0]):
-        if simple[0] == '"':
-            simple = tomllib.loads(f"key = {simple}")["key"]
-        elif simple[0] == "'":
-            simple = simple[1:-1]
-        parts.append(simple)
-    return parts, found.end()
+    for found in islice(re.finditer("=", text), MOST_EQUAL_SIGNS):  # a quoted key may have one, too
+        written = text[: found.start()].strip()
+        try:
+            value: Any = toml_values(f"{written} = 0")
+        except ValueError:
+            continue
+        parts = []
+        while isinstance(value, dict) and len(value) == 1:
+            part, value = next(iter(value.items()))
+            parts.append(part)
+        if value == 0 and "\n" not in written:
+            return tuple(parts), written, text[found.end() :].strip()
+    return None
 
 
 def lines_of_keys(text: str) -> dict[KeyPath, int]:
-    """Returns the line, from 1, of each key and table of a TOML text that has been parsed without an error."""
-    return _Scanner(text.replace("\r\n", "\n")).scan()
+    """Return the line, from 1, of each key and table of a TOML text that has been parsed without an error.
+
+    This takes tomlkit, which is large and slow: call it only to report something.
+    """
+    import tomlkit
+
+    try:
+        document = tomlkit.parse(text)
+    except (ValueError, RecursionError):  # what only the standard library's parser reads has no lines
+        return {}
+    if document.as_string() != text:  # a list of tables with another table in the middle of it changes its place
+        return {}
+    lines = _Lines()
+    lines.read_body(document.body, ())
+    return lines.of_keys
 
 
-class _Scanner:
-    """Walks once through a sound TOML text. Where the text is not sound it stops, and what was found stays."""
+class _Lines:
+    """Walk through a document of tomlkit in the order of its text, and count the lines."""
 
-    def __init__(self, text: str) -> None:
-        self._text = text
-        self._at = 0
-        self._line_starts = [0, *(found.end() for found in re.finditer("\n", text))]
-        self._lines: dict[KeyPath, int] = {}
-        self._lists: dict[KeyPath, int] = {}  # how many tables each `[[list of tables]]` has so far
+    def __init__(self) -> None:
+        self.of_keys: dict[KeyPath, int] = {}
+        self._line = 1
+        self._tables: dict[KeyPath, int] = {}  # how many tables each `[[list of tables]]` has so far
 
-    def scan(self) -> dict[KeyPath, int]:
-        table: KeyPath = ()
-        self._skip_blank()
-        while self._at < len(self._text):
-            start = self._at
-            if self._text[self._at] == "[":
-                table = self._header()
+    def read_body(self, body: Sequence[tuple[Key | None, Item]], table: KeyPath) -> int:
+        """Walk through the keys and tables of a table, with space and comments; return the line of its first key."""
+        from tomlkit.items import AoT, Table
+
+        first = 0
+        for key, item in body:
+            if key is None:
+                self._line += item.as_string().count("\n")
+                continue
+            path = (*table, key.key)
+            if isinstance(item, AoT):
+                for one in item.body:
+                    number = self._tables[path] = self._tables.get(path, -1) + 1
+                    self._read_table(one, (*path, number))
+                    self.of_keys.setdefault(path, self.of_keys[(*path, number)])
+            elif isinstance(item, Table) and not item.is_super_table():
+                self._read_table(item, path)
+            elif isinstance(item, Table):  # it stands in the headers or dotted keys of what is in it
+                self.of_keys.setdefault(path, self.read_body(item.value.body, path))
             else:
-                self._pair(table)
-            self._skip_blank()
-            if self._at == start:
-                break
-        return self._lines
+                self._line += item.trivia.indent.count("\n")
+                self.of_keys.setdefault(path, self._line)
+                self._read_value(item, path)
+                self._line += item.trivia.trail.count("\n")
+            first = first or self.of_keys[path]
+        return first or self._line
 
-    def _line(self) -> int:
-        return bisect_right(self._line_starts, self._at)
+    def _read_table(self, table: Table, path: KeyPath) -> None:
+        self._line += table.trivia.indent.count("\n")
+        self.of_keys[path] = self._line  # if it stood in another's header so far, too
+        self._line += table.trivia.trail.count("\n")
+        self.read_body(table.value.body, path)
 
-    def _skip_blank(self) -> None:
-        found = _BLANK.match(self._text, self._at)
-        self._at = found.end() if found else self._at
+    def _read_value(self, value: Item, path: KeyPath) -> None:
+        from tomlkit.items import Array, Comment, InlineTable, Null, Whitespace
 
-    def _take(self, mark: str) -> bool:
-        if self._text.startswith(mark, self._at):
-            self._at += len(mark)
-            return True
-        return False
-
-    def _key(self) -> list[str]:
-        self._skip_blank()
-        found = key_at(self._text, self._at)
-        if found is None:
-            return []
-        parts, self._at = found
-        self._skip_blank()
-        return parts
-
-    def _header(self) -> KeyPath:
-        line = self._line()
-        is_list = self._take("[[")
-        if not is_list:
-            self._take("[")
-        table: KeyPath = ()
-        parts = self._key()
-        for depth, part in enumerate(parts):
-            table = (*table, part)
-            self._lines.setdefault(table, line)
-            last = depth == len(parts) - 1
-            if last and is_list:
-                self._lists[table] = self._lists.get(table, 0) + 1
-            if table in self._lists:
-                table = (*table, self._lists[table] - 1)
-        self._lines[table] = line  # a table that stood in another's header so far gets its own line
-        self._take("]]" if is_list else "]")
-        return table
-
-    def _pair(self, table: KeyPath) -> None:
-        line = self._line()
-        path = table
-        for part in self._key():
-            path = (*path, part)
-            self._lines.setdefault(path, line)
-        if self._take("="):
-            self._skip_blank()
-            self._value(path)
-
-    def _value(self, path: KeyPath) -> None:
-        if self._take("{"):
-            self._inside("}", path)
-        elif self._take("["):
-            self._inside("]", path)
-        else:
-            found = _STRING.match(self._text, self._at) or _SCALAR.match(self._text, self._at)
-            self._at = found.end() if found else self._at
-
-    def _inside(self, end: str, path: KeyPath) -> None:
-        """What stands between brackets: the pairs of an inline table, or the values of a list."""
-        index = 0
-        self._skip_blank()
-        while self._at < len(self._text) and not self._take(end):
-            start = self._at
-            if end == "}":
-                self._pair(path)
-            else:
-                self._lines[(*path, index)] = self._line()
-                self._value((*path, index))
+        if isinstance(value, InlineTable):
+            self.read_body(value.value.body, path)
+        elif isinstance(value, Array):
+            index = 0
+            for item in value._iter_items():  # noqa: SLF001  its public items have no space between them
+                if isinstance(item, (Whitespace, Comment, Null)):
+                    self._line += item.as_string().count("\n")
+                    continue
+                self.of_keys[(*path, index)] = self._line
+                self._read_value(item, (*path, index))
                 index += 1
-            self._skip_blank()
-            self._take(",")
-            self._skip_blank()
-            if self._at == start:
-                return
+        else:
+            self._line += value.as_string().count("\n")
 
 
 NAMED_TABLES: Final = ("channel", "device", "service", "task")
@@ -160,47 +128,61 @@ NAMED_TABLES: Final = ("channel", "device", "service", "task")
 
 
 class KeyPlaces:
-    """Says where a key stands, as `agent1.toml:12` or `--set agent.name=x`.
+    """Say where a key stands, as `agent1.toml:12` or `--set agent.name=x`.
 
     Args:
         path: the file, as messages name it.
-        lines: the line of each key.
+        text: its text, in which lines are counted once one is asked for.
+        values: its plain values, which overrides may change.
         named: the tables whose keys are names.
     """
 
-    def __init__(self, path: str, lines: dict[KeyPath, int], named: Sequence[str] = NAMED_TABLES) -> None:
+    def __init__(self, path: str, text: str, values: Mapping[str, Any], named: Sequence[str] = NAMED_TABLES) -> None:
         self._path = path
-        self._lines = lines
+        self._text = text
+        self._values = values
         self._named = named
+        self._overridden: list[KeyPath] = []
         self._sets: dict[KeyPath, str] = {}
 
+    @cached_property
+    def _lines(self) -> dict[KeyPath, int]:
+        return lines_of_keys(self._text)
+
     def override(self, key: KeyPath, text: str, value: Any) -> None:
-        """Notes that `--set text` gave this key its value; what the file says below the key is gone."""
-        for known in [path for path in self._lines if path[: len(key)] == key]:
-            del self._lines[known]
+        """Note that `--set text` gives this key its value, before it does; what the file says below the key is gone."""
+        self._overridden.append(key)
         for known in [path for path in self._sets if path[: len(key)] == key]:
             del self._sets[known]
-        for length in range(1, len(key) + 1):
-            if length == len(key) or (key[:length] not in self._lines and key[:length] not in self._sets):
+        for length in range(1, len(key)):
+            if not self.has(*key[:length]):
                 self._sets[key[:length]] = text
+        self._sets[key] = text
         self._sets.update((inside, text) for inside in _paths(value, key))
 
     def where(self, *key: str | int) -> str:
-        """Returns the place of a key; of the innermost table around it where the key itself is not there."""
+        """Return the place of a key; if it is missing, of the innermost table around it."""
         outermost = 2 if len(key) > 1 and key[0] in self._named else 1  # another's [task.NAME] is no place for this
         for length in range(len(key), outermost - 1, -1):
-            if key[:length] in self._sets:
-                return set_text(self._sets[key[:length]])
-            if key[:length] in self._lines:
-                return f"{self._path}:{self._lines[key[:length]]}"
+            inner = key[:length]
+            if inner in self._sets:
+                return set_text(self._sets[inner])
+            if inner in self._lines and not any(inner[: len(it)] == it for it in self._overridden):
+                return f"{self._path}:{self._lines[inner]}"
         return self._path
 
     def has(self, *key: str | int) -> bool:
-        """Returns whether the file or a `--set` itself has this key."""
-        return key in self._lines or key in self._sets
+        """Return whether the file or a `--set` itself has this key."""
+        value: Any = self._values
+        for part in key:
+            try:
+                value = value[part]
+            except (LookupError, TypeError):
+                return False
+        return True
 
     def is_set(self, *key: str | int) -> bool:
-        """Returns whether a key is there only because of a `--set`."""
+        """Return whether a key is there only because of a `--set`."""
         return key in self._sets
 
     def fault(self, key: KeyPath, problem: str, suggestion: str = "") -> Fault:

@@ -112,7 +112,7 @@ def read_task(name: str, table: Mapping[str, Any], config: Config, plugins: Plug
     Raises:
         ConfigError: the table is not sound; it carries every fault.
     """
-    places = KeyPlaces(name, {})
+    places = KeyPlaces(name, "", {})
     reader = _ConfigReader({"task": {name: dict(table)}}, places)
     task = reader.task(name, config)
     faults = reader.faults + check_task(

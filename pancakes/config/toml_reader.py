@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from pancakes.config.key_lines import NAMED_TABLES, KeyPlaces, key_at, key_text, lines_of_keys
+from pancakes.config.key_lines import NAMED_TABLES, KeyPlaces, key_text, lines_of_keys, split_pair
 from pancakes.config.tables import SCHEMA
 from pancakes.errors import ConfigError, Fault
 from pancakes.settings import dotted
@@ -42,25 +42,21 @@ def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | N
     key, value = change
     table = values
     for depth, part in enumerate(key[:-1], start=1):
-        inner = table.setdefault(part, {})
-        if not isinstance(inner, dict):
+        table = table.get(part, {})
+        if not isinstance(table, dict):
             return Fault(f"--set {text}", key_text(key), f"{key_text(key[:depth])} is a value and has no keys in it")
-        table = inner
-    table[key[-1]] = value
     places.override(key, text, value)
+    table = values
+    for part in key[:-1]:
+        table = table.setdefault(part, {})
+    table[key[-1]] = value
     return None
 
 
 def change_of(text: str) -> tuple[tuple[str, ...], Any] | None:
     """Reads `table.key=value`; returns the keys and the value, None where it is no such text."""
-    try:
-        found = key_at(text.strip())
-    except ValueError:
-        return None
-    rest = text.strip()[found[1] :].lstrip() if found else ""
-    if found is None or not rest.startswith("="):
-        return None
-    return tuple(found[0]), _value_of(rest[1:].strip())
+    pair = split_pair(text)
+    return (pair[0], _value_of(pair[2])) if pair else None
 
 
 def _value_of(text: str) -> Any:
@@ -138,14 +134,15 @@ def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> T
             raise ConfigError([Fault(place, "TOML", str(error))]) from None
         else:
             break
-    keys = lines_of_keys("".join(lines))
-    # Of several keys on one line the innermost. One without a table is no table itself.
-    paths = {line: key_text(key, named) if len(key) > 1 else dotted(key) for key, line in keys.items()}
-    faults = []
-    for number, line in sorted(broken.items()):
-        key = paths.get(number, line.key) if line.is_value else line.key
-        faults.append(Fault(f"{where}:{number}", key, line.problem))
-    return Tables(values, KeyPlaces(where, keys, named), faults)
+    mended, faults = "".join(lines), []
+    if broken:
+        # Of several keys on one line the innermost. One without a table is no table itself.
+        keys = sorted(lines_of_keys(mended).items(), key=lambda it: len(it[0]))
+        paths = {line: key_text(key, named) if len(key) > 1 else dotted(key) for key, line in keys}
+        for number, line in sorted(broken.items()):
+            key = paths.get(number, line.key) if line.is_value else line.key
+            faults.append(Fault(f"{where}:{number}", key, line.problem))
+    return Tables(values, KeyPlaces(where, mended, values, named), faults)
 
 
 class _Broken(NamedTuple):
@@ -211,16 +208,13 @@ def _broken_line(error: tomllib.TOMLDecodeError, lines: Sequence[str]) -> tuple[
     if message == "Cannot overwrite a value":
         return number, _Broken("TOML", "a key stands here for the second time", end)
     problem = message[:1].lower() + message[1:]
-    try:
-        key_found = key_at(line.strip())
-    except tomllib.TOMLDecodeError:
-        key_found = None
-    rest = line.strip()[key_found[1] :].lstrip() if key_found else ""
-    if key_found is None or not rest.startswith("="):
+    pair = split_pair(line)
+    if pair is None:
         return number, _Broken("TOML", problem, "")
-    head = line.strip()[: key_found[1]]
-    problem = _problem_of_value(key_found[0][-1], rest[1:].strip()) or problem
-    return number, _Broken("TOML", problem, f'{head} = ""{end}', is_value=True)
+    parts, written, value = pair
+    return number, _Broken(
+        "TOML", _problem_of_value(parts[-1], value) or problem, f'{written} = ""{end}', is_value=True
+    )
 
 
 def _problem_of_value(key: str, value: str) -> str:

@@ -1,4 +1,4 @@
-"""The scanner that finds the line of each key, which the standard library's parser does not tell."""
+"""The line of each key, which tomlkit finds once there is a fault to report."""
 
 import tomllib
 from typing import Any
@@ -58,6 +58,16 @@ def test_a_table_has_the_line_of_its_own_header():
     lines = lines_of_keys("[a.b]\nx = 1\n[a]\ny = 1\n")
 
     assert lines[("a",)] == 3
+
+
+def test_the_table_around_others_has_the_line_of_the_first():
+    lines = lines_of_keys("[a.b.c]\nx = 1\n\n[a.b]\ny.z = 1\n")
+
+    assert (lines[("a",)], lines[("a", "b")], lines[("a", "b", "y")], lines[("a", "b", "y", "z")]) == (1, 4, 5, 5)
+
+
+def test_a_text_that_tomlkit_would_write_in_another_order_has_no_lines():
+    assert lines_of_keys("[[a]]\nx = 1\n[b]\n[[a]]\nx = 2\n") == {}
 
 
 def test_windows_line_ends():
