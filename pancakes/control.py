@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 
+from pancakes.errors import PancakesError, RefusalCode
 from pancakes.packet import Cause, packet_type
 
 
@@ -493,22 +494,56 @@ class Unfollow(msgspec.Struct, frozen=True):
     channel: str
 
 
+class Refusal(msgspec.Struct, frozen=True):
+    """Says why something is refused. `docs/refusals.md` lists the codes.
+
+    Attributes:
+        code: the reason for programs.
+        text: the reason for people, a sentence that says what to do next.
+        retry_after_s: after how long another try may succeed, in seconds; None: not before something changes.
+    """
+
+    code: RefusalCode
+    text: str
+    retry_after_s: float | None = None
+
+    @classmethod
+    def of(cls, error: Exception) -> Refusal:
+        """Returns the refusal that an error leads to."""
+        if isinstance(error, PancakesError):
+            return cls(error.code, str(error), error.retry_after_s)
+        return cls("invalid" if isinstance(error, ValueError) else "failed", str(error))
+
+    @classmethod
+    def if_any(cls, text: str, code: RefusalCode = "unable") -> Refusal | None:
+        """Returns the refusal for a reason; None if the reason is empty."""
+        return cls(code, text) if text else None
+
+
 @packet_type("reply")
 class Reply(msgspec.Struct, frozen=True):
     """The answer to a control packet; its packet's `cause` says to which.
 
     Attributes:
-        ok: whether what was asked for has been done.
-        reason: why not, as a sentence.
+        refusal: why what was asked for has not been done; None: it has.
         result: what was asked for, where that is something to know.
         number: its place in the one order in which the agent takes all that it is asked for, from 1 after its start;
             the events on `log` that it led to bear the same number.
     """
 
-    ok: bool
-    reason: str = ""
+    refusal: Refusal | None = None
     result: Any = None
     number: int = 0
+
+    @property
+    def ok(self) -> bool:
+        """Whether what was asked for has been done."""
+        return self.refusal is None
+
+    @property
+    def reason(self) -> str:
+        """Why it has not been done, as a sentence; empty: it has."""
+        return self.refusal.text if self.refusal is not None else ""
 
 
 @packet_type("hold")

@@ -10,12 +10,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import pancakes
 
 if TYPE_CHECKING:
     from types import FrameType, TracebackType
+
+    from pancakes.control import Refusal
 
 
 _PANCAKES: Final = os.path.dirname(os.path.abspath(pancakes.__file__)) + os.sep
@@ -100,8 +102,35 @@ def _user_package(cls: type | None) -> str:
     return "" if package in ("pancakes", "pykka", "abc", "builtins", "typing") else package
 
 
+RefusalCode = Literal[
+    "ambiguous",
+    "busy",
+    "conflict",
+    "failed",
+    "forbidden",
+    "invalid",
+    "moved",
+    "needs_force",
+    "not_found",
+    "pending",
+    "unable",
+    "unsupported",
+]
+"""Why an agent refuses something, for programs; `docs/refusals.md` says when each of them is given."""
+RETRY_S: Final = 1.0
+"""After this time it is worth another try where something else was under way, in seconds."""
+
+
 class PancakesError(Exception):
-    """The base of all errors that Pancakes raises on purpose."""
+    """The base of all errors that Pancakes raises on purpose.
+
+    Attributes:
+        code: the reason for programs, if a request is refused because of this error.
+        retry_after_s: after how long another try may succeed, in seconds; None: not before something changes.
+    """
+
+    code: RefusalCode = "failed"
+    retry_after_s: float | None = None
 
 
 class Fault(NamedTuple):
@@ -126,6 +155,8 @@ class Fault(NamedTuple):
 
 class ConfigError(PancakesError):
     """A configuration cannot be used. Carries all of its faults at once."""
+
+    code = "invalid"
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(faults)
@@ -156,21 +187,49 @@ class RemoteProtocolError(WireError):
 class UnknownChannel(PancakesError):
     """A packet was published to a channel that the information stream does not have."""
 
+    code = "not_found"
+
 
 class MailboxFull(PancakesError):
     """A `reliable` subscriber has no room: no subscriber got the packet, the publisher may try again."""
+
+    code = "busy"
+    retry_after_s = RETRY_S
 
 
 class NoPermit(PancakesError):
     """A guarded task may not act now: its guardians do not answer, and may have given it to another agent."""
 
+    code = "busy"
+    retry_after_s = RETRY_S
+
 
 class ControlRefused(PancakesError):
-    """A control packet was understood and refused. The message is the reason."""
+    """A control packet was understood and refused. The message is the reason for people.
+
+    Args:
+        text: the message.
+        code: the reason for programs.
+        retry_after_s: after how long another try may succeed, in seconds; None: not before something changes.
+    """
+
+    def __init__(self, text: str, code: RefusalCode = "conflict", retry_after_s: float | None = None) -> None:
+        super().__init__(text)
+        self.code = code
+        self.retry_after_s = RETRY_S if code == "busy" and retry_after_s is None else retry_after_s
+
+    @classmethod
+    def of(cls, refusal: Refusal | None) -> ControlRefused:
+        """Returns the error for what an agent has answered."""
+        if refusal is None:
+            return cls("it was refused without a reason", "failed")
+        return cls(refusal.text, refusal.code, refusal.retry_after_s)
 
 
 class Unreachable(PancakesError):
     """An agent that was asked for something did not answer."""
+
+    code = "unable"
 
 
 class NoAnswer(Unreachable):
@@ -183,6 +242,8 @@ class NothingCame(PancakesError, TimeoutError):
 
 class MigrationError(PancakesError):
     """A task could not be moved. It goes on where it is."""
+
+    code = "unable"
 
 
 class NoCandidate(MigrationError):

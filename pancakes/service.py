@@ -7,7 +7,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
-from pancakes.control import Command, Describe, Hold
+from pancakes.control import Command, Describe, Hold, Refusal
 from pancakes.errors import ClassError, ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.kernel.actor import COMPONENT_HOOKS, Component
 from pancakes.kernel.handlers import on
@@ -330,7 +330,7 @@ class Service(Component):
         lost, slot.changing = slot.changing, ()
         why = f": {describe(error, self.author_of(slot))}" if error is not None else ""
         for request in lost:
-            self.reply(request, f"{slot.address} ended before it had done so{why}")
+            self.reply(request, Refusal("failed", f"{slot.address} ended before it had done so{why}"))
         if error is not None:
             self._fail(slot, error)
         else:
@@ -347,8 +347,8 @@ class Service(Component):
             return
         request, body = changed.change.request, changed.change.body
         slot.changing = tuple(other for other in slot.changing if other != request)
-        if changed.reason:
-            self.reply(request, changed.reason, changed.result or None)
+        if changed.refusal is not None:
+            self.reply(request, changed.refusal, changed.result or None)
             return
         result = changed.result
         if isinstance(body, Describe):
@@ -434,7 +434,7 @@ class Service(Component):
 
     def answer(self, slot: Slot, effect: Answer) -> None:
         """Answers a request to start or stop a task; the commands that wait behind it go on."""
-        self.reply(effect.asker, effect.reason)
+        self.reply(effect.asker, Refusal.if_any(effect.reason))
         self.call(lambda: self._next_command(slot))
 
     def tell_news(self, slot: Slot, effect: Tell) -> None:
@@ -470,7 +470,7 @@ class Service(Component):
             slot = self._slot(command.task) if command.task else None
             self.carry_out_command(command.body, slot, request)
         except (PancakesError, ValueError) as error:
-            self.reply(request, str(error))
+            self.reply(request, Refusal.of(error))
 
     def _next_command(self, slot: Slot) -> None:
         while slot.commands and not self._is_busy(slot):
@@ -481,7 +481,7 @@ class Service(Component):
         slot = self.slots.get(name)
         if slot is None:
             known = f"only {', '.join(self.slots)}" if self.slots else "nor any other"
-            raise ControlRefused(f"{self.address} has no task {name!r}, {known}")
+            raise ControlRefused(f"{self.address} has no task {name!r}, {known}", "not_found")
         return slot
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
@@ -499,16 +499,16 @@ class Service(Component):
         if slot is not None:
             command = COMMANDS.get(type(body))
             if command is None:
-                raise ControlRefused(f"{slot.address} cannot be asked for {asked_for}")
+                raise ControlRefused(f"{slot.address} cannot be asked for {asked_for}", "unsupported")
             command(self, slot, body, request)
         elif isinstance(body, Describe):
             self.reply(request, result=[describe_task(self.kernel, task) for task in self.kernel.tasks.of(self.name)])
         else:
-            raise ControlRefused(f"{self.address} is a service and cannot be asked for {asked_for}")
+            raise ControlRefused(f"{self.address} is a service and cannot be asked for {asked_for}", "unsupported")
 
-    def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
-        """Answers the sender of a request; an empty reason means that it has been done."""
-        self._answers.give(request, reason, result)
+    def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None:
+        """Answers the sender of a request; without a refusal, it has been done."""
+        self._answers.give(request, refusal, result)
 
     def put_off(self, request: Request, reason: str) -> None:
         """Tells the sender of a request what it waits for; what becomes of it in the end is said on `log`."""

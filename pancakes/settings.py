@@ -78,6 +78,8 @@ class Problem(msgspec.Struct, frozen=True):
 class SettingsError(PancakesError):
     """Settings, or the state of a task, do not fit. Carries all of their problems at once."""
 
+    code = "invalid"
+
     def __init__(self, owner: str, problems: Sequence[Problem], noun: str = "settings") -> None:
         self.problems = tuple(problems)
         super().__init__(f"bad {noun} for {owner}: " + "; ".join(str(problem) for problem in self.problems))

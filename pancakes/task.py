@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import msgspec
 
-from pancakes.control import Configure, Describe, Migrate, Reschedule, SetFence
+from pancakes.control import Configure, Describe, Migrate, Refusal, Reschedule, SetFence
 from pancakes.durable.delivery import Incoming
 from pancakes.durable.rules import CostChoice, GuardRule, MigrationRule
 from pancakes.errors import ControlRefused, PancakesError
@@ -360,7 +360,7 @@ class Task(Component):
 
     def answer_change(self, change: ChangeTask, reason: str, result: Mapping[str, Any]) -> None:
         """Answers a change that took longer than one turn; an empty reason means that it has been done."""
-        self.__tell(Changed(self, change, reason, result))
+        self.__tell(Changed(self, change, Refusal.if_any(reason), result))
 
     def set_fence(self, change: ChangeTask) -> None:
         """Sets the fence of an actuator, and answers; every other task refuses.
@@ -368,7 +368,7 @@ class Task(Component):
         Raises:
             ControlRefused: it is no actuator.
         """
-        raise ControlRefused(f"{self.address} is no actuator: it has no fence")
+        raise ControlRefused(f"{self.address} is no actuator: it has no fence", "unsupported")
 
     def __take_change(self, message: ChangeTask) -> None:
         try:
@@ -377,11 +377,11 @@ class Task(Component):
                 return
             result = self.__change(message.body)
             carried = self.carry() if message.carry else None
-            changed = Changed(self, message, "", result, carried)
+            changed = Changed(self, message, None, result, carried)
         except SettingsError as error:
-            changed = Changed(self, message, str(error), {"problems": error.plain()})
+            changed = Changed(self, message, Refusal.of(error), {"problems": error.plain()})
         except (PancakesError, ValueError, TypeError) as error:  # TypeError: what cannot be saved
-            changed = Changed(self, message, str(error), {})
+            changed = Changed(self, message, Refusal.of(error), {})
         self.__tell(changed)
 
     def __change(self, body: Reschedule | Configure | Describe) -> Mapping[str, Any]:
@@ -413,7 +413,7 @@ class Task(Component):
         try:
             carried = self.carry()
         except Exception as error:  # what a task keeps in its state may be anything
-            raise ControlRefused(f"the state of {self.address} cannot be written down: {error}") from None
+            raise ControlRefused(f"the state of {self.address} cannot be written down: {error}", "failed") from None
         now = {"host_s": self.kernel.host.now(), "mission_s": self.now()}
         return {**told, **now, "settings": carried.settings, "state": carried.state}
 

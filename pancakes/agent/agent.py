@@ -24,7 +24,7 @@ from pancakes.agent.transport_settings import (
 )
 from pancakes.config import Config
 from pancakes.config.state_dir import state_dir_of
-from pancakes.control import CONTROLS
+from pancakes.control import CONTROLS, Refusal
 from pancakes.durable.census import CENSUS, BootMemory, Census, NeighbourUp
 from pancakes.durable.client_service import ClientService
 from pancakes.durable.courier import COURIER, Courier, SharedOutbox
@@ -449,22 +449,22 @@ class Agent:
 
     def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
         self.kernel.stream.undelivered += 1
-        self._refuse(peer, packet, reason)
+        self._refuse(peer, packet, Refusal("invalid", reason))
 
     def _refused(self, peer: str, packet: Packet, error: PancakesError) -> None:
-        self._refuse(peer, packet, str(error))
+        self._refuse(peer, packet, Refusal.of(error))
 
-    def _refuse(self, peer: str, packet: Packet, reason: str) -> None:
+    def _refuse(self, peer: str, packet: Packet, refusal: Refusal) -> None:
         """Tells the sender of a command that it found no way in; any other packet is dropped, and the log says so."""
         root = self._root
         if body_class(packet.type) in CONTROLS and root is not None:
-            tell(root, NoRoom(packet, reason))
+            tell(root, NoRoom(packet, refusal))
             return
         now_s = self.kernel.host.now()
         # There may be thousands a second, and a line for each would be a load of its own.
         if now_s >= self._drop_said_s + DROPS_REPORTED_EVERY_S:
             self._drop_said_s = now_s
-            self.kernel.log("warning", f"a packet of {peer} was dropped: {reason}")
+            self.kernel.log("warning", f"a packet of {peer} was dropped: {refusal.text}")
 
     def _on_peer_up(self, hello: Hello) -> None:
         self.kernel.unheard.met(hello.name)

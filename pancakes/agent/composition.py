@@ -179,7 +179,9 @@ class Composition:
         try:
             config = read_task(name, table, self._config, self._plugins)
         except ConfigError as error:
-            raise ControlRefused("; ".join(str(fault).partition(": ")[2] for fault in error.faults)) from None
+            raise ControlRefused(
+                "; ".join(str(fault).partition(": ")[2] for fault in error.faults), "invalid"
+            ) from None
         return replace(self._spec(config), created=True, arguments={})
 
     def _spec(self, config: TaskConfig) -> TaskSpec:

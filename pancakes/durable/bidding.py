@@ -14,6 +14,7 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable.bidding_messages import (
     MIGRATOR,
     AttemptOver,
@@ -304,7 +305,8 @@ class TaskMigrator(Task):
     def on_refuse(self, packet: Packet) -> None:
         """A neighbour cannot take the task."""
         self._answered(
-            packet, lambda negotiation, refuse, now_s: negotiation.refuse(agent_of(packet.source), refuse.reason, now_s)
+            packet,
+            lambda negotiation, refuse, now_s: negotiation.refuse(agent_of(packet.source), refuse.refusal, now_s),
         )
 
     def _answered(self, packet: Packet, take: Callable[[Negotiation, Any, float], Outcome | None]) -> None:
@@ -336,10 +338,10 @@ class TaskMigrator(Task):
         if self._state.imports_first(self, peer, request.type, packet):
             return
         refusal = self._state.refusal_of(peer, request)
-        if not refusal:
+        if refusal is None:
             self._appraise(peer, request)
-            return
-        self._answer(peer, request, {}, refusal)
+        else:
+            self._refuse(peer, request, refusal)
 
     def _appraise(self, peer: str, request: Solicit) -> None:
         """Has the cost of a task worked out: those of the core at once, others in a thread of their own."""
@@ -348,10 +350,10 @@ class TaskMigrator(Task):
             self._answer(peer, request, *appraise(request.cost, CostFacts(load), self._state.costs()))
             return
         if len(self._appraising) >= MOST_APPRAISED:
-            self._answer(peer, request, {}, f"works out the costs of {MOST_APPRAISED} tasks already")
+            self._is_busy(peer, request, f"works out the costs of {MOST_APPRAISED} tasks already")
             return
         if sum(asker == peer for asker, _ in self._appraising.values()) >= MOST_OF_PEER:
-            self._answer(peer, request, {}, f"works out the costs of {MOST_OF_PEER} tasks of {peer} already")
+            self._is_busy(peer, request, f"works out the costs of {MOST_OF_PEER} tasks of {peer} already")
             return
         try:
             settings, state = offer_of(request.offer)
@@ -382,12 +384,18 @@ class TaskMigrator(Task):
 
     def _answer(self, peer: str, request: Solicit, terms: Mapping[str, float], refusal: str) -> None:
         if refusal:
-            self._talk.say(peer, MIGRATOR, Refuse(request.task_id, request.ask, refusal))
-            self.event("migration_refused", task=request.task_id.name, source_agent=peer, reason=refusal)
+            self._refuse(peer, request, Refusal("unable", refusal))
         else:
             cost = sum(terms.values())
             self._talk.say(peer, MIGRATOR, Bid(request.task_id, request.ask, cost, dict(terms)))
             self.event("migration_bid", task=request.task_id.name, source_agent=peer, cost=cost, terms=dict(terms))
+
+    def _is_busy(self, peer: str, request: Solicit, text: str) -> None:
+        self._refuse(peer, request, Refusal("busy", text, APPRAISED_S))
+
+    def _refuse(self, peer: str, request: Solicit, refusal: Refusal) -> None:
+        self._talk.say(peer, MIGRATOR, Refuse(request.task_id, request.ask, refusal))
+        self.event("migration_refused", task=request.task_id.name, source_agent=peer, reason=refusal.text)
 
     def _measure(self) -> None:
         self._state.measured = self._meter.look(self.kernel.host.now(), self.kernel.task_timers.all())

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 
 from msgspec.structs import replace
 
-from pancakes.control import Adopt, Command, Create, Forget, Remove, Revive
+from pancakes.control import Adopt, Command, Create, Forget, Refusal, Remove, Revive
 from pancakes.durable.arrivals import Arrivals
 from pancakes.durable.bidding_messages import MIGRATOR, AttemptOver
 from pancakes.durable.checkpoints import snapshot_of
@@ -27,7 +27,7 @@ from pancakes.durable.record import MORE_THAN_MOVES, NO_EPOCH, Epoch, Lost, Phas
 from pancakes.durable.snapshot import Snapshot
 from pancakes.durable.state_machine import Standing, settled
 from pancakes.durable.store import Ledgers, Records
-from pancakes.errors import ControlRefused
+from pancakes.errors import RETRY_S, ControlRefused
 from pancakes.packet import Fence, agent_of, join
 from pancakes.supervision.lifecycle import CLOSES, Answer, Request, State, StopAsked, request_of
 from pancakes.supervision.slots import Slot
@@ -74,9 +74,11 @@ def task_meant(
         return found[0]
     if found:
         ids = " and ".join(str(one.task_id) for one in found)
-        raise ControlRefused(f"{service} has {ids} in doubt: say which by its birthplace")
+        raise ControlRefused(f"{service} has {ids} in doubt: say which by its birthplace", "ambiguous")
     if not meant:
-        raise ControlRefused(f"{service} knows of no task {name!r}" + (f" of {birthplace}" if birthplace else ""))
+        raise ControlRefused(
+            f"{service} knows of no task {name!r}" + (f" of {birthplace}" if birthplace else ""), "not_found"
+        )
     stands = " and ".join(f"{record.task_id} is {_standing(record)}" for record in meant)
     raise ControlRefused(f"there is nothing to {verb}: {stands}")
 
@@ -240,7 +242,7 @@ class Decisions:
             self._adopt_lost(chosen, body, request)
         elif is_disputed(chosen):
             if not body.force:
-                raise ControlRefused(meaning(chosen, host.agent))
+                raise ControlRefused(meaning(chosen, host.agent), "needs_force")
             why = f"{chosen.peer}, which owns it too, is to have it no longer"
             self._run_here(chosen.task_id, AdoptionAsked(), chosen.peer, why, body.dry_run, request)
         else:
@@ -249,7 +251,7 @@ class Decisions:
     def _adopt_copied(self, place: Place, body: Adopt, request: Request) -> None:
         host, task_id = self._host, place.task_id
         if not body.force:
-            raise ControlRefused(meaning_of_copy(place.standing.record, host.agent))
+            raise ControlRefused(meaning_of_copy(place.standing.record, host.agent), "needs_force")
         if not body.dry_run:
             self._tell_asked("adopt", task_id, request)
             host.log("warning", f"{task_id} goes on on {host.agent}, from an old copy, as {request.by} asked")
@@ -269,7 +271,7 @@ class Decisions:
                 f" where {peer} has lost its disk, switch it off first"
             )
         if not body.force:
-            raise ControlRefused(meaning(record, host.agent))
+            raise ControlRefused(meaning(record, host.agent), "needs_force")
         self._run_here(task_id, AdoptionAsked(), peer, f"{peer} is gone for good", body.dry_run, request)
 
     def _adopt_lost(self, lost: Lost, body: Adopt, request: Request) -> None:
@@ -285,7 +287,7 @@ class Decisions:
                 f" `pancakes task forget {host.agent}/{task_id.name}` lets it rest"
             )
         if not body.force:
-            raise ControlRefused(lost.meaning(host.agent))
+            raise ControlRefused(lost.meaning(host.agent), "needs_force")
         event = AdoptionAsked(snapshot, lost.seen.n, lost.jump)
         self._run_here(task_id, event, "", f"{request.by} says that it runs nowhere else", body.dry_run, request)
 
@@ -299,7 +301,7 @@ class Decisions:
         type_name = Snapshot.decode(held.snapshot).type if held is not None else body.type
         command = Command(request.number, request.cause, "", body)
         if fault := host.kernel.access.fault(agent_of(request.by), "host", type_name):
-            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {fault}")
+            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {fault}", "unable")
         if host.state.imports_first(host, agent_of(request.by), type_name, command):
             return
         place = host.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
@@ -320,9 +322,11 @@ class Decisions:
         if refusal or body.dry_run or not body.force:
             host.kernel.registry.unreserve(join(host.address, task_id.name))
         if refusal:
-            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {refusal}")
+            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {refusal}", "unable")
         if not body.force:
-            raise ControlRefused(cost_of_revival(task_id, host.agent, held.story if held is not None else ""))
+            raise ControlRefused(
+                cost_of_revival(task_id, host.agent, held.story if held is not None else ""), "needs_force"
+            )
         seen = max(record.seen.n, other.epoch.n if other is not None else 0, body.seen)
         event = AdoptionAsked(snapshot, seen, MORE_THAN_MOVES)
         why = f"{request.by} says that its agent is gone for good"
@@ -337,7 +341,7 @@ class Decisions:
                 f" on another agent"
             )
         if not body.force:
-            raise ControlRefused(cost_of_standing_alone(record, host.agent))
+            raise ControlRefused(cost_of_standing_alone(record, host.agent), "needs_force")
         ours = [one for one in record.guards.members() if one.agent == host.agent]
         guardian = host.first_guardian(place, record.snapshot) or next(iter(ours), None)
         if guardian is None:
@@ -381,7 +385,7 @@ class Decisions:
             if why_not:
                 why_not = f"{task_id} belongs to {host.agent} now, but does not run: {why_not}"
         done = {"task_id": str(task_id), "peer": adopted.peer}
-        host.reply(adopted.request, why_not, done if not why_not else None)
+        host.reply(adopted.request, Refusal.if_any(why_not), done if not why_not else None)
 
     def forget(self, body: Forget, request: Request) -> None:
         """Lets a task rest here, on a person's word that it runs elsewhere, or drops what was never handed over.
@@ -403,7 +407,7 @@ class Decisions:
                 why = f"{lost.peer} is connected, and says what becomes of it"
                 raise ControlRefused(f"{task_id} is not forgotten: {why}")
             if not body.force:
-                raise ControlRefused(cost_of_forgetting(lost, host.agent))
+                raise ControlRefused(cost_of_forgetting(lost, host.agent), "needs_force")
         if body.dry_run:
             host.reply(request, result={"task_id": str(task_id)})
             return
@@ -422,7 +426,7 @@ class Decisions:
             if place.standing.record.phase is Phase.OWNER and body.birthplace in ("", place.task_id.birthplace)
         ]
         if not ours:
-            raise ControlRefused(f"{host.address} owns no task {body.target!r}")
+            raise ControlRefused(f"{host.address} owns no task {body.target!r}", "not_found")
         place = ours[0]
         record, task_id = place.standing.record, place.task_id
         if not is_disputed(record) and (place.other is None or place.other.peer != body.owner):
@@ -448,7 +452,7 @@ class Decisions:
         host, task_id = self._host, place.task_id
         for request in asked:
             if why_not:
-                host.reply(request, f"{task_id} is not forgotten: {why_not}")
+                host.reply(request, Refusal("failed", f"{task_id} is not forgotten: {why_not}"))
                 continue
             host.log("warning", f"{task_id} was forgotten on {host.agent}, as {request.by} asked: it rests here")
             host.event("task_forgotten", task=task_id.name)
@@ -462,7 +466,7 @@ class Decisions:
         """
         place = self._host.places[task_id]
         if place.adoption is not None or place.forgetting:
-            raise ControlRefused(f"{task_id} has just been decided about, and that is not written down yet")
+            raise ControlRefused(f"{task_id} has just been decided about, and that is not written down yet", "busy")
         return place
 
     def _tell_asked(self, what: str, task_id: TaskId, request: Request) -> None:
@@ -518,7 +522,7 @@ class Creations:
         host, task_id = self._host, TaskId(self._host.agent, body.target)
         command = Command(request.number, request.cause, "", body)
         if fault := host.kernel.access.fault(agent_of(request.by), "host", body.type):
-            raise ControlRefused(f"{task_id.name} cannot run on {host.agent}: {fault}")
+            raise ControlRefused(f"{task_id.name} cannot run on {host.agent}: {fault}", "unable")
         if host.state.imports_first(host, agent_of(request.by), body.type, command):
             return
         self._refuse_known(task_id)
@@ -530,7 +534,9 @@ class Creations:
 
     def _spec(self, body: Create) -> TaskSpec:
         if key := next((key for key in body.keys if key in NOT_ITS_KEYS), ""):
-            raise ControlRefused(f"[task.{body.target}] {key}: is none of the other keys; see `pancakes task create`")
+            raise ControlRefused(
+                f"[task.{body.target}] {key}: is none of the other keys; see `pancakes task create`", "invalid"
+            )
         table: dict[str, Any] = {"service": self._host.name, "settings": dict(body.settings), **body.keys}
         if body.type:
             table["type"] = body.type
@@ -546,11 +552,11 @@ class Creations:
         """Raises `ControlRefused` where there is such a task here, or is about to be."""
         host = self._host
         if host.closing:
-            raise ControlRefused(f"{host.address} ends: {CLOSES}")
+            raise ControlRefused(f"{host.address} ends: {CLOSES}", "busy")
         if (slot := host.slots.get(task_id.name)) is not None:
             raise ControlRefused(f"{slot.address} is there already, and {slot.life.word}: choose another name")
         if self._disputes.inquiries.about(task_id) or self._place(task_id).creation is not None:
-            raise ControlRefused(f"{task_id} is being created already")
+            raise ControlRefused(f"{task_id} is being created already", "busy")
         if lost := self._records.lost(task_id):
             raise ControlRefused(lost.undecided(host.agent))
         if self._records.service_of(task_id) not in ("", host.name):
@@ -567,7 +573,7 @@ class Creations:
             refusal = f"{host.agent} lacks the device types {', '.join(lacking)}, which {task_id.name} requires"
         if refusal:
             self._unreserve(task_id)
-            raise ControlRefused(f"{task_id.name} cannot run on {host.agent}: {refusal}")
+            raise ControlRefused(f"{task_id.name} cannot run on {host.agent}: {refusal}", "unable")
 
     def _unreserve(self, task_id: TaskId) -> None:
         self._host.kernel.registry.unreserve(join(self._host.address, task_id.name))
@@ -580,7 +586,7 @@ class Creations:
             seen = self._seen(task_id, place.standing.record, found)
             self._refuse_unfit(task_id, asked)
         except ControlRefused as error:
-            host.reply(asked.request, str(error))
+            host.reply(asked.request, Refusal.of(error))
             return
         jump = MORE_THAN_MOVES if asked.spec.guard is not None else 1  # a guardian that was away may know a later epoch
         if asked.dry_run:
@@ -629,7 +635,9 @@ class Creations:
         host, task_id, record = self._host, place.task_id, place.standing.record
         if record.phase is not Phase.OWNER:
             self._unreserve(task_id)
-            host.reply(asked.request, f"{task_id} is not created: {place.standing.trouble or why_not}")
+            host.reply(
+                asked.request, Refusal("failed", f"{task_id} is not created: {place.standing.trouble or why_not}")
+            )
             return
         host.log("info", f"{task_id} was created on {host.agent}, as {asked.request.by} asked")
         told = {"task": task_id.name, "type": asked.spec.type, "epoch": record.epoch.n}
@@ -637,7 +645,9 @@ class Creations:
         self._account(task_id, asked.request, "created", host.agent)
         if why_not:
             remove = f"`pancakes task remove {host.agent}/{task_id.name}` ends it"
-            host.reply(asked.request, f"{task_id} was created, and does not run: {why_not}. {remove}")
+            host.reply(
+                asked.request, Refusal("unable", f"{task_id} was created, and does not run: {why_not}. {remove}")
+            )
         else:
             host.reply(asked.request, result=_result(task_id, record.epoch.n, asked.silent))
 
@@ -680,7 +690,7 @@ class Creations:
         if place.unsure.why:
             raise ControlRefused(place.unsure.why)
         if place.removal is not None or place.adoption is not None or place.forgetting:
-            raise ControlRefused(f"{task_id} has just been decided about, and that is not written down yet")
+            raise ControlRefused(f"{task_id} has just been decided about, and that is not written down yet", "busy")
 
     def has_stopped(self, place: Place, answer: Answer) -> bool:
         """A task was stopped as was asked, or could not be.
@@ -696,7 +706,7 @@ class Creations:
         if place.slot is not None:
             waiting, place.slot.commands = place.slot.commands, ()
             for command in waiting:
-                self._host.reply(request_of(command), f"{place.task_id} is being removed")
+                self._host.reply(request_of(command), Refusal("busy", f"{place.task_id} is being removed", RETRY_S))
         self._go_on(place)
         return True
 
@@ -711,7 +721,7 @@ class Creations:
             host.reply(request, result={"task_id": str(task_id)})
         elif why_not:
             place.removal = None
-            host.reply(request, f"{task_id} is not removed: {why_not}")
+            host.reply(request, Refusal("failed", f"{task_id} is not removed: {why_not}"))
         else:
             self._go_on(place)
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.control import Checkpoints, Guarding, Take
+from pancakes.control import Checkpoints, Guarding, Refusal, Take
 from pancakes.durable.arrivals import MOST_IN_DOUBT, MOST_IN_DOUBT_BYTES, MOST_LEFT
 from pancakes.durable.bidding_messages import MIGRATOR, AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
 from pancakes.durable.checkpoints import rules_of
@@ -408,7 +408,7 @@ class Takeovers:
         if orphan is None:
             raise ControlRefused(f"{task_id} is not to run, as its checkpoint says: there is nothing to take over")
         if orphan.negotiating_s is not None or orphan.asked is not None:
-            raise ControlRefused(f"{task_id} is being taken over already")
+            raise ControlRefused(f"{task_id} is being taken over already", "busy")
         orphan.asked = asked
         self._poll(orphan)
         self._guardian.after_host(POLLED_S, partial(self._look_at_polled, orphan))
@@ -424,7 +424,7 @@ class Takeovers:
     def _answer(self, orphan: _Orphan, reason: str, result: Any = None) -> None:
         asked, orphan.asked = orphan.asked, None
         if asked is not None:
-            tell(asked.root, GuardianAnswers(asked.request, reason, result))
+            tell(asked.root, GuardianAnswers(asked.request, Refusal.if_any(reason), result))
 
 
 KEEP: Final = queue(1024)
@@ -541,7 +541,7 @@ class Guardian(Component):
             else:
                 self._takeovers.take(asked, self._to_take(asked.body).register.task_id)
         except ControlRefused as error:
-            tell(asked.root, GuardianAnswers(asked.request, str(error)))
+            tell(asked.root, GuardianAnswers(asked.request, Refusal.of(error)))
 
     def _held(self, asked: Checkpoints) -> list[dict[str, Any]]:
         now_s, rows = self.kernel.host.now(), list(of_records(self._records.all().values(), asked))
@@ -563,10 +563,10 @@ class Guardian(Component):
         found = [one for it, one in kept.items() if it.name == body.task and body.birthplace in ("", it.birthplace)]
         if not found:
             names = ", ".join(map(str, kept)) or "no task"
-            raise ControlRefused(f"{self.agent} does not guard {body.task}, but {names}")
+            raise ControlRefused(f"{self.agent} does not guard {body.task}, but {names}", "not_found")
         if len(found) > 1:
             names = " and ".join(str(one.register.task_id) for one in found)
-            raise ControlRefused(f"{self.agent} guards {names}: say which birthplace is meant")
+            raise ControlRefused(f"{self.agent} guards {names}: say which birthplace is meant", "ambiguous")
         (one,) = found
         if one.lease.epoch is not None:
             owner, name = one.lease.epoch.minter, one.register.task_id.name

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
+from pancakes.control import Refusal
 from pancakes.durable.guarding import GuardRegister
 from pancakes.durable.handoff_events import Times
 from pancakes.durable.installed import Installed
@@ -252,7 +253,7 @@ class HostState:
                 return f"keeps a place for it for {other_peer}"
         self.free(task_id)
         if refusal := self.refusal_of(peer, message.request):
-            return refusal
+            return refusal.text
         with self._lock:
             if self._reservations.number(peer, now_s) >= MOST_SLOTS:
                 return f"keeps {MOST_SLOTS} places for tasks of {peer} already"
@@ -310,10 +311,10 @@ class HostState:
             return False
         return self._kernel.tell(IMPORTER, Import(asker, type, waiting))
 
-    def refusal_of(self, peer: str, request: Solicit) -> str:
-        """Returns why this agent cannot take a task of a peer now, as a phrase; empty where it can."""
+    def refusal_of(self, peer: str, request: Solicit) -> Refusal | None:
+        """Returns why this agent cannot take a task of a peer now; None if it can."""
         if fault := self._kernel.access.fault(peer, "host", request.type):
-            return fault
+            return Refusal("forbidden", fault)
         registry = self._kernel.registry
         holder = self._holder_of(request.task_id.name)
         version, fault = self._installed.version_of(request.type), self._installed.fault_of(request.type)
@@ -329,7 +330,7 @@ class HostState:
             costs=tuple(self.costs()),
             battery_level=self.battery_level,
         )
-        return capability.refusal_of(request) or self._taken(request)
+        return capability.refusal_of(request) or Refusal.if_any(self._taken(request), "conflict")
 
     def _holder_of(self, name: str) -> TaskId | None:
         """Returns the task that a name belongs to here: it has a slot, or one is kept for it. None: it is free."""

@@ -13,6 +13,7 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
+from pancakes.control import Refusal
 from pancakes.durable.bidding_messages import HasMoved
 from pancakes.durable.courier import SharedOutbox
 from pancakes.durable.delivery import STREAMS, Letter
@@ -684,7 +685,7 @@ class HostingService(Reference, Protocol):
 
     def hold_actuators(self, slot: Slot, reason: str) -> None: ...
 
-    def reply(self, request: Request, reason: str = "", result: Any = None) -> None: ...
+    def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None: ...
 
     def put_off(self, request: Request, reason: str) -> None: ...
 

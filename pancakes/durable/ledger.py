@@ -34,6 +34,8 @@ class Line(msgspec.Struct, frozen=True):
         cost: what it asked for; None where it made no bid.
         terms: what that cost was made of.
         reason: why it did not get the task; empty where it did.
+        code: of a refusal, the same for programs (`docs/refusals.md`); else empty.
+        retry_after_s: of a refusal, after how long it may be worth asking again, in seconds.
     """
 
     peer: str
@@ -42,6 +44,8 @@ class Line(msgspec.Struct, frozen=True):
     cost: float | None = None
     terms: Mapping[str, float] = msgspec.field(default_factory=dict)
     reason: str = ""
+    code: str = ""
+    retry_after_s: float | None = None
 
 
 @packet_type("migration.ledger")

@@ -17,6 +17,7 @@ from typing import Annotated, Final, NamedTuple, Protocol, TypeVar
 import msgspec
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable.record import NO_EPOCH, NO_GUARDS, Epoch, GuardianId, Guards, TaskId, Wanted
 from pancakes.durable.rules import CostChoice
 from pancakes.packet import packet_type
@@ -70,11 +71,11 @@ class Bid(msgspec.Struct, frozen=True):
 
 @packet_type("migration.refuse")
 class Refuse(msgspec.Struct, frozen=True):
-    """Declines to take a task; the reason is for people."""
+    """Declines to take a task, and says why."""
 
     task_id: TaskId
     ask: int
-    reason: str
+    refusal: Refusal
     journal: str = ""
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from pancakes.control import Configure, Describe, Migrate, Remove, Reschedule, Stop
+from pancakes.control import Configure, Describe, Migrate, Refusal, Remove, Reschedule, Stop
 from pancakes.durable.bidding_messages import (
     MIGRATOR,
     AttemptOver,
@@ -155,15 +155,15 @@ class Mover:
         going = volatile.freezing or record.under_way
         if going and not describes:
             peer = volatile.asked or record.peer
-            raise ControlRefused(f"{slot.address} is being handed over between {self._host.agent} and {peer}")
+            raise ControlRefused(f"{slot.address} is being handed over between {self._host.agent} and {peer}", "busy")
         if place.standing.leaving and not describes:
-            raise ControlRefused(f"{slot.address} was handed over, and has not ended yet")
+            raise ControlRefused(f"{slot.address} was handed over, and has not ended yet", "busy")
         if place.removal is not None and not describes:
-            raise ControlRefused(f"{slot.address} is being removed")
+            raise ControlRefused(f"{slot.address} is being removed", "busy")
         asks_state = describes and (body.state or body.began)
         changes = asks_state or isinstance(body, Stop | Reschedule | Configure | Migrate | Remove)
         if record.phase is Phase.RELEASED and not record.removed and changes:
-            raise ControlRefused(f"{record.task_id} moved to {record.peer}")
+            raise ControlRefused(f"{record.task_id} moved to {record.peer}", "moved")
 
     # Asking for a move -----------------------------------------------------------------------------------------
 
@@ -184,16 +184,20 @@ class Mover:
         if slot.task is None or slot.life.state is not State.RUNNING:
             raise ControlRefused(f"{slot.how_it_is}, so it cannot move")
         if not slot.spec.type:
-            raise ControlRefused(f"{slot.address} has no entry point under which another agent could find its class")
+            raise ControlRefused(
+                f"{slot.address} has no entry point under which another agent could find its class", "unsupported"
+            )
         if place.move is not None:
-            raise ControlRefused(f"{slot.address} is being moved already")
+            raise ControlRefused(f"{slot.address} is being moved already", "busy")
         fault = fault_of_choice(body.cost)
         if fault:
-            raise ControlRefused(f"{slot.address} cannot move: {fault}")
+            raise ControlRefused(f"{slot.address} cannot move: {fault}", "unable")
         if body.then and body.then not in host.slots:
-            raise ControlRefused(f"{host.address} has no task {body.then!r} that could follow {slot.name}")
+            raise ControlRefused(f"{host.address} has no task {body.then!r} that could follow {slot.name}", "not_found")
         if host.kernel.actor(MIGRATOR) is None:
-            raise ControlRefused(f"{slot.address} cannot move: the Network Service of {host.agent} is stopped")
+            raise ControlRefused(
+                f"{slot.address} cannot move: the Network Service of {host.agent} is stopped", "unable"
+            )
         offer = self._offer(place, body.cost)
         self._asks += 1
         rule = slot.spec.rule
@@ -223,7 +227,9 @@ class Mover:
         try:
             return Snapshot.decode(record.snapshot).offer() if record.snapshot and not is_of_core(cost) else b""
         except MigrationError as error:
-            raise ControlRefused(f"{place.task_id} cannot move for the cost {cost_text(cost)}: {error}") from None
+            raise ControlRefused(
+                f"{place.task_id} cannot move for the cost {cost_text(cost)}: {error}", "unable"
+            ) from None
 
     def watch(self, slot: Slot) -> None:
         """A task runs: watches what its rule for moving is about."""
@@ -265,7 +271,7 @@ class Mover:
     def _over(self, place: Place, over: MoveOver) -> PartConcluded | None:
         move, place.move = place.move, None
         if move is not None and move.answer is not None:
-            self._host.reply(move.answer, over.reason, over.result)
+            self._host.reply(move.answer, Refusal.if_any(over.reason), over.result)
         if move is not None and over.reason and not move.dry_run:
             rule = place.slot.spec.rule if place.slot is not None and move.answer is None else None
             why = f"{over.task_id} stays on {self._host.agent}: {over.reason}"

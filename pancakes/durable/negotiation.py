@@ -15,11 +15,12 @@ from typing import Final
 import msgspec
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable.ledger import Ledger, Line
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import Epoch, TaskId
 from pancakes.durable.rules import cost_text, fault_of, fault_of_choice, names_of
-from pancakes.errors import NoCandidate
+from pancakes.errors import NoCandidate, RefusalCode
 from pancakes.util.text import hint_of
 
 HOST_ROLE: Final = "agent"
@@ -54,19 +55,23 @@ class Capability(msgspec.Struct, frozen=True):
     costs: tuple[str, ...] = ("tasks",)
     battery_level: float | None = None
 
-    def refusal_of(self, request: Solicit) -> str:
-        """Returns why this agent cannot take the task, all reasons in one phrase; empty where it can."""
-        return "; ".join(reason for reason in self._reasons(request) if reason)
+    def refusal_of(self, request: Solicit) -> Refusal | None:
+        """Returns why this agent cannot take the task, with all reasons in its text; None if it can.
 
-    def _reasons(self, request: Solicit) -> tuple[str, ...]:
+        The code is that of the first reason: those that only another configuration changes come first.
+        """
+        reasons = [(code, text) for code, text in self._reasons(request) if text]
+        return Refusal(reasons[0][0], "; ".join(text for _, text in reasons)) if reasons else None
+
+    def _reasons(self, request: Solicit) -> tuple[tuple[RefusalCode, str], ...]:
         return (
-            "" if self.role == HOST_ROLE else f"is no host of tasks but in the role {self.role!r}",
-            self._service(request),
-            self._devices(request),
-            self._type(request),
-            self._name(request),
-            self._cost(request),
-            self._battery(request),
+            ("unsupported", "" if self.role == HOST_ROLE else f"is no host of tasks but in the role {self.role!r}"),
+            ("unsupported", self._service(request)),
+            ("unsupported", self._devices(request)),
+            ("unsupported", self._type(request)),
+            ("conflict", self._name(request)),
+            ("unsupported", self._cost(request)),
+            ("unable", self._battery(request)),
         )
 
     def _service(self, request: Solicit) -> str:
@@ -274,9 +279,11 @@ class Negotiation:
             return self._answer(Line(peer, "refused", "refused", reason=f"its bid does not count: {fault}"), now_s)
         return self._answer(Line(peer, "bid", "lost", cost, dict(terms)), now_s)
 
-    def refuse(self, peer: str, reason: str, now_s: float) -> Outcome | None:
+    def refuse(self, peer: str, refusal: Refusal, now_s: float) -> Outcome | None:
         """Takes a refusal, or the news that the link to `peer` is gone."""
-        return self._answer(Line(peer, "refused", "refused", reason=reason[:MOST_LETTERS]), now_s)
+        text = refusal.text[:MOST_LETTERS]
+        line = Line(peer, "refused", "refused", reason=text, code=refusal.code, retry_after_s=refusal.retry_after_s)
+        return self._answer(line, now_s)
 
     def tick(self, now_s: float) -> Outcome | None:
         """Closes the window once it is time. To be called after `window_s`, and after `patience_s`."""

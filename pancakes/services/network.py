@@ -287,7 +287,7 @@ class NetworkService(Service):
             try:
                 self.reply(request, result=self._mesh.reload_keys(body.dry_run))
             except PancakesError as error:
-                raise ControlRefused(str(error)) from None
+                raise ControlRefused(str(error), error.code) from None
         elif isinstance(body, Stop) and slot is not None and slot.name == CLIENT and agent_of(request.by) != self.agent:
             # Without it no answer leaves.
             raise ControlRefused(
@@ -299,25 +299,31 @@ class NetworkService(Service):
     def _follow(self, body: Follow, request: Request) -> None:
         by = request.by
         if agent_of(by) == self.agent:
-            raise ControlRefused(f"{by} is on this agent: it can subscribe to {body.channel!r} itself")
+            raise ControlRefused(f"{by} is on this agent: it can subscribe to {body.channel!r} itself", "unsupported")
         destination = agent_of(by)
         hello = self._mesh.connected().get(destination)
         if hello is None:
             # It has asked and gone, and no agent would ever end what it began.
-            raise ControlRefused(f"{destination} is not connected, so it cannot follow {body.channel!r}")
+            raise ControlRefused(f"{destination} is not connected, so it cannot follow {body.channel!r}", "unable")
         if body.foreign and hello.role != "client":
             # Two agents that follow each other would send one packet to and fro for ever.
-            raise ControlRefused(f"{destination} is no client, so it cannot follow what others send to {self.agent}")
+            raise ControlRefused(
+                f"{destination} is no client, so it cannot follow what others send to {self.agent}", "unsupported"
+            )
         if body.most_hz != 0 and not LEAST_HZ <= body.most_hz < math.inf:
-            raise ControlRefused(f"most_hz is to be 0 (all), or {LEAST_HZ:g} or more a second, not {body.most_hz}")
+            raise ControlRefused(
+                f"most_hz is to be 0 (all), or {LEAST_HZ:g} or more a second, not {body.most_hz}", "invalid"
+            )
         self._unfollow(body.channel, by)
         if sum(agent_of(it) == destination for _, it in self._followers) >= MOST_FOLLOWED:
-            raise ControlRefused(f"{destination} follows {MOST_FOLLOWED} times already, under as many addresses")
+            raise ControlRefused(
+                f"{destination} follows {MOST_FOLLOWED} times already, under as many addresses", "busy"
+            )
         follower = Follower(self, self._mesh, destination, body.foreign, body.most_hz)
         try:
             self.kernel.stream.tap(body.channel, follower.take, body.types, by=by)
         except UnknownChannel as error:
-            raise ControlRefused(str(error)) from None
+            raise ControlRefused(str(error), error.code) from None
         self._followers[body.channel, by] = follower
         self.reply(request)
 

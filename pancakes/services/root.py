@@ -34,6 +34,7 @@ from pancakes.control import (
     Measure,
     Migrate,
     Migrations,
+    Refusal,
     ReloadKeys,
     Remove,
     Reschedule,
@@ -112,9 +113,13 @@ class Measuring:
             ControlRefused: it takes no time, or too long; or the agent lives in virtual time.
         """
         if not (SHORTEST_S <= for_s <= LONGEST_S) or math.isnan(for_s):
-            raise ControlRefused(f"a measurement takes from {SHORTEST_S:g} to {LONGEST_S:g} s, not {for_s:g} s")
+            raise ControlRefused(
+                f"a measurement takes from {SHORTEST_S:g} to {LONGEST_S:g} s, not {for_s:g} s", "invalid"
+            )
         if self._kernel.virtual is not None:
-            raise ControlRefused(f"{self._kernel.agent} lives in virtual time, in which no processor time is measured")
+            raise ControlRefused(
+                f"{self._kernel.agent} lives in virtual time, in which no processor time is measured", "unsupported"
+            )
         if self._kernel.meter is None:
             self._kernel.meter = TurnMeter()
         self._under_way += 1
@@ -264,9 +269,9 @@ class Root(Component):
                 self._services.service_ended(message)
             case NoRoom():
                 # It has its place in the order like any other.
-                self.reply(self._numbered(message.packet), message.reason)
+                self.reply(self._numbered(message.packet), message.refusal)
             case GuardianAnswers():
-                self.reply(message.request, message.reason, message.result)
+                self.reply(message.request, message.refusal, message.result)
             case Close():
                 self._services.close()
             case _:
@@ -290,11 +295,11 @@ class Root(Component):
         try:
             do()
         except (PancakesError, ValueError) as error:
-            self.reply(request, str(error))
+            self.reply(request, Refusal.of(error))
         except Exception as error:  # what a service's author wrote may raise anything, and must not end the root
             text = f"what {request.by} asked for failed: {describe(error)}"
             self.log("error", text, traceback_of(error))
-            self.reply(request, text)
+            self.reply(request, Refusal("failed", text))
 
     def refuse_all(self, reason: str) -> None:
         """Answers, once this actor has ended, all control packets that it took or that still wait for it."""
@@ -302,12 +307,12 @@ class Root(Component):
         while queue is not None and (packet := queue.take()) is not None:
             # The one that it failed on lies here again, and has its number.
             if not self._answers.owes((packet.source, packet.seq)):
-                self.reply(self._numbered(packet), reason)
+                self.reply(self._numbered(packet), Refusal("failed", reason))
         self._answers.refuse_all(reason)
 
-    def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
-        """Answers the sender of a request; an empty reason means that it has been done."""
-        self._answers.give(request, reason, result)
+    def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None:
+        """Answers the sender of a request; without a refusal, it has been done."""
+        self._answers.give(request, refusal, result)
 
     def put_off(self, request: Request, reason: str) -> None:
         """Tells the sender of a request what it waits for; what becomes of it in the end is said on `log`."""
@@ -327,7 +332,7 @@ class Root(Component):
             return
         if isinstance(body, Begin):
             if not 0 <= body.in_s < math.inf:
-                raise ControlRefused(f"a mission cannot begin in {body.in_s} s")
+                raise ControlRefused(f"a mission cannot begin in {body.in_s} s", "invalid")
             self.kernel.begin(body.in_s)
             self.reply(request)
             return
@@ -367,7 +372,7 @@ class Root(Component):
 
     def _hand_to_guardian(self, body: Guarding | Checkpoints | Take, request: Request) -> None:
         if not self.kernel.tell(GUARDIAN, AskedOfGuardian(body, request, self)):
-            raise ControlRefused(f"the guardian of {self.agent} is being started anew")
+            raise ControlRefused(f"the guardian of {self.agent} is being started anew", "busy")
 
     def _must_be_allowed(self, body: Any, request: Request, service: str, task: str) -> None:
         """Looks whether a peer may ask for this.
@@ -381,7 +386,7 @@ class Root(Component):
         else:
             on = (join(self.agent, service, task) if task else f"{join(self.agent, service)}/",)
         if fault := self.kernel.access.fault(peer, right, *on):
-            raise ControlRefused(fault)
+            raise ControlRefused(fault, "forbidden")
 
     def find(self, target: str) -> tuple[str, str]:
         """Returns the service and the task that a target means; the task is empty where it means a service.
@@ -394,10 +399,12 @@ class Root(Component):
             parts = parts[1:]
         if len(parts) == 2 and parts[0]:
             if parts[0] not in self.places:
-                raise ControlRefused(f"{self.agent} has no service {parts[0]!r}, only {', '.join(self.places)}")
+                raise ControlRefused(
+                    f"{self.agent} has no service {parts[0]!r}, only {', '.join(self.places)}", "not_found"
+                )
             return parts[0], parts[1]
         if len(parts) != 1 or not parts[0]:
-            raise ControlRefused(f"{target!r} is no target: it must read task, service/task or service")
+            raise ControlRefused(f"{target!r} is no target: it must read task, service/task or service", "invalid")
         name = parts[0]
         tasks = self.kernel.tasks
         # What was given away and stands in doubt is in no table of tasks any more, nor is what came here and was lost.
@@ -408,7 +415,7 @@ class Root(Component):
             if place.service is not None and (tasks.get(service, name) is not None or service in doubted)
         ]
         if len(owners) > 1:
-            raise ControlRefused(f"{self.agent} has {name!r} in {' and in '.join(owners)}: say which")
+            raise ControlRefused(f"{self.agent} has {name!r} in {' and in '.join(owners)}: say which", "ambiguous")
         if owners:
             return owners[0], name
         if name in self.places:
@@ -418,7 +425,8 @@ class Root(Component):
                 raise ControlRefused(f"{place.address} is {place.life.word}, and {name} with it")
         meant = suggestion(name, [*self.places, *(entry.name for entry in tasks.all())])
         raise ControlRefused(
-            f"{self.agent} has no task or service {name!r}" + (f", did you mean {meant!r}?" if meant else "")
+            f"{self.agent} has no task or service {name!r}" + (f", did you mean {meant!r}?" if meant else ""),
+            "not_found",
         )
 
     def _place_of_new(self, target: str) -> tuple[str, str]:
@@ -429,9 +437,9 @@ class Root(Component):
         """
         parts = target.removeprefix(f"{self.agent}/").split("/")
         if len(parts) > 2 or not all(parts):
-            raise ControlRefused(f"{target!r} is no target: it must read task or service/task")
+            raise ControlRefused(f"{target!r} is no target: it must read task or service/task", "invalid")
         if fault := fault_of_name(parts[-1]):
-            raise ControlRefused(fault)
+            raise ControlRefused(fault, "forbidden")
         return (parts[0] if len(parts) == 2 else CLIENT_SERVICE), parts[-1]
 
     def _hand(self, service: str, task: str, body: Any, request: Request) -> None:
@@ -450,7 +458,7 @@ class Root(Component):
             else:
                 self._change_service(place, body, request)
         elif isinstance(body, (Reschedule, Configure, Migrate, Adopt, Forget, Remove, SetFence)):
-            raise ControlRefused(f"{place.address} is a service: name one of its tasks")
+            raise ControlRefused(f"{place.address} is a service: name one of its tasks", "unsupported")
         elif place.service is not None:
             self._hand(place.spec.name, "", body, request)
         else:
@@ -467,7 +475,9 @@ class Root(Component):
             if life.state not in (State.STOPPED, State.FAILED, State.RESTARTING):
                 raise ControlRefused(f"{place.address} is {life.word} already")
             if body.settings is not None:
-                raise ControlRefused(f"{place.address} is a service: only a task can be started with other settings")
+                raise ControlRefused(
+                    f"{place.address} is a service: only a task can be started with other settings", "unsupported"
+                )
         elif isinstance(body, Stop):
             self._refuse_stop(place, body, request)
         if body.dry_run:
@@ -501,7 +511,7 @@ class Root(Component):
         if place.life.state not in (State.RUNNING, State.FAILED) and not due:
             raise ControlRefused(f"{place.address} is {place.life.word}, not running")
         if body.for_s is not None and not 0 < body.for_s < math.inf:
-            raise ControlRefused(f"{place.address} cannot be stopped for {body.for_s} s")
+            raise ControlRefused(f"{place.address} cannot be stopped for {body.for_s} s", "invalid")
         elsewhere = agent_of(request.by) != self.agent
         if elsewhere and place.spec.name == NETWORK and body.for_s is None:
             raise ControlRefused(

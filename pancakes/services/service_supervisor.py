@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol, assert_never
 
 import msgspec
 
-from pancakes.control import Command
+from pancakes.control import Command, Refusal
 from pancakes.errors import ClassError, PancakesError, describe, traceback_of
 from pancakes.kernel.actor import Component
 from pancakes.kernel.kernel import Kernel
@@ -187,7 +187,7 @@ class ServicePlace(msgspec.Struct):
 class Answering(Protocol):
     """What the keeper needs of the root besides what every component has."""
 
-    def reply(self, request: Request, reason: str = "", result: Any = None) -> None: ...
+    def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None: ...
 
     def put_off(self, request: Request, reason: str) -> None: ...
 
@@ -265,7 +265,7 @@ class ServiceKeeper:
         if place.service is not message.service:
             return
         for request in message.unheard:
-            self._answering.reply(request, f"{place.address} ended before it came to that")
+            self._answering.reply(request, Refusal("failed", f"{place.address} ended before it came to that"))
         place.service = None
         if message.error is None:
             place.kept = message.kept
@@ -363,7 +363,7 @@ class ServiceKeeper:
         if place.told == effect.asker.number:
             place.told = 0
         else:
-            self._answering.reply(effect.asker, effect.reason)
+            self._answering.reply(effect.asker, Refusal.if_any(effect.reason))
         self._root.call(lambda: self._answering.next_command(place))
 
     def tell_news(self, place: ServicePlace, effect: Tell) -> None:

@@ -199,10 +199,14 @@ class Tracing:
             told(None)
             return
         if len(self._questions) >= MOST_QUESTIONS:
-            raise ControlRefused(f"{MOST_QUESTIONS} questions for what led to commands wait for their answers already")
+            raise ControlRefused(
+                f"{MOST_QUESTIONS} questions for what led to commands wait for their answers already", "busy"
+            )
         askers = [it for it in self._asked_s if agent_of(it) == agent_of(by)]
         if by not in askers and len(askers) >= MOST_ASKERS:
-            raise ControlRefused(f"{MOST_ASKERS} components of {agent_of(by)} ask for what led to commands already")
+            raise ControlRefused(
+                f"{MOST_ASKERS} components of {agent_of(by)} ask for what led to commands already", "busy"
+            )
         if self._packets is None:
             self._begin(now_s)
         self._asked_s[by] = now_s

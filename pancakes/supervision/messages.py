@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.control import Checkpoints, Configure, Describe, Guarding, Reschedule, SetFence, Take
+from pancakes.control import Checkpoints, Configure, Describe, Guarding, Refusal, Reschedule, SetFence, Take
 from pancakes.durable.delivery import Letter
 from pancakes.durable.record import Epoch
 from pancakes.kernel.mailbox import Reference
@@ -134,14 +134,14 @@ class Changed(msgspec.Struct, frozen=True):
     Attributes:
         task: the actor.
         change: what it was told.
-        reason: why it refuses; empty: it is done.
+        refusal: why it refuses; None: it is done.
         result: what the reply says of it, as plain values; empty: nothing.
         carried: what the task carries after that; None: it was not asked, or cannot say.
     """
 
     task: Reference
     change: ChangeTask
-    reason: str
+    refusal: Refusal | None
     result: Mapping[str, Any]
     carried: Carried | None = None
 
@@ -242,11 +242,11 @@ class NoRoom(msgspec.Struct, frozen=True):
 
     Attributes:
         packet: the packet.
-        reason: why it was refused, as a sentence.
+        refusal: why it was refused.
     """
 
     packet: Packet
-    reason: str
+    refusal: Refusal
 
 
 class PeerDown(msgspec.Struct, frozen=True):
@@ -287,10 +287,10 @@ class GuardianAnswers(msgspec.Struct, frozen=True):
 
     Attributes:
         request: the request.
-        reason: why it was not done; empty: it was.
+        refusal: why it was not done; None: it was.
         result: the answer, as plain values.
     """
 
     request: Request
-    reason: str = ""
+    refusal: Refusal | None = None
     result: Any = None

@@ -23,6 +23,7 @@ from pancakes.control import (
     Describe,
     Forget,
     Migrate,
+    Refusal,
     Remove,
     Reschedule,
     Restart,
@@ -232,7 +233,7 @@ class Commanded(Protocol):
 
     def feed(self, slot: Slot, event: Any) -> None: ...
 
-    def reply(self, request: Request, reason: str = "", result: Any = None) -> None: ...
+    def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None: ...
 
     def tell_asked(self, what: str, slot: Slot, request: Request) -> None: ...
 
@@ -264,10 +265,10 @@ def start(service: Commanded, slot: Slot, body: Start, request: Request) -> None
         change_plain(service.settings_class(slot), carried.settings, body.settings, slot.name)
         carried = replace(carried, settings={**carried.settings, **body.settings})
     if body.dry_run:
-        service.reply(request, service.refuse_start(slot))
+        service.reply(request, Refusal.if_any(service.refuse_start(slot)))
         return
     if life.restarts.due_s is not None and (reason := service.refuse_start(slot)):
-        raise ControlRefused(reason)  # its next try stays due
+        raise ControlRefused(reason, "unable")  # its next try stays due
     service.tell_asked("start", slot, request)
     service.command_waits(slot, request)
     if body.settings is not None:
@@ -292,7 +293,7 @@ def stop(service: Commanded, slot: Slot, body: Stop, request: Request) -> None:
 def restart(service: Commanded, slot: Slot, body: Restart, request: Request) -> None:
     """Stops a task, if it runs, and starts it; the answer comes once it runs."""
     if body.dry_run:
-        service.reply(request, service.refuse_start(slot))
+        service.reply(request, Refusal.if_any(service.refuse_start(slot)))
         return
     service.command_waits(slot, request)
     service.tell_asked("restart", slot, request)
@@ -321,7 +322,7 @@ def change(
 def _check_paths(service: Commanded, slot: Slot, settings: Mapping[str, Any]) -> None:
     """Raises `ControlRefused` where settings have a path outside of the folders that the configuration names."""
     if reason := service.kernel.folders.refusal_of(service.settings_class(slot), settings):
-        raise ControlRefused(f"bad settings for {slot.name}: {reason}")
+        raise ControlRefused(f"bad settings for {slot.name}: {reason}", "invalid")
 
 
 def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) -> None:
@@ -334,12 +335,16 @@ def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) ->
 
 def refuse_removal(service: Commanded, slot: Slot, body: Any, request: Request) -> None:
     """Refuses what is about tasks that can be created."""
-    raise ControlRefused(f"{slot.address} cannot be removed: what {service.address} looks after is not created")
+    raise ControlRefused(
+        f"{slot.address} cannot be removed: what {service.address} looks after is not created", "unsupported"
+    )
 
 
 def refuse_move(service: Commanded, slot: Slot, body: Any, request: Request) -> None:
     """Refuses what is about tasks that can move."""
-    raise ControlRefused(f"{slot.address} cannot move: what {service.address} looks after stays with its agent")
+    raise ControlRefused(
+        f"{slot.address} cannot move: what {service.address} looks after stays with its agent", "unsupported"
+    )
 
 
 CHANGES: Final[Mapping[type, str]] = {

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, Final, Generic, Protocol, TypeVar, assert_never
 
-from pancakes.control import Reply
+from pancakes.control import Refusal, Reply
 from pancakes.errors import PancakesError
 from pancakes.kernel.actor import Component
 from pancakes.packet import SYSCTRL, Cause
@@ -182,7 +182,7 @@ class Answers:
         """Tells the asker what a request waits for; what becomes of it in the end is said on `log`."""
         if self.waits(request):
             self._put_off.add(request.number)
-            self._reply(request, Reply(False, reason, None, request.number))
+            self._reply(request, Reply(Refusal("pending", reason), None, request.number))
 
     def waits(self, request: Request) -> bool:
         """Returns whether the asker has not been told yet what becomes of a request."""
@@ -192,27 +192,27 @@ class Answers:
         """Another component answers this request from now on."""
         self._owed.pop(request.number, None)
 
-    def give(self, request: Request, reason: str = "", result: Any = None) -> None:
+    def give(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None:
         """Answers a request; where the answer cannot be sent, the asker is told that, and why.
 
         Args:
             request: the request.
-            reason: why it is not done; empty: it is.
+            refusal: why it is not done; None: it is.
             result: what was asked for, where that is something to know.
         """
         self._owed.pop(request.number, None)
         if request.number in self._put_off:
             self._put_off.discard(request.number)
-            became = f"was not done: {reason}" if reason else "is done"
+            became = f"was not done: {refusal.text}" if refusal else "is done"
             text = f"what {request.by} asked for (#{request.number}) {became}"
-            self._component.log("warning" if reason else "info", text)
+            self._component.log("warning" if refusal else "info", text)
             return
-        self._reply(request, Reply(not reason, reason, result, request.number))
+        self._reply(request, Reply(refusal, result, request.number))
 
     def refuse_all(self, reason: str) -> None:
         """Tells all askers that still wait that what they asked for is not done."""
         for request in list(self._owed.values()):
-            self.give(request, reason)
+            self.give(request, Refusal("failed", reason))
 
     def _reply(self, request: Request, reply: Reply) -> None:
         try:
@@ -220,7 +220,7 @@ class Answers:
                 self._send(request, reply)
             except PancakesError as error:
                 # Too large for a frame, say: a short refusal fits.
-                self._send(request, Reply(False, f"the answer is lost: {error}", None, request.number))
+                self._send(request, Reply(Refusal("failed", f"the answer is lost: {error}"), None, request.number))
         except PancakesError as error:
             # A component must not fail because an asker does not listen fast enough.
             self._component.log("warning", f"the answer to {request.by} was lost: {error}")

@@ -28,7 +28,7 @@ def test_a_command_that_no_actuator_takes_is_told_once() -> None:
 
 def test_answers_that_nobody_reads_are_not_told() -> None:
     rig = VirtualRig()
-    rig.send(Reply(True, "", {}), to="a/client/Gone", channel="sysctrl")
+    rig.send(Reply(None, {}), to="a/client/Gone", channel="sysctrl")
     rig.send(POSE, to="a/client/Gone", channel="network")
     assert lost(rig) == []
 

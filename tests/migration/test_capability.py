@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
 from pancakes.durable.negotiation import Capability, Reservation, Reservations, compatible
 from pancakes.durable.record import Epoch, TaskId
@@ -20,45 +21,62 @@ ROBOT = Capability(
 
 
 def test_a_robot_with_all_that_is_asked_for_refuses_nothing() -> None:
-    assert ROBOT.refusal_of(REQUEST) == ""
+    assert ROBOT.refusal_of(REQUEST) is None
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
+    ("changes", "reason", "code"),
     [
-        ({"devices": ("motion", "pose")}, "lacks the device type motors"),
-        ({"devices": ()}, "lacks the device types pose, motors"),
-        ({"types": {}}, "knows no task type 'encirclement.ScanTarget'"),
-        ({"types": {}, "faults": {"encirclement.ScanTarget": "it cannot be loaded: no camera"}}, "loaded: no camera"),
-        ({"types": {"encirclement.ScanTarget": "0.2.0"}}, "has encirclement.ScanTarget in version 0.2.0, not 0.1.2"),
-        ({"names": {"ScanTarget": TaskId("agent2", "ScanTarget")}}, "has a task named ScanTarget already"),
-        ({"battery_level": 0.74}, "has 74% of its battery"),
-        ({"role": "environment"}, "is no host of tasks but in the role 'environment'"),
-        ({"costs": ()}, "knows no cost function 'tasks'"),
-        ({"services": ("guide", "map")}, "runs no service 'client' that takes tasks in, only guide, map"),
-        ({"services": ()}, "runs no service 'client' that takes tasks in, nor any other"),
-        ({"records": {SCAN: "map"}}, "has a record of agent1/ScanTarget in its service 'map', not in 'client'"),
+        ({"devices": ("motion", "pose")}, "lacks the device type motors", "unsupported"),
+        ({"devices": ()}, "lacks the device types pose, motors", "unsupported"),
+        ({"types": {}}, "knows no task type 'encirclement.ScanTarget'", "unsupported"),
+        (
+            {"types": {}, "faults": {"encirclement.ScanTarget": "it cannot be loaded: no camera"}},
+            "loaded: no camera",
+            "unsupported",
+        ),
+        (
+            {"types": {"encirclement.ScanTarget": "0.2.0"}},
+            "has encirclement.ScanTarget in version 0.2.0, not 0.1.2",
+            "unsupported",
+        ),
+        ({"names": {"ScanTarget": TaskId("agent2", "ScanTarget")}}, "has a task named ScanTarget already", "conflict"),
+        ({"battery_level": 0.74}, "has 74% of its battery", "unable"),
+        ({"role": "environment"}, "is no host of tasks but in the role 'environment'", "unsupported"),
+        ({"costs": ()}, "knows no cost function 'tasks'", "unsupported"),
+        (
+            {"services": ("guide", "map")},
+            "runs no service 'client' that takes tasks in, only guide, map",
+            "unsupported",
+        ),
+        ({"services": ()}, "runs no service 'client' that takes tasks in, nor any other", "unsupported"),
+        (
+            {"records": {SCAN: "map"}},
+            "has a record of agent1/ScanTarget in its service 'map', not in 'client'",
+            "unsupported",
+        ),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else None,
 )
-def test_what_is_lacking_is_said(changes: dict[str, object], reason: str) -> None:
-    assert reason in replace(ROBOT, **changes).refusal_of(REQUEST)
+def test_what_is_lacking_is_said(changes: dict[str, object], reason: str, code: str) -> None:
+    refusal = replace(ROBOT, **changes).refusal_of(REQUEST)
+    assert refusal is not None and reason in refusal.text and refusal.code == code
 
 
 def test_all_reasons_are_given_at_once() -> None:
-    assert Capability().refusal_of(REQUEST) == (
-        "lacks the device types pose, motors; knows no task type 'encirclement.ScanTarget'"
+    assert Capability().refusal_of(REQUEST) == Refusal(
+        "unsupported", "lacks the device types pose, motors; knows no task type 'encirclement.ScanTarget'"
     )
 
 
 def test_the_name_of_the_task_itself_is_no_hindrance() -> None:
-    assert replace(ROBOT, names={"ScanTarget": SCAN}).refusal_of(REQUEST) == ""
+    assert replace(ROBOT, names={"ScanTarget": SCAN}).refusal_of(REQUEST) is None
 
 
 def test_a_task_without_a_battery_rule_may_go_anywhere() -> None:
-    assert replace(ROBOT, battery_level=0.01).refusal_of(replace(REQUEST, moves_on_below=None)) == ""
-    assert replace(ROBOT, battery_level=None).refusal_of(REQUEST) == ""
-    assert replace(ROBOT, battery_level=0.75).refusal_of(REQUEST) == ""
+    assert replace(ROBOT, battery_level=0.01).refusal_of(replace(REQUEST, moves_on_below=None)) is None
+    assert replace(ROBOT, battery_level=None).refusal_of(REQUEST) is None
+    assert replace(ROBOT, battery_level=0.75).refusal_of(REQUEST) is None
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from pancakes.control import Refusal
 from pancakes.durable.ledger import Line
 from pancakes.durable.messages import Solicit
 from pancakes.durable.negotiation import Awarded, Exhausted, Negotiation
@@ -30,7 +31,7 @@ def test_the_paper_s_move_the_sensor_refuses_and_the_reserve_robot_wins() -> Non
     assert bidding.asked == ("agent2", "sensor")
     assert bidding.begin(100.0) is None
 
-    assert bidding.refuse("sensor", "lacks the device type motors", 100.01) is None
+    assert bidding.refuse("sensor", Refusal("unsupported", "lacks the device type motors"), 100.01) is None
     # All have answered: nobody waits for the end of the window.
     assert bidding.bid("agent2", 0.0, {"active tasks": 0.0}, 100.02) == Awarded("agent2")
     bidding.moved("agent2", 100.4)
@@ -45,7 +46,7 @@ def test_the_paper_s_move_the_sensor_refuses_and_the_reserve_robot_wins() -> Non
     assert ledger.duration_s == pytest.approx(0.4)
     assert ledger.lines == (
         Line("agent2", "bid", "won", 0.0, {"active tasks": 0.0}),
-        Line("sensor", "refused", "refused", reason="lacks the device type motors"),
+        Line("sensor", "refused", "refused", reason="lacks the device type motors", code="unsupported"),
     )
 
 
@@ -72,12 +73,12 @@ def test_where_a_neighbour_has_bid_no_other_is_waited_for_long() -> None:
 
 def test_where_none_has_bid_a_silent_neighbour_is_waited_for() -> None:
     bidding = negotiation("a", "b", "c")
-    bidding.refuse("b", "lacks the device type motors", 100.1)
+    bidding.refuse("b", Refusal("unsupported", "lacks the device type motors"), 100.1)
     assert bidding.tick(100.5) is None
     assert bidding.bid("a", 3.0, {}, 104.0) == Awarded("a"), "it is late for others to bid as well"
     assert bidding.ledger(105.0).lines == (
         Line("a", "bid", "won", 3.0, {}),
-        Line("b", "refused", "refused", reason="lacks the device type motors"),
+        Line("b", "refused", "refused", reason="lacks the device type motors", code="unsupported"),
         Line("c", "silent", "silent", reason="did not answer within 0.5 s"),
     )
 
@@ -91,7 +92,7 @@ def test_a_bid_within_the_window_is_compared_with_those_that_come_within_it() ->
 
 def test_no_neighbour_is_waited_for_without_end() -> None:
     bidding = negotiation("a", "b")
-    bidding.refuse("b", "knows no such type", 103.0)
+    bidding.refuse("b", Refusal("unsupported", "knows no such type"), 103.0)
     assert bidding.tick(107.9) is None
     text = message_of(bidding.tick(108.0))
     assert text == "no neighbour can take ScanTarget: a: did not answer within 8 s; b: knows no such type"
@@ -136,7 +137,7 @@ def test_a_bid_after_the_decision_changes_nothing() -> None:
 def test_the_first_answer_counts() -> None:
     bidding = negotiation("a", "b")
     bidding.bid("a", 1.0, {}, 100.1)
-    bidding.refuse("a", "changed its mind", 100.2)
+    bidding.refuse("a", Refusal("unsupported", "changed its mind"), 100.2)
     assert bidding.bid("b", 2.0, {}, 100.3) == Awarded("a")
 
 
@@ -179,7 +180,7 @@ def test_to_the_agent_that_has_it_is_no_migration() -> None:
 
 def test_a_dry_run_compares_and_moves_nothing() -> None:
     bidding = negotiation("a", "b", dry_run=True)
-    bidding.refuse("a", "lacks the device type motors", 100.1)
+    bidding.refuse("a", Refusal("unsupported", "lacks the device type motors"), 100.1)
     assert bidding.bid("b", 2.0, {"active tasks": 2.0}, 100.1) == Exhausted(None)
     ledger = bidding.ledger(101.0)
     assert (ledger.outcome, ledger.winner) == ("dry run", "b")

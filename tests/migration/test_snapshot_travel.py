@@ -9,6 +9,7 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable import messages
 from pancakes.durable.messages import Abort, Piece, Reserve, Solicit, Transfer, addressed, is_for
 from pancakes.durable.record import Epoch, Phase, Record, TaskId, Wanted
@@ -105,7 +106,7 @@ def test_every_message_travels_as_a_packet() -> None:
     samples = [
         request,
         messages.Bid(SCAN, 1, 2.0, {"active tasks": 2.0}),
-        messages.Refuse(SCAN, 1, "lacks the device type motors"),
+        messages.Refuse(SCAN, 1, Refusal("unsupported", "lacks the device type motors")),
         Reserve(SCAN, OFFER, request),
         *cut(Transfer(SCAN, OFFER, b"snapshot")),
         messages.Nak(SCAN, OFFER, "no"),

@@ -25,7 +25,7 @@ class Fleet:
     def __init__(self) -> None:
         self.feed = Feed(lambda: 1.0)
         self.asked: list[tuple[str, Any]] = []
-        self.answer: Reply | PancakesError = Reply(True, "", {"lines": []})
+        self.answer: Reply | PancakesError = Reply(None, {"lines": []})
         self.looked: list[tuple[str, Describe]] = []
         self.looks: dict[bool, Reply | PancakesError] = {}
         self.waiting: list[Future[Reply]] | None = None

@@ -17,7 +17,7 @@ from web.page_rig import PATIENCE_S, Fleet, ask, page, stranger
 from web.told import world
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from pancakes.control import Migrate, Reply
+from pancakes.control import Migrate, Refusal, Reply
 from pancakes.errors import NoAnswer, PancakesError
 from pancakes.tools.web.feed import Feed
 from pancakes.tools.web.page import Shown, open_page
@@ -236,7 +236,7 @@ def test_a_page_that_may_only_look_needs_the_token_too(onlooker: PageServer):
 def test_what_an_agent_refuses_or_does_not_answer_is_told(server: PageServer, fleet: Fleet):
     with page(server) as connection:
         ask(connection, "hello", token=server.token)
-        fleet.answer = Reply(False, "no neighbour can take T", {"lines": [1]})
+        fleet.answer = Reply(Refusal("unable", "no neighbour can take T"), {"lines": [1]})
         refused = ask(connection, "order", **ORDER)
         fleet.answer = NoAnswer("a did not answer")
         silent = ask(connection, "order", **ORDER)

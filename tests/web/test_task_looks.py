@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from web.page_rig import Fleet, answer_to, ask, page
 
-from pancakes.control import Configure, Describe, Reply
+from pancakes.control import Configure, Describe, Refusal, Reply
 from pancakes.errors import NoAnswer, Unreachable
 from pancakes.tools.web.page_server import PageServer
 
@@ -21,8 +21,8 @@ TOLD = {
     "settings_schema": SCHEMA,
     "timers": [{"timer": "step", "rate_hz": 4.0, "ticks": 7, "missed": 0, "lateness_max_s": 0.1}],
 }
-WITH_STATE = Reply(True, "", {**TOLD, "state": {"count": 7, "text": "x" * 5000}, "mission_s": 3.0})
-PLAIN = Reply(True, "", {**TOLD, "state": "stopped"})
+WITH_STATE = Reply(None, {**TOLD, "state": {"count": 7, "text": "x" * 5000}, "mission_s": 3.0})
+PLAIN = Reply(None, {**TOLD, "state": "stopped"})
 
 
 def test_a_task_has_its_state_settings_and_timers(server: PageServer, fleet: Fleet):
@@ -39,7 +39,7 @@ def test_a_task_has_its_state_settings_and_timers(server: PageServer, fleet: Fle
 
 
 def test_without_a_state_the_sentence_says_why_and_all_else_is_told(server: PageServer, fleet: Fleet):
-    fleet.looks = {True: Reply(False, "a/client/T is stopped, not running"), False: PLAIN}
+    fleet.looks = {True: Reply(Refusal("conflict", "a/client/T is stopped, not running")), False: PLAIN}
     with page(server) as connection:
         told = ask(connection, "task", **TASK)["result"]
         assert (told["state"], told["no_state"]) == (None, "a/client/T is stopped, not running")
@@ -50,7 +50,10 @@ def test_without_a_state_the_sentence_says_why_and_all_else_is_told(server: Page
         assert told["no_state"] == "b/client/T has not told its state within 3 s: it may be busy"
         assert told["settings"][0]["value"] == 2.0
 
-        fleet.looks = {True: Reply(False, "c has no task 'T'"), False: Reply(False, "c has no task 'T'")}
+        fleet.looks = {
+            True: Reply(Refusal("not_found", "c has no task 'T'")),
+            False: Reply(Refusal("not_found", "c has no task 'T'")),
+        }
         refused = ask(connection, "task", agent="c", task="client/T")
         assert (refused["ok"], refused["reason"]) == (False, "c has no task 'T'")
 
@@ -97,7 +100,7 @@ def test_a_question_about_no_task_is_refused(server: PageServer, fleet: Fleet, q
 def test_settings_are_changed_and_a_refusal_names_each_bad_one(server: PageServer, fleet: Fleet):
     order = {**TASK, "do": "configure", "settings": {"gain": -1}, "dry_run": True}
     problems = {"problems": [{"path": ["gain"], "text": "expected a number >= 0, not -1"}]}
-    fleet.answer = Reply(False, "bad settings for T: gain: expected a number >= 0, not -1", problems)
+    fleet.answer = Reply(Refusal("invalid", "bad settings for T: gain: expected a number >= 0, not -1"), problems)
     with page(server) as connection:
         refused = ask(connection, "order", **order)
     assert fleet.asked == [("a", Configure("client/T", {"gain": -1}, dry_run=True))]

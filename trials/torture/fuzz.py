@@ -76,7 +76,7 @@ _BODIES: Final[Sequence[tuple[str, Any]]] = (
             SetFence("motors", "a/Count"),
             Shutdown(),
             Follow("log"),
-            Reply(True, "", None, 1),
+            Reply(None, None, 1),
         )
     ),
     *(

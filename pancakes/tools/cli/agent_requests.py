@@ -61,7 +61,7 @@ def ask_each(ask: Ask, body: Any, *agents: str) -> list[tuple[str, Any]]:
         ControlRefused: all of them refuse.
     """
     with ask.client() as client:
-        found = client.ask_each(body, *agents)
+        found = client.request_all(body, *agents)
     sentences = [*found.silent, *(f"{agent} refused: {reply.reason}" for agent, reply in found.replies if not reply.ok)]
     answers = [(agent, reply.result) for agent, reply in found.replies if reply.ok]
     if not answers:
@@ -85,7 +85,7 @@ def accepted(client: Client, agent: str, body: Any) -> Reply:
     """
     reply = client.request(agent, body)
     if not reply.ok:
-        raise ControlRefused(reply.reason)
+        raise ControlRefused.of(reply.refusal)
     return reply
 
 
@@ -95,9 +95,9 @@ def meant(client: Client, name: TaskName) -> TaskName:
     `A/B/C` is the task C of the service B of the agent A, where there is such an agent. Otherwise it is the task C of
     the agent B of the fleet A, and from then on the client speaks to that fleet alone.
     """
-    if not name.service or client.is_there(name.agent) or not client.is_there(name.service, name.agent):
+    if not name.service or client.is_reachable(name.agent) or not client.is_reachable(name.service, name.agent):
         return name
-    client.narrow(name.agent)
+    client.use_fleet(name.agent)
     return TaskName(name.service, "", name.task)
 
 
@@ -156,7 +156,7 @@ def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str,
     reply = accepted(client, name.agent, body)
     result = reply.result if isinstance(body, Reschedule) else {}
     row = {**name._asdict(), "done": DRY_RUN if body.dry_run else done, "number": reply.number, **result, **others}
-    ask.show([row], tuple(row))
+    ask.printer.table([row], tuple(row))
 
 
 force_option = click.option("--force", is_flag=True, help="Do it without asking. Needed if this is no terminal.")

@@ -199,7 +199,7 @@ async def _described(shown: Shown, agent: str, target: str) -> tuple[dict[str, A
         return reply.result, ""
     reply = await _asked(shown, agent, Describe(target))
     if not reply.ok:
-        raise ControlRefused(reply.reason)
+        raise ControlRefused.of(reply.refusal)
     return reply.result, no_state
 
 
@@ -465,7 +465,7 @@ class PageServer:
             asked = _ASKED(message)
             number = codecs.convert(asked.pop("id", None), _Number)
             result = await self._do(asked.pop("ask", None), asked)
-            reply = result if isinstance(result, Reply) else Reply(True, "", result)
+            reply = result if isinstance(result, Reply) else Reply(None, result)
             return _ENCODE({"answer": number, "ok": reply.ok, "reason": reply.reason, "result": reply.result})
         except PancakesError as error:
             reason = str(error)
