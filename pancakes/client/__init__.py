@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pancakes.client.client import Client
-from pancakes.client.mesh_client import Replies, Survey, Where
-from pancakes.client.rates import Looks
-from pancakes.client.rows import AgentRow, EventRow, HeardPacket, TaskRow
+from pancakes.client.rates import RateMeter
+from pancakes.client.rows import AgentRow, EventRow, ReceivedPacket, TaskRow
+from pancakes.client.session import Replies, Survey, Where
 from pancakes.client.subscriptions import Subscriber
 from pancakes.durable.ledger import Ledger
 
@@ -20,9 +20,9 @@ __all__ = [
     "AsyncSubscriber",
     "Client",
     "EventRow",
-    "HeardPacket",
+    "ReceivedPacket",
     "Ledger",
-    "Looks",
+    "RateMeter",
     "Replies",
     "Subscriber",
     "Survey",

@@ -1,6 +1,6 @@
 """Measure the rates, the lateness and the processor shares that agents and tasks achieve.
 
-Pure: descriptions (the results of `Describe`) go in, rows come out. `Looks` compares each description with those
+Pure: descriptions (the results of `Describe`) go in, rows come out. `RateMeter` compares each description with those
 before it.
 """
 
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 SPAN_S: Final = 10.0
-"""Rates are measured over so much mission time, where there have been looks for so long."""
+"""Rates are measured over this much mission time, or since the first description if that is less."""
 FEWEST_TICKS: Final = 2.0
-"""Over a time in which a task should tick less often its rate says nothing, as one tick more or less is half of it."""
+"""If a task should tick less often in the time measured, there is no rate: one tick more or less is half of it."""
 
 Described = Mapping[str, Any]
 """The `result` of `Describe` of an agent, or of one of its tasks."""
@@ -22,22 +22,22 @@ Described = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class _TaskSample:
-    """How far a task was at one look: mission time, ticks so far, and the sum of their lateness."""
+    """The counters of a task in one description: mission time, ticks so far, and the sum of their lateness."""
 
     mission_s: float
     ticks: int
     lateness_sum_s: float
 
 
-class Looks:
-    """Compares each look at the agents with those before."""
+class RateMeter:
+    """Compare each description of the agents with those before it."""
 
     def __init__(self) -> None:
         self._agents: dict[tuple[str, str], Described] = {}
         self._tasks: dict[tuple[Any, ...], deque[_TaskSample]] = {}
 
-    def look(self, described: Iterable[Described]) -> list[dict[str, Any]]:
-        """Takes what the agents say of themselves now.
+    def update(self, described: Iterable[Described]) -> list[dict[str, Any]]:
+        """Take what the agents report about themselves now.
 
         Returns:
             A row for each agent, by fleet and name. `processor_share` (of one processor), `lateness_s` (mean of all

@@ -18,7 +18,7 @@ Body = TypeVar("Body")
 
 
 @dataclass(frozen=True, slots=True)
-class HeardPacket(Generic[Body]):
+class ReceivedPacket(Generic[Body]):
     """A packet that came.
 
     Attributes:
@@ -213,7 +213,7 @@ class EventRow(msgspec.Struct, frozen=True, kw_only=True):
     fields: Mapping[str, Any] = {}
 
     @classmethod
-    def of(cls, heard: HeardPacket[Any]) -> EventRow:
+    def of(cls, heard: ReceivedPacket[Any]) -> EventRow:
         """Returns what a packet of `log` says."""
         packet = heard.packet
         if isinstance(packet.body, Event):

@@ -1,8 +1,9 @@
 """Subscribe to a channel of one agent, of several or of all, and read what they publish.
 
-- `Following` keeps the subscription alive: agents that restart or move to another address are followed again.
+- `SubscriptionSpec` is what to subscribe to.
+- `Subscription` keeps it alive: agents that restart, or come back at another address, are asked again.
 - `Subscriber` makes rows of the packets. A program reads them one by one, or has a function called for each.
-- `Tender` is the thread that keeps the subscribers of a program alive while it does something else.
+- `KeepAlive` is the thread that keeps the subscribers of a program alive while it does something else.
 
 A reader that is too slow loses the oldest packets; they are counted as `missed`.
 """
@@ -11,87 +12,105 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Generic, TypeVar
 
-from pancakes.client.mesh_client import MeshClient
-from pancakes.client.rows import HeardPacket
-from pancakes.client.session import LOOK_S, Door, Listener
+from pancakes.client.rows import ReceivedPacket
+from pancakes.client.session import LOOK_S, FleetSession, Listener, Session
 from pancakes.control import Follow, Reply
 from pancakes.errors import ControlRefused, NothingCame, PancakesError, Unreachable, describe
 from pancakes.kernel.mailbox import Backlog
 from pancakes.packet import Packet, agent_of
 
 SEARCH_S: Final = 0.5
-"""How often agents are looked for that are away or new."""
+"""How often to look for agents that are away or new."""
 REPEAT_S: Final = 0.5
-"""When an agent is asked again that refused: its Network Service may only be starting."""
+"""When to ask an agent again that refused: its Network Service may only be starting."""
 ANSWER_S: Final = 3.0
-"""When an agent is asked again that did not answer: it may have been starting when it was asked."""
+"""When to ask an agent again that did not answer: it may have been starting when it was asked."""
 QUIET_S: Final = 5.0
-"""After so long without a packet an agent is asked again, as its Network Service may have failed and forgotten us."""
-MOST_UNREAD: Final = 20
-"""Of so many types at most it is said that their packets cannot be read."""
-MOST_WAITING: Final = 100_000
-"""So many packets wait for a reader that is slow, of large ones fewer; after that the oldest fall out."""
+"""After how long without a packet to ask an agent again: its Network Service may have failed and forgotten us."""
+MAX_UNREADABLE: Final = 20
+"""At most for this many types an unreadable packet is reported."""
+MAX_WAITING: Final = 100_000
+"""At most this many packets wait for a slow reader, fewer if they are large; then the oldest are dropped."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SubscriptionSpec:
+    """What to subscribe to.
+
+    Attributes:
+        channel: the channel.
+        types: only packets of these types; none: all.
+        agents: the agents' names; none: all, including those that come later.
+        foreign: whether packets count that came to the channel from other agents.
+        max_hz: at most this many packets a second of each source and type, the newest ones; 0: all.
+        max_waiting: at most this many packets wait for the reader, fewer if they are large; then the oldest are
+            dropped.
+        accepts: only packets for which it returns True wait; called in the transport's thread.
+        on_resubscribe: takes the name of an agent that is subscribed to again, or only now; what it published before
+            may have been missed.
+    """
+
+    channel: str
+    types: tuple[str, ...] = ()
+    agents: tuple[str, ...] = ()
+    foreign: bool = False
+    max_hz: float = 0.0
+    max_waiting: int = MAX_WAITING
+    accepts: Callable[[Packet], bool] = lambda packet: True
+    on_resubscribe: Callable[[str], None] = lambda agent: None
 
 
 @dataclass(slots=True)
-class _Followed:
-    """What is known of one agent that is followed.
+class _SubscribedAgent:
+    """The state of a subscription at one agent.
 
     Attributes:
-        door: leads to it.
+        session: the session in its fleet.
         agent: its name.
-        link: the link that stood when it was asked last; what it agreed to over an earlier one does not count.
-        request: the number of what it was asked and has not answered.
-        asked_s: when that was, in host time.
-        follows: whether it agreed.
-        lapsed: whether what it published may have been missed, before it follows again.
-        away: whether it has to be told when it is here (again).
-        heard_s: when it sent the last packet, in host time.
+        link: the link when it was asked last; what it agreed to over an earlier link does not count.
+        request: the number of the request that it has not answered; None: it has answered all.
+        asked_s: when it was asked last, in host time.
+        subscribed: whether it agreed.
+        lapsed: whether packets may have been missed before it agrees again.
+        away: whether to report when it is here (again).
+        received_s: when it sent the last packet, in host time.
         refusal: why it refused last.
     """
 
-    door: Door
+    session: FleetSession
     agent: str
     link: int = 0
     request: int | None = None
     asked_s: float = -math.inf
-    follows: bool = False
+    subscribed: bool = False
     lapsed: bool = False
     away: bool = False
-    heard_s: float = -math.inf
+    received_s: float = -math.inf
     refusal: str = ""
 
 
-class Following:
-    """The packets of one channel of one agent, of several or of all.
+class Subscription:
+    """Receive the packets of one channel of one agent, of several or of all.
 
-    An agent that goes away is followed again when it comes back, also under another address: `tend` sees to that, which
-    `next` calls. A program that does not wait in `next` has one thread call `tend` now and then, and another `take`.
+    An agent that goes away is asked again when it comes back, also at another address: `keep_alive` does that, which
+    `next` calls. A program that does not wait in `next` has one thread call `keep_alive` now and then, another `take`.
 
-        with Following(client, "system", agents=("agent1",), say=print) as following:
-            heard = following.next(client.now() + 1.0)
+        with Subscription(session, SubscriptionSpec(channel="system", agents=("agent1",)), print) as subscription:
+            received = subscription.next(session.now() + 1.0)
 
     Args:
-        client: reaches the agents.
-        channel: the channel.
-        types: only packets of these types; none: all.
-        foreign: whether packets count that came to the channel from other agents.
-        agents: the agents' names; none: all, those too that come later.
-        fleet: only agents of this fleet; empty: of any.
+        session: reaches the agents.
+        spec: what to subscribe to.
         say: takes a sentence about agents that go and come back, and about packets that cannot be read here.
-        followed_anew: called with the name of an agent that is followed again, or only now, in `tend`.
-        most_hz: at most so many packets a second of each source and type, the newest ones; 0: all.
-        most_waiting: so many packets wait for the reader, of large ones fewer; after that the oldest fall out.
-        wants: of what comes, only packets for which it returns True wait; called in the transport's thread.
 
     Attributes:
         channel: the channel.
-        arrived: called after a packet came that waits now, in the transport's thread.
+        on_packet: called after a packet came that waits now, in the transport's thread.
 
     Raises:
         Unreachable: there is no such agent, or none at all, or none answers in time.
@@ -99,172 +118,156 @@ class Following:
     """
 
     def __init__(
-        self,
-        client: MeshClient,
-        channel: str,
-        types: Sequence[str] = (),
-        foreign: bool = False,
-        agents: Sequence[str] = (),
-        say: Callable[[str], None] = lambda text: None,
-        followed_anew: Callable[[str], None] = lambda agent: None,
-        fleet: str = "",
-        most_hz: float = 0.0,
-        most_waiting: int = MOST_WAITING,
-        wants: Callable[[Packet], bool] = lambda packet: True,
+        self, session: Session, spec: SubscriptionSpec, say: Callable[[str], None] = lambda text: None
     ) -> None:
-        self._client = client
-        self.channel = channel
-        self.arrived: Callable[[], None] = lambda: None
-        self._wants = wants
-        self._lock = threading.RLock()  # held while it is tended, or ends; `say` may end it
-        self._request = Follow(channel, tuple(types), foreign, most_hz)
-        self._names = tuple(agents)
-        self._fleet = fleet
+        self._session = session
+        self._spec = spec
         self._say = say
-        self._followed: dict[tuple[str, str], _Followed] = {}
-        self._waiting: Backlog[HeardPacket[Any]] = Backlog(most_waiting)
-        self._unread: dict[str, str] = {}  # the reasons, by type
-        self._unread_said = 0
-        self._listened: list[tuple[Door, Listener]] = []
+        self.channel = spec.channel
+        self.on_packet: Callable[[], None] = lambda: None
+        self._lock = threading.RLock()  # held while it is kept alive, or ends; `say` may end it
+        self._request = Follow(spec.channel, spec.types, spec.foreign, spec.max_hz)
+        self._agents: dict[tuple[str, str], _SubscribedAgent] = {}  # by fleet and name
+        self._waiting: Backlog[ReceivedPacket[Any]] = Backlog(spec.max_waiting)
+        self._unreadable: dict[str, str] = {}  # the reasons, by type
+        self._reported = 0  # how many of these
+        self._listeners: list[tuple[FleetSession, Listener]] = []
         self._ended = False
-        self._searched_s = client.now()
-        self._tended_s = -math.inf
-        self._followed_anew = followed_anew
+        self._searched_s = session.now()
+        self._kept_s = -math.inf
         try:
             self._begin()
         except BaseException:
             self.close()
             raise
 
-    def __enter__(self) -> Following:
+    def __enter__(self) -> Subscription:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
-        """Tells the agents that it is over, and forgets what waits. Any thread."""
+        """Unsubscribe at the agents, and drop what waits. Any thread."""
         with self._lock:
             self._ended = True
-            followed, self._followed = self._followed, {}
-            for door, listener in self._listened:
-                door.unlisten(listener)
-        for it in followed.values():
-            self._client.wishes.drop(self, it.door, it.agent, self.channel)
+            agents, self._agents = self._agents, {}
+            for fleet, listener in self._listeners:
+                fleet.unlisten(listener)
+        for it in agents.values():
+            self._session.subscriptions.remove(self, it.session, it.agent, self.channel)
         self._waiting.clear()
 
-    def next(self, until_s: float) -> HeardPacket[Any] | None:
-        """Returns the next packet, or None where none has come until then, in host time."""
+    def next(self, until_s: float) -> ReceivedPacket[Any] | None:
+        """Return the next packet; None if none has come until then, in host time."""
         while True:
-            self.tend()
-            heard = self.take()
-            if heard is not None:
-                return heard
-            now_s = self._client.now()
+            self.keep_alive()
+            received = self.take()
+            if received is not None:
+                return received
+            now_s = self._session.now()
             if now_s >= until_s:
                 return None
-            self._client.wait(min(until_s, now_s + LOOK_S), lambda: len(self._waiting) > 0)
+            self._session.wait(min(until_s, now_s + LOOK_S), lambda: len(self._waiting) > 0)
 
-    def take(self) -> HeardPacket[Any] | None:
-        """Returns the next packet that waits, or None where none does. Any thread."""
+    def take(self) -> ReceivedPacket[Any] | None:
+        """Return the next packet that waits; None if none does. Any thread."""
         return self._waiting.take()
 
     def waiting(self) -> int:
-        """Returns how many packets wait for the reader. Any thread."""
+        """Return how many packets wait for the reader. Any thread."""
         return len(self._waiting)
 
     @property
     def missed(self) -> int:
-        """How many packets fell out because the caller was too slow."""
+        """How many packets were dropped because the caller was too slow."""
         return self._waiting.dropped
 
     def agents(self) -> list[str]:
-        """Returns the names of all agents that are followed, those too that are away."""
-        return sorted({*self._names, *(it.agent for it in list(self._followed.values()))})
+        """Return the names of all agents that are subscribed to, including those that are away."""
+        return sorted({*self._spec.agents, *(it.agent for it in list(self._agents.values()))})
 
     def away(self) -> list[str]:
-        """Returns the names of the agents that are away."""
-        here = {it.agent for it in list(self._followed.values()) if it.follows}
+        """Return the names of the agents that are away."""
+        here = {it.agent for it in list(self._agents.values()) if it.subscribed}
         return [name for name in self.agents() if name not in here]
 
     # Beginning -------------------------------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        found = self._client.survey(*self._names)
+        found = self._session.survey(*self._spec.agents)
         for sentence in found.silent:
             self._say(sentence)
-        self._meet()
-        for it in self._followed.values():
-            self._ask(it, self._client.now())
+        self._add_agents()
+        for it in self._agents.values():
+            self._ask(it, self._session.now())
         keys = [(row["fleet"], row["agent"]) for row in found.agents]
-        answered = [self._followed[key] for key in keys if key in self._followed]
+        answered = [self._agents[key] for key in keys if key in self._agents]
 
         def settled() -> bool:
             for it in answered:
                 self._take_answer(it)
             return all(it.request is None for it in answered)
 
-        self._client.wait(self._client.now() + self._client.timeout_s, settled)
+        self._session.wait(self._session.until_s(None), settled)
         refusals = list(dict.fromkeys(it.refusal for it in answered if it.refusal))
-        if not any(it.follows for it in answered):
+        if not any(it.subscribed for it in answered):
             if refusals:
                 raise ControlRefused("\n".join(refusals))
             names = ", ".join(row["agent"] for row in found.agents)
-            raise Unreachable(f"{names} did not answer: nothing came within {self._client.timeout_s:g} s")
+            raise Unreachable(f"{names} did not answer: {self._session.too_late(None)}")
         for refusal in refusals:
             self._say(refusal)
 
-    def _meet(self) -> list[_Followed]:
-        """Takes up agents that are connected and not yet known; returns them."""
+    def _add_agents(self) -> list[_SubscribedAgent]:
+        """Add the agents that are connected and not known yet; return them."""
         new = []
-        for door in self._client.doors():
-            if self._fleet not in ("", door.fleet):
-                continue
-            for hello in door.agents():
-                key = (door.fleet, hello.name)
-                if key in self._followed or (self._names and hello.name not in self._names):
+        for fleet in self._session.fleets():
+            for hello in fleet.agents():
+                key = (fleet.fleet, hello.name)
+                if key in self._agents or (self._spec.agents and hello.name not in self._spec.agents):
                     continue
-                if all(known is not door for known, _ in self._listened):
-                    listener = partial(self._hear, door.fleet)
-                    self._listened.append((door, listener))
-                    door.listen(listener, partial(self._leave_out, door.fleet))
-                self._followed[key] = _Followed(door, hello.name)
-                new.append(self._followed[key])
+                if all(known is not fleet for known, _ in self._listeners):
+                    listener = partial(self._receive, fleet.fleet)
+                    self._listeners.append((fleet, listener))
+                    fleet.listen(listener, partial(self._note_unreadable, fleet.fleet))
+                self._agents[key] = _SubscribedAgent(fleet, hello.name)
+                new.append(self._agents[key])
         return new
 
     # Going on --------------------------------------------------------------------------------------------------
 
-    def tend(self) -> None:
-        """Sees to it that all agents are followed that are there, at most every `LOOK_S`.
+    def keep_alive(self) -> None:
+        """Subscribe at all agents that are there and have not agreed; does nothing if called again within `LOOK_S`.
 
         Raises:
             PancakesError: the runtime directory cannot be used.
         """
         with self._lock:
             if not self._ended:
-                self._tend(self._client.now())
+                self._keep_alive(self._session.now())
 
-    def _tend(self, now_s: float) -> None:
-        if now_s - self._tended_s < LOOK_S:
+    def _keep_alive(self, now_s: float) -> None:
+        if now_s - self._kept_s < LOOK_S:
             return
-        self._tended_s = now_s
-        unread = list(self._unread.values())
-        for reason in unread[self._unread_said :]:
+        self._kept_s = now_s
+        reasons = list(self._unreadable.values())
+        for reason in reasons[self._reported :]:
             self._say(f"some packets cannot be read here: {reason}")
-        self._unread_said = len(unread)
-        for it in self._meet():
+        self._reported = len(reasons)
+        for it in self._add_agents():
             it.lapsed = it.away = True
-        for it in self._followed.values():
-            self._look_after(it, now_s)
-        if now_s - self._searched_s >= SEARCH_S and (not self._names or self.away()):
+        for it in self._agents.values():
+            self._check(it, now_s)
+        if now_s - self._searched_s >= SEARCH_S and (not self._spec.agents or self.away()):
             self._searched_s = now_s
-            self._client.look_again()
+            self._session.refresh()
 
-    def _look_after(self, it: _Followed, now_s: float) -> None:
+    def _check(self, it: _SubscribedAgent, now_s: float) -> None:
         self._take_answer(it)
-        link = it.door.link(it.agent)
+        link = it.session.link(it.agent)
         if link != it.link:
-            it.follows, it.lapsed, it.request, it.link = False, True, None, 0
+            it.subscribed, it.lapsed, it.request, it.link = False, True, None, 0
             if not link and not it.away:
                 it.away = True
                 self._say(f"{it.agent} is away: waiting for it to come back")
@@ -273,107 +276,107 @@ class Following:
         asked_before_s = now_s - it.asked_s
         if it.request is not None:
             due = asked_before_s >= ANSWER_S
-        elif it.follows:
-            due = asked_before_s >= QUIET_S and now_s - it.heard_s >= QUIET_S
+        elif it.subscribed:
+            due = asked_before_s >= QUIET_S and now_s - it.received_s >= QUIET_S
         else:
             due = link != it.link or asked_before_s >= REPEAT_S
         if due:
             self._ask(it, now_s)
 
-    def _ask(self, it: _Followed, now_s: float) -> None:
+    def _ask(self, it: _SubscribedAgent, now_s: float) -> None:
         if it.request is not None:
-            it.door.forget(it.request)
+            it.session.forget(it.request)
         it.asked_s = now_s
-        it.link = it.door.link(it.agent)
-        it.request = self._client.wishes.ask(self, it.door, it.agent, self._request)
+        it.link = it.session.link(it.agent)
+        it.request = self._session.subscriptions.add(self, it.session, it.agent, self._request)
 
-    def _take_answer(self, it: _Followed) -> None:
-        answer = it.door.answer(it.request) if it.request is not None else None
+    def _take_answer(self, it: _SubscribedAgent) -> None:
+        answer = it.session.answer(it.request) if it.request is not None else None
         if it.request is None or answer is None:
             return
-        it.door.forget(it.request)
+        it.session.forget(it.request)
         it.request = None
         if not isinstance(answer, Reply) or not answer.ok:
-            it.follows = False
+            it.subscribed = False
             it.refusal = answer.reason if isinstance(answer, Reply) else ""
             return
-        it.follows, it.refusal = True, ""
+        it.subscribed, it.refusal = True, ""
         if it.away:
             it.away = False
             self._say(f"{it.agent} is here")
         if it.lapsed:
             it.lapsed = False
-            self._followed_anew(it.agent)
+            self._spec.on_resubscribe(it.agent)
 
-    def _hear(self, fleet: str, agent: str, packet: Packet) -> None:
-        """Takes a packet. In the transport's thread."""
-        it = self._followed.get((fleet, agent))
+    def _receive(self, fleet: str, agent: str, packet: Packet) -> None:
+        """Take a packet. In the transport's thread."""
+        it = self._agents.get((fleet, agent))
         if it is None or packet.channel != self.channel:
             return
-        it.heard_s = self._client.now()
-        wish = self._request
-        # What others in this program wish to hear on the channel comes as well.
-        ours = (not wish.types or packet.type in wish.types) and (wish.foreign or agent_of(packet.source) == agent)
-        if ours and self._wants(packet):
-            self._waiting.put(packet, HeardPacket(agent, packet, it.heard_s))
-            self.arrived()
+        it.received_s = self._session.now()
+        spec = self._spec
+        # What other subscribers of this program want from the channel comes as well.
+        ours = (not spec.types or packet.type in spec.types) and (spec.foreign or agent_of(packet.source) == agent)
+        if ours and spec.accepts(packet):
+            self._waiting.put(packet, ReceivedPacket(agent, packet, it.received_s))
+            self.on_packet()
 
-    def _leave_out(self, fleet: str, agent: str, packet: Packet, reason: str) -> None:
-        """Notes the first packet of a type that cannot be read. In the transport's thread."""
-        it = self._followed.get((fleet, agent))
+    def _note_unreadable(self, fleet: str, agent: str, packet: Packet, reason: str) -> None:
+        """Note the first packet of a type that cannot be read. In the transport's thread."""
+        it = self._agents.get((fleet, agent))
         if it is None or packet.channel != self.channel:
             return
-        it.heard_s = self._client.now()
-        if self._request.types and packet.type not in self._request.types:
+        it.received_s = self._session.now()
+        if self._spec.types and packet.type not in self._spec.types:
             return
-        if len(self._unread) < MOST_UNREAD:
-            self._unread.setdefault(packet.type, reason)
+        if len(self._unreadable) < MAX_UNREADABLE:
+            self._unreadable.setdefault(packet.type, reason)
 
 
 Row = TypeVar("Row")
 
 TURN_S: Final = 0.2
-"""How often a thread that waits looks whether it is to end."""
+"""How often a thread that waits checks whether it must end."""
 
 
 class Subscriber(Generic[Row]):
-    """What comes on a channel, made into rows. The methods may be called in any thread.
+    """Read what comes on a channel, as rows. Its methods may be called in any thread.
 
         with client.subscribe("agent1/system", Battery) as batteries:
-            for heard in batteries:
-                print(heard.source, heard.body.level)
+            for received in batteries:
+                print(received.source, received.body.level)
 
     Args:
-        client: reaches the agents.
-        following: what comes.
+        session: reaches the agents.
+        subscription: what comes.
         make: makes a row of a packet.
-        name: what it is, for sentences: `agent1/system`.
+        name: what it reads, for sentences: `agent1/system`.
         timeout_s: how long `next` and the loop wait for a row; None: without end.
-        say: takes a sentence where it is too slow, or its function fails.
-        ended: called once, when it ends.
+        say: takes a sentence when it is too slow, or its function fails.
+        on_end: called once, when it ends.
     """
 
     def __init__(
         self,
-        client: MeshClient,
-        following: Following,
-        make: Callable[[HeardPacket[Any]], Row],
+        session: Session,
+        subscription: Subscription,
+        make: Callable[[ReceivedPacket[Any]], Row],
         name: str,
         timeout_s: float | None,
         say: Callable[[str], None],
-        ended: Callable[[Subscriber[Any]], None],
+        on_end: Callable[[Subscriber[Any]], None],
     ) -> None:
         self._name = name
         self._failure = ""
-        self._client = client
-        self._following = following
+        self._session = session
+        self._subscription = subscription
         self._make = make
         self._timeout_s = timeout_s
         self._say = say
-        self._on_end = ended
+        self._on_end = on_end
         self._closed = False
-        self._told_slow = False
-        self._arrived: Callable[[], None] = lambda: None
+        self._slow_reported = False
+        self._on_news: Callable[[], None] = lambda: None
         self._thread: threading.Thread | None = None
 
     def __enter__(self) -> Subscriber[Row]:
@@ -392,13 +395,13 @@ class Subscriber(Generic[Row]):
         return row
 
     def next(self, timeout_s: float | None = None) -> Row:
-        """Waits for the next row.
+        """Wait for the next row.
 
         Args:
-            timeout_s: how long at most; None: as `subscribe` was told.
+            timeout_s: how long at most; None: as given to `subscribe`.
 
         Raises:
-            NothingCame: no row came in time; the sentence names the agents that are away.
+            NothingCame: no row came in time; the message names the agents that are away.
             PancakesError: it has failed, or is closed.
         """
         row = self._wait(self._timeout_s if timeout_s is None else timeout_s)
@@ -407,44 +410,44 @@ class Subscriber(Generic[Row]):
         return row
 
     def _wait(self, limit_s: float | None) -> Row | None:
-        """Returns the next row; None where it is closed."""
+        """Return the next row; None if it is closed."""
         row = self.take(math.inf if limit_s is None else limit_s)
         if row is None and not self._closed:
             raise self.nothing_came(limit_s or 0.0)
         return row
 
     def nothing_came(self, limit_s: float) -> NothingCame:
-        """Returns the error that says that no row came within a time."""
+        """Return the error that says that no row came in time."""
         away = self.away()
         gone = f": {', '.join(away)} {'is' if len(away) == 1 else 'are'} away" if away else ""
         return NothingCame(f"nothing came on {self._name} within {limit_s:g} s{gone}")
 
     def take(self, wait_s: float = 0.0) -> Row | None:
-        """Returns the next row; None where none came within `wait_s` seconds, or it is closed.
+        """Return the next row; None if none came within `wait_s` seconds, or it is closed.
 
         Raises:
             PancakesError: the subscriber has failed.
         """
-        until_s = self._client.now() + wait_s
+        until_s = self._session.now() + wait_s
         while True:
-            heard = self._following.take()
-            if heard is not None:
-                return self._make(heard)
+            received = self._subscription.take()
+            if received is not None:
+                return self._make(received)
             if self._failure:
                 raise PancakesError(self._failure)
-            now_s = self._client.now()
+            now_s = self._session.now()
             if self._closed or now_s >= until_s:
                 return None
             try:
-                self._client.wait(min(until_s, now_s + TURN_S), self._has_news)
+                self._session.wait(min(until_s, now_s + TURN_S), self._has_news)
             except PancakesError:  # the client is closed, and so is this
                 if not self._closed:
                     raise
 
     def during(self, for_s: float) -> Iterator[Row]:
-        """Yields the rows that come within a time from now, and ends then."""
-        until_s = self._client.now() + for_s
-        while (left_s := until_s - self._client.now()) > 0.0:
+        """Yield the rows that come within this time from now."""
+        until_s = self._session.now() + for_s
+        while (left_s := until_s - self._session.now()) > 0.0:
             row = self.take(left_s)
             if row is None:
                 return
@@ -452,18 +455,18 @@ class Subscriber(Generic[Row]):
 
     @property
     def name(self) -> str:
-        """What it listens to, for sentences: `agent1/system`."""
+        """What it reads, for sentences: `agent1/system`."""
         return self._name
 
     @property
     def failure(self) -> str:
-        """Why no rows come any more, as a sentence; empty while they may."""
+        """Why it failed, as a sentence; empty if it has not."""
         return self._failure
 
     @property
     def missed(self) -> int:
-        """How many packets fell out because this program was too slow for them."""
-        return self._following.missed
+        """How many packets were dropped because this program was too slow."""
+        return self._subscription.missed
 
     @property
     def closed(self) -> bool:
@@ -471,50 +474,50 @@ class Subscriber(Generic[Row]):
         return self._closed
 
     def agents(self) -> list[str]:
-        """Returns the names of all agents that it listens to, those too that are away."""
-        return self._following.agents()
+        """Return the names of all agents that it is subscribed to, including those that are away."""
+        return self._subscription.agents()
 
     def away(self) -> list[str]:
-        """Returns the names of the agents that are away; they are listened to again when they come back."""
-        return self._following.away()
+        """Return the names of the agents that are away; it subscribes again when they come back."""
+        return self._subscription.away()
 
     def close(self) -> None:
-        """Ends it. What waits is forgotten; a function that it calls is not called any more once this returns."""
+        """End it and drop what waits. Its callback is not called any more once this returns."""
         self._end()
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
-            thread.join(self._client.timeout_s)
+            thread.join(self._session.timeout_s)
             if thread.is_alive():
-                self._say(f"{self._name}: its function is still at work after {self._client.timeout_s:g} s")
+                self._say(f"{self._name}: its function is still at work after {self._session.timeout_s:g} s")
 
-    # For `pancakes.client.Client` ------------------------------------------------------------------------------
+    # For the client -------------------------------------------------------------------------------------------
 
-    def give_to(self, function: Callable[[Row], object]) -> None:
-        """Gives each row to a function from now on, in a thread of its own, one after the other."""
+    def call_for_each(self, function: Callable[[Row], object]) -> None:
+        """Call a function for each row from now on, in a thread of its own, one after the other."""
         self._thread = threading.Thread(target=self._run, args=(function,), name=f"pancakes-{self._name}", daemon=True)
         self._thread.start()
 
-    def tell(self, arrived: Callable[[], None]) -> None:
-        """Has a function called, in other threads, whenever a packet came or it has ended."""
-        self._arrived = arrived
-        self._following.arrived = arrived
-        arrived()
+    def on_news(self, callback: Callable[[], None]) -> None:
+        """Have a function called, in other threads, whenever a packet came or it has ended."""
+        self._on_news = callback
+        self._subscription.on_packet = callback
+        callback()
 
-    def tend(self) -> None:
-        """Sees to it that all agents are followed that are there. In one thread."""
+    def keep_alive(self) -> None:
+        """Stay subscribed at all agents that are there. In one thread."""
         try:
-            self._following.tend()
+            self._subscription.keep_alive()
         except PancakesError as error:
             self.fail(str(error))
-        if self._following.missed and not self._told_slow:
-            self._told_slow = True
+        if self._subscription.missed and not self._slow_reported:
+            self._slow_reported = True
             self._say(
-                f"{self._name}: this program is too slow, so that the oldest packets fall out:"
+                f"{self._name}: this program is too slow, so the oldest packets are dropped:"
                 " ask for fewer types, or read faster"
             )
 
     def fail(self, reason: str) -> None:
-        """Ends it for a reason, which its reader is told."""
+        """End it for a reason, which its reader gets as an error."""
         if not self._closed:
             self._failure = f"{self._name}: {reason}"
             self._say(self._failure)
@@ -523,12 +526,12 @@ class Subscriber(Generic[Row]):
     def _end(self) -> None:
         if not self._closed:
             self._closed = True
-            self._following.close()
+            self._subscription.close()
             self._on_end(self)
-            self._arrived()
+            self._on_news()
 
     def _has_news(self) -> bool:
-        return self._closed or self._following.waiting() > 0
+        return self._closed or self._subscription.waiting() > 0
 
     def _run(self, function: Callable[[Row], object]) -> None:
         while not self._closed:
@@ -541,11 +544,16 @@ class Subscriber(Generic[Row]):
             try:
                 function(row)
             except Exception as error:
-                self.fail(f"the function that takes what comes failed, and gets no more: {describe(error)}")
+                self.fail(callback_failed(error))
 
 
-class Tender:
-    """Tends subscribers, every `LOOK_S`, as long as there are any. Any thread may use it."""
+def callback_failed(error: Exception) -> str:
+    """Return why a subscriber ends whose callback raised an exception."""
+    return f"the callback failed, and is not called any more: {describe(error)}"
+
+
+class KeepAlive:
+    """Keep subscribers alive in a thread of its own, as long as there are any. Any thread may use it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -554,7 +562,7 @@ class Tender:
         self._thread: threading.Thread | None = None
 
     def add(self, subscriber: Subscriber[Any]) -> None:
-        """Tends a subscriber from now on; the first one begins the thread."""
+        """Keep a subscriber alive from now on; the first one starts the thread."""
         with self._lock:
             self._subscribers.append(subscriber)
             if self._thread is None:
@@ -562,24 +570,23 @@ class Tender:
                 self._thread.start()
 
     def remove(self, subscriber: Subscriber[Any]) -> None:
-        """Tends a subscriber no more."""
+        """Keep a subscriber alive no more."""
         with self._lock:
             self._subscribers = [it for it in self._subscribers if it is not subscriber]
 
-    def all(self) -> list[Subscriber[Any]]:
-        """Returns those that it tends."""
-        with self._lock:
-            return list(self._subscribers)
-
     def close(self) -> None:
-        """Ends all subscribers, and the thread."""
-        for subscriber in self.all():
+        """End all subscribers, and the thread."""
+        for subscriber in self._all():
             subscriber.close()
         self._stop.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join()
 
+    def _all(self) -> list[Subscriber[Any]]:
+        with self._lock:
+            return list(self._subscribers)
+
     def _run(self) -> None:
         while not self._stop.wait(LOOK_S):
-            for subscriber in self.all():
-                subscriber.tend()
+            for subscriber in self._all():
+                subscriber.keep_alive()

@@ -11,7 +11,7 @@ from typing import Any
 
 from cli.processes import PATIENCE_S, Rig, Running
 
-from pancakes.client.session import Answer, Door
+from pancakes.client.session import Answer, FleetSession
 from pancakes.control import Follow, Reply
 from pancakes.events import Event
 from pancakes.mesh.transport import SocketTransport
@@ -71,7 +71,7 @@ class Listener:
         told: the numbered events, by agent, in the order in which they came.
     """
 
-    door: Door
+    session: FleetSession
     transport: SocketTransport
     told: dict[str, list[Told]] = field(default_factory=dict)
 
@@ -90,13 +90,13 @@ class Abuse:
         self.clients: list[Listener] = []
         for index in range(CLIENTS):
             transport = SocketTransport(self.clock, f"abuse{index}", Plugins(), {"tcp": {"insecure": True}})
-            door = Door(f"abuse{index}", "test", transport, self.clock, self._news)
-            client = Listener(door, transport, {name: [] for name in agents})
-            door.listen(partial(self._heard, client))
+            session = FleetSession(f"abuse{index}", "test", transport, self.clock, self._news)
+            client = Listener(session, transport, {name: [] for name in agents})
+            session.listen(partial(self._heard, client))
             for running in agents.values():
-                door.learn(rig.address(running))
+                session.learn(rig.address(running))
             self.clients.append(client)
-        self.wait(lambda: all(client.door.connected(name) for client in self.clients for name in agents))
+        self.wait(lambda: all(client.session.is_connected(name) for client in self.clients for name in agents))
         for index in range(CLIENTS):
             for name in agents:
                 assert self.ask(index, name, Follow("log")).ok
@@ -104,12 +104,12 @@ class Abuse:
     def close(self) -> None:
         """Leaves."""
         for client in self.clients:
-            client.door.close()
+            client.session.close()
             client.transport.close()
 
     def send(self, client: int, agent: str, body: Any) -> Asked:
         """Sends a command and waits for nothing."""
-        return Asked(client, self.clients[client].door.request(agent, body), agent, body)
+        return Asked(client, self.clients[client].session.request(agent, body), agent, body)
 
     def ask(self, client: int, agent: str, body: Any) -> Reply:
         """Sends a command and waits for its reply."""
@@ -131,7 +131,7 @@ class Abuse:
         """Waits for the reply to each; none may be lost, and none be given up."""
 
         def answer(asked: Asked) -> Answer | None:
-            return self.clients[asked.client].door.answer(asked.number)
+            return self.clients[asked.client].session.answer(asked.number)
 
         waiting = list(sent)
 

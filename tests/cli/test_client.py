@@ -7,9 +7,8 @@ from cli.processes import Rig, Running
 from msgspec import Struct
 
 from pancakes.client import Client
-from pancakes.client.mesh_client import MeshClient
-from pancakes.client.session import Door
-from pancakes.client.subscriptions import Following
+from pancakes.client.session import FleetSession, Session
+from pancakes.client.subscriptions import Subscription, SubscriptionSpec
 from pancakes.control import Describe, Reschedule, Stop
 from pancakes.errors import Unreachable
 from pancakes.packet import packet_type
@@ -64,12 +63,13 @@ def test_client_tells_once_that_packets_cannot_be_read_here(rig: Rig, agent: Run
     rig.install("soil", SOIL_ENTRY_POINTS, SOIL)
     rig.ready("b", '[task.Dig]\ntype = "soil.Dig"\n')
     said: list[str] = []
-    with MeshClient(timeout_s=10.0) as client, Following(client, "system", agents=("b",), say=said.append) as following:
-        end_s = client.now() + 10.0
-        while not said and client.now() < end_s:
-            assert following.next(client.now() + 0.1) is None
-        following.next(client.now() + 0.5)
-        assert following.away() == []
+    spec = SubscriptionSpec(channel="system", agents=("b",))
+    with Session(timeout_s=10.0) as session, Subscription(session, spec, said.append) as subscription:
+        end_s = session.now() + 10.0
+        while not said and session.now() < end_s:
+            assert subscription.next(session.now() + 0.1) is None
+        subscription.next(session.now() + 0.5)
+        assert subscription.away() == []
     (sentence,) = said
     assert "cannot be read here" in sentence and "type 'test.soil'" in sentence and "`temperature`" in sentence
 
@@ -77,17 +77,17 @@ def test_client_tells_once_that_packets_cannot_be_read_here(rig: Rig, agent: Run
 def test_client_does_not_wait_for_an_agent_that_dies(
     agent: Running, freeze: Callable[[Running], None], monkeypatch: pytest.MonkeyPatch
 ):
-    send = Door.request
+    send = FleetSession.request
 
-    def request(door: Door, name: str, body: object) -> int:
-        number = send(door, name, body)
+    def request(session: FleetSession, name: str, body: object) -> int:
+        number = send(session, name, body)
         agent.process.kill()
         return number
 
     with Client(timeout_s=60.0) as client:
         client.request("a", Describe())
         freeze(agent)  # so that it cannot answer before it dies
-        monkeypatch.setattr(Door, "request", request)
+        monkeypatch.setattr(FleetSession, "request", request)
         with pytest.raises(Unreachable, match="a did not answer: the link to it ended before it answered"):
             client.request("a", Stop("load"))
 

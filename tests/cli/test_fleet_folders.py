@@ -12,7 +12,7 @@ import pytest
 from cli.processes import Rig
 from click.testing import CliRunner
 
-from pancakes.client.session import FleetWay
+from pancakes.client.session import FleetAccess
 from pancakes.errors import PancakesError
 from pancakes.security import key_store
 from pancakes.security.authority import FleetOffice
@@ -100,7 +100,7 @@ def test_fleet_revoke_leaves_no_rights(run: Run, tmp_path: Path):
     with pytest.raises(
         PancakesError, match=r"your keys for the fleet garage are of no use .* was revoked \(roster 3\)"
     ):
-        FleetWay.to("garage", MonotonicClock())
+        FleetAccess.to("garage", MonotonicClock())
 
 
 def test_fleet_sign_notices_an_old_copy_of_the_authority(rig: Rig):

@@ -7,7 +7,7 @@ import threading
 from cli.processes import INSECURE, PATIENCE_S, Rig
 from cli.strangers import Strangers
 
-from pancakes.client.session import Door
+from pancakes.client.session import FleetSession
 from pancakes.control import Describe
 from pancakes.mesh.mesh import MAX_HANDSHAKES
 from pancakes.mesh.peers import MAX_AGENTS, MAX_CLIENTS
@@ -65,21 +65,22 @@ def test_clients_that_are_all_in_use_keep_an_operator_out(rig: Rig):
 
     clock = MonotonicClock()
     transport = SocketTransport(clock, "busy", Plugins(), {"tcp": {"insecure": True}})
-    doors = [Door(f"busy{number}", "test", transport, clock, news) for number in range(MAX_CLIENTS)]
+    sessions = [FleetSession(f"busy{number}", "test", transport, clock, news) for number in range(MAX_CLIENTS)]
     try:
-        for door in doors:
-            door.learn(address)
+        for session in sessions:
+            session.learn(address)
         with changed:
-            assert changed.wait_for(lambda: all(door.connected("a") for door in doors), PATIENCE_S)
-            numbers = [door.request("a", Describe()) for door in doors]
+            assert changed.wait_for(lambda: all(session.is_connected("a") for session in sessions), PATIENCE_S)
+            numbers = [session.request("a", Describe()) for session in sessions]
             assert changed.wait_for(
-                lambda: all(door.answer(number) for door, number in zip(doors, numbers, strict=True)), PATIENCE_S
+                lambda: all(session.answer(number) for session, number in zip(sessions, numbers, strict=True)),
+                PATIENCE_S,
             )
         done = rig.pancakes("agent", "info", "a")
         assert done.returncode == 3
         assert "a is full: it has 64 clients, and all of them are in use" in done.stderr
         assert "nothing came within" not in done.stderr
     finally:
-        for door in doors:
-            door.close()
+        for session in sessions:
+            session.close()
         transport.close()

@@ -12,7 +12,7 @@ import pytest
 from client.counting_agents import Count, CountingAgents
 from client.twins import PATIENCE_S
 
-from pancakes.client import AsyncClient, HeardPacket
+from pancakes.client import AsyncClient, ReceivedPacket
 from pancakes.control import Describe
 from pancakes.errors import NothingCame, PancakesError
 
@@ -49,7 +49,7 @@ def test_others_go_on_where_packets_come_faster_than_they_are_read():
                 turns += 1
                 await asyncio.sleep(0)
 
-        async with AsyncClient() as client, client.subscribe("a/flood", Count, most=1000) as flood:
+        async with AsyncClient() as client, client.subscribe("a/flood", Count, max_waiting=1000) as flood:
             while flood.missed == 0:
                 await asyncio.sleep(0.01)
             runs = asyncio.create_task(other())
@@ -85,7 +85,7 @@ def test_a_coroutine_function_takes_one_packet_after_the_other():
         heard: list[int] = []
         enough = asyncio.Event()
 
-        async def take(it: HeardPacket[Count]) -> None:
+        async def take(it: ReceivedPacket[Count]) -> None:
             number = it.body.number
             await asyncio.sleep(0.03)
             heard.append(number)
@@ -133,7 +133,7 @@ def test_a_client_that_closes_ends_what_still_waits():
 def test_a_condition_is_looked_at_in_the_event_loop_and_may_ask_the_client():
     async def main() -> None:
         async with AsyncClient() as client:
-            assert await client.wait(lambda: client.is_there("a"), PATIENCE_S)
+            assert await client.wait(lambda: client.is_reachable("a"), PATIENCE_S)
             assert not await client.wait(lambda: client.is_connected("nowhere"), 0.01)
 
     run(main())

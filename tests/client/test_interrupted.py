@@ -9,7 +9,7 @@ from types import FrameType
 
 import pytest
 
-from pancakes.client.mesh_client import MeshClient
+from pancakes.client.session import Session
 
 TIMES = 1500
 LONGEST_S = 0.0005
@@ -31,7 +31,7 @@ def interrupting():
 
 def test_ctrl_c_anywhere_in_a_wait_leaves_everything_in_order(interrupting, monkeypatch, tmp_path):
     monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(tmp_path))
-    client = MeshClient()
+    client = Session()
     source = random.Random(1)
     interrupted = 0
     for _ in range(TIMES):
@@ -43,7 +43,7 @@ def test_ctrl_c_anywhere_in_a_wait_leaves_everything_in_order(interrupting, monk
         except KeyboardInterrupt:
             interrupted += 1
     # As a transport's thread does when somebody comes or goes, also while the client is being closed.
-    news = threading.Thread(target=client.doors, daemon=True)
+    news = threading.Thread(target=client.fleets, daemon=True)
     news.start()
     news.join(PATIENCE_S)
     assert not news.is_alive(), "the client keeps its lock for ever"

@@ -1,4 +1,4 @@
-"""Names that a program writes, and wishes that are put together: as tables."""
+"""Names that a program writes, and requests that are merged: as tables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 from pancakes.client.client import channel_of, destination_on, task_of
 from pancakes.client.rows import TaskRow
-from pancakes.client.session import together
+from pancakes.client.session import merged
 from pancakes.control import Follow
 from pancakes.errors import PancakesError
 
@@ -53,7 +53,7 @@ def test_what_is_no_destination_on_the_agent_is_refused(to: str):
 
 
 @pytest.mark.parametrize(
-    ("wishes", "whole"),
+    ("requests", "whole"),
     [
         ([Follow("c", ("x",))], Follow("c", ("x",))),
         ([Follow("c", ("x",)), Follow("c", ("y", "x"))], Follow("c", ("x", "y"))),
@@ -63,5 +63,5 @@ def test_what_is_no_destination_on_the_agent_is_refused(to: str):
         ([Follow("c", most_hz=2.0), Follow("c")], Follow("c")),
     ],
 )
-def test_wishes_together_bring_what_each_of_them_brings(wishes: list[Follow], whole: Follow):
-    assert together(wishes) == whole
+def test_merged_requests_bring_what_each_brings(requests: list[Follow], whole: Follow):
+    assert merged(requests) == whole

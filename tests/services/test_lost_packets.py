@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.client.rates import Looks
+from pancakes.client.rates import RateMeter
 from pancakes.control import Channels, Describe
 from pancakes.devices import Load, Memory, Pose
 from pancakes.recording.task_statistics import figures_of
@@ -45,7 +45,7 @@ def test_only_what_a_reader_lost_that_wanted_all_is_counted(agent):
 
 def test_a_card_the_table_the_channel_and_a_recording_say_the_same(agent):
     described = agent.ask(Describe()).result
-    rows = Looks().look([described])
+    rows = RateMeter().update([described])
     assert (rows[0]["dropped"], {task["task"]: task["dropped"] for task in rows[0]["tasks"]}["Newest"]) == (3, 3)
 
     model = FleetModel()

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.client.rates import Looks
+from pancakes.client.rates import RateMeter
 from pancakes.control import Configure, Describe, Migrate, Remove, Reschedule
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
@@ -38,7 +38,7 @@ def row(agent, name):
 
 
 def shown_by_top(agent, name):
-    (looked,) = Looks().look([agent.ask(Describe()).result])
+    (looked,) = RateMeter().update([agent.ask(Describe()).result])
     (found,) = [it for it in looked["tasks"] if it["task"] == name]
     return found["rest"] or found["state"]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from web.told import agent, describe, packet, record, task, world
 
-from pancakes.client.rates import Looks
+from pancakes.client.rates import RateMeter
 from pancakes.devices import Battery, Infrared, Motion, Pose
 from pancakes.events import Event
 from pancakes.tools.web.fleet_model import TRAIL, FleetModel
@@ -62,10 +62,10 @@ def test_readings_of_batteries_and_range_sensors(model: FleetModel):
 
 
 def test_a_card_has_rates_lateness_and_drops(model: FleetModel):
-    looks = Looks()
-    describe(model, agent("a", task("a", "T", rate_hz=10.0), mission_s=0.0), looks=looks)
+    rates = RateMeter()
+    describe(model, agent("a", task("a", "T", rate_hz=10.0), mission_s=0.0), rates=rates)
     late = task("a", "T", rate_hz=10.0, ticks=45, lateness_sum_s=0.09, missed=5, dropped=3)
-    describe(model, agent("a", late, mission_s=5.0), looks=looks)
+    describe(model, agent("a", late, mission_s=5.0), rates=rates)
 
     row = model.board.get("task/a/client/T")
     assert (row["rate_hz"], row["achieved_hz"], row["late_ms"]) == (10.0, 9.0, 2.0)
@@ -100,9 +100,9 @@ def test_links_are_those_between_agents_and_end_with_them(model: FleetModel):
 
 
 def test_who_does_not_answer_is_shown_as_silent_with_what_it_ran(model: FleetModel):
-    looks = Looks()
-    describe(model, agent("a", task("a", "T")), looks=looks)
-    describe(model, looks=looks)
+    rates = RateMeter()
+    describe(model, agent("a", task("a", "T")), rates=rates)
+    describe(model, rates=rates)
 
     assert model.board.get("agent/a")["state"] == "no answer"
     assert model.board.get("task/a/client/T") is not None
@@ -190,9 +190,9 @@ def test_only_the_newest_events_are_kept_and_their_numbers_tell_what_is_missing(
 
 
 def test_a_new_rate_is_shown_at_once_and_not_beside_what_was_reached_before(model: FleetModel):
-    looks = Looks()
-    describe(model, agent("a", task("a", "T", rate_hz=10.0)), looks=looks)
-    describe(model, agent("a", task("a", "T", rate_hz=10.0, ticks=50), mission_s=5.0), looks=looks)
+    rates = RateMeter()
+    describe(model, agent("a", task("a", "T", rate_hz=10.0)), rates=rates)
+    describe(model, agent("a", task("a", "T", rate_hz=10.0, ticks=50), mission_s=5.0), rates=rates)
     assert model.board.get("task/a/client/T")["achieved_hz"] == 10.0
     model.tell(record("a", "rate_changed", task="T", rate_hz=2.0, by="cli"), 5.0)
 

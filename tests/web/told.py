@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pancakes.client.rates import Looks
+from pancakes.client.rates import RateMeter
 from pancakes.packet import Packet
 from pancakes.sim.world_state import BodyState, WorldState
 
@@ -64,9 +64,9 @@ def agent(
     }
 
 
-def describe(model: Any, *agents: dict[str, Any], t: float = 0.0, looks: Looks | None = None) -> None:
+def describe(model: Any, *agents: dict[str, Any], t: float = 0.0, rates: RateMeter | None = None) -> None:
     """Tells a model what agents say of themselves."""
-    model.describe((looks or Looks()).look(agents), agents, t)
+    model.describe((rates or RateMeter()).update(agents), agents, t)
 
 
 def record(agent: str, kind: str, t_s: float = 0.0, service: str = "client", **fields: Any) -> dict[str, Any]:

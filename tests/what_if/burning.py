@@ -77,7 +77,7 @@ class BurningFleet:
 
     def measured(self, for_s: float) -> list[MeasuredAgent]:
         """Returns what the agents measure of themselves."""
-        replies = self.client.ask_each(Measure(for_s), timeout_s=for_s + 20.0).replies
+        replies = self.client.request_all(Measure(for_s), timeout_s=for_s + 20.0).replies
         assert all(reply.ok for _, reply in replies) and len(replies) == len(self.running)
         return [codecs.convert(reply.result, MeasuredAgent) for _, reply in replies]
 

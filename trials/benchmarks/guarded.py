@@ -107,7 +107,7 @@ settings = {{ console = false }}
 def _wait_for_guardians(client: Client, tasks: int) -> None:
     until_s = time.monotonic() + GUARDED_S
     while True:
-        rows = [row for _, reply in client.ask_each(Guarding()).replies for row in reply.result]
+        rows = [row for _, reply in client.request_all(Guarding()).replies for row in reply.result]
         if sum(len(row.get("guardians", ())) == 3 for row in rows) == tasks:
             return
         if time.monotonic() > until_s:

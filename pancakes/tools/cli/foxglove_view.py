@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from pancakes.client import Client, HeardPacket, Subscriber
+from pancakes.client import Client, ReceivedPacket, Subscriber
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.packet import CORE_CHANNELS
 from pancakes.recording.foxglove_messages import Viewer
@@ -35,13 +35,13 @@ class FleetChannels:
     def __init__(
         self,
         client: Client,
-        hearer: Callable[[], Callable[[HeardPacket[Any]], None]],
+        hearer: Callable[[], Callable[[ReceivedPacket[Any]], None]],
         say: Callable[[str], None],
     ) -> None:
         self._client = client
         self._hearer = hearer
         self._say = say
-        self._subscribers: dict[str, Subscriber[HeardPacket[Any]]] = {}
+        self._subscribers: dict[str, Subscriber[ReceivedPacket[Any]]] = {}
         self._refused: set[str] = set()
 
     def look(self, described: Iterable[Mapping[str, Any]]) -> None:
@@ -90,14 +90,14 @@ def show_in_foxglove(port: int | None, ask: Ask) -> None:
     with ask.client() as client:
         described = client.survey().agents
         fleet = fleet_among(described, ask.where.fleet)
-        client.narrow(fleet)
+        client.use_fleet(fleet)
         server = FoxgloveServer(f"Pancakes, fleet {fleet}", port)
         began_ns = wall_ns() - int(client.now() * NANOSECONDS)
 
-        def hearer() -> Callable[[HeardPacket[Any]], None]:
+        def hearer() -> Callable[[ReceivedPacket[Any]], None]:
             viewer = Viewer()  # one for each channel, because each has a thread of its own
 
-            def hear(heard: HeardPacket[Any]) -> None:
+            def hear(heard: ReceivedPacket[Any]) -> None:
                 packet = replace(heard.packet, destination="")  # which is this program
                 entry = RecordedPacket(began_ns + int(heard.at_s * NANOSECONDS), heard.agent, packet)
                 server.show_packet(entry)

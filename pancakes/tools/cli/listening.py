@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from pancakes.client import Client, HeardPacket, Subscriber
+from pancakes.client import Client, ReceivedPacket, Subscriber
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.packet import covers
 from pancakes.tools.cli.options import Ask, ChannelName
@@ -21,7 +21,7 @@ LOOK_S = 0.2
 MOST_WAITING = 100_000
 """So many packets wait for a terminal that is slow."""
 
-Heard = Subscriber[HeardPacket[Any]]
+Heard = Subscriber[ReceivedPacket[Any]]
 """What comes on a channel."""
 
 types_option = click.option(
@@ -47,7 +47,7 @@ def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[
     with (
         until_ended(),
         ask.client() as client,
-        client.subscribe(str(name), *types, foreign=True, most=MOST_WAITING) as heard,
+        client.subscribe(str(name), *types, foreign=True, max_waiting=MOST_WAITING) as heard,
         telling_losses(client, heard, name.channel),
     ):
         yield client, heard
@@ -55,7 +55,7 @@ def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[
 
 def listen(
     client: Client, subscriber: Heard, for_s: float | None = None, bounded: bool = False
-) -> Iterator[HeardPacket[Any] | None]:
+) -> Iterator[ReceivedPacket[Any] | None]:
     """Yields the packets as they come, and None now and then where none comes.
 
     Args:

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from typing import Any, Final
 
 from pancakes.agent.agent import Agent
-from pancakes.client.rates import Looks
+from pancakes.client.rates import RateMeter
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, PancakesError, Unreachable
 from pancakes.fleet import VirtualFleet
@@ -53,7 +53,7 @@ class VirtualWatch:
         self._time_s = 0.0
         self._began_s = HOST.now()
         self._over = False
-        self._looks = Looks()
+        self._looks = RateMeter()
         self._looked_s = -LOOK_S
         self._detailed_s: dict[tuple[str, str, str], float] = {}
         self._stale: set[tuple[str, str, str]] = set()
@@ -205,7 +205,7 @@ class VirtualWatch:
                 # As fast as mission time goes for the viewer.
                 described.append({**description, "speed": description["speed"] * self.speed})
         with self.feed.lock:
-            self.feed.model.describe(self._looks.look(described), described, self._now())
+            self.feed.model.describe(self._looks.update(described), described, self._now())
             running = self.feed.model.running()
         for key in running:
             if key in self._stale or self._time_s - self._detailed_s.get(key, -DETAIL_S) >= DETAIL_S:

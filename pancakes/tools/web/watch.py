@@ -6,14 +6,12 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from pancakes.client.mesh_client import MeshClient
-from pancakes.client.rates import Looks
-from pancakes.client.session import Door
-from pancakes.client.subscriptions import Following
+from pancakes.client.rates import RateMeter
+from pancakes.client.session import FleetSession, Session
+from pancakes.client.subscriptions import Subscription, SubscriptionSpec
 from pancakes.control import Describe, History, Reply, Traces
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
 from pancakes.packet import LOG, SYSTEM, Cause
@@ -45,7 +43,7 @@ POSES: Final = ("pose",)
 class _PendingRequest:
     """A request on its way to an agent."""
 
-    door: Door
+    fleet: FleetSession
     number: int
     until_s: float
     agent: str
@@ -114,7 +112,7 @@ class Watch:
         self._thread = threading.Thread(target=self._run, name="page-watch", daemon=True)
         self._asked: list[_PendingRequest] = []
         self._met: dict[str, _MetAgent] = {}
-        self._looks = Looks()
+        self._rates = RateMeter()
         self._silent: set[str] = set()
         self._traces = FleetTraces()
         self._explaining = Explaining()
@@ -162,8 +160,8 @@ class Watch:
     def _run(self) -> None:
         while not self._stopping.is_set() and not self._over():
             try:
-                with MeshClient(self._at, self._timeout_s) as client:
-                    self._watch(client)
+                with Session(self._at, self._timeout_s) as session:
+                    self._watch(session)
             except PancakesError as error:
                 self._feed.wait_for(str(error))
                 self._refuse_all(str(error))
@@ -174,33 +172,30 @@ class Watch:
         self._closed = True
         self._refuse_all("no agent can be asked any more")
 
-    def _watch(self, client: MeshClient) -> None:
-        found = client.survey().agents
+    def _watch(self, session: Session) -> None:
+        found = session.survey().agents
         self._fleet = fleet_among(found, self._fleet)
+        session.use_fleet(self._fleet)
         truth = any(row["role"] == "environment" and row["fleet"] == self._fleet for row in found)
-        with ExitStack() as stack:
-            log = stack.enter_context(
-                Following(client, LOG, ("event", "line"), fleet=self._fleet, followed_anew=self._recall_again)
-            )
-            system = stack.enter_context(
-                Following(client, SYSTEM, FOLLOWED if truth else FOLLOWED + POSES, fleet=self._fleet, most_hz=FRAMES_HZ)
-            )
+        log = SubscriptionSpec(channel=LOG, types=("event", "line"), on_resubscribe=self._recall_again)
+        system = SubscriptionSpec(channel=SYSTEM, types=FOLLOWED if truth else FOLLOWED + POSES, max_hz=FRAMES_HZ)
+        with Subscription(session, log) as of_log, Subscription(session, system) as of_system:
             self._feed.wait_for("")
             while not self._stopping.wait(TURN_S) and not self._over():
-                self._hear(client, log)
-                self._hear(client, system)
-                self._tend(client)
-                self._look_who_is_there(client)
+                self._hear(session, of_log)
+                self._hear(session, of_system)
+                self._tend(session)
+                self._look_who_is_there(session)
                 self._feed.record()
-            for door in client.doors():
-                for hello in door.agents():
+            for fleet in session.fleets():
+                for hello in fleet.agents():
                     if hello.name in self._met:
-                        door.request(hello.name, Traces(most=0))
+                        fleet.request(hello.name, Traces(most=0))
 
-    def _hear(self, client: MeshClient, following: Following) -> None:
+    def _hear(self, session: Session, subscription: Subscription) -> None:
         heard = []
-        now_s = client.now()
-        while (it := following.next(now_s)) is not None:
+        now_s = session.now()
+        while (it := subscription.next(now_s)) is not None:
             heard.append(it)
         if not heard:
             return
@@ -208,7 +203,7 @@ class Watch:
         with self._feed.lock:
             for it in heard:
                 self._feed.model.hear(it.agent, it.packet, now - (now_s - it.at_s))
-        if following.channel == LOG:
+        if subscription.channel == LOG:
             for it in heard:
                 self._notice(it.agent, it.packet)
 
@@ -226,27 +221,26 @@ class Watch:
         if met is not None:
             met.recalled = 0
 
-    def _tend(self, client: MeshClient) -> None:
+    def _tend(self, session: Session) -> None:
         """Asks what is due, and takes what was answered."""
-        now_s = client.now()
-        doors = [door for door in client.doors() if door.fleet == self._fleet]
-        for door in doors:
-            for hello in door.agents():
+        now_s = session.now()
+        fleets = session.fleets()
+        for fleet in fleets:
+            for hello in fleet.agents():
                 met = self._met.setdefault(hello.name, _MetAgent())
                 if now_s - met.asked_s >= LOOK_S:
                     met.asked_s = now_s
-                    self._ask(door, hello.name, Describe(), "look", now_s + SILENT_S)
-                    self._ask_details(door, hello.name, met, now_s)
-            self._ask_traces(door, now_s)
-        self._take_orders(doors, now_s)
+                    self._ask(fleet, hello.name, Describe(), "look", now_s + SILENT_S)
+                    self._ask_details(fleet, hello.name, met, now_s)
+            self._ask_traces(fleet, now_s)
+        self._take_orders(fleets, now_s)
         self._take_answers(now_s)
         self._take_commands()
 
-    def _look_who_is_there(self, client: MeshClient) -> None:
+    def _look_who_is_there(self, session: Session) -> None:
         """Says that the fleet has ended where it has: until an agent comes back."""
-        now_s = client.now()
-        doors = [door for door in client.doors() if door.fleet == self._fleet]
-        if any(door.agents() or door.asleep() for door in doors):
+        now_s = session.now()
+        if any(fleet.agents() or fleet.asleep() for fleet in session.fleets()):
             self._seen_s = now_s
             if self._feed.over:
                 self._feed.go_on()
@@ -255,13 +249,13 @@ class Watch:
 
     # Why actuators are commanded ---------------------------------------------------------------------------------
 
-    def _ask_traces(self, door: Door, now_s: float) -> None:
-        for hello in door.agents():
+    def _ask_traces(self, fleet: FleetSession, now_s: float) -> None:
+        for hello in fleet.agents():
             met = self._met[hello.name]
             if now_s - met.traced_s >= self._traces.pause_s(hello.name):
                 met.traced_s = now_s
                 question = self._traces.question(hello.name)
-                self._ask(door, hello.name, question, "traces", now_s + SILENT_S).packets = question.packets
+                self._ask(fleet, hello.name, question, "traces", now_s + SILENT_S).packets = question.packets
 
     def _take_commands(self) -> None:
         settled = self._traces.settled(self._feed.now())
@@ -271,37 +265,37 @@ class Watch:
             for agent in self._explaining.add(settled):
                 self._feed.model.commanded(agent, self._explaining.actuators(agent))
 
-    def _ask_details(self, door: Door, agent: str, met: _MetAgent, now_s: float) -> None:
+    def _ask_details(self, fleet: FleetSession, agent: str, met: _MetAgent, now_s: float) -> None:
         with self._feed.lock:
             running = [f"{service}/{task}" for name, service, task in self._feed.model.running() if name == agent]
         for target in running:
             if target in met.stale or now_s - met.detailed_s.get(target, -1e9) >= DETAIL_S:
                 met.detailed_s[target] = now_s
-                self._ask(door, agent, Describe(target, state=True), "detail", now_s + SILENT_S)
+                self._ask(fleet, agent, Describe(target, state=True), "detail", now_s + SILENT_S)
         met.stale.clear()
 
-    def _ask(self, door: Door, agent: str, body: Any, about: str, until_s: float) -> _PendingRequest:
-        asked = _PendingRequest(door, door.request(agent, body), until_s, agent, about)
+    def _ask(self, fleet: FleetSession, agent: str, body: Any, about: str, until_s: float) -> _PendingRequest:
+        asked = _PendingRequest(fleet, fleet.request(agent, body), until_s, agent, about)
         self._asked.append(asked)
         return asked
 
-    def _take_orders(self, doors: Sequence[Door], now_s: float) -> None:
+    def _take_orders(self, fleets: Sequence[FleetSession], now_s: float) -> None:
         while self._orders:
             agent, body, timeout_s, answer = self._orders.popleft()
-            door = next((door for door in doors if door.connected(agent)), None)
-            if door is None:
+            fleet = next((fleet for fleet in fleets if fleet.is_connected(agent)), None)
+            if fleet is None:
                 answer.set_exception(Unreachable(f"{agent} cannot be reached"))
                 continue
-            self._ask(door, agent, body, "order", now_s + timeout_s).answer = answer
+            self._ask(fleet, agent, body, "order", now_s + timeout_s).answer = answer
 
     def _take_answers(self, now_s: float) -> None:
         left, answered = [], []
         for asked in self._asked:
-            answer = asked.door.answer(asked.number)
+            answer = asked.fleet.answer(asked.number)
             if answer is None and now_s < asked.until_s:
                 left.append(asked)
                 continue
-            asked.door.forget(asked.number)
+            asked.fleet.forget(asked.number)
             if asked.answer is not None:
                 self._settle(asked, answer)
             elif isinstance(answer, Reply) and answer.ok:
@@ -318,7 +312,7 @@ class Watch:
                 elif asked.about == "traces":
                     self._traces.take(asked.agent, asked.packets, result, now)
             if asked.about == "recall" and result:
-                self._recall(asked.door, asked.agent, result[-1]["entry"], now_s)
+                self._recall(asked.fleet, asked.agent, result[-1]["entry"], now_s)
 
     def _settle(self, asked: _PendingRequest, answer: Reply | str | None) -> None:
         assert asked.answer is not None
@@ -338,18 +332,18 @@ class Watch:
             self._traces.forget(name)
         self._silent = silent
         shown = silent.union(it["agent"] for it in described)
-        rows = [row for row in self._looks.look(described) if row["agent"] in shown]
+        rows = [row for row in self._rates.update(described) if row["agent"] in shown]
         with self._feed.lock:
             self._feed.model.describe(rows, described, self._feed.now())
         for asked, _ in answers:
             if not self._met[asked.agent].recalled:
-                self._recall(asked.door, asked.agent, 0, now_s)
+                self._recall(asked.fleet, asked.agent, 0, now_s)
 
-    def _recall(self, door: Door, agent: str, after: int, now_s: float) -> None:
+    def _recall(self, fleet: FleetSession, agent: str, after: int, now_s: float) -> None:
         met = self._met[agent]
         met.recalled += 1
         if met.recalled <= MOST_ANSWERS:
-            self._ask(door, agent, History(RECALL_S, after), "recall", now_s + SILENT_S)
+            self._ask(fleet, agent, History(RECALL_S, after), "recall", now_s + SILENT_S)
 
     def _refuse_all(self, reason: str) -> None:
         for asked in self._asked:

@@ -512,7 +512,7 @@ def info(name: ChannelName, for_s: float, ask: Ask) -> None:
     with ask.client() as client:
         (found,) = order(client, name.agent, Channels(name.channel))
         heard = Throughput(client.now())
-        with client.subscribe(str(name), foreign=True, most=MOST_WAITING) as subscriber:
+        with client.subscribe(str(name), foreign=True, max_waiting=MOST_WAITING) as subscriber:
             for packet in listen(client, subscriber, for_s):
                 if packet is not None:
                     heard.add(packet.packet, packet.at_s, size_of(packet.packet))

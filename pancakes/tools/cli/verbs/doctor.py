@@ -110,7 +110,7 @@ def _look_at_agents(ask: Ask) -> Iterator[Finding]:
 
         yield from check_clocks(found.agents, asked_s)
         yield from check_fleet(found.agents, found.silent, told, found.asleep, rosters_here())
-        guarded = client.ask_each(Guarding(), *(agent["agent"] for agent in found.agents))
+        guarded = client.request_all(Guarding(), *(agent["agent"] for agent in found.agents))
         yield from check_guards([row for _, reply in guarded.replies if reply.ok for row in reply.result])
         for agent in found.agents:
             yield from _look_at_fences(client, agent)

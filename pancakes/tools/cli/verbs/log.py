@@ -186,7 +186,7 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
     known: dict[str, Known] = {}
     began_s = client.now()
     with (
-        client.subscribe(LOG, agents=agents, most=MOST_WAITING, followed_anew=anew.append) as subscriber,
+        client.subscribe(LOG, agents=agents, max_waiting=MOST_WAITING, on_resubscribe=anew.append) as subscriber,
         telling_losses(client, subscriber, LOG),
     ):
 

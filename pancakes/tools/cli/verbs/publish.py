@@ -13,7 +13,7 @@ from typing import Any, Final
 import click
 import msgspec
 
-from pancakes.client import Client, HeardPacket, Subscriber
+from pancakes.client import Client, ReceivedPacket, Subscriber
 from pancakes.control import CONTROLS, Channels
 from pancakes.errors import PancakesError
 from pancakes.events import Event
@@ -259,7 +259,7 @@ class Refusals:
         self._client = client
         self._agent = name.agent
         self._stack = ExitStack()
-        self._log: Subscriber[HeardPacket[Event]] | None = None
+        self._log: Subscriber[ReceivedPacket[Event]] | None = None
         if name.channel == CTRL:
             self._log = self._stack.enter_context(client.subscribe(join(name.agent, LOG), Event))
 

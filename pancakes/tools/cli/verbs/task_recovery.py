@@ -218,7 +218,7 @@ def _configured(path: str, sets: Sequence[str], name: TaskName, birthplace: str)
 
 
 def _held(client: Client, asked: Checkpoints) -> list[dict[str, Any]]:
-    replies = client.ask_each(asked).replies
+    replies = client.request_all(asked).replies
     return [row for _, reply in replies if reply.ok for row in reply.result]
 
 

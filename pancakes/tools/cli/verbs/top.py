@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.client import Client, Looks
+from pancakes.client import Client, RateMeter
 from pancakes.errors import Unreachable
 from pancakes.tools.cli.agent_requests import surveyed
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
@@ -109,10 +109,10 @@ def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask
 
 def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) -> Iterator[list[dict[str, Any]]]:
     """Yields what is to be shown: at each look, or once after the second."""
-    looks = Looks()
+    looks = RateMeter()
     found = surveyed(client, *agents)
     due_s = client.now()
-    rows = looks.look(found)
+    rows = looks.update(found)
     while True:
         if not once:
             yield rows
@@ -124,7 +124,7 @@ def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) ->
             described = client.survey(*agents, timeout_s=limit_s).agents
         except Unreachable:
             described = []
-        rows = looks.look(described)
+        rows = looks.update(described)
         if once:
             if not described:
                 raise Unreachable(f"{', '.join(row['agent'] for row in rows)} answered once, and then no more")
@@ -146,7 +146,7 @@ def picture(agents: Sequence[Row], sort: str, height: int | None = None) -> Grou
     """Returns the two tables.
 
     Args:
-        agents: the rows of `Looks`.
+        agents: the rows of `RateMeter`.
         sort: one of `SORTS`.
         height: how many lines there are; None: as many as it takes.
     """

@@ -182,7 +182,7 @@ def _measured(client: Client, ask: Ask, for_s: float) -> list[MeasuredAgent]:
     from pancakes.tools.forecast import MeasuredAgent
 
     show_text(f"measuring for {for_s:g} s ...", err=True)
-    found = client.ask_each(Measure(for_s), timeout_s=for_s + ask.timeout_s)
+    found = client.request_all(Measure(for_s), timeout_s=for_s + ask.timeout_s)
     for sentence in [*found.silent, *(f"{agent} refused: {it.reason}" for agent, it in found.replies if not it.ok)]:
         show_text(sentence, err=True)
     figures = []
