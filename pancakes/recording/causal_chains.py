@@ -121,6 +121,31 @@ BODY_CHARACTERS: Final = 160
 """A packet's body is shown in so many characters."""
 
 
+def chain_rows(chain: Chain) -> list[dict[str, Any]]:
+    """Return the steps of a chain as plain rows, but for their bodies; times in milliseconds.
+
+    `at_ms` counts from the first step. `travel_ms` is None for a packet that no recorder saw where it was published.
+    """
+    first_ns = chain.steps[0].time_ns
+    return [
+        {
+            "source": step.packet.source,
+            "seq": step.packet.seq,
+            "number": step.packet.number,
+            "channel": step.packet.channel,
+            "type": step.packet.type,
+            "at_ms": _ms((step.time_ns - first_ns) / NANOSECONDS),
+            "travel_ms": _ms(step.travel_s) if step.sent else None,
+            "handling_ms": _ms(step.handling_s),
+        }
+        for step in chain.steps
+    ]
+
+
+def _ms(seconds: float) -> float:
+    return round(1e3 * seconds, 3)
+
+
 def is_command(agent: str, packet: Packet) -> bool:
     """Returns whether a packet that was seen on an agent's channel commands an actuator of that agent."""
     return packet.channel == CTRL and not isinstance(packet.body, Hold) and agent_of(packet.source) == agent

@@ -120,8 +120,8 @@ def test_a_task_that_ran_before_the_recording_is_known_by_what_it_publishes(book
 def test_a_move_has_its_ledger_and_the_times_of_its_parts(book):
     move(book)
     (found,) = book.find().moves.moves
-    assert (found.task_id, found.source, found.winner, found.outcome) == (SCAN, "a", "b", "moved")
-    assert [(it.peer, it.fate, it.cost, it.reason) for it in found.answers] == [
+    assert found.goes(SCAN, "a", "b") and found.ledger.outcome == "moved"
+    assert [(it.peer, it.fate, it.cost, it.reason) for it in found.ledger.lines] == [
         ("b", "won", 1.0, ""),
         ("c", "refused", None, "lacks motors"),
     ]

@@ -161,7 +161,7 @@ class Findings:
                 }
                 for name in self.traffic.links.names()
             ],
-            "moves": [asdict(move) for move in self.moves.moves],
+            "moves": [move.plain() for move in self.moves.moves],
             "reactions": [
                 {
                     "steps": list(it.steps),

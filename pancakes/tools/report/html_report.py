@@ -179,21 +179,22 @@ def _moves(findings: Findings, pictures: Mapping[str, Picture]) -> str:
 
 
 def _move(move: TaskMove) -> str:
-    to = f" to {move.winner}" if move.winner else ""
-    asker = {"rule": "a rule of its own", "guardians": "its guardians"}.get(move.asked_by, move.asked_by)
-    only = f"Only {move.to} was asked. " if move.to else ""
-    parts = [f"Asked for by {asker}; cost: {move.cost}. {only}It took {_seconds(move.duration_s)} of host time."]
+    ledger = move.ledger
+    to = f" to {ledger.winner}" if ledger.winner else ""
+    asker = {"rule": "a rule of its own", "guardians": "its guardians"}.get(ledger.asked_by, ledger.asked_by)
+    only = f"Only {ledger.to} was asked. " if ledger.to else ""
+    parts = [f"Asked for by {asker}; cost: {ledger.cost}. {only}It took {_seconds(ledger.duration_s)} of host time."]
     if move.frozen_s is not None and move.started_s is not None:
         parts.append(f"In mission time it stood still for {_seconds(move.started_s - move.frozen_s)}.")
     if move.silence_s is not None:
         parts.append(
             f"Between its last packet there and its first here were {_seconds(move.silence_s)} of mission time."
         )
-    rows = [(it.peer, it.answer, it.cost, it.fate, it.reason) for it in move.answers]
+    rows = [(it.peer, it.answer, it.cost, it.fate, it.reason) for it in ledger.lines]
     asked = _table(("asked", "answer", "cost", "fate", "reason"), rows) if rows else _faint("No neighbour was asked.")
-    head = f"{move.task_id} at {move.at_s:.1f} s: {move.outcome} from {move.source}{to}"
-    if move.outcome != "moved":
-        head = f"{move.task_id} at {move.at_s:.1f} s: {move.outcome}{f', best: {move.winner}' if to else ''}"
+    head = f"{ledger.task_id} at {move.at_s:.1f} s: {ledger.outcome} from {ledger.source}{to}"
+    if ledger.outcome != "moved":
+        head = f"{ledger.task_id} at {move.at_s:.1f} s: {ledger.outcome}{f', best: {ledger.winner}' if to else ''}"
     return f"<h3>{escape(head)}</h3><p>{escape(' '.join(parts))}</p>{asked}"
 
 

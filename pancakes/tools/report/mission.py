@@ -9,6 +9,7 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.control import Hold
+from pancakes.durable.ledger import Ledger
 from pancakes.events import Event, LogLine
 from pancakes.packet import CTRL, LOG, SYSTEM, Packet, agent_of
 from pancakes.recording.records import TaskDescription
@@ -223,46 +224,19 @@ AWAIT_S: Final = 30.0
 
 
 @dataclass
-class NeighbourAnswer:
-    """What one neighbour said: see `pancakes.durable.ledger.Line`."""
-
-    peer: str
-    answer: str
-    fate: str
-    cost: float | None = None
-    reason: str = ""
-
-
-@dataclass
 class TaskMove:
-    """One move, or one that came to nothing; see `pancakes.durable.ledger.Ledger`.
+    """One move, or one that came to nothing.
 
     Attributes:
         at_s: when it was over.
-        task_id: the task.
-        source: where it was.
-        asked_by: `rule`, or the address that asked for it.
-        cost: the cost function.
-        outcome: `moved`, `stayed`, `undecided` or `dry run`.
-        winner: the agent that has the task now; empty where it stayed.
-        duration_s: host time from the first asking to the outcome.
-        answers: what the neighbours said.
-        to: the only neighbour that was asked; empty: all were.
-        frozen_s: when the task stood still at its source; None where that was not recorded.
+        ledger: who was asked, what each said, and what came of it.
+        frozen_s: when the task stood still at its source; None if that was not recorded.
         started_s: when it ran again at the winner.
         silence_s: between its last packet there and its first here.
     """
 
     at_s: float
-    task_id: str
-    source: str
-    asked_by: str
-    cost: str
-    outcome: str
-    winner: str
-    duration_s: float
-    answers: list[NeighbourAnswer]
-    to: str = ""
+    ledger: Ledger
     frozen_s: float | None = None
     started_s: float | None = None
     silence_s: float | None = None
@@ -270,7 +244,18 @@ class TaskMove:
     @property
     def task(self) -> str:
         """The task's name."""
-        return self.task_id.rpartition("/")[2]
+        return self.ledger.task_id.rpartition("/")[2]
+
+    def goes(self, task_id: str, source: str, winner: str) -> bool:
+        """Return whether it is the move of a task from one agent to another."""
+        return (self.ledger.task_id, self.ledger.source, self.ledger.winner) == (task_id, source, winner)
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as plain values, with the lines of the ledger as `answers`."""
+        told = msgspec.to_builtins(self.ledger)
+        answers = told.pop("lines")
+        times = {key: getattr(self, key) for key in ("at_s", "frozen_s", "started_s", "silence_s")}
+        return {**told, **times, "answers": answers}
 
 
 @dataclass
@@ -314,15 +299,15 @@ class Moves:
             return
         self._changes[task_id, before[0], agent] = (t_s, t_s - before[1])
         for move in reversed(self.moves[-20:]):
-            if (move.task_id, move.source, move.winner) == (task_id, before[0], agent) and move.silence_s is None:
+            if move.goes(task_id, before[0], agent) and move.silence_s is None:
                 move.silence_s = t_s - before[1]
                 return
 
     def _settle(self, agent: str, task: str, t_s: float) -> None:
         """A task runs. Its move may be known already, because each of the two agents reports it."""
         for move in reversed(self.moves[-20:]):
-            awaited = (move.task, move.winner, move.outcome) == (task, agent, "moved") and move.started_s is None
-            if awaited and t_s - move.at_s < AWAIT_S:
+            awaited = (move.task, move.ledger.winner) == (task, agent) and move.ledger.outcome == "moved"
+            if awaited and move.started_s is None and t_s - move.at_s < AWAIT_S:
                 move.started_s = t_s
                 return
 
@@ -331,24 +316,25 @@ class Moves:
             self.left_out += 1
             return
         try:
-            move = codecs.convert({**fields, "at_s": t_s, "answers": fields.get("lines", ())}, TaskMove)
+            move = TaskMove(t_s, codecs.convert(fields, Ledger))
         except msgspec.ValidationError:
             return  # an event of a user's own that bears the same name
         self.moves.append(move)
-        if move.outcome != "moved":
+        ledger = move.ledger
+        if ledger.outcome != "moved":
             return
-        frozen_s = self._frozen_s.pop((move.source, move.task), None)
+        frozen_s = self._frozen_s.pop((ledger.source, move.task), None)
         move.frozen_s = frozen_s
-        started_s = self._arrived_s.get((move.winner, move.task))
+        started_s = self._arrived_s.get((ledger.winner, move.task))
         if started_s is not None and frozen_s is not None and started_s >= frozen_s:
             move.started_s = started_s
-        change = self._changes.pop((move.task_id, move.source, move.winner), None)
+        change = self._changes.pop((ledger.task_id, ledger.source, ledger.winner), None)
         if change is not None and frozen_s is not None and change[0] >= frozen_s:
             move.silence_s = change[1]
 
     def only(self, task_id: str) -> None:
         """Forgets the moves of all tasks but one."""
-        self.moves = [move for move in self.moves if move.task_id == task_id]
+        self.moves = [move for move in self.moves if move.ledger.task_id == task_id]
 
 
 MOST: Final = 300

@@ -273,14 +273,14 @@ def draw_course(findings: Findings, palette: Palette, out: Path) -> Picture | No
             _arrow(axes, move, lanes)
         label_rows(axes, [f"{lane.agent}  {lane.task}" for lane in lanes])
         time_axis(axes, findings)
-        moved = " Arrows: moves." if any(move.outcome == "moved" for move in findings.moves.moves) else ""
+        moved = " Arrows: moves." if any(move.ledger.outcome == "moved" for move in findings.moves.moves) else ""
         return save(made, out, "tasks", f"Which agent ran which task. Crosses: failures.{moved}")
 
 
 def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
     places = {(lane.agent, lane.task): place for place, lane in enumerate(lanes)}
-    begin, end = places.get((move.source, move.task)), places.get((move.winner, move.task))
-    if move.outcome == "moved" and begin is not None and end is not None:
+    begin, end = places.get((move.ledger.source, move.task)), places.get((move.ledger.winner, move.task))
+    if move.ledger.outcome == "moved" and begin is not None and end is not None:
         axes.annotate(
             "",
             xy=(move.at_s, end - (0.3 if end > begin else -0.3)),
@@ -301,7 +301,7 @@ def draw_batteries(findings: Findings, palette: Palette, out: Path) -> Picture |
             points = [(t_s, 100.0 * level) for t_s, level in series.whole()]
             plot_line(axes, points, number // len(COLOURS), palette.colour(agent), agent, lw=1.1)
         for move in findings.moves.moves[:MOST_MOVES]:
-            if move.outcome == "moved":
+            if move.ledger.outcome == "moved":
                 axes.axvline(move.at_s, color=FAINT, lw=0.7, zorder=0)
         axes.set_ylabel("battery [%]")
         axes.margins(y=0.08)
@@ -312,10 +312,10 @@ def draw_batteries(findings: Findings, palette: Palette, out: Path) -> Picture |
 
 def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | None:
     """Draws what the neighbours asked for in each move. None where no neighbour was asked."""
-    moves = [move for move in findings.moves.moves if any(it.cost is not None for it in move.answers)][:MOST_MOVES]
+    moves = [move for move in findings.moves.moves if any(it.cost is not None for it in move.ledger.lines)][:MOST_MOVES]
     if not moves:
         return None
-    rows = [(move, it) for move in moves for it in move.answers]
+    rows = [(move, it) for move in moves for it in move.ledger.lines]
     with figure(COLUMN_IN, 0.19 * len(rows) + 0.75) as made:
         axes = made.add_subplot()
         largest = max(it.cost or 0.0 for _, it in rows) or 1.0

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from pancakes.control import Traces
 from pancakes.packet import Cause, Packet, agent_of
-from pancakes.recording.causal_chains import ActuatorCommand, Causes, Chain, body_text, is_command
+from pancakes.recording.causal_chains import ActuatorCommand, Causes, Chain, body_text, chain_rows, is_command
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.tools.report.time_series import Distribution
 
@@ -262,21 +262,14 @@ class Explaining:
         return best[1:] if best is not None else None
 
 
+TIMES: Final = ("at_ms", "travel_ms", "handling_ms")
+"""They are 0 if they are not known, or clocks put them below it."""
+
+
 def _steps(chain: Chain) -> list[dict[str, Any]]:
-    first_ns = chain.steps[0].time_ns
     return [
-        {
-            "source": step.packet.source,
-            "seq": step.packet.seq,
-            "number": step.packet.number,
-            "channel": step.packet.channel,
-            "type": step.packet.type,
-            "body": body_text(step.packet.body),
-            "at_ms": _ms((step.time_ns - first_ns) / NANOSECONDS),
-            "travel_ms": _ms(step.travel_s),
-            "handling_ms": _ms(step.handling_s),
-        }
-        for step in chain.steps
+        {**row, **{key: max(0.0, row[key] or 0.0) for key in TIMES}, "body": body_text(step.packet.body)}
+        for row, step in zip(chain_rows(chain), chain.steps, strict=True)
     ]
 
 
