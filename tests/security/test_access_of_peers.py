@@ -116,7 +116,7 @@ def test_an_agent_bids_for_tasks_alone_that_its_peer_may_give_it(fleet):
 
 def test_a_task_of_another_type_than_was_asked_for_is_not_taken(fleet, monkeypatch):
     a, b = without_host(fleet)
-    monkeypatch.setattr(HostState, "refusal_of", lambda self, peer, request: "")  # as if another type had been named
+    monkeypatch.setattr(HostState, "refusal_of", lambda self, peer, request: None)  # as if another type had been named
     reply = a.ask(Migrate("Count"))
     assert not reply.ok and "it lacks the right 'host' on" in reply.reason
     assert a.running("client") == ["Count"] and b.running("client") == []

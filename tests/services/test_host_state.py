@@ -25,7 +25,8 @@ def request_of(birthplace):
 
 def refusal(agent, birthplace):
     """Returns why an agent would not take the task of another."""
-    return agent.agent.host_state.refusal_of(birthplace, request_of(birthplace))
+    refusal = agent.agent.host_state.refusal_of(birthplace, request_of(birthplace))
+    return refusal.text if refusal is not None else ""
 
 
 def test_a_name_belongs_to_the_task_that_has_come_and_no_more_once_it_has_left(fleet):

@@ -49,7 +49,16 @@ def test_each_move_is_kept_over_a_crash_with_all_that_was_said():
         "",
     )
     assert moved["lines"] == [
-        {"peer": "b", "answer": "bid", "fate": "won", "cost": 1.0, "terms": {"active tasks": 1.0}, "reason": ""}
+        {
+            "peer": "b",
+            "answer": "bid",
+            "fate": "won",
+            "cost": 1.0,
+            "terms": {"active tasks": 1.0},
+            "reason": "",
+            "code": "",
+            "retry_after_s": None,
+        }
     ]
     assert stayed["reason"] == "no neighbour can take Other: nobody is no neighbour that hosts tasks, only b"
 
