@@ -154,6 +154,11 @@ def test_a_missing_file_is_never_answered_with_one_that_is_no_configuration(tmp_
         load(tmp_path / "lamp")
 
 
+def test_a_missing_file_in_a_missing_folder_is_named(tmp_path: Path):
+    with pytest.raises(ConfigError, match="there is no such file$"):
+        load(tmp_path / "nowhere" / "agent1.toml")
+
+
 def test_a_directory_is_no_file(tmp_path: Path):
     with pytest.raises(ConfigError, match="is a directory, not a file"):
         load(tmp_path)
