@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pancakes.tools.cli.verbs.agent_checks import Finding, check_clocks
+from pancakes.tools.cli.verbs.agent_checks import check_clocks
+from pancakes.tools.cli.verbs.checks import Facts, Finding
 
 NOW_S = 1.8e9
 YEAR_S = 365.25 * 86_400
@@ -21,7 +22,7 @@ def fleet(key: str, values: dict[str, float], **utc_s: float | None) -> list[Fin
         ahead_s = value if key == "day_ahead_s" else 0.0
         told = {"utc_s": utc_s.get(name, NOW_S + ahead_s + 0.3), "process": {"host": f"host-of-{name}"}}
         agents.append({"agent": name, "mesh": {"peers": [*peers, {"name": "terminal.1", "clock": None}]}, **told})
-    return list(check_clocks(agents, NOW_S))
+    return list(check_clocks(Facts(agents, now_s=NOW_S)))
 
 
 def test_clock_check_is_content_with_clocks_that_agree():

@@ -10,7 +10,9 @@ from cli.processes import Rig, Running
 
 from pancakes import __version__
 from pancakes.mesh.address import Reach, WayFacts
-from pancakes.tools.cli.verbs.agent_checks import Finding, check_entries, check_fleet
+from pancakes.tools.cli.verbs import agent_checks
+from pancakes.tools.cli.verbs.agent_checks import check_agents, check_entries
+from pancakes.tools.cli.verbs.checks import Facts, Finding
 from pancakes.util.runtime_dir import RunningAgent
 
 
@@ -101,6 +103,7 @@ PEER = {
     "role": "agent",
     "remote": "tcp://192.0.2.7:40000",
     "refused": 0,
+    "clock": None,
     **WayFacts(Reach.NETWORK, encrypted=True).plain(),
 }
 ROUTED = {**PEER, "remote": "zenoh://1f:0", "dropped": {}, **WayFacts(Reach.ROUTERS, encrypted=True).plain()}
@@ -119,6 +122,7 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
         "held": False,
         "insecure": "",
         "roster": None,
+        "utc_s": 0.0,
         "plugins": {"pancakes-x": "1.0"},
         "services": [{"service": "client", "state": "running", "reason": ""}],
         "tasks": [task()],
@@ -131,7 +135,7 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
 
 
 def found_in(*agents: dict[str, Any], reads: tuple[dict[str, Any], ...] = ()) -> list[Finding]:
-    return list(check_fleet(agents, (), lambda name, target: {"reads": reads}))
+    return list(check_agents(Facts(agents, describe=lambda name, target: {"reads": reads})))
 
 
 def test_doctor_names_an_agent_that_goes_by_an_old_roster():
@@ -302,14 +306,28 @@ def test_doctor_names_who_loses_packets_that_it_wants_all_of():
 
 def test_doctor_takes_silence_for_an_error_except_sleep():
     sentences = ["b did not answer: its network sleeps for 8.0 s", "c did not answer"]
-    found = list(check_fleet([], sentences, lambda name, target: None, asleep=sentences[:1]))
+    found = list(check_agents(Facts(silent=sentences, asleep=sentences[:1])))
     assert [(finding.level, finding.text) for finding in found] == [("ok", sentences[0]), ("error", sentences[1])]
 
 
 def test_doctor_names_names_that_are_borne_twice():
     own = os.getpid()
     twins = [RunningAgent("a", "north", "agent", (), own), RunningAgent("a", "north", "agent", (), own)]
-    assert levels(check_entries([*twins]))[0] == ("error", "a")
+    assert levels(check_entries(Facts(entries=twins)))[0] == ("error", "a")
     namesakes = [RunningAgent("a", "north", "agent", (), own), RunningAgent("a", "south", "agent", (), own)]
-    assert levels(check_entries(namesakes)) == [("warning", "a")]
-    assert levels(check_entries(namesakes[:1])) == []
+    assert levels(check_entries(Facts(entries=namesakes))) == [("warning", "a")]
+    assert levels(check_entries(Facts(entries=namesakes[:1]))) == []
+
+
+def test_doctor_runs_each_check_that_is_registered(monkeypatch):
+    def said_of(about: str) -> Iterator[Finding]:
+        yield Finding("error", about, "is found")
+
+    for name, check in (
+        ("FLEET_CHECKS", lambda facts: said_of("fleet")),
+        ("AGENT_CHECKS", lambda agent, facts: said_of(agent["agent"])),
+        ("TASK_CHECKS", lambda agent, task, facts: said_of(f"{agent}/{task['task']}")),
+    ):
+        monkeypatch.setattr(agent_checks, name, [check])
+
+    assert [about for _, about in levels(found_in(agent("a"), agent("b")))] == ["fleet", "a", "a/Scan", "b", "b/Scan"]

@@ -6,7 +6,8 @@ from pancakes.control import Describe, Start, Stop
 from pancakes.service import Service
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
-from pancakes.tools.cli.verbs.agent_checks import check_fleet
+from pancakes.tools.cli.verbs.agent_checks import check_agents
+from pancakes.tools.cli.verbs.checks import Facts
 
 
 class Plain(Service):
@@ -30,7 +31,7 @@ def agent(tmp_path):
 
 
 def findings(agent):
-    found = check_fleet([agent.ask(Describe()).result], (), lambda name, target: None)
+    found = check_agents(Facts([agent.ask(Describe()).result]))
     return [(finding.level, finding.about, finding.text, finding.advice) for finding in found]
 
 

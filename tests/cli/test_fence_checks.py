@@ -1,8 +1,15 @@
 """What `pancakes doctor` says of the fences of actuators."""
 
 from pancakes.tools.cli.verbs.agent_checks import check_fences
+from pancakes.tools.cli.verbs.checks import Facts
 
 ROW = {"actuator": "a/device/wheels", "task_id": "a/Circle", "brought_by": "z", "owner": "a", "reason": ""}
+
+
+def found_in(row):
+    facts = Facts(fences=lambda agent, target: [row] if (agent, target) == ("a", "device/wheels") else [])
+    assert list(check_fences("a", {"task": "wheels", "service": "client"}, facts)) == [], "it is no device"
+    return list(check_fences("a", {"task": "wheels", "service": "device"}, facts))
 
 
 def test_fence_check_finds_nothing_where_a_task_is_or_will_be_obeyed():
@@ -13,12 +20,12 @@ def test_fence_check_finds_nothing_where_a_task_is_or_will_be_obeyed():
         ("4@a", "", None),  # no agent that is linked has it
     ):
         row = {**ROW, "seen": seen, "owner_has": owner_has, "obeyed": obeyed}
-        assert list(check_fences([row])) == [], row
+        assert list(found_in(row)) == [], row
 
 
 def test_fence_check_names_a_task_that_an_actuator_refuses():
     for seen, owner_has in (("10@z", "9@a"), ("9@b", "9@a")):
-        (finding,) = check_fences([{**ROW, "seen": seen, "owner_has": owner_has, "obeyed": False}])
+        (finding,) = found_in({**ROW, "seen": seen, "owner_has": owner_has, "obeyed": False})
         assert (finding.level, finding.about) == ("error", "a/device/wheels")
         why = f"refuses a/Circle, which a has under epoch {owner_has}: it has seen epoch {seen}, brought by z"
         assert finding.text == why

@@ -1,6 +1,7 @@
 """What `pancakes doctor` says of guarded tasks."""
 
 from pancakes.tools.cli.verbs.agent_checks import check_guards
+from pancakes.tools.cli.verbs.checks import Facts
 
 
 def guards(agent, **others):
@@ -14,7 +15,9 @@ def owns(agent="a", **others):
 
 
 def found(*rows):
-    return [(finding.level, finding.about, finding.text, finding.advice) for finding in check_guards(rows)]
+    return [
+        (finding.level, finding.about, finding.text, finding.advice) for finding in check_guards(Facts(guards=rows))
+    ]
 
 
 def test_guard_check_is_content_with_a_task_that_would_outlive_its_agent():

@@ -177,7 +177,7 @@ def test_machine_check_of_a_full_disk(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_machine_check_of_the_number_of_open_files():
-    assert check_files(64, 4096).level == "warning"
-    assert check_files(64, 4096).advice == "ulimit -n 1024"
-    assert check_files(1024, 4096).level == "ok"
-    assert check_files(resource.RLIM_INFINITY, resource.RLIM_INFINITY).level == "ok"
+    assert next(check_files((64, 4096))).level == "warning"
+    assert next(check_files((64, 4096))).advice == "ulimit -n 1024"
+    assert next(check_files((1024, 4096))).level == "ok"
+    assert next(check_files((resource.RLIM_INFINITY, resource.RLIM_INFINITY))).level == "ok"

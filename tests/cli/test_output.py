@@ -2,14 +2,15 @@
 
 import json
 import sys
+from collections.abc import Iterator
 
 import pytest
 
-from pancakes.tools.cli.output import show, show_json, show_sections
+from pancakes.tools.cli.output import Part, Printer, Rows
 
 
 def test_output_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str]):
-    show_json([{"radius_m": float("inf"), "levels": (float("nan"), 0.5)}])
+    Printer("json").emit([{"radius_m": float("inf"), "levels": (float("nan"), 0.5)}])
 
     def refuse(name: str) -> None:
         raise AssertionError(f"{name} is no JSON")
@@ -23,7 +24,7 @@ def test_output_table_fits_a_narrow_terminal_and_cuts_nothing(
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     for name, value in (("TERM", "dumb"), ("COLUMNS", "30"), ("LINES", "25")):
         monkeypatch.setenv(name, value)
-    show([{"agent": "gateway", "task": "BatteryWatchdog" * 2}], ("agent", "task"), "table")
+    Printer("table").table([{"agent": "gateway", "task": "BatteryWatchdog" * 2}], ("agent", "task"))
     shown = capsys.readouterr().out
     assert max(len(line) for line in shown.splitlines()) <= 30
     text = "".join(shown.split())
@@ -42,12 +43,36 @@ def test_output_table_keeps_brackets_of_lists(capsys: pytest.CaptureFixture[str]
         ([{"x_m": 1.0, "y_m": 2.0}], "[{x_m 1, y_m 2}]"),
         ([], "-"),
     ):
-        show([{"value": value}], ["value"], "table")
+        Printer("table").table([{"value": value}], ["value"])
         assert capsys.readouterr().out.splitlines()[-2].strip() == text
 
 
 def test_output_section_has_its_control_characters_escaped(capsys):
-    show_sections({"last failure": "RuntimeError: bang \x1b]0;owned\x07\nand more"})
+    Printer("table").emit(None, {"last failure": "RuntimeError: bang \x1b]0;owned\x07\nand more"})
     shown = capsys.readouterr().out
     assert "\x1b" not in shown.replace("\x1b[1m", "").replace("\x1b[0m", "") and "\x07" not in shown
     assert "bang \\x1b]0;owned\\x07" in shown
+
+
+def test_output_of_a_generator_runs_only_for_people(capsys: pytest.CaptureFixture[str]):
+    def parts() -> Iterator[Part]:
+        ran.append(True)
+        yield from ("a sentence", Rows([{"x": 1}], ["x"]), {"about": {"y": None}})
+
+    ran: list[bool] = []
+    Printer("json").emit([1], parts())
+    assert (json.loads(capsys.readouterr().out), ran) == ([1], [])
+    Printer("table").emit([1], parts())
+    shown = capsys.readouterr().out.splitlines()
+
+    assert ran and shown[0] == "a sentence" and shown[-1].split() == ["y", "-"]
+
+
+def test_output_for_people_leaves_json_alone(capsys: pytest.CaptureFixture[str]):
+    for format_ in ("table", "json"):
+        Printer(format_).note("on its way")
+        Printer(format_).tell("only for people")
+        shown = capsys.readouterr()
+        expected = ("on its way\nonly for people\n", "") if format_ == "table" else ("", "on its way\n")
+
+        assert (shown.out, shown.err) == expected

@@ -25,6 +25,7 @@ from pancakes.services.fence_rule import MOST_OF_PEER as MOST_MARKS
 from pancakes.services.fence_rule import ClaimRefused, EpochClaim, Mark, May, judged
 from pancakes.testing import FleetInTest
 from pancakes.tools.cli.verbs.agent_checks import check_kept
+from pancakes.tools.cli.verbs.checks import Facts
 from pancakes.util import codecs
 
 COUNT = TaskId("a", "Count")
@@ -173,7 +174,7 @@ def test_agents_that_one_peer_makes_up_leave_room_for_those_of_others():
 
 
 def findings_of(fleet, name):
-    return list(check_kept(fleet.agents[name].ask(Describe()).result))
+    return list(check_kept(fleet.agents[name].ask(Describe()).result, Facts()))
 
 
 def brought(fleet, name):
@@ -209,7 +210,7 @@ def test_doctor_names_what_a_peer_has_left_that_is_away(fleet):
 
 def test_doctor_names_a_peer_that_has_guarded_tasks_removed_again_and_again():
     row = {"peer": "c", "kind": "removed", "count": 15000, "bytes": 0, "share": 0.92}
-    (found,) = check_kept({"agent": "b", "neighbours": ["c"], "kept_of_peers": [row]})
+    (found,) = check_kept({"agent": "b", "neighbours": ["c"], "kept_of_peers": [row]}, Facts())
     assert "15000 marks of guarded tasks of c that were removed" in found.text
     assert "pancakes fleet revoke c" in found.advice
 

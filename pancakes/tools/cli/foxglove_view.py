@@ -17,7 +17,7 @@ from pancakes.packet import CORE_CHANNELS
 from pancakes.recording.foxglove_messages import Viewer
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.tools.cli.options import Ask
-from pancakes.tools.cli.output import show_json, show_text
+from pancakes.tools.cli.output import show_text
 from pancakes.tools.cli.streaming import event_at
 from pancakes.tools.web.watch import fleet_among
 from pancakes.util.clock import wall_ns
@@ -109,10 +109,8 @@ def show_in_foxglove(port: int | None, ask: Ask) -> None:
         channels = FleetChannels(client, hearer, lambda text: show_text(f"warning: {text}", err=True))
         try:
             channels.look(described)
-            if ask.format_ == "json":
-                show_json([{"address": server.address, "fleet": fleet}])
-            else:
-                show_text(f"Foxglove opens the fleet {fleet} at {server.address}")
+            text = f"Foxglove opens the fleet {fleet} at {server.address}"
+            ask.printer.emit([{"address": server.address, "fleet": fleet}], text)
             while not ended.wait(LOOK_S):
                 try:
                     channels.look(client.survey().agents)

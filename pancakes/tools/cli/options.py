@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial, wraps
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar, cast
 
 import click
 
-from pancakes.tools.cli.output import show, show_text
+from pancakes.tools.cli.output import Printer, show_text
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -234,15 +234,21 @@ class TakesNumbers(click.Command):
         return super().parse_args(ctx, args)
 
 
-format_option = click.option(
-    "--format",
-    "format_",
-    type=click.Choice(["table", "json"]),
-    default="table",
-    show_default=True,
-    help="How to print the answer.",
-)
-"""The option `--format` of every verb; its parameter is `format_`."""
+def format_option_of(default: str, help_: str) -> Callable[[_F], _F]:
+    """Return the option `--format`; its parameter is `printer`."""
+    return click.option(
+        "--format",
+        "printer",
+        type=click.Choice(["table", "json"]),
+        default=default,
+        show_default=True,
+        callback=lambda context, option, value: Printer(value),
+        help=help_,
+    )
+
+
+format_option = format_option_of("table", "How to print the answer.")
+"""The option `--format` of most verbs; its parameter is `printer`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,22 +259,18 @@ class Ask:
         where: the addresses and the fleet, which may also stand in front of a name
             (`pancakes.tools.cli.options`).
         timeout_s: how long to wait for answers.
-        format_: `table` or `json`.
+        printer: prints what they answer.
     """
 
     where: Where
     timeout_s: float
-    format_: str
+    printer: Printer
 
     def client(self) -> Client:
         """Returns a new client."""
         from pancakes.client import Client
 
         return Client(self.where, self.timeout_s, partial(show_text, err=True))
-
-    def show(self, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
-        """Prints rows; see `pancakes.tools.cli.output.show`."""
-        show(rows, columns, self.format_)
 
 
 def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
@@ -301,10 +303,10 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
 
     def decorate(function: _F) -> _F:
         @wraps(function)
-        def asking(at: tuple[str, ...], fleet: str, timeout: float, format_: str, **others: Any) -> Any:
+        def asking(at: tuple[str, ...], fleet: str, timeout: float, printer: Printer, **others: Any) -> Any:
             from pancakes.client import Where
 
-            return function(ask=Ask(Where(at, the_fleet(fleet)), timeout, format_), **others)
+            return function(ask=Ask(Where(at, the_fleet(fleet)), timeout, printer), **others)
 
         decorated: Any = asking
         for option in reversed(options):

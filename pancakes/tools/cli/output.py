@@ -1,10 +1,14 @@
-"""How the verbs print what they have found: as a table for people, or as JSON for programs."""
+"""Print what verbs have found: as tables and sentences for people, or as JSON for programs.
+
+`--format` makes a `Printer`, and a verb hands it the value and what people see of it, once.
+"""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 import msgspec
@@ -18,50 +22,145 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 DRY_RUN: Final = "dry run"
-"""What stands under `done` where it was only asked whether it would be."""
+"""What stands under `done` if a verb only asked whether it would be done."""
 
 
 def show_text(text: str = "", *, err: bool = False, nl: bool = True, head: str = "", colour: str | None = None) -> None:
-    """Prints text, which may be of others: with its control characters escaped.
+    """Print text, which may come from others: its control characters are escaped.
 
     Args:
         text: what to print.
-        err: whether to standard error.
+        err: whether to print it to standard error.
         nl: whether a new line follows.
-        head: our own words before it, which may be coloured.
-        colour: the text's colour, where its terminal has any.
+        head: our own words before it, which may have colours.
+        colour: the text's colour, if its terminal has any.
     """
     shown = printable(text)
     click.echo(head + (click.style(shown, fg=colour) if colour else shown), err=err, nl=nl)
 
 
-def show_json(value: Any) -> None:
-    """Prints a plain value to standard output, as JSON; numbers that JSON does not know (NaN, infinity) become null."""
-    show_text(printable_data(msgspec.json.format(encode_json(body_to_plain(value)), indent=2).decode()))
+class Rows(NamedTuple):
+    """A table for people: plain values by the keys of its columns, which are printed in this order."""
+
+    rows: Sequence[Mapping[str, Any]]
+    columns: Sequence[str]
 
 
-def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], format_: str) -> None:
-    """Prints rows to standard output.
+Part = str | Rows | Mapping[str, Any] | Iterable["Part"]
+"""What people see: text, a table, sections by their titles, or several of these.
+
+Under the title of a section stand facts (a mapping), a table (rows with the same keys), or text. One that has nothing
+is left out.
+"""
+
+
+class Printer:
+    """Print the answer of a verb to standard output, as its option `--format` says.
 
     Args:
-        rows: what to print, plain values.
-        columns: the keys to print, in this order.
         format_: `table` or `json`.
     """
-    picked = [{column: row[column] for column in columns} for row in rows]
-    if format_ == "json":
-        show_json(picked)
-        return
-    show_drawn(_table(picked, columns))
+
+    def __init__(self, format_: str) -> None:
+        self.is_json = format_ == "json"
+
+    def emit(self, value: Any, *parts: Part) -> None:
+        """Print an answer.
+
+        Args:
+            value: what programs get: a plain value, as JSON. Numbers that JSON does not know (NaN, infinity) become
+                null.
+            parts: what people get instead. A generator runs only if they do.
+        """
+        if self.is_json:
+            show_text(printable_data(msgspec.json.format(encode_json(body_to_plain(value)), indent=2).decode()))
+        else:
+            self.tell(*parts)
+
+    def table(self, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
+        """Print the same rows and columns for people and for programs."""
+        picked = [{column: row[column] for column in columns} for row in rows]
+        self.emit(picked, Rows(picked, columns))
+
+    def tell(self, *parts: Part) -> None:
+        """Print something that is only for people."""
+        if not self.is_json:
+            for part in parts:
+                _show_part(part)
+
+    def note(self, text: str) -> None:
+        """Print a sentence about the work: to standard error if programs read standard output."""
+        show_text(text, err=self.is_json)
+
+    def stream(
+        self,
+        bounded: bool,
+        text: Callable[[Any], str],
+        colour: Callable[[Any], str | None] = lambda value: None,
+    ) -> Stream:
+        """Return what prints values as they come, a line each; as a context manager it ends their list.
+
+        Args:
+            bounded: whether the verb ends by itself. Then JSON is a list, else one object a line.
+            text: makes the text of a value for people.
+            colour: returns the colour of a value's text, if it has one.
+        """
+        return Stream(self.is_json, bounded, text, colour)
 
 
-def show_sections(sections: Mapping[str, Mapping[str, Any] | Sequence[Mapping[str, Any]] | str]) -> None:
-    """Prints all about one thing, for people.
+class Stream:
+    """Print values as they come; see `Printer.stream`."""
 
-    Under each title stand facts (a mapping), a table (rows of the same keys), or text as it is (a string).
+    def __init__(
+        self, is_json: bool, bounded: bool, text: Callable[[Any], str], colour: Callable[[Any], str | None]
+    ) -> None:
+        self._json = is_json
+        self._list = is_json and bounded
+        self._text = text
+        self._colour = colour
+        self.printed = 0
 
-    Where there is nothing under a title, it is left out.
-    """
+    def __enter__(self) -> Stream:
+        return self
+
+    def show(self, value: Any) -> None:
+        """Print a value."""
+        if self._list:
+            show_text(("[\n  " if self.printed == 0 else ",\n  ") + one_line(value), nl=False)
+        elif self._json:
+            show_text(one_line(value))
+        else:
+            show_text(self._text(value), colour=self._colour(value))
+        self.printed += 1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        # A user who ends the command early still gets a list. If the command failed, there may be nothing to end.
+        if self._list and (kind is None or issubclass(kind, KeyboardInterrupt) or self.printed):
+            if not isinstance(error, BrokenPipeError):
+                show_text("\n]" if self.printed else "[]")
+
+
+def one_line(value: Any) -> str:
+    """Return a value as JSON in one line; numbers that JSON does not know (NaN, infinity) become null."""
+    return printable_data(encode_json(body_to_plain(value)).decode())
+
+
+def _show_part(part: Part) -> None:
+    if isinstance(part, str):
+        if part:
+            show_text(part, nl=not part.endswith("\n"))
+    elif isinstance(part, Rows):
+        show_drawn(_table(part.rows, part.columns))
+    elif isinstance(part, Mapping):
+        _show_sections(part)
+    else:
+        for inner in part:
+            _show_part(inner)
+
+
+def _show_sections(sections: Mapping[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
@@ -94,12 +193,12 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
 
 
 def show_drawn(*things: Any) -> None:
-    """Prints tables and texts of rich to standard output."""
+    """Print tables and texts of rich to standard output."""
     from rich.console import Console
 
     # Into a file or a pipe nothing is cut off or folded.
     console = Console(width=None if sys.stdout.isatty() else 1000)
-    # click prints it, because rich ends the process in its own way where the reader of the output has ended.
+    # click prints it, because rich ends the process in its own way if the reader of the output has ended.
     with console.capture() as captured:
         for thing in things:
             console.print(thing)
@@ -129,7 +228,7 @@ def _text(value: Any) -> str:
 
 
 def _inner(value: Any) -> str:
-    """A value as it stands within another: a list or table keeps its brackets, so that its end can be seen."""
+    """Return a value inside of another: a list or table keeps its brackets, so that its end can be seen."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{printable(str(key))} {_inner(item)}' for key, item in value.items())}}}"
     if isinstance(value, (list, tuple)):

@@ -8,17 +8,14 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from pancakes.packet import body_to_plain
 from pancakes.tools.cli.exit_codes import forget_output
 from pancakes.tools.cli.options import Duration
 from pancakes.tools.cli.output import show_text
-from pancakes.util.codecs import encode_json
-from pancakes.util.text import printable_data
 
 if TYPE_CHECKING:
     from pancakes.util.plugins import Plugins
@@ -83,59 +80,6 @@ def event_at(*signals: signal.Signals, again: int | None = None) -> Interrupted:
 
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-
-
-def one_line(value: Any) -> str:
-    """Returns a value as JSON in one line; numbers that JSON does not know (NaN, infinity) become null."""
-    return printable_data(encode_json(body_to_plain(value)).decode())
-
-
-class Printer:
-    """Prints values to standard output as they come: as text for people, or as JSON for programs.
-
-    As JSON they become a list where they are `bounded`, that is, where the command ends by itself, and one object a
-    line where it does not. It is a context manager, which ends that list.
-
-    Args:
-        format_: `table` or `json`.
-        bounded: whether the command ends by itself.
-        text: makes the text of a value.
-        colour: returns the colour of a value's text, where it has one.
-    """
-
-    def __init__(
-        self,
-        format_: str,
-        bounded: bool,
-        text: Callable[[Any], str],
-        colour: Callable[[Any], str | None] = lambda value: None,
-    ) -> None:
-        self._json = format_ == "json"
-        self._list = self._json and bounded
-        self._text = text
-        self._colour = colour
-        self.printed = 0
-
-    def __enter__(self) -> Printer:
-        return self
-
-    def show(self, value: Any) -> None:
-        """Prints a value."""
-        if self._list:
-            show_text(("[\n  " if self.printed == 0 else ",\n  ") + one_line(value), nl=False)
-        elif self._json:
-            show_text(one_line(value))
-        else:
-            show_text(self._text(value), colour=self._colour(value))
-        self.printed += 1
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        # A user who ends the command early still gets a list. Where it failed, there may be nothing to end.
-        if self._list and (kind is None or issubclass(kind, KeyboardInterrupt) or self.printed):
-            if not isinstance(error, BrokenPipeError):
-                show_text("\n]" if self.printed else "[]")
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import click
 from pancakes.control import ReloadKeys
 from pancakes.tools.cli.agent_requests import ask_each, survey
 from pancakes.tools.cli.options import Ask, agents, asks_agents, dry_run_option, format_option, orders_agents, the_agent
-from pancakes.tools.cli.output import DRY_RUN, show_json, show_sections, show_text
+from pancakes.tools.cli.output import DRY_RUN, Printer
 from pancakes.util.clock import utc_text
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
@@ -46,7 +46,7 @@ def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
         for found in survey(ask, *agents)
         if role in ("", found["role"])
     ]
-    ask.show(rows, COLUMNS)
+    ask.printer.table(rows, COLUMNS)
 
 
 @agent.command()
@@ -64,10 +64,7 @@ def info(agent: str, ask: Ask) -> None:
     """
     with ask.client() as client:
         (found,) = client.survey(agent).agents
-    if ask.format_ == "json":
-        show_json([found])
-    else:
-        show_sections(_sections(found, client.is_own))
+    ask.printer.emit([found], _sections(found, client.is_own))
 
 
 @agent.command("reload-keys")
@@ -85,7 +82,7 @@ def reload_keys(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
     """
     rows = [{"agent": name, "new_key": found} for name, found in ask_each(ask, ReloadKeys(dry_run), *agents)]
     done = {"done": DRY_RUN if dry_run else "reloaded"}
-    ask.show([{**row, **done} for row in rows], ("agent", "new_key", "done"))
+    ask.printer.table([{**row, **done} for row in rows], ("agent", "new_key", "done"))
 
 
 @agent.command()
@@ -95,7 +92,7 @@ def reload_keys(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
 @click.option(
     "--run-as", "user", metavar="USER", help="The user of this machine as which it runs.  [default: pancakes]"
 )
-def unit(path: str, of_person: bool, user: str | None, format_: str) -> None:
+def unit(path: str, of_person: bool, user: str | None, printer: Printer) -> None:
     """Print the unit with which systemd runs the agent of CONFIG: ready when the agent is, restarted where it hangs.
 
     A service of the system runs under a user of its own, with state, log and runtime directories of its own, and may
@@ -119,10 +116,7 @@ def unit(path: str, of_person: bool, user: str | None, format_: str) -> None:
     else:
         runs_as = USER if user is None else user
         text = unit_of(facts_of(config, plugins, runs_as), runs_as)
-    if format_ == "json":
-        show_json([{"agent": config.agent.name, "fleet": config.agent.fleet, "unit": text}])
-    else:
-        show_text(text, nl=False)
+    printer.emit([{"agent": config.agent.name, "fleet": config.agent.fleet, "unit": text}], text)
 
 
 def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str, Any]:

@@ -1,53 +1,40 @@
-"""What `pancakes doctor` checks in running agents: entries, fleet, devices, peers, clocks, guards and fences.
+"""Check running agents for `pancakes doctor`: entries, fleet, devices, peers, clocks, guards and fences.
 
-A check takes what agents say of themselves, as plain values, and yields findings. Nothing is asked for here.
+A check takes what agents say of themselves, as plain values, and yields findings (`pancakes.tools.cli.verbs.checks`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
 
 from pancakes import __version__
 from pancakes.devices.health import share_of
 from pancakes.durable.record import DISK_LOST, OLD_COPY, WAITS
 from pancakes.mesh.sockets import ADVICE
 from pancakes.supervision.restart import tries
-from pancakes.util.runtime_dir import RunningAgent
+from pancakes.tools.cli.verbs.checks import (
+    AGENT_CHECKS,
+    FLEET_CHECKS,
+    TASK_CHECKS,
+    Facts,
+    Finding,
+    agent_check,
+    fleet_check,
+    task_check,
+)
 
-Level = Literal["ok", "warning", "error"]
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that was looked at.
-
-    Attributes:
-        level: `ok`; `warning`: it works, but not as it could; `error`: something does not work.
-        about: what was looked at, such as `runtime directory` or `agent1/ir`.
-        text: how it is.
-        advice: what to do; empty where nothing is to be done.
-    """
-
-    level: Level
-    about: str
-    text: str
-    advice: str = ""
-
-
+DEVICES: Final = "device"
+"""The service that has the devices of an agent as its tasks."""
 MISSED_READINGS_SHARE: Final = 0.01
 """A device that misses more than this share of its readings is named."""
 
 
-def check_device(about: str, task: Mapping[str, Any]) -> Iterator[Finding]:
-    """Looks at how a device fares.
-
-    Args:
-        about: the agent and the device, such as `agent1/ir`.
-        task: what its agent says of the device's task; one that is no device has no readings.
-    """
-    readings = task.get("readings")
+@task_check
+def check_device(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look for a device that is silent, or misses many readings."""
+    about = f"{agent}/{task['task']}"
+    readings = task.get("readings")  # a task that is no device has none
     if readings is None or task["state"] != "running":
         return
     if readings["silent_s"] is not None:
@@ -74,12 +61,9 @@ _STORIES: Final = {
 }
 
 
-def check_kept(agent: dict[str, Any]) -> Iterator[Finding]:
-    """Looks for peers that are at a bound, and for what those have left that are away.
-
-    Args:
-        agent: what an agent says of itself.
-    """
+@agent_check
+def check_kept(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look for peers that are at a bound, and for what those that are away have left."""
     name = agent["agent"]
     for row in agent.get("kept_of_peers", ()):
         peer, kind = row["peer"], row["kind"]
@@ -113,24 +97,22 @@ UNITS: Final = (("year", 365.25 * 86_400), ("day", 86_400.0), ("hour", 3600.0), 
 HERE: Final = "this machine"
 
 
-def check_clocks(agents: Sequence[dict[str, Any]], now_s: float) -> Iterator[Finding]:
-    """Looks at clocks: times of day that differ or were never set, rates, and mission times.
+@fleet_check
+def check_clocks(facts: Facts) -> Iterator[Finding]:
+    """Look for clocks that are off: times of day that differ or were never set, rates, and mission times.
 
-    An agent is named where more than half of those that know its clock say that it is off; where there are two that
-    disagree, and no third that knows better, both are.
-
-    Args:
-        agents: the result of `Describe` of each.
-        now_s: the time of day here when they answered, in seconds since 1970.
+    An agent is named if more than half of those that know its clock say that it is off. If two disagree, and no third
+    knows better, both are named.
     """
+    agents = facts.agents
     for agent in agents:
         if agent["utc_s"] is None and agent["process"] is not None:
             text = f"{_on(agent)} has no time of day: its clock was never set since it was switched on"
             yield Finding("warning", agent["agent"], text, _set_clock(agent))
     days = _told(agents, "day_ahead_s")
     for agent in agents:
-        if (utc_s := agent["utc_s"]) is not None:
-            ahead_s = utc_s - now_s
+        if (utc_s := agent["utc_s"]) is not None and facts.now_s is not None:
+            ahead_s = utc_s - facts.now_s
             days.setdefault(agent["agent"], {})[HERE] = ahead_s if abs(ahead_s) > ASKED_S else 0.0
     by_name = {agent["agent"]: agent for agent in agents}
     for name, ahead_s, others in _off(days, DAY_S):
@@ -198,15 +180,13 @@ def _apart(seconds: float) -> str:
     return f"{long} {'ahead of' if seconds > 0 else 'behind'}"
 
 
-def check_fences(rows: Sequence[dict[str, Any]]) -> Iterator[Finding]:
-    """Looks for tasks that an actuator refuses, because it has seen a higher epoch of them than runs now.
+@task_check
+def check_fences(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look for tasks that an actuator refuses, because it has seen a higher epoch of them than runs now.
 
     A lower one is as it should be: the next command of the task raises it.
-
-    Args:
-        rows: what `pancakes task fence` shows of each actuator.
     """
-    for row in rows:
+    for row in facts.fences(agent, f"{DEVICES}/{task['task']}") if task["service"] == DEVICES else ():
         if row["obeyed"] is False and _epoch(row["seen"]) > _epoch(row["owner_has"]):
             text = (
                 f"refuses {row['task_id']}, which {row['owner']} has under epoch {row['owner_has']}: it has seen epoch"
@@ -221,14 +201,11 @@ def _epoch(text: str) -> tuple[int, str]:
     return int(number), minter
 
 
-def check_guards(rows: Sequence[dict[str, Any]]) -> Iterator[Finding]:
-    """Looks at guarded tasks: whether each would outlive its agent, and whether one stands still.
-
-    Args:
-        rows: what all agents answer to `Guarding`.
-    """
+@fleet_check
+def check_guards(facts: Facts) -> Iterator[Finding]:
+    """Look for guarded tasks that would not outlive their agents, or that stand still."""
     tasks: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
+    for row in facts.guards:
         tasks.setdefault(row["task_id"], []).append(row)
     for task_id, known in sorted(tasks.items()):
         newest = max(_number(row) for row in known)
@@ -289,14 +266,11 @@ def _check_machine(about: str, owner: dict[str, Any]) -> Iterator[Finding]:
 MISSED_SHARE: Final = 0.01
 """A task that misses more than this share of its ticks is named."""
 
-_NO_ROSTERS: Final[Mapping[str, int]] = {}
 
-Ask = Callable[[str, str], Any]
-"""Returns the detailed description of a task (an agent's name, `service/task`); None where there is none."""
-
-
-def check_entries(entries: Sequence[RunningAgent]) -> Iterator[Finding]:
-    """Looks at the agents of this machine from outside: their names and processes."""
+@fleet_check
+def check_entries(facts: Facts) -> Iterator[Finding]:
+    """Look at the agents of this machine from outside: their names and processes."""
+    entries = facts.entries
     for entry in entries:
         same = [other.pid for other in entries if (other.fleet, other.name) == (entry.fleet, entry.name)]
         if len(same) > 1 and entry.pid == same[0]:
@@ -323,57 +297,40 @@ def is_suspended(pid: int) -> bool:
         return False
 
 
-def check_fleet(
-    agents: Sequence[dict[str, Any]],
-    silent: Sequence[str],
-    ask: Ask,
-    asleep: Sequence[str] = (),
-    rosters: Mapping[str, int] = _NO_ROSTERS,
-) -> Iterator[Finding]:
-    """Looks at what agents say of themselves.
-
-    Args:
-        agents: the result of `Describe` of each.
-        silent: a sentence for each that said nothing.
-        ask: asks for more.
-        asleep: those of the sentences whose agent had said that its network would sleep, which is as it should be.
-        rosters: the number of the last roster that this machine has of each fleet.
-    """
-    for sentence in silent:
-        if sentence in asleep:
+@fleet_check
+def check_silent(facts: Facts) -> Iterator[Finding]:
+    """Name the agents that do not answer; one whose network sleeps is in order."""
+    for sentence in facts.silent:
+        if sentence in facts.asleep:
             yield Finding("ok", "agents", sentence)
-            continue
-        advice = "see whether it runs, and whether its process is suspended or its computer is away"
-        yield Finding("error", "agents", sentence, advice)
-    versions = {agent["process"]["version"] for agent in agents if agent["process"] is not None}
+        else:
+            advice = "see whether it runs, and whether its process is suspended or its computer is away"
+            yield Finding("error", "agents", sentence, advice)
+
+
+@fleet_check
+def check_versions(facts: Facts) -> Iterator[Finding]:
+    """Look for agents of another version than this command."""
+    versions = {agent["process"]["version"] for agent in facts.agents if agent["process"] is not None}
     if versions - {__version__}:
         text = f"agents run the versions {', '.join(sorted(versions))}, and this command is {__version__}"
         yield Finding("warning", "agents", text, "update them: tasks move between equal versions only")
-    yield from _check_builds(agents)
-    yield from _check_plugins(agents)
-    for agent in agents:
-        findings = [
-            *_check_roster(agent, agents, rosters.get(agent["fleet"], 0)),
-            *_check_agent(agent),
-            *_check_peers(agent),
-            *check_kept(agent),
-            *_check_tasks(agent, ask),
-        ]
-        findings += _check_warnings(agent, findings)
-        yield from findings
-        if not findings:
-            running = sum(task["state"] == "running" for task in agent["tasks"])
-            connected = len(agent["neighbours"])
-            text = f"is ready, with {_count(running, 'task')} running and {_count(connected, 'neighbour')}"
-            if few := agent["mesh"]["few"]:
-                text += f" of {_count(few['known'], 'agent')} that it knows"
-            if routed := sum(peer["reach"] == "routers" for peer in agent["mesh"]["peers"]):
-                text += f"; {_count(routed, 'link')} through routers"
-            yield Finding("ok", agent["agent"], text)
+
+
+def _in_order(agent: dict[str, Any]) -> Finding:
+    """Return the finding about an agent of which nothing else was found."""
+    running = sum(task["state"] == "running" for task in agent["tasks"])
+    connected = len(agent["neighbours"])
+    text = f"is ready, with {_count(running, 'task')} running and {_count(connected, 'neighbour')}"
+    if few := agent["mesh"]["few"]:
+        text += f" of {_count(few['known'], 'agent')} that it knows"
+    if routed := sum(peer["reach"] == "routers" for peer in agent["mesh"]["peers"]):
+        text += f"; {_count(routed, 'link')} through routers"
+    return Finding("ok", agent["agent"], text)
 
 
 def _check_warnings(agent: dict[str, Any], findings: Sequence[Finding]) -> Iterator[Finding]:
-    """Tells what an agent has warned of lately, unless a finding says so already."""
+    """Report what an agent has warned of lately, unless a finding covers it."""
     in_error = {finding.about for finding in findings if finding.level == "error"}
     for line in agent.get("warnings", ()):
         if any(finding.text in line["text"] or line["text"] in finding.text for finding in findings):
@@ -387,12 +344,14 @@ def _check_warnings(agent: dict[str, Any], findings: Sequence[Finding]) -> Itera
         yield Finding("warning", line["source"], text, advice)
 
 
-def _check_roster(agent: dict[str, Any], agents: Sequence[dict[str, Any]], here: int) -> Iterator[Finding]:
-    """Compares the roster of an agent with those of its fleet, and with that of this machine."""
+@agent_check
+def check_roster(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Compare the roster of an agent with those of its fleet, and with that of this machine."""
+    here = facts.rosters.get(agent["fleet"], 0)
     own, fault = agent["roster"], agent.get("roster_fault")
     if own is None:
         return
-    others = max((it["roster"] or 0 for it in agents if it["fleet"] == agent["fleet"]), default=0)
+    others = max((it["roster"] or 0 for it in facts.agents if it["fleet"] == agent["fleet"]), default=0)
     if fault is not None and fault["number"] in (0, own):
         advice = "make room, or give its user the right to write there; it tries again each minute"
         if fault["number"] == 0:
@@ -409,10 +368,11 @@ def _check_roster(agent: dict[str, Any], agents: Sequence[dict[str, Any]], here:
         yield Finding("warning", agent["agent"], text, advice)
 
 
-def _check_builds(agents: Sequence[dict[str, Any]]) -> Iterator[Finding]:
-    """Names the versions that agents run, where these differ."""
+@fleet_check
+def check_builds(facts: Facts) -> Iterator[Finding]:
+    """Name the builds that agents run, if they differ."""
     by_version: dict[str, list[str]] = {}
-    for agent in agents:
+    for agent in facts.agents:
         if agent["process"] is not None:
             version = agent["process"].get("build") or agent["process"]["version"]
             by_version.setdefault(version, []).append(agent["agent"])
@@ -422,10 +382,11 @@ def _check_builds(agents: Sequence[dict[str, Any]]) -> Iterator[Finding]:
         yield Finding("warning", "agents", f"agents of a fleet run different versions: {told}", advice)
 
 
-def _check_plugins(agents: Sequence[dict[str, Any]]) -> Iterator[Finding]:
-    """Names the agents that lack a distribution with task types which others of their fleet have."""
-    for agent in agents:
-        others = [other for other in agents if other["fleet"] == agent["fleet"]]
+@fleet_check
+def check_plugins(facts: Facts) -> Iterator[Finding]:
+    """Name the agents that lack a distribution with task types which others of their fleet have."""
+    for agent in facts.agents:
+        others = [other for other in facts.agents if other["fleet"] == agent["fleet"]]
         for name in sorted({it for other in others for it in other["plugins"]} - set(agent["plugins"])):
             having = ", ".join(other["agent"] for other in others if name in other["plugins"])
             text = f"lacks the plug-in {name}, which {having} has: no task of it can migrate there"
@@ -433,7 +394,9 @@ def _check_plugins(agents: Sequence[dict[str, Any]]) -> Iterator[Finding]:
             yield Finding("warning", agent["agent"], text, advice)
 
 
-def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
+@agent_check
+def check_agent(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look at what an agent says of itself as a whole."""
     name = agent["agent"]
     if not agent["ready"]:
         yield Finding("warning", name, "is not ready: its tasks are still starting", f"pancakes task list {name}")
@@ -452,18 +415,25 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
         yield Finding("warning", name, text, "pancakes fleet join, and take insecure = true out of its file")
     for why in agent["mesh"].get("near_only", ()):
         yield Finding("warning", name, f"is not reached from other machines: {why}", ADVICE)
-    for service in agent["services"]:
-        about = f"{name}/{service['service']}"
-        yield from _check_tries(about, "service", service)
-        if service["state"] == "stopped" and service["reason"]:
-            text = f"does not run, and none of its tasks: {service['reason']}"
-            yield Finding("warning", about, text, f"to start it: pancakes service start {about}")
     if agent["dead_letters"]:
         text = f"readers failed at {_count(agent['dead_letters'], 'packet')}, given up after that"
         yield Finding("warning", name, text, f"see which and why: pancakes log --from {name} --level warning")
 
 
-def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
+@agent_check
+def check_services(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look for services that do not run."""
+    for service in agent["services"]:
+        about = f"{agent['agent']}/{service['service']}"
+        yield from _check_tries(about, "service", service)
+        if service["state"] == "stopped" and service["reason"]:
+            text = f"does not run, and none of its tasks: {service['reason']}"
+            yield Finding("warning", about, text, f"to start it: pancakes service start {about}")
+
+
+@agent_check
+def check_peers(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look for peers that are away, and for links that lose packets or can be read by others."""
     name, mesh = agent["agent"], agent["mesh"]
     connected = {peer["name"] for peer in mesh["peers"]}
     asleep = {peer["name"] for peer in mesh["asleep"]}
@@ -490,34 +460,22 @@ def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
             yield Finding("warning", name, text, f"see why: pancakes log --from {name} --level warning")
 
 
-def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:
-    name = agent["agent"]
-    for task in agent["tasks"]:
-        about = f"{name}/{task['task']}"
-        yield from _check_tries(about, "task", task)
-        yield from check_device(about, task)
-        if task["rest"] == "disputed":
-            text = "is owned by another agent too, and rests: " + (task["reason"] or "see the log of both")
-            yield Finding(
-                "error", about, text, f"pancakes task resolve AGENT/{task['task']} says which of the two lives"
-            )
-        yield from _check_unsure(about, task)
-        if task.get("guarding", {}).get("copied"):
-            text = f"stands still: the disk of {name} is a copy, so its guardians have an agent go on with the task"
-            yield Finding("error", about, text, f"where they are gone: pancakes task revive {about}")
-        if task["state"] == "stuck":
-            text = "was asked to stop and does not come back from what it is doing"
-            yield Finding("error", about, text, "restart its agent; a task that waits for long sets blocking = True")
-        ticks = task["ticks"] + task["missed"]
-        if task["missed"] and task["missed"] > MISSED_SHARE * ticks:
-            late = f"missed {task['missed']} of {ticks} ticks, and was up to {task['lateness_max_s']:.3g} s late"
-            yield Finding("warning", about, late, f"let it tick less often: pancakes task rate {about} HZ")
-        if task["dropped"]:
-            yield from _check_drops(name, about, ask(name, f"{task['service']}/{task['task']}"))
+@task_check
+def check_failures(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look for a task that has failed."""
+    yield from _check_tries(f"{agent}/{task['task']}", "task", task)
 
 
-def _check_unsure(about: str, task: dict[str, Any]) -> Iterator[Finding]:
-    """Looks at a task whose agent does not know whether it is elsewhere."""
+@task_check
+def check_ownership(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look for a task that rests because another agent may have it."""
+    about = f"{agent}/{task['task']}"
+    if task["rest"] == "disputed":
+        text = "is owned by another agent too, and rests: " + (task["reason"] or "see the log of both")
+        yield Finding("error", about, text, f"pancakes task resolve AGENT/{task['task']} says which of the two lives")
+    if task.get("guarding", {}).get("copied"):
+        text = f"stands still: the disk of {agent} is a copy, so its guardians have an agent go on with the task"
+        yield Finding("error", about, text, f"if they are gone: pancakes task revive {about}")
     rest, reason = task["rest"], task["reason"]
     if rest.startswith(WAITS):
         text = f"is not born yet: {reason}"
@@ -529,8 +487,26 @@ def _check_unsure(about: str, task: dict[str, Any]) -> Iterator[Finding]:
         yield Finding("error", about, f"stands still: {reason}", "see that those agents run, or decide yourself")
 
 
+@task_check
+def check_load(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look for a task that is stuck, misses ticks, or loses packets."""
+    about = f"{agent}/{task['task']}"
+    if task["state"] == "stuck":
+        text = "was asked to stop and does not come back from what it is doing"
+        yield Finding("error", about, text, "restart its agent; a task that waits for long sets blocking = True")
+    ticks = task["ticks"] + task["missed"]
+    if task["missed"] and task["missed"] > MISSED_SHARE * ticks:
+        late = f"missed {task['missed']} of {ticks} ticks, and was up to {task['lateness_max_s']:.3g} s late"
+        yield Finding("warning", about, late, f"let it tick less often: pancakes task rate {about} HZ")
+    described = facts.describe(agent, f"{task['service']}/{task['task']}") if task["dropped"] else None
+    for read in described["reads"] if described is not None else ():
+        if read["dropped"]:
+            text = f"lost {_count(read['dropped'], 'packet')} on {read['channel']}: it reads more slowly than they come"
+            yield Finding("warning", about, text, f"see its publishers: pancakes channel hz {agent}/{read['channel']}")
+
+
 def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding]:
-    """Looks at a task or a service that has failed; a device is a task."""
+    """Look at a task or a service that has failed; a device is a task."""
     when = tries(row)
     if row["state"] == "failed":
         text = f"was given up: {row['reason']}" + (f" ({when})" if when else "")
@@ -547,12 +523,20 @@ def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding
         yield Finding("warning", about, f"{when or 'is started again'}: {row['reason']}", advice)
 
 
-def _check_drops(agent: str, about: str, described: Any) -> Iterator[Finding]:
-    for read in described["reads"] if described is not None else ():
-        if read["dropped"]:
-            text = f"lost {_count(read['dropped'], 'packet')} on {read['channel']}: it reads more slowly than they come"
-            yield Finding("warning", about, text, f"see its publishers: pancakes channel hz {agent}/{read['channel']}")
-
-
 def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def check_agents(facts: Facts) -> Iterator[Finding]:
+    """Run all checks of agents."""
+    for fleet_wide in FLEET_CHECKS:
+        yield from fleet_wide(facts)
+    for agent in facts.agents:
+        findings: list[Finding] = []
+        for of_agent in AGENT_CHECKS:
+            findings += of_agent(agent, facts)
+        for task in agent["tasks"]:
+            for of_task in TASK_CHECKS:
+                findings += of_task(agent["agent"], task, facts)
+        findings += _check_warnings(agent, findings)
+        yield from findings or [_in_order(agent)]

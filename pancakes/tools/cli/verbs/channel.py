@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import statistics
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
@@ -29,8 +29,8 @@ from pancakes.tools.cli.listening import (
     types_option,
 )
 from pancakes.tools.cli.options import Ask, ChannelName, Duration, a_channel, an_agent, asks_agents
-from pancakes.tools.cli.output import show, show_json, show_text
-from pancakes.tools.cli.streaming import Printer, count_option, for_option, one_line, say
+from pancakes.tools.cli.output import Part, Rows, one_line, show_text
+from pancakes.tools.cli.streaming import count_option, for_option, say
 from pancakes.tools.cli.verbs.publish import pub
 from pancakes.util.text import hint_of
 
@@ -229,7 +229,14 @@ def _measure(
             rows = heard.rows(client.now(), new_only)
             if columns is BW and len(rows) > 1:
                 rows.append(_all(rows))
-            _show(rows, columns, ask.format_, bounded, str(name))
+            if not rows:
+                say(f"nothing new on {name}")
+            picked = [{column: row[column] for column in columns} for row in rows]
+            if ask.printer.is_json and not bounded:
+                for row in picked:
+                    show_text(one_line(row))
+            else:
+                ask.printer.emit(picked, Rows(picked, columns) if picked else "")
 
         try:
             for packet in listen(client, following, for_s, bounded):
@@ -260,21 +267,6 @@ def _all(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "max_bytes": max(row["max_bytes"] for row in rows),
         "window": packets,
     }
-
-
-def _show(rows: Sequence[dict[str, Any]], columns: Sequence[str], format_: str, bounded: bool, name: str) -> None:
-    if not rows:
-        say(f"nothing new on {name}")
-    if format_ == "table":
-        if rows:
-            show(rows, columns, format_)
-        return
-    picked = [{column: row[column] for column in columns} for row in rows]
-    if bounded:
-        show_json(picked)
-    else:
-        for row in picked:
-            show_text(one_line(row))
 
 
 WIDE: Final = 100
@@ -325,7 +317,7 @@ def echo(
     _check_fields(types, fields)
     with (
         listening_to(name, types, ask) as (client, following),
-        Printer(ask.format_, bounded, paths.text if fields else text_of) as printer,
+        ask.printer.stream(bounded, paths.text if fields else text_of) as stream,
     ):
         for heard in listen(client, following, for_s, bounded):
             if heard is None or not from_any(heard.packet.source, sources):
@@ -333,8 +325,8 @@ def echo(
             record = record_of(heard.agent, heard.packet)
             picked = paths.pick(record) if fields else record
             if picked is not None:
-                printer.show(picked)
-            if printer.printed == count:
+                stream.show(picked)
+            if stream.printed == count:
                 break
 
 
@@ -483,7 +475,7 @@ def list_(agent: str, ask: Ask) -> None:
         for _, result in ask_each(ask, Channels(), agent)
         for found in result
     ]
-    ask.show(rows, LISTED)
+    ask.printer.table(rows, LISTED)
 
 
 @channel.command()
@@ -518,27 +510,21 @@ def info(name: ChannelName, for_s: float, ask: Ask) -> None:
                     heard.add(packet.packet, packet.at_s, size_of(packet.packet))
         publishers = [row for row in heard.rows(client.now()) if not client.is_own(agent_of(row["source"]))]
     row = {**found, "publishers": publishers, "heard_s": for_s}
-    if ask.format_ == "json":
-        show_json([row])
-    else:
-        _channel_show(row)
+    ask.printer.emit([row], _parts(row))
 
 
-def _channel_show(row: dict[str, Any]) -> None:
+def _parts(row: dict[str, Any]) -> Iterator[Part]:
     kind = "a core channel" if row["core"] else "a channel"
-    show_text(f"{row['agent']}/{row['channel']} is {kind}")
+    yield f"{row['agent']}/{row['channel']} is {kind}"
     subscribers = [
         {**it, "subscriber": it["address"], "types": _types(it["types"], it["open_types"])} for it in row["subscribers"]
     ]
-    if subscribers:
-        show(subscribers, SUBSCRIBERS, "table")
-    else:
-        show_text("\nNo component of this agent subscribes to it.")
-    show_text("Followed from elsewhere by " + (", ".join(row["followers"]) or "none") + ".")
+    yield Rows(subscribers, SUBSCRIBERS) if subscribers else "\nNo component of this agent subscribes to it."
+    yield "Followed from elsewhere by " + (", ".join(row["followers"]) or "none") + "."
     if row["publishers"]:
-        show([{**it, "publisher": it["source"]} for it in row["publishers"]], PUBLISHERS, "table")
+        yield Rows([{**it, "publisher": it["source"]} for it in row["publishers"]], PUBLISHERS)
     else:
-        show_text(f"No packet was published on it within {row['heard_s']:g} s.")
+        yield f"No packet was published on it within {row['heard_s']:g} s."
 
 
 def _types(types: list[str] | None, open_types: list[str] | None) -> str:

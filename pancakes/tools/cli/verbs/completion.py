@@ -12,14 +12,14 @@ from click.shell_completion import BashComplete, add_completion_class, get_compl
 
 from pancakes.tools.cli.exit_codes import REFUSED, TRACEBACK
 from pancakes.tools.cli.options import format_option
-from pancakes.tools.cli.output import show_json, show_text
+from pancakes.tools.cli.output import Printer
 from pancakes.tools.cli.version import PROGRAM, VARIABLE
 
 
 @click.command()
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 @format_option
-def completion(shell: str, format_: str) -> None:
+def completion(shell: str, printer: Printer) -> None:
     """Print the script that completes verbs, options and the names of agents, tasks, services and channels.
 
     The names come from the agents that run, at that moment; with --at HOST:PORT before the name, from those there.
@@ -44,10 +44,7 @@ def completion(shell: str, format_: str) -> None:
     made = get_completion_class(shell)
     assert made is not None
     script = made(click.get_current_context().find_root().command, {}, PROGRAM, VARIABLE).source().rstrip()
-    if format_ == "json":
-        show_json([{"shell": shell, "script": script}])
-    else:
-        show_text(script)
+    printer.emit([{"shell": shell, "script": script}], script)
 
 
 class WordsOfBash(BashComplete):

@@ -13,8 +13,8 @@ from pancakes.control import Describe
 from pancakes.errors import ConfigError, ControlRefused, Fault, NoAnswer, Unreachable
 from pancakes.tools.cli.agent_requests import order
 from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
-from pancakes.tools.cli.options import AGENT_NAME, Ask, asks_agents, format_option
-from pancakes.tools.cli.output import show, show_json, show_text
+from pancakes.tools.cli.options import AGENT_NAME, Ask, asks_agents, format_option, format_option_of
+from pancakes.tools.cli.output import Part, Printer, Rows, show_text
 from pancakes.util.text import printable_data
 
 SCHEMA_COLUMNS = ("table", "key", "type", "default", "bounds", "description")
@@ -48,7 +48,7 @@ def config() -> None:
 @config.command()
 @click.argument("paths", metavar="FILE|DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @format_option
-def check(paths: tuple[Path, ...], format_: str) -> None:
+def check(paths: tuple[Path, ...], printer: Printer) -> None:
     """Check configuration files of agents, fleet files, and folders as `pancakes launch` takes them.
 
     Everything that is wrong is named, with file, line and key; the exit code is then 4. A plug-in that a file names and
@@ -80,23 +80,23 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
             rows.append(
                 {"file": str(path), "agent": None, "fleet": None, "faults": faults, "warnings": [], "unchecked": []}
             )
-            if format_ == "table":
+            if not printer.is_json:
                 show_text(str(error), err=True)
     told = {fault["problem"] for row in rows for fault in row["faults"]}
     for problem in plugins.problems():
         if str(problem) not in told:
             show_text(f"warning: {problem}", err=True)
-    if format_ == "json":
-        show_json(rows)
-    else:
-        for row in rows:
-            for doubt in row["warnings"]:
-                show_text(f"warning: {Fault(**doubt)}", err=True)
-            if not row["faults"]:
-                unchecked = ", ".join(row["unchecked"])
-                but = f", but for {unchecked}, not installed here and not checked" if unchecked else ""
-                show_text(f"{row['file']} is sound{but}: the agent {row['agent']} of the fleet {row['fleet']}")
+    printer.emit(rows, *map(_checked, rows))
     sys.exit(BAD_CONFIGURATION if any(row["faults"] for row in rows) else OK)
+
+
+def _checked(row: Mapping[str, Any]) -> Iterator[Part]:
+    for doubt in row["warnings"]:
+        show_text(f"warning: {Fault(**doubt)}", err=True)
+    if not row["faults"]:
+        unchecked = ", ".join(row["unchecked"])
+        but = f", but for {unchecked}, not installed here and not checked" if unchecked else ""
+        yield f"{row['file']} is sound{but}: the agent {row['agent']} of the fleet {row['fleet']}"
 
 
 @config.command("show")
@@ -120,9 +120,9 @@ def show_(file: Path | str, sets: tuple[str, ...], ask: Ask) -> None:
     if isinstance(file, str):
         if sets:
             raise click.UsageError("--set is for what a file says, and no file of that name is there")
-        _show(*_of_agent(file, ask), ask.format_)
+        _show(*_of_agent(file, ask), ask.printer)
     else:
-        _show(*_of_file(file, sets), ask.format_)
+        _show(*_of_file(file, sets), ask.printer)
 
 
 def _of_file(file: Path, sets: tuple[str, ...]) -> tuple[dict[str, Any], Origin]:
@@ -159,34 +159,23 @@ def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
     return found["config"], origin
 
 
-def _show(tables: dict[str, Any], origin: Origin, format_: str) -> None:
+def _show(tables: dict[str, Any], origin: Origin, printer: Printer) -> None:
     from pancakes.config.toml_writer import document_text, key_text, leaves
 
     tables = {table: value for table, value in tables.items() if value != {}}
-    if format_ == "table":
-        show_text(printable_data(document_text(tables, origin)), nl=False)
-        return
-    show_json(
-        [
-            {"key": key_text(keys), "value": value, "from": origin(keys)}
-            for keys, value in leaves(tables)
-            if value is not None
-        ]
-    )
+    rows = [
+        {"key": key_text(keys), "value": value, "from": origin(keys)}
+        for keys, value in leaves(tables)
+        if value is not None
+    ]
+    printer.emit(rows, printable_data(document_text(tables, origin)))
 
 
 @config.command()
 @click.option("--fleet", is_flag=True, help="The schema of a fleet file instead, as `pancakes launch` takes it.")
 @click.option("--plugins", "with_plugins", is_flag=True, help="With the settings of all that is installed here.")
-@click.option(
-    "--format",
-    "format_",
-    type=click.Choice(["table", "json"]),
-    default="json",
-    show_default=True,
-    help="As a JSON Schema, or as a table of all keys.",
-)
-def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
+@format_option_of("json", "As a JSON Schema, or as a table of all keys.")
+def schema(fleet: bool, with_plugins: bool, printer: Printer) -> None:
     """Print the JSON Schema of an agent's configuration, for editors that check and complete.
 
     \b
@@ -205,10 +194,7 @@ def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
         found = fleet_schema()
     else:
         found = config_schema(Plugins() if with_plugins else None)
-    if format_ == "json":
-        show_json(found)
-    else:
-        show(list(_schema_rows(found)), SCHEMA_COLUMNS, "table")
+    printer.emit(found, Rows(list(_schema_rows(found)), SCHEMA_COLUMNS))
 
 
 def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

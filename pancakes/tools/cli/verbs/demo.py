@@ -17,7 +17,7 @@ from click.core import ParameterSource
 from pancakes.errors import PancakesError
 from pancakes.tools.cli import agent_process
 from pancakes.tools.cli.options import Duration, FiniteRange, agent_sets_option, format_option
-from pancakes.tools.cli.output import show_text
+from pancakes.tools.cli.output import Printer, show_text
 from pancakes.tools.cli.streaming import end_by_signals, event_at
 from pancakes.tools.cli.verbs.demo_seeds import Seeds, nice_path, run_seeds
 from pancakes.tools.cli.verbs.view import port_option
@@ -110,7 +110,7 @@ class DemoPage:
             self._server.show(shown)
             return
         self._server = open_page(shown, self._port)
-        tell_address(self._server.address, self._control)
+        tell_address(self._server.address, self._control, Printer("table"))
 
     def _stop_watching(self) -> None:
         if self._watch is not None:
@@ -189,7 +189,7 @@ def demo(
     seed: int,
     seeds: tuple[int, ...] | None,
     jobs: int | None,
-    format_: str,
+    printer: Printer,
     speed: float,
     out: Path | None,
     view_: bool,
@@ -226,11 +226,11 @@ def demo(
     mission = _mission(found)
     if virtual and mission.live_only:
         raise click.UsageError(f"the demo {name!r} runs live alone: {mission.live_only}")
-    if seeds is None and (jobs is not None or format_ != "table"):
+    if seeds is None and (jobs is not None or printer.is_json):
         raise click.UsageError("--jobs and --format are about many missions: they need --seeds")
     if seeds is not None:
         _refuse_beside_seeds(ctx, virtual, view_)
-        sys.exit(_many(found, seeds, jobs, format_, out, faults, plugins, **asked))
+        sys.exit(_many(found, seeds, jobs, printer, out, faults, plugins, **asked))
     fastest = mission.fastest
     if not virtual and speed > fastest:
         raise click.UsageError(
@@ -276,7 +276,7 @@ def _many(
     found: Demo | Comparison,
     seeds: tuple[int, ...],
     jobs: int | None,
-    format_: str,
+    printer: Printer,
     out: Path | None,
     faults: bool,
     plugins: Plugins,
@@ -292,7 +292,7 @@ def _many(
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)
     wishes = MissionWishes(found.name, duration, configs, sets, faults, record)
     folder = (out or Path("runs") / f"{found.name}-seeds").absolute()
-    whole, failed = run_seeds(found, seeds, folder, wishes, jobs, headless, format_, plugins, interrupted.is_set)
+    whole, failed = run_seeds(found, seeds, folder, wishes, jobs, headless, printer, plugins, interrupted.is_set)
     end_by_signals(*SIGNALS)
     return INTERRUPTED if not whole else FAILED if failed else PASSED
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.tools.cli import agent_process
-from pancakes.tools.cli.output import show_json, show_sections, show_text
+from pancakes.tools.cli.output import Printer, show_text
 from pancakes.tools.cli.parent_death import die_with_parent
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def run_seeds(
     wishes: MissionWishes,
     jobs: int | None,
     plain: bool,
-    format_: str,
+    printer: Printer,
     plugins: Plugins,
     interrupted: Callable[[], bool],
 ) -> tuple[bool, int]:
@@ -63,7 +63,7 @@ def run_seeds(
         wishes: what else is asked for.
         jobs: so many processes at once; None: one for each core that this process may use.
         plain: a line for each mission, and no bar.
-        format_: `table` or `json`.
+        printer: prints the answer.
         plugins: where drivers and tasks come from.
         interrupted: whether it was.
 
@@ -82,7 +82,7 @@ def run_seeds(
     fresh(out, ("missions.json",))
     count = min(jobs or len(os.sched_getaffinity(0)), len(seeds))
     text = f"{found.title}: {len(seeds)} {_missions(len(seeds))}, {count} at once, results in {nice_path(out)}"
-    show_text(text, err=format_ == "json")
+    printer.note(text)
     outcomes: list[MissionOutcome] = []
     failed = 0
     with _progress(len(seeds), plain) as tell:
@@ -92,7 +92,7 @@ def run_seeds(
             failed += outcome.verdict != PASSED
             tell(outcome, failed)
     outcomes.sort(key=lambda outcome: outcome.seed)
-    _show(outcomes, out, wishes, format_)
+    _show(outcomes, out, wishes, printer)
     if len(outcomes) < len(seeds):
         show_text(f"interrupted: {len(outcomes)} of {len(seeds)} missions were run", err=True)
     return len(outcomes) == len(seeds), failed
@@ -144,7 +144,7 @@ class _Bar(AbstractContextManager[Callable[..., None]]):
         self._progress.stop()
 
 
-def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, format_: str) -> None:
+def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, printer: Printer) -> None:
     """Shows what came of all missions, and writes it to `missions.json`."""
     import json
 
@@ -184,18 +184,15 @@ def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, 
         show_text(f"{out / 'missions.json'} cannot be written: {error.strerror}", err=True)
     for text in said:
         show_text(text, err=True)
-    if format_ == "json":
-        show_json(whole)
-        return
     apart = [asdict(spread) for spread in spreads if spread.differs]
-    show_sections({"Verdicts": rows, "Spreads": apart})
+    lines = []
     for outcome in fallen[:MOST_NAMED]:
-        show_text(f"seed {outcome.seed}: {outcome.verdict}")
-        for reason in outcome.reasons:
-            show_text(f"  - {reason}")
-        show_text(f"  run again: {again(outcome.seed, wishes)}")
+        lines.append(f"seed {outcome.seed}: {outcome.verdict}")
+        lines += [f"  - {reason}" for reason in outcome.reasons]
+        lines.append(f"  run again: {again(outcome.seed, wishes)}")
     if len(fallen) > MOST_NAMED:
-        show_text(f"{len(fallen) - MOST_NAMED} more did not pass: {nice_path(out / 'missions.json')} has them all")
+        lines.append(f"{len(fallen) - MOST_NAMED} more did not pass: {nice_path(out / 'missions.json')} has them all")
+    printer.emit(whole, {"Verdicts": rows, "Spreads": apart}, *lines)
 
 
 def nice_path(path: Path) -> str:

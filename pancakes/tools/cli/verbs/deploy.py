@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pancakes.tools.cli.options import Duration, agent_sets_option, format_option
-from pancakes.tools.cli.output import show, show_text
+from pancakes.tools.cli.output import Printer, show_text
 from pancakes.tools.cli.streaming import event_at
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def deploy(
     only: tuple[str, ...],
     enrol: bool,
     dry_run: bool,
-    format_: str,
+    printer: Printer,
 ) -> None:
     """Bring a fleet to its hosts: wheels, plug-ins and configurations, and keep its agents running there.
 
@@ -134,7 +134,7 @@ def deploy(
                     f"{change.edited}: it runs what is deployed from here on; the edit stays as the last version",
                 )
         if dry_run:
-            show(_rows(plan, hosts, moves, keys), COLUMNS, format_)
+            printer.table(_rows(plan, hosts, moves, keys), COLUMNS)
             return
         for member in fleet:
             if not member.host:

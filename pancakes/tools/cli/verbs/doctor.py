@@ -13,14 +13,12 @@ import click
 from pancakes.errors import Unreachable
 from pancakes.tools.cli.exit_codes import OK, REFUSED
 from pancakes.tools.cli.options import Ask, asks_agents
-from pancakes.tools.cli.output import show_json, show_text
+from pancakes.tools.cli.output import show_text
 
 if TYPE_CHECKING:
     from pancakes.client import Client
-    from pancakes.tools.cli.verbs.agent_checks import Finding
+    from pancakes.tools.cli.verbs.checks import Facts, Finding
 
-DEVICES: Final = "device"
-"""The service that has the devices of an agent as its tasks."""
 MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error": ("error", "red")}
 
 
@@ -43,13 +41,13 @@ def doctor(no_machine: bool, ask: Ask) -> None:
     found: list[Finding] = []
     for finding in _look(not no_machine, ask):
         found.append(finding)
-        if ask.format_ == "table":
+        if not ask.printer.is_json:
             _print(finding)
-    if ask.format_ == "json":
-        show_json([asdict(finding) for finding in found])
-    else:
-        count = Counter(finding.level for finding in found)
-        show_text(f"errors: {count['error']}, warnings: {count['warning']}, in order: {count['ok']}")
+    count = Counter(finding.level for finding in found)
+    ask.printer.emit(
+        [asdict(finding) for finding in found],
+        f"errors: {count['error']}, warnings: {count['warning']}, in order: {count['ok']}",
+    )
     sys.exit(REFUSED if any(finding.level == "error" for finding in found) else OK)
 
 
@@ -61,69 +59,66 @@ def _print(finding: Finding) -> None:
 
 
 def _look(machine: bool, ask: Ask) -> Iterator[Finding]:
+    from pancakes.tools.cli.verbs.agent_checks import check_agents
+    from pancakes.tools.cli.verbs.checks import Finding
+
     if machine:
         from pancakes.tools.cli.verbs.machine_checks import check_machine
-        from pancakes.util.plugins import Plugins
 
-        yield from check_machine(Plugins())
-    yield from _look_at_agents(ask)
+        yield from check_machine()
+    with ask.client() as client:
+        facts = _ask_agents(ask, client)
+        yield from [facts] if isinstance(facts, Finding) else check_agents(facts)
 
 
-def _look_at_agents(ask: Ask) -> Iterator[Finding]:
+def _ask_agents(ask: Ask, client: Client) -> Facts | Finding:
+    """Ask all agents once for what the checks look at; return a finding if no agent runs here."""
     from pancakes.control import Describe, Guarding
     from pancakes.errors import PancakesError
     from pancakes.security.key_store import rosters_here
-    from pancakes.tools.cli.verbs.agent_checks import Finding, check_clocks, check_entries, check_fleet, check_guards
+    from pancakes.tools.cli.verbs.checks import Facts, Finding
+    from pancakes.tools.cli.verbs.task_recovery import fences_of
     from pancakes.util.clock import wall_ns
     from pancakes.util.runtime_dir import entries, other_fleets, why_none
 
+    here = []
     if not ask.where.addresses:
+        fleet = ask.where.fleet
         try:
-            there = [it for it in entries() if it.role != "client" and ask.where.fleet in ("", it.fleet)]
+            here = [it for it in entries() if it.role != "client" and fleet in ("", it.fleet)]
         except PancakesError as error:
-            yield Finding("error", "agents", str(error), "without it no agent of this machine can be found")
-            return
-        if not there:
-            fleet = ask.where.fleet
-            if fleet and other_fleets(fleet):
-                yield Finding("error", "agents", why_none(fleet), "say --fleet as one of those, or leave it out")
-            else:
-                yield Finding(
-                    "ok", "agents", f"no agent{f' of the fleet {fleet}' if fleet else ''} runs on this machine"
-                )
-            return
-        yield from check_entries(there)
-    with ask.client() as client:
-        asked_s = wall_ns() / 1e9
+            return Finding("error", "agents", str(error), "without it no agent of this machine can be found")
+        if not here and fleet and other_fleets(fleet):
+            return Finding("error", "agents", why_none(fleet), "say --fleet as one of those, or leave it out")
+        if not here:
+            return Finding("ok", "agents", f"no agent{f' of the fleet {fleet}' if fleet else ''} runs on this machine")
+    now_s = wall_ns() / 1e9
+    try:
+        found = client.survey()
+    except Unreachable as error:
+        return Facts(silent=str(error).splitlines(), entries=here)
+    guarded = client.request_all(Guarding(), *(agent["agent"] for agent in found.agents))
+
+    def describe(agent: str, target: str) -> Any:
         try:
-            found = client.survey()
-        except Unreachable as error:
-            for sentence in str(error).splitlines():
-                yield Finding("error", "agents", sentence, "see whether it runs, and whether its computer is away")
-            return
+            return client.request(agent, Describe(target)).result
+        except PancakesError:
+            return None
 
-        def told(agent: str, target: str) -> Any:
-            try:
-                return client.request(agent, Describe(target)).result
-            except PancakesError:
-                return None
+    def fences(agent: str, target: str) -> list[dict[str, Any]]:
+        try:
+            return fences_of(client, agent, target)
+        except PancakesError:
+            return []  # it has gone since
 
-        yield from check_clocks(found.agents, asked_s)
-        yield from check_fleet(found.agents, found.silent, told, found.asleep, rosters_here())
-        guarded = client.request_all(Guarding(), *(agent["agent"] for agent in found.agents))
-        yield from check_guards([row for _, reply in guarded.replies if reply.ok for row in reply.result])
-        for agent in found.agents:
-            yield from _look_at_fences(client, agent)
-
-
-def _look_at_fences(client: Client, agent: dict[str, Any]) -> Iterator[Finding]:
-    from pancakes.errors import PancakesError
-    from pancakes.tools.cli.verbs.agent_checks import check_fences
-    from pancakes.tools.cli.verbs.task_recovery import fences_of
-
-    for task in agent["tasks"]:
-        if task["service"] == DEVICES:
-            try:
-                yield from check_fences(fences_of(client, agent["agent"], f"{DEVICES}/{task['task']}"))
-            except PancakesError:
-                continue  # it has gone since
+    return Facts(
+        agents=found.agents,
+        silent=found.silent,
+        asleep=found.asleep,
+        entries=here,
+        guards=[row for _, reply in guarded.replies if reply.ok for row in reply.result],
+        rosters=rosters_here(),
+        now_s=now_s,
+        describe=describe,
+        fences=fences,
+    )

@@ -81,8 +81,8 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
             elif not dry_run:
                 show_text(f"ends {of_each}", err=True)
         ending.end_all(here, ask.where.fleet)
-    if ending.rows or ask.format_ == "json":
-        ask.show(ending.rows, COLUMNS)
+    if ending.rows or ask.printer.is_json:
+        ask.printer.table(ending.rows, COLUMNS)
     sys.exit(ending.code)
 
 

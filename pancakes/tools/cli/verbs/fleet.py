@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,7 +17,7 @@ from pancakes.security.key_store import KeyFiles
 from pancakes.security.roster import EVERY, PEOPLE, RIGHTS, AccessRule, Bearer, CertifiedRole, Right, allows
 from pancakes.tools.cli.agent_requests import force_option, must_be_meant
 from pancakes.tools.cli.options import Duration, format_option
-from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
+from pancakes.tools.cli.output import DRY_RUN, Printer
 from pancakes.tools.cli.verbs.fleet_authority import founded, opened, spread
 from pancakes.util.text import fault_of_name
 
@@ -74,7 +74,7 @@ def fleet() -> None:
 @click.option("--no-password", is_flag=True, help="Leave the authority's key unlocked.")
 @may_be_dry
 @format_option
-def init(name: str, person: str | None, no_password: bool, dry_run: bool, format_: str) -> None:
+def init(name: str, person: str | None, no_password: bool, dry_run: bool, printer: Printer) -> None:
     """Found a fleet: its authority is made here, and you become its operator.
 
     The authority's key is locked with a password, which each command asks for that gives out or revokes a certificate.
@@ -91,8 +91,8 @@ def init(name: str, person: str | None, no_password: bool, dry_run: bool, format
         raise PancakesError(f"there is a fleet {name} in {folder} already")
     row = {"fleet": name, "folder": str(folder), "operator": who}
     if dry_run:
-        _tell(
-            format_, {**row, "done": DRY_RUN}, f"The fleet {name} would be in {folder}, with you as its operator {who}."
+        printer.emit(
+            [{**row, "done": DRY_RUN}], f"The fleet {name} would be in {folder}, with you as its operator {who}."
         )
         return
     password = None if no_password else click.prompt("Password", hide_input=True, confirmation_prompt=True)
@@ -100,7 +100,7 @@ def init(name: str, person: str | None, no_password: bool, dry_run: bool, format
     office.enrol_with_key("operator", who).write(key_store.folder_of_person(name))
     until = _date(office.latest(who).ends_s)
     said = f"The fleet {name} is in {folder}. You are its operator {who} until {until}."
-    _tell(format_, {**row, "until": until, "done": "founded"}, said)
+    printer.emit([{**row, "until": until, "done": "founded"}], said)
 
 
 @fleet.command()
@@ -130,7 +130,7 @@ def enrol(
     for_s: float,
     fleet_name: str,
     dry_run: bool,
-    format_: str,
+    printer: Printer,
 ) -> None:
     """Let a machine or a person into the fleet, under this name.
 
@@ -148,10 +148,10 @@ def enrol(
     folder = founded(fleet_name)
     read_register(folder).check_new(name, folder.name)
     if dry_run:
-        _give_dry(folder.name, role, name, out, format_)
+        _give_dry(folder.name, role, name, out, printer)
         return
     office = opened(fleet_name)
-    _give(office, role, name, groups, out, host, port, for_s, format_)
+    _give(office, role, name, groups, out, host, port, for_s, printer)
 
 
 @fleet.command()
@@ -164,7 +164,7 @@ def enrol(
 @may_be_dry
 @format_option
 def renew(
-    name: str, out: Path | None, host: str, port: int, for_s: float, fleet_name: str, dry_run: bool, format_: str
+    name: str, out: Path | None, host: str, port: int, for_s: float, fleet_name: str, dry_run: bool, printer: Printer
 ) -> None:
     """Give a machine or a person a new key and certificate; for yourself that is done at once.
 
@@ -180,7 +180,7 @@ def renew(
     folder = founded(fleet_name)
     entry = read_register(folder).latest(name, folder.name)
     if dry_run:
-        _give_dry(folder.name, entry.role, entry.name, out, format_)
+        _give_dry(folder.name, entry.role, entry.name, out, printer)
         return
     office = opened(fleet_name)
     own = key_store.keys_of_person(office.fleet)
@@ -188,16 +188,16 @@ def renew(
         office.enrol_with_key(entry.role, entry.name, entry.groups).write(own)
         until = _date(office.latest(name).ends_s)
         row = {"name": entry.name, "role": entry.role, "until": until, "done": "renewed"}
-        _tell(format_, row, f"You are {entry.role} {entry.name} of the fleet {office.fleet} until {until}.")
+        printer.emit([row], f"You are {entry.role} {entry.name} of the fleet {office.fleet} until {until}.")
     else:
-        _give(office, entry.role, entry.name, entry.groups, out, host, port, for_s, format_)
+        _give(office, entry.role, entry.name, entry.groups, out, host, port, for_s, printer)
 
 
 @fleet.command()
 @click.argument("code", metavar="CODE|FOLDER")
 @may_be_dry
 @format_option
-def join(code: str, dry_run: bool, format_: str) -> None:
+def join(code: str, dry_run: bool, printer: Printer) -> None:
     """Join a fleet, on the machine that is to belong to it: with the code of its operator, or a folder from there.
 
     \b
@@ -215,27 +215,27 @@ def join(code: str, dry_run: bool, format_: str) -> None:
             parsed = JoinCode.parse(code)
             place = f"{parsed.host}:{parsed.port}"
             said = f"The machine at {place} would be asked; it says which fleet that is, and under which name."
-            _tell(format_, {"at": place, "done": DRY_RUN}, said)
+            printer.emit([{"at": place, "done": DRY_RUN}], said)
             return
         files, made_here = _checked(join_with(code)), True
     folder = _folder_of(files)
     row = {"name": files.name, "role": files.role, "fleet": files.fleet, "keys": str(folder)}
     if dry_run:
         said = f"The keys of {files.role} {files.name} of the fleet {files.fleet} would be in {folder}."
-        _tell(format_, {**row, "done": DRY_RUN}, said)
+        printer.emit([{**row, "done": DRY_RUN}], said)
         return
     files.write(folder)
     what = f"You are {files.role} {files.name}" if files.role in PEOPLE else f"This machine is {files.name}"
     made = "The key was made here and has not left this machine."
     copied = f"Remove {code} now, here and where it came from: it has the same key."
     said = f"{what} of the fleet {files.fleet}: the keys are in {folder}."
-    _tell(format_, {**row, "done": "joined"}, said, made if made_here else copied)
+    printer.emit([{**row, "done": "joined"}], said, made if made_here else copied)
 
 
 @fleet.command("list")
 @of_fleet
 @format_option
-def list_(fleet_name: str, format_: str) -> None:
+def list_(fleet_name: str, printer: Printer) -> None:
     """List the certificates that were given out in a fleet.
 
     \b
@@ -259,7 +259,7 @@ def list_(fleet_name: str, format_: str) -> None:
         }
         for it in read_register(founded(fleet_name)).entries
     ]
-    show(rows, COLUMNS, format_)
+    printer.table(rows, COLUMNS)
 
 
 @fleet.command()
@@ -279,7 +279,7 @@ def revoke(
     any_date: bool,
     force: bool,
     dry_run: bool,
-    format_: str,
+    printer: Printer,
 ) -> None:
     """Revoke all certificates of a machine or a person: a robot or a laptop is lost, or a person has left.
 
@@ -300,12 +300,12 @@ def revoke(
     register = read_register(folder)
     bearer = register.latest(who, folder.name)
     if dry_run:
-        _show_entries(register.of(who), DRY_RUN, format_)
+        _show_entries(register.of(who), DRY_RUN, printer)
         return
     must_be_meant(f"no agent of the fleet {folder.name} believes {bearer.role}/{bearer.name} any more, for good", force)
     office = opened(fleet_name)
-    _show_entries(office.revoke(who, why, any_date), "revoked", format_)
-    spread(office, addresses, must_be_heard=True, format_=format_)
+    _show_entries(office.revoke(who, why, any_date), "revoked", printer)
+    spread(office, addresses, printer, must_be_heard=True)
 
 
 @fleet.command()
@@ -314,7 +314,7 @@ def revoke(
 @any_date_option
 @may_be_dry
 @format_option
-def sign(fleet_name: str, addresses: tuple[str, ...], any_date: bool, dry_run: bool, format_: str) -> None:
+def sign(fleet_name: str, addresses: tuple[str, ...], any_date: bool, dry_run: bool, printer: Printer) -> None:
     """Sign the roster of the fleet again, and tell the agents.
 
     The exit code is 1 if an agent that was reached does not go by it; standard error says why.
@@ -329,13 +329,13 @@ def sign(fleet_name: str, addresses: tuple[str, ...], any_date: bool, dry_run: b
         folder = founded(fleet_name)
         number, rules = read_register(folder).number + 1, len(read_rules(folder))
         row = {"fleet": folder.name, "roster": number, "rules": rules, "done": DRY_RUN}
-        _tell(format_, row, f"The roster {number} of the fleet {folder.name} would be signed, with {rules} rules.")
+        printer.emit([row], f"The roster {number} of the fleet {folder.name} would be signed, with {rules} rules.")
         return
     office = opened(fleet_name)
     roster = office.sign(any_date)
     row = {"fleet": office.fleet, "roster": roster.number, "rules": len(roster.allow), "done": "signed"}
-    _tell(format_, row, f"The roster {roster.number} of the fleet {office.fleet} is signed.")
-    spread(office, addresses, format_=format_)
+    printer.emit([row], f"The roster {roster.number} of the fleet {office.fleet} is signed.")
+    spread(office, addresses, printer)
 
 
 @fleet.command()
@@ -357,7 +357,7 @@ def allow(
     addresses: tuple[str, ...],
     any_date: bool,
     dry_run: bool,
-    format_: str,
+    printer: Printer,
 ) -> None:
     """Let members of the fleet do something: it adds a rule to rules.toml, and signs the roster.
 
@@ -374,9 +374,9 @@ def allow(
         office = opened(fleet_name)
         office.allow(rule, any_date)
     row = {"who": who, "may": list(rights), "on": list(rule.on), "at": list(rule.at)}
-    show([{**row, "done": DRY_RUN if dry_run else "allowed"}], (*row, "done"), format_)
+    printer.table([{**row, "done": DRY_RUN if dry_run else "allowed"}], (*row, "done"))
     if not dry_run:
-        spread(office, addresses, format_=format_)
+        spread(office, addresses, printer)
 
 
 @fleet.command()
@@ -386,7 +386,7 @@ def allow(
 @click.option("--at", default=EVERY, metavar="AGENT", help="At this agent. [default: at an agent that no rule names]")
 @of_fleet
 @format_option
-def can(who: str, right: Right, on: str, at: str, fleet_name: str, format_: str) -> None:
+def can(who: str, right: Right, on: str, at: str, fleet_name: str, printer: Printer) -> None:
     """Say whether a member of the fleet may do something, and by which rule. No agent is asked.
 
     It goes by the roster that was signed last. The exit code is 1 where the answer is no.
@@ -416,7 +416,7 @@ def can(who: str, right: Right, on: str, at: str, fleet_name: str, format_: str)
         )
     row = {"who": entry.who, "right": right, "on": on, "at": at, "roster": roster.number, "rule": _plain(found)}
     parts = [", ".join(found.who), "may", ", ".join(found.may), "on", ", ".join(found.on), "at", ", ".join(found.at)]
-    _tell(format_, row, f"yes: {' '.join(parts)} (roster {roster.number})")
+    printer.emit([row], f"yes: {' '.join(parts)} (roster {roster.number})")
 
 
 # What they share ------------------------------------------------------------------------------------------------
@@ -431,7 +431,7 @@ def _give(
     host: str,
     port: int,
     for_s: float,
-    format_: str,
+    printer: Printer,
 ) -> None:
     """Gives out a certificate: into a folder, or to the machine that says the code."""
     if out is not None:
@@ -440,38 +440,29 @@ def _give(
         office.enrol_with_key(role, name, groups).write(out)
         said = f"Copy {out} to {name} by a way that others cannot read; there: pancakes fleet join {out.name}"
         row = {"name": name, "role": role, "folder": str(out), "done": "written"}
-        _tell(format_, row, said, "It has the private key: remove it here afterwards.")
+        printer.emit([row], said, "It has the private key: remove it here afterwards.")
         return
     from pancakes.mesh.address import is_loopback
     from pancakes.security.enrolment import Desk, own_address
 
     if not host and is_loopback(f"tcp://{(host := own_address())}:{port}"):
         said = "This machine has no way to others, so only a program here can use the code (--host names another)."
-        show_text(said, err=format_ == "json")
+        printer.note(said)
     desk = Desk(host, port, for_s)
     said = f"On {name}, within {for_s / 60:.3g} minutes:  pancakes fleet join {desk.code}"
-    show_text(said, err=format_ == "json")
+    printer.note(said)
     came_from = desk.serve(lambda key, place: office.enrol(key, role, name, groups, came_from=place))
     row = {"name": name, "role": role, "came_from": came_from, "done": "joined"}
-    _tell(format_, row, f"{name} has joined from {came_from}.")
+    printer.emit([row], f"{name} has joined from {came_from}.")
 
 
-def _give_dry(fleet: str, role: CertifiedRole, name: str, out: Path | None, format_: str) -> None:
+def _give_dry(fleet: str, role: CertifiedRole, name: str, out: Path | None, printer: Printer) -> None:
     """Says what `_give` would do, for which no password is needed."""
     if out is not None and out.exists() and any(out.iterdir()):
         raise PancakesError(f"the folder {out} is not empty")
     place = f"a folder {out}" if out is not None else f"{name}, once it has said the code that is shown"
     row = {"name": name, "role": role, "fleet": fleet, "folder": str(out) if out is not None else "", "done": DRY_RUN}
-    _tell(format_, row, f"A certificate of {role} {name} of the fleet {fleet} would be given to {place}.")
-
-
-def _tell(format_: str, row: Mapping[str, Any], *sentences: str) -> None:
-    """Shows what was done: in sentences for people, or as a row of JSON for programs."""
-    if format_ == "json":
-        show_json([row])
-        return
-    for sentence in sentences:
-        show_text(sentence)
+    printer.emit([row], f"A certificate of {role} {name} of the fleet {fleet} would be given to {place}.")
 
 
 def _plain(rule: AccessRule) -> dict[str, list[str]]:
@@ -528,9 +519,9 @@ def _bearer(folder: Path) -> str:
     return Keys(folder).own.name
 
 
-def _show_entries(entries: Sequence[Entry], done: str, format_: str) -> None:
+def _show_entries(entries: Sequence[Entry], done: str, printer: Printer) -> None:
     rows = [{"name": it.name, "role": it.role, "serial": it.serial, "done": done} for it in entries]
-    show(rows, ("name", "role", "serial", "done"), format_)
+    printer.table(rows, ("name", "role", "serial", "done"))
 
 
 def _own_name() -> str:

@@ -11,7 +11,7 @@ import click
 
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.security import key_store
-from pancakes.tools.cli.output import show_text
+from pancakes.tools.cli.output import Printer, show_text
 
 if TYPE_CHECKING:
     from pancakes.client import Client
@@ -56,14 +56,14 @@ def opened(name: str) -> FleetOffice:
     return FleetOffice.opened(folder, password.encode() if password else None)
 
 
-def spread(office: FleetOffice, addresses: Sequence[str], must_be_heard: bool = False, format_: str = "table") -> None:
+def spread(office: FleetOffice, addresses: Sequence[str], printer: Printer, must_be_heard: bool = False) -> None:
     """Tells agents of the last roster, and says which know it now.
 
     Args:
         office: the fleet.
         addresses: where to find agents; none: on this machine.
         must_be_heard: whether it is an error if no agent runs that could hear of it.
-        format_: `table` or `json`: standard output is JSON, so this goes to standard error.
+        printer: prints it; with JSON on standard output, this goes to standard error.
 
     Raises:
         PancakesError: an agent does not go by it, or none could be told; the sentences say why.
@@ -87,7 +87,7 @@ def spread(office: FleetOffice, addresses: Sequence[str], must_be_heard: bool = 
             raise PancakesError(sentence) from None
         show_text(sentence, err=True)
         return
-    show_text(f"The roster {number} is known to {', '.join(know) or 'no agent yet'}.", err=format_ == "json")
+    printer.note(f"The roster {number} is known to {', '.join(know) or 'no agent yet'}.")
     for sentence in silent:
         show_text(f"{sentence}. It hears of the roster when it is linked again", err=True)
     if problems:

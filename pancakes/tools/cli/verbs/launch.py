@@ -20,7 +20,7 @@ from pancakes.tools.cli.agent_process import SHOW_TRACEBACKS
 from pancakes.tools.cli.agent_requests import force_option, must_be_meant
 from pancakes.tools.cli.exit_codes import forget_output
 from pancakes.tools.cli.options import agent_sets_option, format_option
-from pancakes.tools.cli.output import show, show_text
+from pancakes.tools.cli.output import Printer, show_text
 from pancakes.util.text import printable_data
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def launch(
     force: bool,
     local: bool,
     dry_run: bool,
-    format_: str,
+    printer: Printer,
 ) -> None:
     """Run a fleet: its agents, each a process of its own, until Ctrl-C.
 
@@ -114,9 +114,9 @@ def launch(
             if losing:
                 must_be_meant(f"what is kept of the tasks of {', '.join(losing)} is lost", force, dry_run)
         if dry_run:
-            _show(members, format_)
+            _show(members, printer)
         else:
-            sys.exit(_run(members, hosts, hold, fresh, format_))
+            sys.exit(_run(members, hosts, hold, fresh, printer))
 
 
 def check_hosts(members: Sequence[Member], hosts: Mapping[str, Host], fresh: bool) -> None:
@@ -147,7 +147,7 @@ def check_hosts(members: Sequence[Member], hosts: Mapping[str, Host], fresh: boo
         raise PancakesError("\n".join(problems))
 
 
-def _show(members: Sequence[Member], format_: str) -> None:
+def _show(members: Sequence[Member], printer: Printer) -> None:
     rows = [
         {
             "agent": member.name,
@@ -162,15 +162,15 @@ def _show(members: Sequence[Member], format_: str) -> None:
         }
         for member in members
     ]
-    show(rows, tuple(rows[0]), format_)
+    printer.table(rows, tuple(rows[0]))
 
 
-def _run(members: Sequence[Member], hosts: Mapping[str, Host], hold: bool, fresh: bool, format_: str) -> int:
+def _run(members: Sequence[Member], hosts: Mapping[str, Host], hold: bool, fresh: bool, printer: Printer) -> int:
     from pancakes.tools.launch.clear_state import empty_state
     from pancakes.tools.launch.supervisor import Course, Runner
     from pancakes.tools.launch.temporary_keys import keys_of_run, set_keys
 
-    voice = _Objects() if format_ == "json" else _Prefixed([member.name for member in members])
+    voice = _Objects() if printer.is_json else _Prefixed([member.name for member in members])
     away = [member for member in members if member.host]
     for member in members if fresh else ():
         if member.host:

@@ -20,7 +20,7 @@ from pancakes.tools.cli.agent_requests import order, surveyed
 from pancakes.tools.cli.listening import MOST_WAITING, from_any, from_option, listen, telling_losses
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
 from pancakes.tools.cli.options import agents as some_agents
-from pancakes.tools.cli.streaming import Printer, say, until_ended
+from pancakes.tools.cli.streaming import say, until_ended
 from pancakes.util.text import printable, printable_line
 
 COLOURS: Final = {"debug": "bright_black", "info": "", "warning": "yellow", "error": "red"}
@@ -79,11 +79,11 @@ def log(
         pancakes log --level debug --grep 'task_(failed|given_up)' --format json
     """
     show = with_traceback if traceback else text_of
-    with until_ended(), ask.client() as client, Printer(ask.format_, not follow, show, colour_of) as printer:
+    with until_ended(), ask.client() as client, ask.printer.stream(not follow, show, colour_of) as stream:
         records = _followed(client, agents, since_s) if follow else _history(client, agents, since_s)
         for record in records:
             if wants(record, level, sources, grep):
-                printer.show(record)
+                stream.show(record)
 
 
 def wants(record: Record, level: str, sources: Sequence[str], grep: re.Pattern[str] | None) -> bool:

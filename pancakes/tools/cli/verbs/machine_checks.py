@@ -1,4 +1,4 @@
-"""What `pancakes doctor` looks at on this machine, whether agents run or not."""
+"""Check this machine for `pancakes doctor`, whether agents run or not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from typing import Final
 from pancakes.errors import PancakesError
 from pancakes.mesh.local import DIRECTORY
 from pancakes.security.key_store import fleets_of_person, folder_of_person
-from pancakes.tools.cli.verbs.agent_checks import Finding, Level
+from pancakes.tools.cli.verbs.checks import MACHINE_CHECKS, Finding, Level, machine_check
 from pancakes.util.clock import wall_ns
 from pancakes.util.files import NoHome
 from pancakes.util.plugins import GROUPS, Plugins
@@ -38,50 +38,9 @@ WAITS: Final = 21
 WAIT_S: Final = 0.001
 
 
-def check_machine(plugins: Plugins) -> Iterator[Finding]:
-    """Yields what is found, one thing after the other.
-
-    Args:
-        plugins: all plug-ins; they are imported.
-    """
-    yield from check_python()
-    yield from check_plugins(plugins)
-    yield from check_runtime_dir()
-    yield from check_sockets()
-    yield from check_own_state()
-    yield from check_own_keys()
-    yield check_files(*resource.getrlimit(resource.RLIMIT_NOFILE))
-    yield check_clock()
-    yield check_loopback()
-
-
-def check_own_keys() -> Iterator[Finding]:
-    """Looks at this person's keys for fleets: whether they can be used, and how long."""
-    for fleet in fleets_of_person():
-        folder = folder_of_person(fleet)
-        renew = "the operator of that fleet renews it: pancakes fleet renew"
-        try:
-            from pancakes.security.keys import Keys
-
-            keys = Keys(folder)
-        except PancakesError as error:
-            yield Finding("error", f"keys for {fleet}", str(error), renew)
-            continue
-        fault, left_s = keys.fault_of(keys.own), keys.own.ends_s - wall_ns() / 1e9
-        who = f"{keys.own.role} {keys.own.name}"
-        if fault:
-            yield Finding(
-                "error", f"keys for {fleet}", f"agents do not believe {who}: {fault}", f"{renew} {keys.own.name}"
-            )
-        elif left_s < SOON_S:
-            text = f"those of {who} end in {left_s / 86_400:.0f} days"
-            yield Finding("warning", f"keys for {fleet}", text, f"{renew} {keys.own.name}")
-        else:
-            yield Finding("ok", f"keys for {fleet}", f"you are {who} for another {left_s / 86_400:.0f} days")
-
-
+@machine_check
 def check_python() -> Iterator[Finding]:
-    """Looks at Python and the libraries: those that are needed, in versions that will do."""
+    """Look at Python and the libraries: those that are needed, in versions that will do."""
     from importlib.metadata import PackageNotFoundError, requires, version
 
     from packaging.requirements import Requirement
@@ -103,10 +62,12 @@ def check_python() -> Iterator[Finding]:
     yield Finding("ok", "libraries", f"Python {number}, {DISTRIBUTION} {version(DISTRIBUTION)}, {', '.join(there)}")
 
 
-def check_plugins(plugins: Plugins) -> Iterator[Finding]:
-    """Imports all plug-ins."""
+@machine_check
+def check_plugins(plugins: Plugins | None = None) -> Iterator[Finding]:
+    """Import all plug-ins."""
     from pancakes.tools.cli.verbs.plugin import rows_of
 
+    plugins = plugins or Plugins()
     rows = [row for group in GROUPS for row in rows_of(plugins, group)]
     for problem in plugins.unreadable():
         yield Finding("error", "plug-ins", str(problem), "install that distribution anew")
@@ -119,8 +80,9 @@ def check_plugins(plugins: Plugins) -> Iterator[Finding]:
     yield Finding("ok", "plug-ins", f"{len(sound)} can be used, of {', '.join(sources)}")
 
 
+@machine_check
 def check_runtime_dir() -> Iterator[Finding]:
-    """Looks at the directory where the agents of this machine are found."""
+    """Look at the directory where the agents of this machine are found."""
     directory, about = runtime_dir(), "runtime directory"
     if not directory.exists():
         yield Finding("ok", about, f"{directory} is not there: no agent has run yet")
@@ -140,8 +102,9 @@ def check_runtime_dir() -> Iterator[Finding]:
         yield Finding("ok", about, f"{directory} is yours alone")
 
 
+@machine_check
 def check_sockets() -> Iterator[Finding]:
-    """Looks at the directories in which the agents of this machine listen at `local://NAME`."""
+    """Look at the directories in which the agents of this machine listen at `local://NAME`."""
     base, about = runtime_dir() / DIRECTORY, "local sockets"
     found: list[Finding] = []
     try:
@@ -162,18 +125,8 @@ def check_sockets() -> Iterator[Finding]:
     yield from found or [Finding("ok", about, f"{base} is for its user, or one group, alone")]
 
 
-def check_own_state() -> Iterator[Finding]:
-    """Looks at what agents of this user keep on disk, where their configuration does not say another place."""
-    try:
-        base = state_base()
-    except NoHome as error:
-        yield Finding("ok", "state", f"agents of this user need a state_dir: {error}")
-    else:
-        yield from check_state_dirs(base)
-
-
 def state_base() -> Path:
-    """Returns the directory below which agents have their state, where their configuration does not say another.
+    """Return the directory below which agents have their state, where their configuration does not say another.
 
     Raises:
         NoHome: nothing says where it is.
@@ -184,7 +137,7 @@ def state_base() -> Path:
 
 
 def check_state_dirs(base: Path) -> Iterator[Finding]:
-    """Looks at what agents keep on disk: `BASE/FLEET/AGENT`."""
+    """Look at what agents keep on disk: `BASE/FLEET/AGENT`."""
     about = "state"
     if not base.exists():
         yield Finding("ok", about, f"{base} is not there: no agent has kept anything yet")
@@ -204,7 +157,7 @@ def check_state_dirs(base: Path) -> Iterator[Finding]:
 
 
 def _check_journal(directory: Path) -> Finding:
-    """Looks at one agent's journal without opening it: to open it would count a boot and lock the agent out."""
+    """Look at one agent's journal without opening it: to open it would count a boot and lock the agent out."""
     from pancakes.journal.file_journal import WRITE_AHEAD, fault_of, read_ahead
     from pancakes.journal.journal import BAD, SUFFIX, Unbelievable, name_of, unseal
 
@@ -257,16 +210,57 @@ def _holder(directory: Path) -> str:
     return ""
 
 
-def check_files(soft: int, hard: int) -> Finding:
-    """Looks at how many files a process may have open."""
+@machine_check
+def check_own_state() -> Iterator[Finding]:
+    """Look at what agents of this user keep on disk, where their configuration does not say another place."""
+    try:
+        base = state_base()
+    except NoHome as error:
+        yield Finding("ok", "state", f"agents of this user need a state_dir: {error}")
+    else:
+        yield from check_state_dirs(base)
+
+
+@machine_check
+def check_own_keys() -> Iterator[Finding]:
+    """Look at this person's keys for fleets: whether they can be used, and how long."""
+    for fleet in fleets_of_person():
+        folder = folder_of_person(fleet)
+        renew = "the operator of that fleet renews it: pancakes fleet renew"
+        try:
+            from pancakes.security.keys import Keys
+
+            keys = Keys(folder)
+        except PancakesError as error:
+            yield Finding("error", f"keys for {fleet}", str(error), renew)
+            continue
+        fault, left_s = keys.fault_of(keys.own), keys.own.ends_s - wall_ns() / 1e9
+        who = f"{keys.own.role} {keys.own.name}"
+        if fault:
+            yield Finding(
+                "error", f"keys for {fleet}", f"agents do not believe {who}: {fault}", f"{renew} {keys.own.name}"
+            )
+        elif left_s < SOON_S:
+            text = f"those of {who} end in {left_s / 86_400:.0f} days"
+            yield Finding("warning", f"keys for {fleet}", text, f"{renew} {keys.own.name}")
+        else:
+            yield Finding("ok", f"keys for {fleet}", f"you are {who} for another {left_s / 86_400:.0f} days")
+
+
+@machine_check
+def check_files(limits: tuple[int, int] | None = None) -> Iterator[Finding]:
+    """Look at how many files a process may have open."""
+    soft, hard = limits or resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft != resource.RLIM_INFINITY and soft < FEW_FILES:
         text = f"a process may have only {soft} open: an agent with many peers or devices will not get along"
-        return Finding("warning", "open files", text, f"ulimit -n {min(hard, 1024) if hard > 0 else 1024}")
-    return Finding("ok", "open files", f"a process may have {'any number' if soft < 0 else soft} open")
+        yield Finding("warning", "open files", text, f"ulimit -n {min(hard, 1024) if hard > 0 else 1024}")
+    else:
+        yield Finding("ok", "open files", f"a process may have {'any number' if soft < 0 else soft} open")
 
 
-def check_clock() -> Finding:
-    """Measures how late this machine wakes a thread that waits for a point in time."""
+@machine_check
+def check_clock() -> Iterator[Finding]:
+    """Measure how late this machine wakes a thread that waits for a point in time."""
     from pancakes.kernel.timer import wake_on_time
 
     late: list[float] = []
@@ -285,12 +279,14 @@ def check_clock() -> Finding:
     step_s = time.get_clock_info("monotonic").resolution
     text = f"threads wake {median_s * 1e6:.0f} µs late, and {max(late) * 1e6:.0f} µs at worst; its step is {step_s:g} s"
     if median_s > LATE_S:
-        return Finding("warning", "clock", text, "run less on this machine, or expect missed ticks at high rates")
-    return Finding("ok", "clock", text)
+        yield Finding("warning", "clock", text, "run less on this machine, or expect missed ticks at high rates")
+    else:
+        yield Finding("ok", "clock", text)
 
 
-def check_loopback() -> Finding:
-    """Makes a connection from this machine to itself."""
+@machine_check
+def check_loopback() -> Iterator[Finding]:
+    """Make a connection from this machine to itself."""
     try:
         with (
             socket.create_server(("127.0.0.1", 0)) as server,
@@ -304,5 +300,12 @@ def check_loopback() -> Finding:
                 connection.recv(1)
     except OSError as error:
         text = f"no program can listen at 127.0.0.1: {(error.strerror or str(error)).lower()}"
-        return Finding("error", "loopback", text, "look at the network of this machine or container: ip link set lo up")
-    return Finding("ok", "loopback", "programs can listen at 127.0.0.1")
+        yield Finding("error", "loopback", text, "look at the network of this machine or container: ip link set lo up")
+    else:
+        yield Finding("ok", "loopback", "programs can listen at 127.0.0.1")
+
+
+def check_machine() -> Iterator[Finding]:
+    """Run all checks of this machine."""
+    for check in MACHINE_CHECKS:
+        yield from check()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.tools.cli.options import format_option
-from pancakes.tools.cli.output import show, show_json, show_text
+from pancakes.tools.cli.output import Printer, Rows
 
 if TYPE_CHECKING:
     from pancakes.tools.cli.verbs.scaffold import Names
@@ -85,8 +85,8 @@ def _command(kind: str) -> click.Command:
     )
     @click.option("--dry-run", is_flag=True, help="Only list what would be written.")
     @format_option
-    def command(name: Names, into: Path, dry_run: bool, format_: str) -> None:
-        _make(kind, name, into, dry_run, format_)
+    def command(name: Names, into: Path, dry_run: bool, printer: Printer) -> None:
+        _make(kind, name, into, dry_run, printer)
 
     command.help = f"""{about}
 
@@ -105,7 +105,7 @@ for _kind in _ABOUT:
     new.add_command(_command(_kind))
 
 
-def _make(kind: str, names: Names, into: Path, dry_run: bool, format_: str) -> None:
+def _make(kind: str, names: Names, into: Path, dry_run: bool, printer: Printer) -> None:
     from pancakes.errors import PancakesError
     from pancakes.tools.cli.verbs.scaffold import check_free, files_of, write
 
@@ -118,16 +118,8 @@ def _make(kind: str, names: Names, into: Path, dry_run: bool, format_: str) -> N
     if not dry_run:
         write(folder, files)
     rows = [{"file": str(folder / file.path), "purpose": file.purpose, "written": not dry_run} for file in files]
-    if format_ == "json":
-        show_json(rows)
-        return
-    show(rows, COLUMNS, format_)
-    if dry_run:
-        show_text("Nothing was written.")
-        return
-    show_text("Next:\n")
-    for line in _next(kind, names, folder):
-        show_text(f"    {line}")
+    steps = "".join(f"    {line}\n" for line in _next(kind, names, folder))
+    printer.emit(rows, Rows(rows, COLUMNS), "Nothing was written." if dry_run else f"Next:\n\n{steps}")
 
 
 def _next(kind: str, names: Names, folder: Path) -> list[str]:

@@ -14,7 +14,7 @@ from pancakes.errors import ControlRefused
 from pancakes.tools.cli.agent_requests import accepted, meant, order, placed, surveyed
 from pancakes.tools.cli.exit_codes import OK, REFUSED
 from pancakes.tools.cli.options import Ask, TaskName, a_task, asks_agents, dry_run_option, orders_agents
-from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
+from pancakes.tools.cli.output import DRY_RUN, Rows, show_text
 from pancakes.tools.cli.verbs import param_file
 from pancakes.tools.cli.verbs.task_arguments import AgentOrTask, Changes, ParamName, SettingChange, a_task_or_agent
 from pancakes.util.text import hint_of, printable_data
@@ -43,7 +43,7 @@ def list_(name: TaskName | None, ask: Ask) -> None:
     """
     with ask.client() as client:
         rows = [row for described in _described(client, name) for row in _rows(described)]
-    _show(rows, COLUMNS, ("value",), ask.format_)
+    ask.printer.emit(_picked(rows, COLUMNS), _table(rows, COLUMNS, ("value",)))
 
 
 @param.command()
@@ -62,10 +62,9 @@ def get(name: TaskName, setting: str, ask: Ask) -> None:
         (described,) = _described(client, name)
     known = _known(described, setting)
     rows = [row for row in _rows(described) if not known or row["param"] == known]
-    if known and ask.format_ == "table":
-        show_text(printable_data(_text(rows[0]["value"])))
-    else:
-        _show(rows, COLUMNS, ("value",), ask.format_)
+    ask.printer.emit(
+        _picked(rows, COLUMNS), printable_data(_text(rows[0]["value"])) if known else _table(rows, COLUMNS, ("value",))
+    )
 
 
 @param.command("set")
@@ -101,7 +100,7 @@ def set_(name: TaskName, changes: Changes, dry_run: bool, ask: Ask) -> None:
         }
         for key, value in wanted.items()
     ]
-    _show(rows, CHANGED, ("before", "value"), ask.format_)
+    ask.printer.emit(_picked(rows, CHANGED), _table(rows, CHANGED, ("before", "value")))
 
 
 @param.command()
@@ -126,8 +125,8 @@ def describe(name: TaskName, setting: str, ask: Ask) -> None:
         for row in rows_of(described["settings_schema"])
         if not setting or row["param"] == known or row["param"].startswith(f"{known}.")
     ]
-    columns = DESCRIBED if ask.format_ == "table" else ("agent", "service", "task", *DESCRIBED, "required")
-    _show(rows, columns, ("value", "default"), ask.format_)
+    picked = _picked(rows, ("agent", "service", "task", *DESCRIBED, "required"))
+    ask.printer.emit(picked, _table(rows, DESCRIBED, ("value", "default")))
 
 
 @param.command()
@@ -145,10 +144,8 @@ def dump(name: TaskName, ask: Ask) -> None:
     """
     with ask.client() as client:
         rows = [row for row in _described(client, name) if row["settings"] and (name.task or not row["own"])]
-    if ask.format_ == "json":
-        show_json([{**_place(row), "settings": row["settings"]} for row in rows])
-    else:
-        show_text(printable_data(param_file.dumped(rows)), nl=False)
+    plain = [{**_place(row), "settings": row["settings"]} for row in rows]
+    ask.printer.emit(plain, printable_data(param_file.dumped(rows)))
 
 
 @param.command()
@@ -187,7 +184,7 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
     for row in rows:
         if row["reason"]:
             show_text(f"{name.agent}/{row['task']}: {row['reason']}", err=True)
-    ask.show(rows, LOADED)
+    ask.printer.table(rows, LOADED)
     sys.exit(REFUSED if any(row["reason"] for row in rows) else OK)
 
 
@@ -227,11 +224,13 @@ def _place(described: dict[str, Any]) -> dict[str, Any]:
     return {key: described[key] for key in ("agent", "service", "task")}
 
 
-def _show(rows: list[dict[str, Any]], columns: tuple[str, ...], values: tuple[str, ...], format_: str) -> None:
-    """Prints rows; in a table, values stand as TOML has them, so that text and number can be told apart."""
-    if format_ == "table":
-        rows = [{**row, **{key: _text(row[key]) for key in values}} for row in rows]
-    show(rows, columns, format_)
+def _picked(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> list[dict[str, Any]]:
+    return [{column: row[column] for column in columns} for row in rows]
+
+
+def _table(rows: list[dict[str, Any]], columns: tuple[str, ...], values: tuple[str, ...]) -> Rows:
+    """Return a table in which values stand as TOML has them, so that text and number can be told apart."""
+    return Rows([{**row, **{key: _text(row[key]) for key in values}} for row in rows], columns)
 
 
 def _text(value: Any) -> str:

@@ -10,7 +10,7 @@ import click
 from pancakes.errors import PluginError
 from pancakes.tools.cli.exit_codes import OK, REFUSED
 from pancakes.tools.cli.options import format_option
-from pancakes.tools.cli.output import show, show_text
+from pancakes.tools.cli.output import Printer, show_text
 from pancakes.util.plugins import GROUPS, Plugins
 
 COLUMNS = ("group", "name", "class", "distribution", "version", "state", "reason")
@@ -26,7 +26,7 @@ def plugin() -> None:
 @click.option("--group", type=click.Choice(NAMES), multiple=True, help="Only plug-ins of this group. Repeatable.")
 @click.option("--broken", is_flag=True, help="Only those that cannot be used.")
 @format_option
-def list_(group: tuple[str, ...], broken: bool, format_: str) -> None:
+def list_(group: tuple[str, ...], broken: bool, printer: Printer) -> None:
     """List all plug-ins of this Python environment: its name, its distribution, and whether it can be used.
 
     All of them are imported for that. The exit code is 1 where one is broken.
@@ -41,7 +41,7 @@ def list_(group: tuple[str, ...], broken: bool, format_: str) -> None:
     for problem in plugins.unreadable():
         show_text(str(problem), err=True)
     failed = bool(plugins.unreadable()) or any(row["state"] == "broken" for row in rows)
-    show([row for row in rows if row["state"] == "broken" or not broken], COLUMNS, format_)
+    printer.table([row for row in rows if row["state"] == "broken" or not broken], COLUMNS)
     sys.exit(REFUSED if failed else OK)
 
 

@@ -164,7 +164,7 @@ def pub(
                 except KeyboardInterrupt:
                     sender.settle()
                 row["refused"] = refusals.of(sender.subscribers)
-        ask.show([row], COLUMNS)
+        ask.printer.table([row], COLUMNS)
     for refusal in row["refused"]:
         say(f"refused by {refusal}")
     if row["refused"]:

@@ -23,7 +23,7 @@ from pancakes.tools.cli.options import (
     format_option,
     orders_agents,
 )
-from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_sections, show_text
+from pancakes.tools.cli.output import DRY_RUN, Printer, show_text
 from pancakes.tools.cli.streaming import load_packets
 
 RECORDER: Final = "log/Recorder"
@@ -76,7 +76,7 @@ def start(agents: tuple[str, ...], channels: tuple[str, ...], task: str, dry_run
             accepted(client, agent, Start(RECORDER, settings, dry_run))
             done = DRY_RUN if dry_run else "recording"
             rows.append({"agent": agent, "done": done, "path": None if dry_run else _path(client, agent)})
-    ask.show(rows, COLUMNS)
+    ask.printer.table(rows, COLUMNS)
 
 
 @record.command()
@@ -101,7 +101,7 @@ def stop(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
             rows.append({"agent": agent, "done": DRY_RUN if dry_run else "complete", "path": path})
     if not rows:
         raise ControlRefused("no agent records")
-    ask.show(rows, COLUMNS)
+    ask.printer.table(rows, COLUMNS)
 
 
 @record.command("list")
@@ -124,13 +124,13 @@ def list_(agents: tuple[str, ...], ask: Ask) -> None:
             elif told["reason"] == BY_ITSELF and (ended := _last(client, agent, "recording_stopped")) is not None:
                 done, path = f"ended: {ended['reason']}", ended["path"]
             rows.append({"agent": agent, "done": done, "path": path})
-    ask.show(rows, COLUMNS)
+    ask.printer.table(rows, COLUMNS)
 
 
 @record.command()
 @click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
 @format_option
-def info(path: Path, format_: str) -> None:
+def info(path: Path, printer: Printer) -> None:
     """Show what is in a recording: a file with its parts, or all files of a folder.
 
     Times are the mission's, from its beginning on; duration_s is that of the recording.
@@ -174,10 +174,7 @@ def info(path: Path, format_: str) -> None:
         "whole": all(reading.whole for reading in reader.readings),
     }
     topics = [topic.row() for _, topic in sorted(summary.topics.items())]
-    if format_ == "json":
-        show_json([{**about, "tasks": stays, "topics": topics}])
-    else:
-        show_sections({str(path): about, "tasks": stays, "topics": topics})
+    printer.emit([{**about, "tasks": stays, "topics": topics}], {str(path): about, "tasks": stays, "topics": topics})
 
 
 @record.command()
@@ -185,7 +182,7 @@ def info(path: Path, format_: str) -> None:
 @click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Write it there, and leave FILE alone.")
 @dry_run_option
 @format_option
-def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: str) -> None:
+def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, printer: Printer) -> None:
     """Make files whole again whose recorder was killed: everything that had reached the disk, with an index.
 
     \b
@@ -220,7 +217,7 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
             continue
         done = "whole already" if made.whole else "repaired"
         rows.append({"file": str(made.path), "done": done, "messages": made.messages, "bytes_lost": made.bytes_lost})
-    show(rows, ("file", "done", "messages", "bytes_lost"), format_)
+    printer.table(rows, ("file", "done", "messages", "bytes_lost"))
     if failed:
         sys.exit(REFUSED)
 

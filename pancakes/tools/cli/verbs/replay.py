@@ -11,7 +11,7 @@ import click
 from pancakes.client import Where
 from pancakes.tools.cli.agent_requests import surveyed
 from pancakes.tools.cli.options import AGENT_NAME, Ask, Duration, FiniteRange, dry_run_option, orders_agents
-from pancakes.tools.cli.output import DRY_RUN, show
+from pancakes.tools.cli.output import DRY_RUN, Printer
 from pancakes.tools.cli.streaming import load_packets, say, until_ended
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def replay(
     selection = Selection({}, only, from_s or 0.0, to_s, as_name, reader.mission_time())
     wanted = _ReplayRequest(reader, speed, selection)
     if out is not None:
-        _feed_virtual(wanted, configs, out, plugins, seed, dry_run, ask.format_)
+        _feed_virtual(wanted, configs, out, plugins, seed, dry_run, ask.printer)
     else:
         _feed_live(wanted, dry_run, ask)
 
@@ -154,7 +154,7 @@ def _feed_live(wanted: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
         agents = {told["agent"]: Live.of(told) for told in surveyed(client)}
         selection, tally = wanted.select(agents)
         if dry_run:
-            ask.show(_rows(tally, tally, True), COLUMNS)
+            ask.printer.table(_rows(tally, tally, True), COLUMNS)
             return
         assert tally.first_ns is not None
         feeder = Feeder(client, selection, say)
@@ -163,11 +163,17 @@ def _feed_live(wanted: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
         except KeyboardInterrupt:
             say("the replay was ended")
         feeder.settle()
-        ask.show(_rows(tally, feeder.tally, False), COLUMNS)
+        ask.printer.table(_rows(tally, feeder.tally, False), COLUMNS)
 
 
 def _feed_virtual(
-    wanted: _ReplayRequest, paths: tuple[Path, ...], out: Path, plugins: Plugins, seed: int, dry_run: bool, format_: str
+    wanted: _ReplayRequest,
+    paths: tuple[Path, ...],
+    out: Path,
+    plugins: Plugins,
+    seed: int,
+    dry_run: bool,
+    printer: Printer,
 ) -> None:
     from pancakes.config import load
     from pancakes.errors import PancakesError
@@ -182,7 +188,7 @@ def _feed_virtual(
     with until_ended(), VirtualReplay(configs, None if dry_run else out, plugins, seed) as fleet:
         selection, tally = wanted.select(fleet.start())
         if dry_run:
-            show(_rows(tally, tally, True), COLUMNS, format_)
+            printer.table(_rows(tally, tally, True), COLUMNS)
             return
         assert tally.first_ns is not None
         scale = wanted.recorded_speed() / wanted.speed
@@ -190,7 +196,7 @@ def _feed_virtual(
         for sentence in dict.fromkeys(fleet.refused):
             say(sentence)
         fed = fleet.tally
-    show(_rows(tally, fed, False), COLUMNS, format_)
+    printer.table(_rows(tally, fed, False), COLUMNS)
     say(f"what the agents made of it is in {out}")
 
 

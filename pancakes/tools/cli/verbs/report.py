@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pancakes.tools.cli.options import format_option
-from pancakes.tools.cli.output import show, show_text
+from pancakes.tools.cli.output import Printer, show_text
 from pancakes.tools.cli.streaming import load_packets
 
 
@@ -20,7 +20,7 @@ from pancakes.tools.cli.streaming import load_packets
 )
 @click.option("--task", metavar="ID", default="", help="Tell only of this task (BIRTHPLACE/NAME).")
 @format_option
-def report(path: Path, out: Path | None, task: str, format_: str) -> None:
+def report(path: Path, out: Path | None, task: str, printer: Printer) -> None:
     """Make a report of a recording: a file with its parts, or all files of a folder.
 
     It tells where each robot went, which agent ran which task, how tasks moved, batteries, rates, lateness, drops,
@@ -39,4 +39,4 @@ def report(path: Path, out: Path | None, task: str, format_: str) -> None:
     made = make_report(path, out or given.with_name(given.name.removesuffix(".mcap") + "-report"), task)
     for note in made.notes:
         show_text(note, err=True)
-    show([{"file": str(file), "shows": shows} for file, shows in made.files], ("file", "shows"), format_)
+    printer.table([{"file": str(file), "shows": shows} for file, shows in made.files], ("file", "shows"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,8 +12,8 @@ import click
 
 from pancakes.tools.cli.exit_codes import OK, REFUSED
 from pancakes.tools.cli.options import Duration, FiniteRange, format_option
-from pancakes.tools.cli.output import show, show_json, show_text
-from pancakes.tools.cli.streaming import load_packets, one_line, say
+from pancakes.tools.cli.output import Part, Printer, Rows, one_line
+from pancakes.tools.cli.streaming import load_packets, say
 from pancakes.tools.cli.verbs import param_file
 from pancakes.tools.cli.verbs.task_arguments import Changes, set_option
 
@@ -63,7 +64,7 @@ def rerun(
     tolerance: float,
     time_s: float,
     most: int,
-    format_: str,
+    printer: Printer,
 ) -> None:
     """Run a recorded task through its present code, and show where its packets differ from the recorded ones.
 
@@ -102,10 +103,8 @@ def rerun(
         comparison = compare(script.outputs, outcome.outputs, stay.task.address, Tolerance(tolerance, time_s))
         row = _row(stay, script, outcome, comparison, most)
         rows.append(row)
-        if format_ == "table":
-            _print(stay, row, comparison, most)
-    if format_ == "json":
-        show_json(rows)
+        printer.tell(_parts(stay, row, comparison, most))
+    printer.emit(rows)
     sys.exit(OK if all(row["agrees"] for row in rows) else REFUSED)
 
 
@@ -169,25 +168,24 @@ def _plain(difference: Difference) -> dict[str, Any]:
     }
 
 
-def _print(stay: Stay, row: dict[str, Any], comparison: RunComparison, most: int) -> None:
-    show_text(
+def _parts(stay: Stay, row: dict[str, Any], comparison: RunComparison, most: int) -> Iterator[Part]:
+    yield (
         f"{stay.task_id} ({stay.task.type}) on {stay.agent}, {row['from_s']:.3f} to {row['to_s']:.3f} s:"
         f" {row['inputs']} packets in, {sum(it['recorded'] for it in row['streams'])} out"
     )
     for note in row["notes"]:
-        show_text(f"note: {note}")
+        yield f"note: {note}"
     if row["streams"]:
-        show(row["streams"], list(row["streams"][0]), "table")
+        yield Rows(row["streams"], list(row["streams"][0]))
     for difference in comparison.differences[:most]:
-        for line in _lines(difference):
-            show_text(line)
+        yield from _lines(difference)
     if row["differences_left_out"]:
-        show_text(f"... and {row['differences_left_out']} more (--show)")
+        yield f"... and {row['differences_left_out']} more (--show)"
     if row["failed_now"]:
-        show_text(f"{row['failed_now_s']:9.3f} s  it fails now: {row['failed_now']}")
+        yield f"{row['failed_now_s']:9.3f} s  it fails now: {row['failed_now']}"
     if row["failed_then"]:
-        show_text(f"{row['to_s']:9.3f} s  it failed then: {row['failed_then']}")
-    show_text("it agrees with the recording" if row["agrees"] else "it differs from the recording")
+        yield f"{row['to_s']:9.3f} s  it failed then: {row['failed_then']}"
+    yield "it agrees with the recording" if row["agrees"] else "it differs from the recording"
 
 
 def _lines(difference: Difference) -> list[str]:

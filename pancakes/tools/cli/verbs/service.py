@@ -21,7 +21,6 @@ from pancakes.tools.cli.options import (
     keep_state_option,
     orders_agents,
 )
-from pancakes.tools.cli.output import show_json, show_sections
 from pancakes.util.text import hint_of
 
 COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
@@ -51,7 +50,7 @@ def list_(agents: tuple[str, ...], state: str | None, ask: Ask) -> None:
     """
     found = survey(ask, *agents)
     rows = [row for agent in found for row in agent["services"] if state in (None, row["state"])]
-    ask.show(rows, COLUMNS)
+    ask.printer.table(rows, COLUMNS)
 
 
 @service.command()
@@ -71,14 +70,11 @@ def info(name: ServiceName, ask: Ask) -> None:
         raise ControlRefused(f"{name.agent} has no service {name.service!r}{hint}")
     tasks = [row for row in agent["tasks"] if row["service"] == name.service]
     found: dict[str, Any] = {**rows[name.service], "tasks": tasks}
-    if ask.format_ == "json":
-        show_json([found])
-        return
     facts = {**{key: found[key] for key in ("type", "state", "reason")}, "tries": tries(found)}
     rows_of_tasks = [
         {**{key: row[key] for key in TASKS}, "state": row["rest"] or row["state"], "tries": tries(row)} for row in tasks
     ]
-    show_sections({str(name): facts, "tasks": rows_of_tasks})
+    ask.printer.emit([found], {str(name): facts, "tasks": rows_of_tasks})
 
 
 @service.command()

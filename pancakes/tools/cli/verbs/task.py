@@ -37,7 +37,7 @@ from pancakes.tools.cli.options import (
     keep_state_option,
     orders_agents,
 )
-from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_sections, show_text
+from pancakes.tools.cli.output import DRY_RUN, Rows, show_text
 from pancakes.tools.cli.verbs.task_arguments import Changes, SettingChange, set_option, timers, types
 from pancakes.tools.cli.verbs.task_migration import adopt, forget, forget_peer, migrate, migrations
 from pancakes.tools.cli.verbs.task_recovery import fence, guards, resolve, revive, take
@@ -114,7 +114,7 @@ def create(
         show_text(text, err=True)
     done = DRY_RUN if dry_run else "created"
     row: dict[str, Any] = {"agent": name.agent, **reply.result, "done": done, "number": reply.number}
-    ask.show([row], ("agent", "task_id", "epoch", "done", "number"))
+    ask.printer.table([row], ("agent", "task_id", "epoch", "done", "number"))
 
 
 @click.command()
@@ -190,9 +190,10 @@ def list_(agents: tuple[str, ...], service: str, type_: str, state: str | None, 
         for row in found["tasks"]
         if service in ("", row["service"]) and state in (None, row["state"]) and fnmatchcase(row["type"], type_)
     ]
-    if ask.format_ == "table":  # for people, the word that says more
-        rows = [{**row, "state": row["rest"] or row["state"]} for row in rows]
-    show(rows, (*(LONG if long else COLUMNS), *(("rest",) if ask.format_ == "json" else ())), ask.format_)
+    columns = LONG if long else COLUMNS
+    for_programs = [{key: row[key] for key in (*columns, "rest")} for row in rows]
+    for_people = [{**row, "state": row["rest"] or row["state"]} for row in rows]  # the word that says more
+    ask.printer.emit(for_programs, Rows(for_people, columns))
 
 
 @task.command()
@@ -220,10 +221,8 @@ def info(name: TaskName, with_state: bool, ask: Ask) -> None:
         name = placed(client, name)
         found = order(client, name.agent, Describe(name.target))
         kept = _kept(client, name, ask.timeout_s) if with_state else {}
-    if ask.format_ == "json":
-        show_json([{**found, **kept}])
-    else:
-        show_sections({**_sections(str(name), found), **(_state_section(kept) if kept else {})})
+    sections = {**_sections(str(name), found), **(_state_section(kept) if kept else {})}
+    ask.printer.emit([{**found, **kept}], sections)
 
 
 @task.command()

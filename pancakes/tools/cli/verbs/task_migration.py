@@ -23,7 +23,7 @@ from pancakes.tools.cli.options import (
     orders_agents,
     the_agent,
 )
-from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
+from pancakes.tools.cli.output import DRY_RUN, Printer, Rows
 from pancakes.tools.cli.verbs.task_arguments import costs, tasks_beside
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -90,9 +90,9 @@ def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: A
             hint = f"the move may go on all the same, pancakes task migrations {name.agent} shows what becomes of it"
             raise NoAnswer(f"{error}\n{hint}") from None
     if reply.result is not None:
-        _show_ledger(reply.result, ask.format_)
+        _show_ledger(reply.result, ask.printer)
     if not reply.ok:
-        raise ControlRefused(reply.reason)
+        raise ControlRefused.of(reply.refusal)
 
 
 @click.command()
@@ -110,11 +110,8 @@ def migrations(agents: tuple[str, ...], ask: Ask) -> None:
         pancakes task migrations agent1 --format json
     """
     moves: list[dict[str, Any]] = [move for _, moves in ask_each(ask, Migrations(), *agents) for move in moves]
-    if ask.format_ == "json":
-        show_json(moves)
-    else:
-        # A take-over has a story of its own.
-        ask.show([{**move, "reason": move["reason"] or move["cause"]} for move in moves], MOVES)
+    told = [{**move, "reason": move["reason"] or move["cause"]} for move in moves]  # of a take-over, its cause
+    ask.printer.emit(moves, Rows(told, MOVES))
 
 
 @click.command()
@@ -212,18 +209,15 @@ def forget_peer(agent: str, peer: str, force: bool, dry_run: bool, ask: Ask) -> 
             reply = accepted(client, agent, body)
             done = DRY_RUN if dry_run else "forgotten"
             rows.append({"agent": agent, "task_id": reply.result["task_id"], "done": done, "number": reply.number})
-    ask.show(rows, tuple(rows[0]))
+    ask.printer.table(rows, tuple(rows[0]))
 
 
 def _show_decided(ask: Ask, name: TaskName, reply: Reply, done: str, **others: Any) -> None:
     row = {"agent": name.agent, "task_id": reply.result["task_id"], "done": done, **others, "number": reply.number}
-    ask.show([row], tuple(row))
+    ask.printer.table([row], tuple(row))
 
 
-def _show_ledger(ledger: Mapping[str, Any], format_: str) -> None:
-    if format_ == "json":
-        show_json([ledger])
-        return
+def _show_ledger(ledger: Mapping[str, Any], printer: Printer) -> None:
     task_id, source, winner, duration_s = (ledger[key] for key in ("task_id", "source", "winner", "duration_s"))
     story = {
         "moved": f"{task_id} moved from {source} to {winner}",
@@ -232,10 +226,12 @@ def _show_ledger(ledger: Mapping[str, Any], format_: str) -> None:
         "undecided": f"{task_id} was on its way from {source} to {winner} when this account was closed",
     }[ledger["outcome"]]
     only = f"; only {ledger['to']} was asked" if ledger["to"] else ""
-    show_text(f"{story} (cost {ledger['cost']}, {duration_s:.3f} s{only})")
-    if ledger["lines"]:
-        rows = [{**line, "neighbour": line["peer"], "terms": _terms(line["terms"])} for line in ledger["lines"]]
-        show(rows, LINES, format_)
+    rows = [{**line, "neighbour": line["peer"], "terms": _terms(line["terms"])} for line in ledger["lines"]]
+    printer.emit(
+        [ledger],
+        f"{story} (cost {ledger['cost']}, {duration_s:.3f} s{only})",
+        Rows(rows, LINES) if rows else "",
+    )
 
 
 def _terms(terms: Mapping[str, float]) -> str:

@@ -86,7 +86,7 @@ def guards(agents: tuple[str, ...], ask: Ask) -> None:
             if name not in heard and not agents:
                 row = {"task_id": task_id, "owner": owner["owner"], "guardian": name, "state": "silent"}
                 shown.append({**dict.fromkeys(GUARD_COLUMNS), **row, "permit_s": _permit(owner)})
-    ask.show(sorted(shown, key=lambda row: (row["task_id"], row["guardian"])), GUARD_COLUMNS)
+    ask.printer.table(sorted(shown, key=lambda row: (row["task_id"], row["guardian"])), GUARD_COLUMNS)
 
 
 def _shown(row: dict[str, Any], owner: dict[str, Any] | None) -> dict[str, Any]:
@@ -123,7 +123,7 @@ def take(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
         result = accepted(client, name.agent, Take(name.task, birthplace, dry_run)).result
     row = {"task_id": result["task_id"], "taker": result["winner"], "done": DRY_RUN if dry_run else "taken over"}
     row |= {key: result[key] for key in ("checkpoint", "age_s", "silent_s")}
-    ask.show([row], tuple(row))
+    ask.printer.table([row], tuple(row))
 
 
 RUNS = ("running", "starting", "restarting", "stuck")
@@ -192,7 +192,7 @@ def revive(
             accepted(client, name.agent, Reschedule(f"{body.service}/{name.task}", rate_hz))
     done = {"task_id": reply.result["task_id"], "done": DRY_RUN if dry_run else "revived", "number": reply.number}
     goes_on_from = name_of(newest(held)) if body.checkpoint is not None else ""
-    ask.show([{"agent": name.agent, **done, "from": goes_on_from}], ("agent", *done, "from"))
+    ask.printer.table([{"agent": name.agent, **done, "from": goes_on_from}], ("agent", *done, "from"))
 
 
 def _configured(path: str, sets: Sequence[str], name: TaskName, birthplace: str) -> tuple[Revive, float | None]:
@@ -366,7 +366,7 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
             living["task_id"] = reply.result["task_id"]
     was = "at rest" if rests else here["state"]
     rows.append({**living, "was": was, "becomes": "running" if rests else was})
-    ask.show([{**row, "done": DRY_RUN if dry_run else "resolved"} for row in rows], (*RESOLVE_COLUMNS, "done"))
+    ask.printer.table([{**row, "done": DRY_RUN if dry_run else "resolved"} for row in rows], (*RESOLVE_COLUMNS, "done"))
 
 
 def _task(agent: dict[str, Any], name: TaskName) -> dict[str, Any] | None:
@@ -440,10 +440,10 @@ def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) ->
                 must_be_meant(f"{name} goes to its safe hold, and forgets which epoch of {task_id} it has seen", force)
             reply = accepted(client, name.agent, SetFence(name.target, task_id, dry_run))
             row = {**reply.result, "done": DRY_RUN if dry_run else "set", "number": reply.number}
-            ask.show([row], tuple(row))
+            ask.printer.table([row], tuple(row))
             return
         rows = fences_of(client, name.agent, name.target)
-    ask.show(rows, FENCE_COLUMNS)
+    ask.printer.table(rows, FENCE_COLUMNS)
 
 
 def fences_of(client: Client, agent: str, target: str) -> list[dict[str, Any]]:

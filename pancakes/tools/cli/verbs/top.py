@@ -14,8 +14,8 @@ from pancakes.errors import Unreachable
 from pancakes.tools.cli.agent_requests import surveyed
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
 from pancakes.tools.cli.options import agents as some_agents
-from pancakes.tools.cli.output import show_drawn, show_json, show_text
-from pancakes.tools.cli.streaming import one_line, until_ended
+from pancakes.tools.cli.output import one_line, show_drawn, show_text
+from pancakes.tools.cli.streaming import until_ended
 from pancakes.util.text import printable
 
 if TYPE_CHECKING:
@@ -93,10 +93,10 @@ def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask
     """
     with until_ended(), ask.client() as client:
         looks = _looks(client, agents, every_s, once)
-        if ask.format_ == "json":
+        if ask.printer.is_json:
             for rows in looks:
                 if once:
-                    show_json([_sorted_in(row, sort) for row in rows])
+                    ask.printer.emit([_sorted_in(row, sort) for row in rows])
                 else:
                     for row in rows:
                         show_text(one_line(_sorted_in(row, sort)))
@@ -109,10 +109,10 @@ def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask
 
 def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) -> Iterator[list[dict[str, Any]]]:
     """Yields what is to be shown: at each look, or once after the second."""
-    looks = RateMeter()
+    meter = RateMeter()
     found = surveyed(client, *agents)
     due_s = client.now()
-    rows = looks.update(found)
+    rows = meter.update(found)
     while True:
         if not once:
             yield rows
@@ -124,7 +124,7 @@ def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) ->
             described = client.survey(*agents, timeout_s=limit_s).agents
         except Unreachable:
             described = []
-        rows = looks.update(described)
+        rows = meter.update(described)
         if once:
             if not described:
                 raise Unreachable(f"{', '.join(row['agent'] for row in rows)} answered once, and then no more")

@@ -8,7 +8,7 @@ import time
 import click
 
 from pancakes.tools.cli.options import Ask, asks_agents
-from pancakes.tools.cli.output import show_json, show_text
+from pancakes.tools.cli.output import Printer
 from pancakes.tools.cli.streaming import event_at
 
 port_option = click.option(
@@ -65,7 +65,7 @@ def view(control: bool, foxglove: bool, port: int | None, open_: bool, ask: Ask)
     server = open_page(Shown(feed, watch.explain, watch.order, watch.order if control else None), port)
     try:
         watch.start()
-        tell_address(server.address, control, ask.format_)
+        tell_address(server.address, control, ask.printer)
         if open_:
             click.launch(server.address)
         ended.wait()
@@ -74,9 +74,6 @@ def view(control: bool, foxglove: bool, port: int | None, open_: bool, ask: Ask)
         watch.close()
 
 
-def tell_address(address: str, control: bool, format_: str = "table") -> None:
+def tell_address(address: str, control: bool, printer: Printer) -> None:
     """Says where the page is."""
-    if format_ == "json":
-        show_json([{"address": address, "control": control}])
-    else:
-        show_text(f"the page is at {address}")
+    printer.emit([{"address": address, "control": control}], f"the page is at {address}")

@@ -23,7 +23,7 @@ from pancakes.tools.cli.options import (
     asks_agents_for,
     the_agent,
 )
-from pancakes.tools.cli.output import show_json, show_sections, show_text
+from pancakes.tools.cli.output import Printer, show_text
 from pancakes.tools.cli.verbs.task_arguments import costs
 from pancakes.util import codecs
 
@@ -90,7 +90,7 @@ def move(name: TaskName, to: str, cost: str, for_s: float, ask: Ask) -> None:
         fleet = _measured(client, ask, for_s)
     winner = str(ledger["winner"])
     forecast = forecast_move(fleet, name.agent, name.task, winner, name.service)
-    _show(f"{name} moves to {winner}", forecast, ask.format_, {"bids": _bid_rows(ledger)})
+    _show(f"{name} moves to {winner}", forecast, ask.printer, {"bids": _bid_rows(ledger)})
 
 
 @what_if.command(cls=TakesNumbers)
@@ -113,7 +113,7 @@ def rate(name: TaskName, rate_hz: float, timer: str, for_s: float, ask: Ask) -> 
         accepted(client, name.agent, Reschedule(name.target, rate_hz, timer, dry_run=True))
         fleet = _measured(client, ask, for_s)
     forecast = forecast_rate(fleet, name.agent, name.task, rate_hz, timer, name.service)
-    _show(f"{name} ticks at {rate_hz:g} Hz", forecast, ask.format_, {})
+    _show(f"{name} ticks at {rate_hz:g} Hz", forecast, ask.printer, {})
 
 
 @what_if.command()
@@ -151,7 +151,7 @@ def without(agent: str, cost: str, for_s: float, ask: Ask) -> None:
             (bid,) = [line for line in ledger["lines"] if line["peer"] == ledger["winner"]]
             rows.append({"task": target, "goes to": places[target], "cost": bid["cost"], "reason": ""})
         fleet = _measured(client, ask, for_s)
-    _show(f"{agent} goes", forecast_without(fleet, agent, places), ask.format_, {"tasks": rows})
+    _show(f"{agent} goes", forecast_without(fleet, agent, places), ask.printer, {"tasks": rows})
 
 
 def _bids(client: Client, agent: str, target: str, to: str, cost: str) -> Mapping[str, Any]:
@@ -198,10 +198,7 @@ def _measured(client: Client, ask: Ask, for_s: float) -> list[MeasuredAgent]:
     return figures
 
 
-def _show(change: str, forecast: Forecast, format_: str, more: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-    if format_ == "json":
-        show_json({"change": change, **asdict(forecast), **more})
-        return
+def _show(change: str, forecast: Forecast, printer: Printer, more: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
     rows = [
         {
             "agent": it.agent,
@@ -224,7 +221,8 @@ def _show(change: str, forecast: Forecast, format_: str, more: Mapping[str, Sequ
         if it.load_after.value or it.load_after.high
     ]
     facts = {"Known from": "\n".join(forecast.known_from), "How sure": "\n".join(sure)}
-    show_sections({**tables, f"If {change}": rows, **facts, "Notes": "\n".join(forecast.notes)})
+    sections = {**tables, f"If {change}": rows, **facts, "Notes": "\n".join(forecast.notes)}
+    printer.emit({"change": change, **asdict(forecast), **more}, sections)
 
 
 def _share(share: float) -> str:

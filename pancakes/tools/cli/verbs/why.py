@@ -12,8 +12,8 @@ import click
 
 from pancakes.errors import PancakesError
 from pancakes.tools.cli.options import Duration, format_option
-from pancakes.tools.cli.output import show, show_json, show_text
-from pancakes.tools.cli.streaming import Printer, load_packets, say
+from pancakes.tools.cli.output import Part, Printer, Rows
+from pancakes.tools.cli.streaming import load_packets, say
 
 if TYPE_CHECKING:
     from pancakes.recording.causal_chains import ActuatorCommand
@@ -40,7 +40,7 @@ MOST_ALIKE: Final = 50
 @click.option("--slowest", metavar="N", type=click.IntRange(min=1), help="The N that took longest from their cause.")
 @click.option("--list", "list_", is_flag=True, help="All commands, each in a line, as they are read.")
 @format_option
-def why(path: Path, list_: bool, format_: str, **asked: Any) -> None:
+def why(path: Path, list_: bool, printer: Printer, **asked: Any) -> None:
     """Say why the actuators of a recording were commanded, and how long that took from the reading on.
 
     Alone it shows the kinds of chains that led to commands, with the distribution of the time from the first cause to
@@ -65,13 +65,13 @@ def why(path: Path, list_: bool, format_: str, **asked: Any) -> None:
     reader = RecordingReader(path)
     question = _CommandQuestion(reader, **asked)
     if list_:
-        with Printer(format_, True, _line) as printer:
+        with printer.stream(True, _line) as stream:
             for command in question.commands():
-                printer.show(_row(command, question.time))
+                stream.show(_row(command, question.time))
     elif not single:
-        _show_kinds(question, format_)
+        _show_kinds(question, printer)
     else:
-        _show_chains(question, format_)
+        _show_chains(question, printer)
     for note in reader.notes():
         say(note)
     if not question.time.known:
@@ -127,36 +127,30 @@ class _CommandQuestion:
                 self._others.add(f"{command.agent} {command.packet.type}" + (f" of {task_id}" if task_id else ""))
 
 
-def _show_kinds(question: _CommandQuestion, format_: str) -> None:
+def _show_kinds(question: _CommandQuestion, printer: Printer) -> None:
     for _ in question.commands():
         pass
     found = question.found
     if not found.commands:
         return
     kinds = [_distribution(it) for it in found.reactions()]
-    if format_ == "json":
-        counts = {"commands": found.commands, "uncaused": found.uncaused, "left_out": found.left_out}
-        show_json({**counts, "kinds": kinds})
-        return
+    counts = {"commands": found.commands, "uncaused": found.uncaused, "left_out": found.left_out}
     alone = f"{found.uncaused:,} of them answer no packet" if found.uncaused else "each of them answers a packet"
-    show_text(f"{found.commands:,} commands; {alone} that was recorded")
-    if kinds:
-        rows = [{**it, "chain": " → ".join(it["steps"])} for it in kinds]
-        show(rows, ("count", "p50_ms", "p90_ms", "p99_ms", "max_ms", "chain"), "table")
-    if found.left_out:
-        show_text(f"{found.left_out:,} more have chains of rarer kinds")
+    rows = [{**it, "chain": " → ".join(it["steps"])} for it in kinds]
+    printer.emit(
+        {**counts, "kinds": kinds},
+        f"{found.commands:,} commands; {alone} that was recorded",
+        Rows(rows, ("count", "p50_ms", "p90_ms", "p99_ms", "max_ms", "chain")) if rows else "",
+        f"{found.left_out:,} more have chains of rarer kinds" if found.left_out else "",
+    )
 
 
-def _show_chains(question: _CommandQuestion, format_: str) -> None:
+def _show_chains(question: _CommandQuestion, printer: Printer) -> None:
     chosen, more = _choose(question)
     rows = [
         {**_row(it, question.time), "chain": _steps(it, question.time), "alike": _alike(question, it)} for it in chosen
     ]
-    if format_ == "json":
-        show_json(rows)
-    else:
-        for row in rows:
-            _print(row)
+    printer.emit(rows, *map(_parts, rows))
     if more:
         say(f"{more:,} more fit: name one with --agent and --type, or see them with --list")
     if question.found.commands and not chosen:
@@ -212,24 +206,16 @@ def _line(row: dict[str, Any]) -> str:
 
 def _steps(command: ActuatorCommand, time: MissionTime) -> list[dict[str, Any]]:
     from pancakes.packet import body_to_plain
-    from pancakes.recording.records import NANOSECONDS
+    from pancakes.recording.causal_chains import chain_rows
 
-    steps = command.chain.steps
     return [
         {
-            "source": step.packet.source,
-            "seq": step.packet.seq,
-            "number": step.packet.number,
-            "channel": step.packet.channel,
-            "type": step.packet.type,
+            **row,
             "mission_s": round(time.at(step.time_ns), 6),
             "seen_ns": step.time_ns,
-            "at_ms": _ms((step.time_ns - steps[0].time_ns) / NANOSECONDS),
-            "travel_ms": _ms(step.travel_s) if step.sent else None,
-            "handling_ms": _ms(step.handling_s),
             "body": body_to_plain(step.packet.body),
         }
-        for step in steps
+        for row, step in zip(chain_rows(command.chain), command.chain.steps, strict=True)
     ]
 
 
@@ -250,13 +236,13 @@ def _distribution(reaction: Reaction) -> dict[str, Any]:
     }
 
 
-def _print(row: dict[str, Any]) -> None:
+def _parts(row: dict[str, Any]) -> Iterator[Part]:
     from pancakes.recording.causal_chains import body_text
 
     of = f" for {row['task_id']}" if row["task_id"] else ""
-    show_text(f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['number']})")
+    yield f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['number']})"
     if row["cause"] is None:
-        show_text("it answers no packet that was recorded: a timer led to it, or its cause is not in the recording")
+        yield "it answers no packet that was recorded: a timer led to it, or its cause is not in the recording"
     last = len(row["chain"]) - 1
     steps = [
         {
@@ -268,17 +254,17 @@ def _print(row: dict[str, Any]) -> None:
         }
         for place, step in enumerate(row["chain"])
     ]
-    show(steps, list(steps[0]), "table")
+    yield Rows(steps, list(steps[0]))
     if any(step["travel_ms"] is None for step in row["chain"]):
-        show_text("where nothing stands under `on its way`, it was not recorded when the packet left: it took longer")
+        yield "where nothing stands under `on its way`, it was not recorded when the packet left: it took longer"
     alike = row["alike"]
     if alike is not None:
-        show_text(
+        yield (
             f"{row['latency_ms']:g} ms from the first cause to the command. Of {alike['count']:,} that came about like"
             f" this: p50 {alike['p50_ms']:g}, p90 {alike['p90_ms']:g}, p99 {alike['p99_ms']:g}, longest"
             f" {alike['max_ms']:g} ms"
         )
-    show_text()
+    yield "\n"
 
 
 def _ms(seconds: float) -> float:
