@@ -91,6 +91,7 @@ WHERE: dict[tuple[str, str], str] = {
         "pancakes why runs/live/recording --agent",
     ): f"{LIVE}.test_recordings_are_used",
     ("docs/recordings.md", "from pathlib import Path"): f"{LIVE}.test_recordings_are_used",
+    ("docs/refusals.md", "try:"): "not run: part of a program; tests/client has what it raises",
     ("docs/releases.md", "scripts/release"): "not run: .ci/run runs it with other arguments",
     ("docs/releases.md", "pancakes --version"): f"{LIVE}.test_releases_say_their_version",
     ("docs/releases.md", "python3 -m venv"): "not run: installs wheels into /opt; tests/demo tries the wheels",
