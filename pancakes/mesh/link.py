@@ -30,7 +30,6 @@ from pancakes.mesh.codec import (
     packets_of,
 )
 from pancakes.mesh.messages import (
-    AgentSeen,
     Goodbye,
     Gossip,
     Hello,
@@ -40,14 +39,11 @@ from pancakes.mesh.messages import (
     Pong,
     Refusal,
     RefuseLink,
-    RosterNumber,
-    RosterText,
     Welcome,
     fault_of_gossip,
     fault_of_hello,
 )
 from pancakes.packet import Packet
-from pancakes.util.timebase import Timebase
 
 PATIENCE: Final = 1.2
 """So much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
@@ -133,12 +129,6 @@ class PacketsReceived(msgspec.Struct, frozen=True):
     size: int
 
 
-class Learnt(msgspec.Struct, frozen=True):
-    """The peer named agents."""
-
-    agents: tuple[AgentSeen, ...]
-
-
 class Measured(msgspec.Struct, frozen=True):
     """A ping came back.
 
@@ -153,16 +143,10 @@ class Measured(msgspec.Struct, frozen=True):
     back_s: float
 
 
-class TimebaseHeard(msgspec.Struct, frozen=True):
-    """The peer tells what its mission time and time of day are."""
+class Heard(msgspec.Struct, frozen=True):
+    """The peer tells something about the fleet: agents, its clocks, or its roster."""
 
-    timebase: Timebase
-
-
-class RosterHeard(msgspec.Struct, frozen=True):
-    """The peer tells the number of its roster, or gives the roster."""
-
-    message: RosterNumber | RosterText
+    message: LinkNews
 
 
 class Over(msgspec.Struct, frozen=True):
@@ -185,7 +169,7 @@ class Over(msgspec.Struct, frozen=True):
     turned_away: bool = False
 
 
-Action = SendMessage | Greeted | Up | PacketsReceived | Unfit | Learnt | Measured | TimebaseHeard | RosterHeard | Over
+Action = SendMessage | Greeted | Up | PacketsReceived | Unfit | Measured | Heard | Over
 
 
 class Link:
@@ -463,14 +447,9 @@ class Link:
             return [self._up(now_s)]
         if self.state is not LinkState.UP:
             raise RemoteProtocolError(f"{type(message).__name__} came before the link was up")
-        if isinstance(message, (RosterNumber, RosterText)):
-            return [RosterHeard(message)]
-        if isinstance(message, Timebase):
-            return [TimebaseHeard(message)]
-        assert isinstance(message, Gossip)
-        if fault := fault_of_gossip(message):
+        if isinstance(message, Gossip) and (fault := fault_of_gossip(message)):
             raise RemoteProtocolError(fault)
-        return [Learnt(message.agents)]
+        return [Heard(message)]
 
     def _pong(self, token: int, at_s: float, now_s: float) -> list[Action]:
         pinged_s = self._unanswered.pop(token, None)

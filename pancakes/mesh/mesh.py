@@ -22,19 +22,17 @@ from pancakes.mesh.gossip import Gossiper
 from pancakes.mesh.link import (
     Action,
     Greeted,
-    Learnt,
+    Heard,
     Link,
     LinkTimes,
     Measured,
     Over,
     PacketsReceived,
-    RosterHeard,
     SendMessage,
-    TimebaseHeard,
     Up,
 )
 from pancakes.mesh.links import Alarm, LinkLog, Links, Upkeep
-from pancakes.mesh.messages import Goodbye, Hello, Identity, LinkNews, Refusal
+from pancakes.mesh.messages import Goodbye, Gossip, Hello, Identity, LinkNews, Refusal
 from pancakes.mesh.partial_mesh import DropWaiting, FewLinks
 from pancakes.mesh.peer_clocks import Timekeeping
 from pancakes.mesh.peers import RESTS_S, Admit, Decision, Dial, Peers, Rest, is_namesake
@@ -530,19 +528,27 @@ class Mesh:
                 session.send_link(action.message)
             elif isinstance(action, Unfit):
                 self._receiving.unfit(session, action)
-            elif isinstance(action, (Measured, TimebaseHeard)):
+            elif isinstance(action, Measured):
                 self.clocks.heard(session, action)
                 self._upkeep.watch(session)
+            elif isinstance(action, Heard):
+                self._heard(session, action.message, self._peers)
             elif isinstance(action, Greeted):
                 self._met(session, action.hello)
             elif isinstance(action, Up):
                 self._stood_up(session)
-            elif isinstance(action, Learnt):
-                self._carry_out(self._peers.heard_of(action.agents, self._now(), session.peer, session.remote))
-            elif isinstance(action, RosterHeard):
-                self._trust.rosters.heard(session, action.message)
             else:
                 self._over(session, action)
+
+    def _heard(self, session: Session, news: LinkNews, peers: Peers) -> None:
+        """Takes what a peer tells about the fleet."""
+        if isinstance(news, Gossip):
+            self._carry_out(peers.heard_of(news.agents, self._now(), session.peer, session.remote))
+        elif isinstance(news, Timebase):
+            self.clocks.heard(session, news)
+            self._upkeep.watch(session)
+        else:
+            self._trust.rosters.heard(session, news)
 
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None

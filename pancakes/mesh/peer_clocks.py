@@ -12,7 +12,7 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.mesh.clock_sync import ClockEstimate, PeerClock, PeerMission
-from pancakes.mesh.link import Measured, TimebaseHeard
+from pancakes.mesh.link import Measured
 from pancakes.mesh.links import Links
 from pancakes.mesh.session import Session
 from pancakes.util.timebase import Timebase
@@ -130,13 +130,13 @@ class Timekeeping:
         for session in self._links:
             self._tell_own(session)
 
-    def heard(self, session: Session, what: Measured | TimebaseHeard) -> None:
+    def heard(self, session: Session, what: Measured | Timebase) -> None:
         """A peer has answered a ping, or tells of its clocks."""
         known = self._known.get(session.peer)
         if known is None or not session.is_up:  # before the link stands it is not known whose clock that is
             return
-        if isinstance(what, TimebaseHeard):
-            known.timebase = what.timebase
+        if isinstance(what, Timebase):
+            known.timebase = what
         else:
             if not known.estimate.take(what.sent_s, what.peer_s, what.back_s) and session.link is not None:
                 session.link.hurry()

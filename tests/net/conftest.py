@@ -16,10 +16,10 @@ import pytest
 
 from pancakes.mesh.codec import frame
 from pancakes.mesh.event_loop import TimerHandle
-from pancakes.mesh.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
+from pancakes.mesh.link import Action, Greeted, Heard, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
 from pancakes.mesh.memory_network import MemoryNetwork
 from pancakes.mesh.mesh import Mesh
-from pancakes.mesh.messages import Identity, Role
+from pancakes.mesh.messages import Gossip, Identity, Role
 from pancakes.mesh.transport import Connection, ConnectionHandler, SocketTransport, Transport
 from pancakes.packet import Packet
 from pancakes.security.access import Access
@@ -266,7 +266,7 @@ class BarePeer(ConnectionHandler):
                     self.act(self.link.admit(self._now()))
                 case Up():
                     self.is_up = True
-                case Learnt(agents):
+                case Heard(Gossip(agents)):
                     self.told.append(tuple(it.address for it in agents))
                 case PacketsReceived(packets):
                     self.packets.extend(packets)

@@ -12,7 +12,7 @@ from pancakes.mesh.codec import Encoder, RowEncoder, frame, head_of, run_of
 from pancakes.mesh.link import (
     MOST_UNANSWERED,
     Greeted,
-    Learnt,
+    Heard,
     Link,
     LinkState,
     LinkTimes,
@@ -20,7 +20,6 @@ from pancakes.mesh.link import (
     Over,
     PacketsReceived,
     SendMessage,
-    TimebaseHeard,
     Up,
 )
 from pancakes.mesh.messages import VERSION, AgentSeen, Goodbye, Gossip, Hello, Ping, Pong, RefuseLink, Welcome
@@ -121,7 +120,7 @@ def test_packets_and_messages_keep_their_order():
     assert actions == [
         received(PACKET),
         received(PACKET),
-        Learnt((C,)),
+        Heard(Gossip((C,))),
         received(PACKET),
         received(PACKET),
     ]
@@ -453,7 +452,7 @@ def test_a_long_way_is_measured_with_the_first_pings_too():
 def test_the_clocks_of_a_peer_are_told():
     told = Timebase(12.0, 3.0, 2.0, 1.6e9)
     assert sent(up().tell(told, 1.0)) == wire(told)
-    assert up().receive(wire(told), 1.0) == [TimebaseHeard(told)]
+    assert up().receive(wire(told), 1.0) == [Heard(told)]
     assert opened().tell(told, 1.0) == []
 
 
