@@ -1,8 +1,7 @@
 """The mesh: this agent's links to all others, without a broker (paper §3.5).
 
-`Mesh` opens and closes connections, carries out what `Peers` (which connections) and `Link` (what goes over them)
-decide, and hands packets over. Nothing here blocks. `Receiving` lets in what peers may send. `Resting` keeps reading
-surplus links that are draining, until the peer acknowledges the goodbye, so that nothing is lost.
+`Mesh` opens and closes connections, executes what `Peers` (which connections) and `Link` (what goes over them) decide,
+and delivers packets. Nothing here blocks. Methods for any thread post their work to the transport's thread.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from pancakes.mesh.link import (
     SendMessage,
     Up,
 )
-from pancakes.mesh.links import Alarm, LinkLog, Links, Upkeep
+from pancakes.mesh.links import Alarm, LinkLog, Links
 from pancakes.mesh.messages import Goodbye, Gossip, Hello, Identity, LinkNews, Refusal
 from pancakes.mesh.partial_mesh import DropWaiting, FewLinks
 from pancakes.mesh.peer_clocks import Timekeeping
@@ -94,100 +93,10 @@ def makes_room(sessions: Iterable[Session]) -> Session | None:
     return (mute or waiting)[0]
 
 
-class Receiving:
-    """Hands over the packets of all links. In the transport's thread.
-
-    Args:
-        trust: what peers may send.
-        log: tells what they may not.
-        now: the host clock.
-        call: calls what was given to the mesh, whose failure must not cost a link.
-        on_packets: see `Mesh`.
-        on_unfit: see `Mesh`.
-    """
-
-    def __init__(
-        self,
-        trust: Trust,
-        log: LinkLog,
-        now: Callable[[], float],
-        call: Callable[..., None],
-        on_packets: Callable[[str, list[Packet], int], Any],
-        on_unfit: Callable[[str, Packet, str], Any],
-    ) -> None:
-        self._trust = trust
-        self._log = log
-        self._now = now
-        self._call = call
-        self._on_packets, self._on_unfit = on_packets, on_unfit
-
-    def packets(self, session: Session, came: PacketsReceived) -> None:
-        """Packets of one head came."""
-        first, number = came.packets[0], len(came.packets)
-        session.counters.packets_in += number
-        if not self._may_send(session, first, number):
-            return
-        if too_much := self._trust.asks_too_much(session, first, number):
-            for packet in came.packets:
-                self._call(self._on_unfit, session.peer, packet, too_much)
-        else:
-            self._call(self._on_packets, session.peer, came.packets, came.size)
-
-    def unfit(self, session: Session, came: Unfit) -> None:
-        """A packet came whose body is not what its type says."""
-        session.counters.packets_in += 1
-        if self._may_send(session, came.packet, 1):
-            self._call(self._on_unfit, session.peer, came.packet, came.reason)
-
-    def _may_send(self, session: Session, first: Packet, number: int) -> bool:
-        """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
-        if not (fault := self._trust.fault_of_packet(session, first)):
-            return True
-        self._log.false_source(session, fault, number, self._now())
-        return False
-
-
 DRAINED_S: Final = 5.0
-"""The connection is closed after so long, if the peer does not do it."""
-
-
-class Resting:
-    """Hears those links to their end. In the transport's thread.
-
-    Args:
-        transport: in whose thread it works.
-        receiving: takes what comes over them.
-    """
-
-    def __init__(self, transport: Transport, receiving: Receiving) -> None:
-        self._transport = transport
-        self._receiving = receiving
-        self._sessions: dict[int, Session] = {}
-
-    def __contains__(self, session: Session) -> bool:
-        """Whether a link has been ended, and is heard still."""
-        return session.number in self._sessions
-
-    def begin(self, session: Session) -> None:
-        """A link was ended: the peer was told goodbye, and will close the connection when it hears that."""
-        self._sessions[session.number] = session
-        self._transport.call_later(DRAINED_S, partial(self.end, session, "it rests"))
-
-    def received(self, session: Session, data: bytes, now_s: float) -> None:
-        """Bytes came in."""
-        for action in session.link.receive(data, now_s) if session.link is not None else ():
-            if isinstance(action, PacketsReceived):
-                self._receiving.packets(session, action)
-
-    def end(self, session: Session, reason: str) -> None:
-        """Closes the connection, where the link is heard still."""
-        if self._sessions.pop(session.number, None) is not None:
-            session.end(reason)
-
-    def close(self) -> None:
-        """Closes all connections."""
-        for session in list(self._sessions.values()):
-            self.end(session, "this agent left the mesh")
+"""A link that drains is closed after this time, if the peer does not close it."""
+TOGETHER: Final = 0.1
+"""Links are looked after this share of a heartbeat late, so that one wake-up of the thread serves many of them."""
 
 
 class Mesh:
@@ -252,11 +161,13 @@ class Mesh:
         self.near_only: tuple[str, ...] = ()
         self._random = source
         self._now = host_clock.now
+        self._on_packets, self._on_unfit = on_packets, on_unfit
         self._on_peer_up, self._on_peer_down = on_peer_up, on_peer_down
         self._times = times or LinkTimes()
         self._own = identity.hello()
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
+        self._draining: dict[int, Session] = {}  # ended here, and still read until the peer acknowledges the goodbye
         self._sending = Sending(self._lost, defer, self.seek)
         self._links = Links(self._sending.change)
         self._log = LinkLog(on_log, peers)
@@ -266,11 +177,9 @@ class Mesh:
         self._gossip = Gossiper(identity.role, self._links, self._tell, transport, self._few)
         later, now = transport.call_later, host_clock.now
         self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
-        self._receiving = Receiving(self._trust, self._log, now, self._log.attempt, on_packets, on_unfit)
-        self._resting = Resting(transport, self._receiving)
         self.clocks = Timekeeping(timebase, now, self._links, self._tell)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
-        self._upkeep = Upkeep(self._sessions, transport, self._now, self._times, self._log, self._act, self._over)
+        self._links_alarm = Alarm(transport, self._now, self._tick_links, TOGETHER * self._times.heartbeat_s)
 
     # From any thread
 
@@ -290,7 +199,7 @@ class Mesh:
         found = [self._transport.listen(at, self._accept) for at in self._listen_at]
         self._own = self.identity.hello(found)
         self.near_only = tuple(filter(None, map(why_near_only, self._listen_at, found)))
-        self._transport.call_later(0.0, self._begin)
+        self._post(self._begin)
 
     def send(self, packet: Packet, retry: bool = False) -> int:
         """Sends a packet to the agent in its destination, or to all neighbours where that is `*`.
@@ -315,36 +224,35 @@ class Mesh:
         peers = self._peers
         if peers is None or self._state != "running" or not peers.knows(agent) or agent in peers.asleep(self._now()):
             return False
-        self._transport.call_later(0.0, lambda: self._seek(agent))
+        self._post(self._seek, agent)
         return True
 
     def announce(self) -> None:
         """Tells peers the agents that are known here: the beacon of discovery. A mission packet to each."""
-        self._transport.call_later(0.0, self._beacon)
+        self._post(self._beacon)
 
     def mission_changed(self) -> None:
         """Tells all peers that the mission of this agent has begun."""
-        self._transport.call_later(0.0, self.clocks.changed)
+        self._post(self.clocks.changed)
 
     def learn(self, addresses: Sequence[str]) -> None:
         """Dials these addresses as well, as if a peer had named them."""
-        named = tuple(addresses)
-        self._transport.call_later(0.0, lambda: self._learn(named))
+        self._post(self._learn, tuple(addresses))
 
     def redial(self) -> None:
         """Dials all known addresses now at which no agent is connected, instead of when their next attempt is due."""
-        self._transport.call_later(0.0, self._redial)
+        self._post(self._redial)
 
     def sleep(self, for_s: float | None = None) -> None:
         """Says goodbye for `for_s` seconds of host time (None: for a time unknown), and closes all links.
 
         An agent that dials in the meantime is told the same. It lasts until `wake`.
         """
-        self._transport.call_later(0.0, lambda: self._sleep(for_s))
+        self._post(self._sleep, for_s)
 
     def wake(self) -> None:
         """Dials again after `sleep`."""
-        self._transport.call_later(0.0, self._wake)
+        self._post(self._wake)
 
     def reload_keys(self, dry_run: bool = False) -> bool:
         """See `Rekeying.reload`."""
@@ -357,7 +265,7 @@ class Mesh:
 
     def stop(self) -> None:
         """Says goodbye for good, and closes all links. Close the transport afterwards."""
-        self._transport.call_later(0.0, self._stop)
+        self._post(self._stop)
 
     def neighbours(self) -> list[str]:
         """Returns the names of the connected peers in the role `agent`, sorted."""
@@ -408,6 +316,10 @@ class Mesh:
         asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
         return why_lost(packet, self.identity.name, self._state == "asleep", asleep, [it.peer for it in self._links])
 
+    def _post(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Runs a function in the transport's thread."""
+        self._transport.call_later(0.0, partial(function, *arguments))
+
     # In the transport's thread from here on
 
     def _begin(self) -> None:
@@ -451,7 +363,8 @@ class Mesh:
             self._leave()
 
     def _leave(self) -> None:
-        self._resting.close()
+        for session in list(self._draining.values()):
+            self._end_draining(session, "this agent left the mesh")
         for session in list(self._sessions.values()):
             if session.link is not None:
                 self._act(session, session.link.leave(self._goodbye(), self._now()))
@@ -492,15 +405,17 @@ class Mesh:
         rests = self._transport.facts(session.remote).tells_deaths
         session.link = Link(own, self._times.rested() if rests else self._times, now_s, answers=not session.address)
         self._act(session, session.link.open(now_s))
-        self._upkeep.watch(session)
+        self._watch(session)
 
     def session_received(self, session: Session, data: bytes) -> None:
         """See `Owner`."""
         if session.link is None:
             return
         now_s = self._now()
-        if session in self._resting:
-            self._resting.received(session, data, now_s)
+        if session.number in self._draining:
+            for action in session.link.receive(data, now_s):
+                if isinstance(action, PacketsReceived):
+                    self._deliver(session, action)
             return
         was_up = session.is_up
         actions = session.link.receive(data, now_s)
@@ -515,7 +430,7 @@ class Mesh:
         """See `Owner`."""
         if session.number in self._sessions:
             self._over(session, Over(reason))
-        self._resting.end(session, reason)
+        self._end_draining(session, reason)
 
     def _act(self, session: Session, actions: Sequence[Action]) -> None:
         """Carries out what a link asks for."""
@@ -523,14 +438,14 @@ class Mesh:
             if session.number not in self._sessions or self._peers is None:
                 return  # an action before ended it
             if isinstance(action, PacketsReceived):
-                self._receiving.packets(session, action)
+                self._deliver(session, action)
             elif isinstance(action, SendMessage):
                 session.send_link(action.message)
             elif isinstance(action, Unfit):
-                self._receiving.unfit(session, action)
+                self._deliver_unfit(session, action)
             elif isinstance(action, Measured):
                 self.clocks.heard(session, action)
-                self._upkeep.watch(session)
+                self._watch(session)
             elif isinstance(action, Heard):
                 self._heard(session, action.message, self._peers)
             elif isinstance(action, Greeted):
@@ -540,13 +455,43 @@ class Mesh:
             else:
                 self._over(session, action)
 
+    def _deliver(self, session: Session, came: PacketsReceived) -> None:
+        """Passes on packets, which have one head, if the peer may send them."""
+        first, number = came.packets[0], len(came.packets)
+        session.counters.packets_in += number
+        if not self._may_send(session, first, number):
+            return
+        if too_much := self._trust.asks_too_much(session, first, number):
+            for packet in came.packets:
+                self._log.attempt(self._on_unfit, session.peer, packet, too_much)
+        else:
+            self._log.attempt(self._on_packets, session.peer, came.packets, came.size)
+
+    def _deliver_unfit(self, session: Session, came: Unfit) -> None:
+        """Passes on a packet whose body does not fit its type."""
+        session.counters.packets_in += 1
+        if self._may_send(session, came.packet, 1):
+            self._log.attempt(self._on_unfit, session.peer, came.packet, came.reason)
+
+    def _may_send(self, session: Session, first: Packet, number: int) -> bool:
+        """Returns whether the peer may send packets of this head; otherwise they are dropped, and logged."""
+        if not (fault := self._trust.fault_of_packet(session, first)):
+            return True
+        self._log.false_source(session, fault, number, self._now())
+        return False
+
+    def _end_draining(self, session: Session, reason: str) -> None:
+        """Closes the connection of a link that drains; any other is left open."""
+        if self._draining.pop(session.number, None) is not None:
+            session.end(reason)
+
     def _heard(self, session: Session, news: LinkNews, peers: Peers) -> None:
         """Takes what a peer tells about the fleet."""
         if isinstance(news, Gossip):
             self._carry_out(peers.heard_of(news.agents, self._now(), session.peer, session.remote))
         elif isinstance(news, Timebase):
             self.clocks.heard(session, news)
-            self._upkeep.watch(session)
+            self._watch(session)
         else:
             self._trust.rosters.heard(session, news)
 
@@ -563,7 +508,7 @@ class Mesh:
             self._carry_out(decisions)
         else:
             self._act(session, session.link.leave(self._goodbye(), now_s))
-        self._upkeep.watch(session)  # from now on it sends heartbeats
+        self._watch(session)  # from now on it sends heartbeats
 
     def _refuse(self, session: Session, code: Refusal, reason: str, told: str = "") -> None:
         """Ends a link, where it has not ended, and tells the peer why; `told`: see `Link.refuse`."""
@@ -580,7 +525,7 @@ class Mesh:
         hello = next(peer for peer in self._peers.connected() if peer.name == session.link.peer.name)
         self._links.add(session, hello)
         self.clocks.stood_up(session)
-        self._upkeep.watch(session)
+        self._watch(session)
         self._log.stood_up(session, hello)
         self._log.attempt(self._on_peer_up, hello)
         self._gossip.stood_up(session, self._peers, self._now())
@@ -589,7 +534,7 @@ class Mesh:
     def _over(self, session: Session, over: Over) -> None:
         assert self._peers is not None
         del self._sessions[session.number]
-        if session not in self._resting:
+        if session.number not in self._draining:
             session.end(over.reason)
         why = over.refused or over.refusing
         refusal = over.reason if over.refused is not None or over.turned_away else ""
@@ -625,7 +570,8 @@ class Mesh:
                 self._act(found, found.link.admit(self._now()))
             elif isinstance(decision, Rest):
                 self._act(found, found.link.rest(Goodbye("rest", RESTS_S), self._now()))
-                self._resting.begin(found)
+                self._draining[found.number] = found
+                self._transport.call_later(DRAINED_S, partial(self._end_draining, found, "it rests"))
                 self._over(found, Over(f"{self.identity.name} has no use for it now"))
             else:
                 self._refuse(found, decision.code, decision.reason)
@@ -643,3 +589,39 @@ class Mesh:
     def _tell(self, session: Session, message: LinkNews) -> None:
         if session.link is not None:
             self._act(session, session.link.tell(message, self._now()))
+
+    def _watch(self, session: Session) -> None:
+        """Makes sure that a link is looked after when its next heartbeat or time-out is due."""
+        if session.link is not None and session.number in self._sessions:
+            session.due_s = session.link.due_s()
+            if session.due_s < self._links_alarm.due_s:
+                self._links_alarm.set(session.due_s)
+
+    def _tick_links(self) -> None:
+        self._links_alarm.due_s = -math.inf  # not to be set for each link
+        now_s = self._now()
+        try:
+            for session in list(self._sessions.values()):
+                if session.due_s <= now_s:
+                    self._tick_link(session, now_s)
+        finally:
+            self._links_alarm.set(min([session.due_s for session in self._sessions.values()], default=math.inf))
+
+    def _tick_link(self, session: Session, now_s: float) -> None:
+        """Sends a heartbeat that is due, and ends a link whose peer takes no more bytes."""
+        link = session.link
+        if link is None or session.number not in self._sessions:
+            return
+        if session.is_up:
+            if session.stuck_s(now_s) >= (limit_s := self._times.stuck_s):
+                self._over(session, Over(f"{session.peer} took nothing for {limit_s:g} s of what waits for it"))
+                return
+            session.quiet_s(now_s)
+            if session.counters.dropped:
+                self._log.drops(session, now_s)
+        due_s = link.due_s()
+        if due_s > now_s:  # usually something was sent meanwhile, and nothing is due
+            session.due_s = due_s
+            return
+        self._act(session, link.tick(now_s))
+        self._watch(session)
