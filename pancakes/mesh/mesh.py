@@ -255,13 +255,13 @@ class Mesh:
         self._post(self._wake)
 
     def reload_keys(self, dry_run: bool = False) -> bool:
-        """See `Rekeying.reload`."""
-        return self._trust.rekeying.reload(dry_run)
+        """See `Trust.reload_keys`."""
+        return self._trust.reload_keys(dry_run)
 
     @property
     def roster_fault(self) -> RosterFault | None:
-        """See `Rosters.fault`."""
-        return self._trust.rosters.fault
+        """See `Trust.roster_fault`."""
+        return self._trust.roster_fault
 
     def stop(self) -> None:
         """Says goodbye for good, and closes all links. Close the transport afterwards."""
@@ -493,7 +493,7 @@ class Mesh:
             self.clocks.heard(session, news)
             self._watch(session)
         else:
-            self._trust.rosters.heard(session, news)
+            self._trust.heard_roster(session, news)
 
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
@@ -529,7 +529,7 @@ class Mesh:
         self._log.stood_up(session, hello)
         self._log.attempt(self._on_peer_up, hello)
         self._gossip.stood_up(session, self._peers, self._now())
-        self._trust.rosters.stood_up(session)
+        self._trust.link_up(session)
 
     def _over(self, session: Session, over: Over) -> None:
         assert self._peers is not None

@@ -1,9 +1,8 @@
 """What an agent believes of its peers: certificates and rosters over links, new keys, and what peers may send.
 
-`Rosters` distributes the signed roster: an agent that knows a higher number gives it to one that has a lower one. The
-signature is checked in a process of its own, so that no running agent imports `cryptography`. `Rekeying` takes a new
-key while the agent runs, and makes its links again one after the other. `Trust` joins both with the access rules. All
-of it runs in the transport's thread.
+`Trust` decides by the access rules what a peer may send. It distributes the signed roster: an agent that knows a higher
+number gives it to one that has a lower one. The signature is checked in a separate process, so that no running agent
+imports `cryptography`. It takes a new key while the agent runs, and makes its links again one after the other.
 """
 
 from __future__ import annotations
@@ -30,17 +29,17 @@ if TYPE_CHECKING:
 
 
 LOOK_S: Final = 60.0
-"""So often the peers are told the number again, and looked at whether their certificates have ended."""
+"""How often peers are told the number again, and their certificates are checked for their end."""
 CHECK_S: Final = 30.0
-"""So long the check of a signature may take."""
+"""How long the check of a signature may take."""
 MOST_CHECKS: Final = 4
-"""So many rosters are checked at a time; of each peer one."""
+"""At most this many rosters are checked at a time, one of each peer."""
 
 UNCHECKED: Final = "a roster cannot be checked without cryptography: pip install 'pancakes-agents[keys]'"
 
 
 class RosterFault(NamedTuple):
-    """Why an agent does not go by a roster, or cannot keep it.
+    """Why an agent does not use a roster, or cannot keep it.
 
     Attributes:
         number: the number of the roster; 0: the same is true of each that will come.
@@ -51,250 +50,12 @@ class RosterFault(NamedTuple):
     text: str
 
 
-LookAgain = Callable[[float, Callable[[], None]], Scheduled]
-
-
-class Rosters:
-    """The roster that an agent knows, and the peers that it tells of it. In the transport's thread.
-
-    Args:
-        keys: the agent's keys; None: it has none, and none of this happens.
-        links: its links.
-        tell: sends a message over a link.
-        refuse: ends a link, for a reason that the peer is told.
-        call_later: as `Transport.call_later`.
-        log: takes (level, text).
-
-    Attributes:
-        fault: why the roster that was given last is not taken, or is not kept; None: all is well.
-    """
-
-    def __init__(
-        self,
-        keys: Keys | None,
-        links: Links,
-        tell: Callable[[Session, RosterNumber | RosterText], None],
-        refuse: Callable[[Session, Refusal, str], None],
-        call_later: LookAgain,
-        log: Callable[[str, str], None],
-    ) -> None:
-        self._keys = keys
-        self._links = links
-        self._tell = tell
-        self._refuse = refuse
-        self._call_later = call_later
-        self._log = log
-        self._checking: set[str] = set()
-        self._unkept = False
-        self.fault: RosterFault | None = None
-
-    def begin(self) -> None:
-        """The mesh has begun."""
-        if self._keys is not None:
-            if not can_check():
-                self.fault = RosterFault(0, UNCHECKED)
-            self._call_later(LOOK_S, self._look)
-
-    def stood_up(self, session: Session) -> None:
-        """A link stands."""
-        if self._keys is not None and self._keys.roster is not None:
-            self._tell(session, RosterNumber(self._keys.roster.number))
-
-    def heard(self, session: Session, message: RosterNumber | RosterText) -> None:
-        """A peer tells its number, or gives its roster."""
-        keys = self._keys
-        if keys is None:
-            return
-        own = keys.roster.number if keys.roster is not None else 0
-        if isinstance(message, RosterText):
-            self._check(keys, session, message.text)
-        elif message.number > own:
-            self._tell(session, RosterNumber(own))
-        elif message.number < own:
-            self._tell(session, RosterText(keys.roster_text))
-
-    def _check(self, keys: Keys, session: Session, text: bytes) -> None:
-        """Has the signature of a roster checked, in a process of its own."""
-        try:
-            _, roster = read_signed(text)
-        except ValueError as error:
-            self._refuse(session, "name", f"the roster that it gave cannot be read: {error}")
-            return
-        if keys.roster is not None and roster.number <= keys.roster.number:
-            return  # another peer was faster
-        if fault := keys.fault_of_roster(roster):
-            self._not_taken(session, roster, fault)
-            return
-        if session.peer in self._checking or len(self._checking) >= MOST_CHECKS:
-            return  # it is told the number again, and gives the roster again
-        self._checking.add(session.peer)
-
-        def check() -> None:
-            fault, code = keep(keys, text)
-            self._call_later(0.0, lambda: self._checked(keys, session, roster, text, fault, code))
-
-        threading.Thread(target=check, name="roster", daemon=True).start()
-
-    def _not_taken(self, session: Session, roster: Roster, fault: str) -> None:
-        self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
-        self.fault = RosterFault(roster.number, fault)
-
-    def _checked(self, keys: Keys, session: Session, roster: Roster, text: bytes, fault: str, code: int) -> None:
-        self._checking.discard(session.peer)
-        if code == FALSE:
-            self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
-            self._refuse(session, "name", fault)
-        elif code not in (0, UNKEPT):
-            self._not_taken(session, roster, fault)
-        elif keys.learn(roster, text):
-            # A disk that is full must not let a revoked peer stay: it is obeyed now, and written later.
-            self._unkept = code == UNKEPT
-            self.fault = RosterFault(roster.number, fault) if fault else None
-            if fault:
-                self._log("error", f"{fault}. This agent goes by it until it ends")
-            revoked = len(roster.revoked)
-            self._log("info", f"{session.peer} gave the roster {roster.number} of {roster.fleet}: {revoked} revoked")
-            if own := keys.fault_of(keys.own):
-                self._log("error", f"no agent of {roster.fleet} believes this one any more: {own}")
-            self._end_those_revoked(keys)
-            self._tell_all()
-
-    def _look(self) -> None:
-        if self._keys is not None:
-            self._end_those_revoked(self._keys)
-            self._tell_all()
-            if self._unkept:
-                self._keep_again(self._keys)
-            self._call_later(LOOK_S, self._look)
-
-    def _keep_again(self, keys: Keys) -> None:
-        """Tries again to write down the roster that this agent goes by."""
-        text = keys.roster_text
-
-        def again() -> None:
-            _, code = keep(keys, text)
-            self._call_later(0.0, lambda: self._kept(keys, text, code))
-
-        threading.Thread(target=again, name="roster", daemon=True).start()
-
-    def _kept(self, keys: Keys, text: bytes, code: int) -> None:
-        if code == 0 and text == keys.roster_text:
-            self._unkept, self.fault = False, None
-
-    def _tell_all(self) -> None:
-        for session in self._links:
-            self.stood_up(session)
-
-    def _end_those_revoked(self, keys: Keys) -> None:
-        for session in self._links:
-            if session.certified is not None and (fault := keys.fault_of(session.certified)):
-                self._refuse(session, "name", f"{session.peer} is not believed any more: {fault}")
-
-
-def can_check() -> bool:
-    """Returns whether the library is installed that checks the signature of a roster."""
-    try:
-        return importlib.util.find_spec("cryptography") is not None
-    except (ImportError, ValueError):
-        return False
-
-
-def keep(keys: Keys, text: bytes) -> tuple[str, int]:
-    """Checks the signature of a roster, and keeps it beside the keys. Waits for a process, in a thread of its own.
-
-    Returns:
-        What is wrong, as a sentence (empty: nothing, it is kept), and the exit code of `check_roster`.
-    """
-    import subprocess
-
-    command = [sys.executable, "-m", "pancakes.security.check_roster", str(keys.folder)]
-    try:
-        ended = subprocess.run(command, input=text, capture_output=True, timeout=CHECK_S)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return f"its signature cannot be checked: {error}", 1
-    if ended.returncode == 0:
-        return "", 0
-    said = ended.stderr.decode(errors="replace").strip().splitlines()
-    return said[-1] if said else f"its check ended with {ended.returncode}", ended.returncode
-
-
 KEY_RELOAD_S: Final = 60.0
-"""So often it looks whether there is a new key."""
+"""How often the agent looks for a new key."""
 PAUSE_S: Final = 1.0
-"""So long after one link the next is made anew: an agent is never without all of them at a time."""
-
-
-class Rekeying:
-    """Looks for a new key, and makes the links that stand anew with it, one after the other.
-
-    Args:
-        keys: the agent's keys; None: it has none, and none of this happens.
-        links: its links.
-        refuse: ends a link, and tells the peer why. In the transport's thread.
-        call_later: as `Transport.call_later`.
-        log: takes (level, text).
-    """
-
-    def __init__(
-        self,
-        keys: Keys | None,
-        links: Links,
-        refuse: Callable[[Session, Refusal, str], None],
-        call_later: Callable[[float, Callable[[], None]], Scheduled],
-        log: Callable[[str, str], None],
-    ) -> None:
-        self._keys = keys
-        self._links = links
-        self._refuse = refuse
-        self._call_later = call_later
-        self._log = log
-        self._old: deque[Session] = deque()
-
-    def begin(self) -> None:
-        """The mesh has begun. In the transport's thread."""
-        if self._keys is not None:
-            self._call_later(KEY_RELOAD_S, self._look)
-
-    def reload(self, dry_run: bool = False) -> bool:
-        """Takes the key that lies there now; returns whether it is a new one. Any thread.
-
-        Args:
-            dry_run: whether it is only looked for.
-
-        Raises:
-            PancakesError: it cannot be used, or there are no keys.
-        """
-        if self._keys is None:
-            raise PancakesError("it has no keys: pancakes fleet join, and start it again")
-        is_new = self._keys.reload(dry_run)
-        if dry_run or not is_new:
-            return is_new
-        self._log("info", f"there is a new key in {self._keys.folder}, and links are made anew with it")
-        self._call_later(0.0, self._begin)
-        return True
-
-    def _look(self) -> None:
-        try:
-            self.reload()
-        except PancakesError as error:
-            self._log("warning", str(error))
-        self._call_later(KEY_RELOAD_S, self._look)
-
-    def _begin(self) -> None:
-        runs = bool(self._old)
-        self._old = deque(session for session in self._links if session.certified is not None)
-        if not runs:
-            self._next()
-
-    def _next(self) -> None:
-        if self._old:
-            # Of two links the one that ends as a duplicate is made anew by both sides, at once.
-            self._refuse(self._old.popleft(), "duplicate", "there is a new key, and links are made anew")
-            self._call_later(PAUSE_S, self._next)
-
-
+"""The pause between two links that are made again: an agent is never without all of them."""
 MOST_ASKED_HZ: Final = 1000.0
-"""So often a peer may ask this agent for something, in a second; as much at once. The rest is refused."""
+"""How often a peer may ask this agent for something, in a second and at once. The rest is refused."""
 
 
 class Trust:
@@ -302,7 +63,7 @@ class Trust:
 
     Args:
         role: the role of this agent.
-        keys: its keys; None: it has none.
+        keys: its keys; None: it has none, and peers show no certificates.
         access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
         links: its links.
         tell: sends a message over a link.
@@ -310,6 +71,9 @@ class Trust:
         call_later: as `Transport.call_later`.
         now: the host clock.
         log: takes (level, text).
+
+    Attributes:
+        roster_fault: why the last roster from a peer is not taken, or not kept; None: all is well.
     """
 
     def __init__(
@@ -325,18 +89,35 @@ class Trust:
         log: Callable[[str, str], None],
     ) -> None:
         self._role = role
+        self._keys = keys
         self._access = access
         self._links = links
+        self._tell = tell
+        self._refuse = refuse
+        self._call_later = call_later
         self._now = now
-        self.rosters = Rosters(keys, links, tell, refuse, call_later, log)
-        self.rekeying = Rekeying(keys, links, refuse, call_later, log)
+        self._log = log
+        self._checking: set[str] = set()  # the peers whose rosters are being checked
+        self._unkept = False  # the roster in force is not on disk yet
+        self._old_links: deque[Session] = deque()  # those that are to be made again with a new key
+        self.roster_fault: RosterFault | None = None
         if access is not None:
             access.bearer_of = self._bearer_of
 
     def begin(self) -> None:
         """The mesh has begun."""
-        self.rosters.begin()
-        self.rekeying.begin()
+        if self._keys is not None:
+            if not can_check():
+                self.roster_fault = RosterFault(0, UNCHECKED)
+            self._call_later(LOOK_S, self._look_at_roster)
+            self._call_later(KEY_RELOAD_S, self._look_for_key)
+
+    def link_up(self, session: Session) -> None:
+        """A link is up: tells the peer which roster is known here."""
+        if self._keys is not None and self._keys.roster is not None:
+            self._tell(session, RosterNumber(self._keys.roster.number))
+
+    # What peers may send
 
     def fault_of_hello(self, session: Session, hello: Hello) -> str:
         """Returns in what a hello is not as the certificate of its sender says, as a sentence; empty: in nothing."""
@@ -373,6 +154,164 @@ class Trust:
         """See `Access.bearer_of`. Any thread."""
         session = self._links.by_name().get(peer)
         return _bearer(session) if session is not None else None
+
+    # The roster
+
+    def heard_roster(self, session: Session, message: RosterNumber | RosterText) -> None:
+        """A peer tells the number of its roster, or gives the roster."""
+        keys = self._keys
+        if keys is None:
+            return
+        own = keys.roster.number if keys.roster is not None else 0
+        if isinstance(message, RosterText):
+            self._check_roster(keys, session, message.text)
+        elif message.number > own:
+            self._tell(session, RosterNumber(own))
+        elif message.number < own:
+            self._tell(session, RosterText(keys.roster_text))
+
+    def _check_roster(self, keys: Keys, session: Session, text: bytes) -> None:
+        """Checks the signature of a roster, in a separate process."""
+        try:
+            _, roster = read_signed(text)
+        except ValueError as error:
+            self._refuse(session, "name", f"the roster that it gave cannot be read: {error}")
+            return
+        if keys.roster is not None and roster.number <= keys.roster.number:
+            return  # another peer was faster
+        if fault := keys.fault_of_roster(roster):
+            self._not_taken(session, roster, fault)
+            return
+        if session.peer in self._checking or len(self._checking) >= MOST_CHECKS:
+            return  # it is told the number again, and gives the roster again
+        self._checking.add(session.peer)
+
+        def check() -> None:
+            fault, code = keep(keys, text)
+            self._call_later(0.0, lambda: self._checked(keys, session, roster, text, fault, code))
+
+        threading.Thread(target=check, name="roster", daemon=True).start()
+
+    def _not_taken(self, session: Session, roster: Roster, fault: str) -> None:
+        self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
+        self.roster_fault = RosterFault(roster.number, fault)
+
+    def _checked(self, keys: Keys, session: Session, roster: Roster, text: bytes, fault: str, code: int) -> None:
+        self._checking.discard(session.peer)
+        if code == FALSE:
+            self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
+            self._refuse(session, "name", fault)
+        elif code not in (0, UNKEPT):
+            self._not_taken(session, roster, fault)
+        elif keys.learn(roster, text):
+            # A disk that is full must not let a revoked peer stay: it is obeyed now, and written later.
+            self._unkept = code == UNKEPT
+            self.roster_fault = RosterFault(roster.number, fault) if fault else None
+            if fault:
+                self._log("error", f"{fault}. This agent goes by it until it ends")
+            revoked = len(roster.revoked)
+            self._log("info", f"{session.peer} gave the roster {roster.number} of {roster.fleet}: {revoked} revoked")
+            if own := keys.fault_of(keys.own):
+                self._log("error", f"no agent of {roster.fleet} believes this one any more: {own}")
+            self._end_those_revoked(keys)
+            self._tell_all()
+
+    def _look_at_roster(self) -> None:
+        if self._keys is not None:
+            self._end_those_revoked(self._keys)
+            self._tell_all()
+            if self._unkept:
+                self._keep_again(self._keys)
+            self._call_later(LOOK_S, self._look_at_roster)
+
+    def _keep_again(self, keys: Keys) -> None:
+        """Tries again to write the roster in force to disk."""
+        text = keys.roster_text
+
+        def again() -> None:
+            _, code = keep(keys, text)
+            self._call_later(0.0, lambda: self._kept(keys, text, code))
+
+        threading.Thread(target=again, name="roster", daemon=True).start()
+
+    def _kept(self, keys: Keys, text: bytes, code: int) -> None:
+        if code == 0 and text == keys.roster_text:
+            self._unkept, self.roster_fault = False, None
+
+    def _tell_all(self) -> None:
+        for session in self._links:
+            self.link_up(session)
+
+    def _end_those_revoked(self, keys: Keys) -> None:
+        for session in self._links:
+            if session.certified is not None and (fault := keys.fault_of(session.certified)):
+                self._refuse(session, "name", f"{session.peer} is not believed any more: {fault}")
+
+    # A new key
+
+    def reload_keys(self, dry_run: bool = False) -> bool:
+        """Takes the key that is on disk now; returns whether it is a new one. Any thread.
+
+        Args:
+            dry_run: whether to look for it only.
+
+        Raises:
+            PancakesError: it cannot be used, or there are no keys.
+        """
+        if self._keys is None:
+            raise PancakesError("it has no keys: pancakes fleet join, and start it again")
+        is_new = self._keys.reload(dry_run)
+        if dry_run or not is_new:
+            return is_new
+        self._log("info", f"there is a new key in {self._keys.folder}, and links are made anew with it")
+        self._call_later(0.0, self._renew_links)
+        return True
+
+    def _look_for_key(self) -> None:
+        try:
+            self.reload_keys()
+        except PancakesError as error:
+            self._log("warning", str(error))
+        self._call_later(KEY_RELOAD_S, self._look_for_key)
+
+    def _renew_links(self) -> None:
+        runs = bool(self._old_links)
+        self._old_links = deque(session for session in self._links if session.certified is not None)
+        if not runs:
+            self._renew_next()
+
+    def _renew_next(self) -> None:
+        if self._old_links:
+            # Both sides dial again at once after a link that ends as a duplicate.
+            self._refuse(self._old_links.popleft(), "duplicate", "there is a new key, and links are made anew")
+            self._call_later(PAUSE_S, self._renew_next)
+
+
+def can_check() -> bool:
+    """Returns whether the library is installed that checks the signature of a roster."""
+    try:
+        return importlib.util.find_spec("cryptography") is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def keep(keys: Keys, text: bytes) -> tuple[str, int]:
+    """Checks the signature of a roster, and keeps it beside the keys. Waits for a process, so it needs a thread.
+
+    Returns:
+        What is wrong, as a sentence (empty: nothing, it is kept), and the exit code of `check_roster`.
+    """
+    import subprocess
+
+    command = [sys.executable, "-m", "pancakes.security.check_roster", str(keys.folder)]
+    try:
+        ended = subprocess.run(command, input=text, capture_output=True, timeout=CHECK_S)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"its signature cannot be checked: {error}", 1
+    if ended.returncode == 0:
+        return "", 0
+    said = ended.stderr.decode(errors="replace").strip().splitlines()
+    return said[-1] if said else f"its check ended with {ended.returncode}", ended.returncode
 
 
 def _bearer(session: Session) -> tuple[Bearer, bool]:
