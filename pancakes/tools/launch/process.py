@@ -22,6 +22,7 @@ from typing import Final
 import msgpack
 import psutil
 
+from pancakes.tools.remote_host.agent_processes import AgentProcess
 from pancakes.util.clock import MonotonicClock
 
 
@@ -181,8 +182,6 @@ def _adopt_orphans(adopts: bool) -> None:
 
 HOST = MonotonicClock()
 """Processes live in the host's time, whatever the mission's clock does."""
-
-AgentProcess = subprocess.Popen[bytes] | ForkedProcess
 
 
 class Starter:

@@ -34,6 +34,7 @@ from pancakes.tools.launch.ssh import (
     ssh_command,
     start_ssh,
 )
+from pancakes.tools.remote_host.agent_processes import AgentListener
 from pancakes.util.clock import MonotonicClock
 
 
@@ -241,23 +242,14 @@ LOST: Final = 255
 """The exit code of an agent whose connection has ended, as that of `ssh`."""
 
 
-class HostListener(Protocol):
-    """Learns what becomes of agents, in the thread that runs the launch."""
+class LaunchListener(AgentListener, Protocol):
+    """Learn what becomes of the agents of a launch, in the thread that runs it."""
 
-    def started_there(self, name: str, host: str, pid: int) -> None:
-        """An agent's process runs."""
+    def started(self, name: str, pid: int, host: str = "") -> None:
+        """Take the process of an agent; `host` is where it runs, empty for this machine."""
 
-    def printed_there(self, name: str, text: str) -> None:
-        """It has printed a line."""
-
-    def said_there(self, name: str, line: str) -> None:
-        """It says how far it is, as `pancakes-agent --ready-fd` does."""
-
-    def ended_there(self, name: str, code: int, how: str) -> None:
-        """It has ended; `how` says it where the exit code does not."""
-
-    def failed_there(self, name: str, reason: str) -> None:
-        """It could not be started."""
+    def failed(self, name: str, reason: str) -> None:
+        """Take the reason why an agent could not be started, as a phrase."""
 
 
 @dataclass(frozen=True)
@@ -306,7 +298,7 @@ class HostAgents:
         self._kill_s: dict[str, float] = {}
         self._alive_s = now() + ALIVE_S
 
-    def attend(self, listener: HostListener) -> None:
+    def attend(self, listener: LaunchListener) -> None:
         """Begins to listen to the hosts."""
         self._listener = listener
         for host in self._links:
@@ -325,7 +317,7 @@ class HostAgents:
             try:
                 link = self._links[member.host] = HostLink(member.host)
             except PancakesError as error:
-                self._listener.failed_there(name, str(error))
+                self._listener.failed(name, str(error))
                 return
             self._register(member.host)
         self._run.add(name)
@@ -422,7 +414,7 @@ class HostAgents:
         self._asked = {key: name for key, name in self._asked.items() if key[0] != host}
         for name in [name for name in self._run if self._members[name].host == host]:
             self._run.discard(name)
-            self._listener.ended_there(name, LOST, self._links[host].lost)
+            self._listener.ended(name, LOST, self._links[host].lost)
 
     def _take(self, host: str, told: dict[str, Any]) -> None:
         name = told.get("agent") or self._asked.pop((host, told.get("id", 0)), "")
@@ -430,16 +422,16 @@ class HostAgents:
             return
         if "fault" in told:
             self._run.discard(name)
-            self._listener.failed_there(name, f"{host} {told['fault']}")
+            self._listener.failed(name, f"{host} {told['fault']}")
         elif "result" in told:
             result = told["result"]
             pid = result.get("pid") if isinstance(result, dict) else None
-            self._listener.started_there(name, host, pid if isinstance(pid, int) else 0)
+            self._listener.started(name, pid if isinstance(pid, int) else 0, host)
         elif told.get("event") == "line":
-            self._listener.printed_there(name, told.get("text", ""))
+            self._listener.printed(name, told.get("text", ""))
         elif told.get("event") == "said":
-            self._listener.said_there(name, told.get("text", ""))
+            self._listener.said(name, told.get("text", ""))
         elif told.get("event") == "ended":
             self._run.discard(name)
             self._kill_s.pop(name, None)
-            self._listener.ended_there(name, told.get("code", LOST), "")
+            self._listener.ended(name, told.get("code", LOST))

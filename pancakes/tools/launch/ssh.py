@@ -44,6 +44,7 @@ NO_PYTHON: Final = 97
 """The exit code where a host has no Python that is new enough."""
 MODULES: Final = (
     "host_folders",
+    "agent_processes",
     "agent_supervisor",
     "service_managers",
     "host_probe",

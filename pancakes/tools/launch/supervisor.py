@@ -14,9 +14,8 @@ import random
 import selectors
 import signal
 import threading
-from codecs import getincrementaldecoder
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from signal import Signals
 from types import FrameType, MappingProxyType
@@ -51,7 +50,8 @@ from pancakes.supervision.lifecycle_table import handle
 from pancakes.supervision.restart import Restarts, RestartSpec
 from pancakes.tools.launch.fleet_file import Member, ProcessRestart
 from pancakes.tools.launch.process import Starter, end_all
-from pancakes.tools.launch.remote_hosts import HostAgents
+from pancakes.tools.launch.remote_hosts import HostAgents, LaunchListener
+from pancakes.tools.remote_host.agent_processes import AgentProcesses
 from pancakes.util.clock import MonotonicClock
 
 READY_S: Final = 30.0
@@ -396,33 +396,6 @@ def _how(code: int) -> str:
         return f"ended by the signal {-code}"
 
 
-LONGEST: Final = 65_536
-"""A line that has no end is cut after so many characters."""
-
-
-class Lines:
-    """The lines of one process. What is no UTF-8 is shown as replacement characters."""
-
-    def __init__(self) -> None:
-        self._decoder = getincrementaldecoder("utf-8")("replace")
-        self._begun = ""
-
-    def feed(self, data: bytes) -> Iterator[str]:
-        """Takes what was printed, and yields the lines that are whole by that."""
-        *whole, self._begun = (self._begun + self._decoder.decode(data)).split("\n")
-        for line in whole:
-            yield line.removesuffix("\r")
-        while len(self._begun) > LONGEST:
-            yield self._begun[:LONGEST]
-            self._begun = self._begun[LONGEST:]
-
-    def rest(self) -> Iterator[str]:
-        """Yields the last line, where it has no end."""
-        begun, self._begun = self._begun + self._decoder.decode(b"", final=True), ""
-        if begun:
-            yield begun
-
-
 _ENDS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CHUNK: Final = 65_536
 
@@ -446,24 +419,57 @@ Elsewhere = Callable[[selectors.BaseSelector, Callable[[], float]], HostAgents]
 """Returns what starts and ends the agents that run on other hosts."""
 
 
-class _Process:
-    """One agent's process, and the pipes that lead to it."""
+class LocalAgents:
+    """Start and end agents on this machine, as `HostAgents` does on others.
 
-    def __init__(self, member: Member, starter: Starter) -> None:
-        self.output, output = os.pipe()
-        self.ready, ready = os.pipe()
+    Args:
+        members: the agents.
+        selector: is told which pipes are waited for; what it has for each is to be called.
+        listener: learns what becomes of them.
+    """
+
+    def __init__(
+        self, members: Mapping[str, Member], selector: selectors.BaseSelector, listener: LaunchListener
+    ) -> None:
+        self._members = members
+        self._selector = selector
+        self._listener = listener
+        self._starter = Starter()
+        self._processes = AgentProcesses(listener, self._forget)
+
+    def start(self, name: str) -> None:
+        """Start an agent."""
+        member = self._members[name]
         try:
-            self.process = starter.start(member.path, member.sets, output, ready)
-        except BaseException:
-            os.close(self.output)
-            os.close(self.ready)
-            raise
-        finally:
-            os.close(output)
-            os.close(ready)
-        os.set_blocking(self.output, False)
-        self.lines = Lines()
-        self.said = Lines()
+            process = self._processes.start(
+                name, lambda output, said: self._starter.start(member.path, member.sets, output, said)
+            )
+        except OSError as error:
+            self._listener.failed(name, (error.strerror or str(error)).lower())
+            return
+        for pipe, read in self._processes.pipes(name).items():
+            self._selector.register(pipe, selectors.EVENT_READ, read)
+        self._listener.started(name, process.pid)
+
+    def _forget(self, pipe: int) -> None:
+        self._selector.unregister(pipe)
+
+    def end(self, name: str) -> None:
+        """Tell an agent to end."""
+        self._processes.terminate(name)
+
+    def kill(self, name: str) -> None:
+        """End an agent by force."""
+        self._processes.kill(name)
+
+    def look(self) -> None:
+        """Report the agents that have ended."""
+        self._processes.look()
+
+    def close(self) -> None:
+        """End all agents by force, and what starts them."""
+        end_all(self._processes.processes(), 0.0)
+        self._starter.close()
 
 
 class Runner:
@@ -492,9 +498,8 @@ class Runner:
         self._voice = voice
         self._let_begin = let_begin
         self._now = MonotonicClock().now
-        self._starter = Starter()
-        self._processes: dict[str, _Process] = {}
         self._selector = selectors.DefaultSelector()
+        self._local = LocalAgents(self._members, self._selector, self)
         self._pids: dict[str, int] = {}
         self._rests: dict[str, dict[str, str]] = {}
         self._elsewhere = elsewhere(self._selector, self._now) if elsewhere is not None else None
@@ -521,8 +526,7 @@ class Runner:
         finally:
             if self._elsewhere is not None:
                 self._elsewhere.close()
-            end_all([it.process for it in self._processes.values()], 0.0)
-            self._starter.close()
+            self._local.close()
         return self._course.exit_code
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
@@ -544,10 +548,7 @@ class Runner:
 
     def _woken(self) -> None:
         os.read(self._wake_reader, _CHUNK)
-        for name, place in list(self._processes.items()):
-            code = place.process.poll()
-            if code is not None:
-                self._ended(name, place, code)
+        self._local.look()
 
     def _post(self, function: Callable[[], None]) -> None:
         """Has a function called in the main thread. Any thread."""
@@ -563,15 +564,9 @@ class Runner:
                 case SpawnProcess(name):
                     self._spawn(name)
                 case Terminate(name):
-                    if self._elsewhere is not None and self._members[name].host:
-                        self._elsewhere.end(name)
-                    else:
-                        self._processes[name].process.terminate()
+                    self._agents_with(name).end(name)
                 case Kill(name):
-                    if self._elsewhere is not None and self._members[name].host:
-                        self._elsewhere.kill(name)
-                    else:
-                        self._processes[name].process.kill()
+                    self._agents_with(name).kill(name)
                 case BeginMission(names):
                     self._begin(names)
                 case TellPerson(name, event, text):
@@ -579,19 +574,10 @@ class Runner:
 
     def _spawn(self, name: str) -> None:
         self._rests[name] = {}
-        if self._elsewhere is not None and self._members[name].host:
-            self._elsewhere.start(name)
-            return
-        try:
-            place = _Process(self._members[name], self._starter)
-        except OSError as error:
-            self._do(self._course.unstartable(name, (error.strerror or str(error)).lower(), self._now()))
-            return
-        self._processes[name] = place
-        self._pids[name] = place.process.pid
-        self._selector.register(place.output, selectors.EVENT_READ, lambda: self._read(name, place))
-        self._selector.register(place.ready, selectors.EVENT_READ, lambda: self._read_ready(name, place))
-        self._say(self._voice.told, name, "started", f"runs as process {place.process.pid}")
+        self._agents_with(name).start(name)
+
+    def _agents_with(self, name: str) -> LocalAgents | HostAgents:
+        return self._elsewhere if self._elsewhere is not None and self._members[name].host else self._local
 
     def _begin(self, names: Sequence[str]) -> None:
         pids = {name: self._pids[name] for name in names}
@@ -608,29 +594,19 @@ class Runner:
 
         threading.Thread(target=let_begin, name="begin", daemon=True).start()
 
-    # What the processes say -----------------------------------------------------------------------------------
+    # What becomes of agents (`LaunchListener`) --------------------------------------------------------------------
 
-    def _read(self, name: str, place: _Process) -> bool:
-        """Reads what an agent has printed; returns whether there was something."""
-        try:
-            data = os.read(place.output, _CHUNK)
-        except BlockingIOError:
-            return False
-        for text in place.lines.feed(data) if data else place.lines.rest():
-            self._say(self._voice.line, name, text)
-        if not data:
-            self._selector.unregister(place.output)
-        return bool(data)
+    def started(self, name: str, pid: int, host: str = "") -> None:
+        """See `LaunchListener`."""
+        self._pids[name] = pid
+        self._say(self._voice.told, name, "started", f"runs as process {pid}" + (f" on {host}" if host else ""))
 
-    def _read_ready(self, name: str, place: _Process) -> None:
-        """Reads how far an agent says that it is (see `pancakes-agent --ready-fd`)."""
-        data = os.read(place.ready, _CHUNK)
-        if not data:
-            self._selector.unregister(place.ready)
-        for line in place.said.feed(data):
-            self._said(name, line)
+    def printed(self, name: str, text: str) -> None:
+        """See `LaunchListener`."""
+        self._say(self._voice.line, name, text)
 
-    def _said(self, name: str, line: str) -> None:
+    def said(self, name: str, line: str) -> None:
+        """See `LaunchListener`."""
         word, _, rest = line.partition(" ")
         if word == "ready":
             self._do(self._course.ready(name, self._now(), self._rests[name]))
@@ -638,44 +614,12 @@ class Runner:
             task, _, why = rest.partition(" ")
             self._rests[name][task] = why
 
-    def _ended(self, name: str, place: _Process, code: int) -> None:
-        """A process has ended. What it printed last is read; a child that it left may keep the pipe open for ever."""
-        del self._processes[name]
-        registered = self._selector.get_map()
-        if place.ready in registered:
-            self._selector.unregister(place.ready)
-        if place.output in registered:
-            while self._read(name, place):
-                pass
-        if place.output in registered:
-            self._selector.unregister(place.output)
-            for text in place.lines.rest():
-                self._say(self._voice.line, name, text)
-        os.close(place.output)
-        os.close(place.ready)
-        self._do(self._course.ended(name, code, self._now()))
-
-    # What agents on other hosts do (`HostListener`) -----------------------------------------------------------------
-
-    def started_there(self, name: str, host: str, pid: int) -> None:
-        """See `HostListener`."""
-        self._pids[name] = pid
-        self._say(self._voice.told, name, "started", f"runs as process {pid} on {host}")
-
-    def printed_there(self, name: str, text: str) -> None:
-        """See `HostListener`."""
-        self._say(self._voice.line, name, text)
-
-    def said_there(self, name: str, line: str) -> None:
-        """See `HostListener`."""
-        self._said(name, line)
-
-    def ended_there(self, name: str, code: int, how: str) -> None:
-        """See `HostListener`."""
+    def ended(self, name: str, code: int, how: str = "") -> None:
+        """See `LaunchListener`."""
         self._do(self._course.ended(name, code, self._now(), how))
 
-    def failed_there(self, name: str, reason: str) -> None:
-        """See `HostListener`."""
+    def failed(self, name: str, reason: str) -> None:
+        """See `LaunchListener`."""
         self._do(self._course.unstartable(name, reason, self._now()))
 
     def _say(self, say: Callable[..., None], *what: Any) -> None:

@@ -41,21 +41,21 @@ def keys_of_run(configs: Mapping[str, Config], elsewhere: Mapping[str, bool] = _
         yield {}
         return
     with needing_extra("no keys can be made for this run (without --local)"):
-        from pancakes.security.authority import FleetOffice
+        from pancakes.security.authority import Authority
     with tempfile.TemporaryDirectory(prefix="pancakes-keys-") as directory:
-        offices: dict[str, FleetOffice] = {}
+        authorities: dict[str, Authority] = {}
         found: dict[str, Path] = {}
         for name in wanting:
             agent = configs[name].agent
             there = Path(directory) / agent.fleet
-            if (office := offices.get(agent.fleet)) is None:
-                office = offices[agent.fleet] = FleetOffice.founded(agent.fleet, there / "office")
-                office.allow(AccessRule((EVERY,), (EVERY,)))  # all of them run for the person who launches them
+            if (authority := authorities.get(agent.fleet)) is None:
+                authority = authorities[agent.fleet] = Authority.founded(agent.fleet, there / "authority")
+                authority.allow(AccessRule((EVERY,), (EVERY,)))  # all of them run for the person who launches them
             folder = there / "keys" / name
             if agent.role == "client":
-                office.enrol_with_key("operator", name.partition(".")[0]).write(folder)
+                authority.enrol_with_key("operator", name.partition(".")[0]).write(folder)
             else:
-                office.enrol_with_key(agent.role, name).write(folder)
+                authority.enrol_with_key(agent.role, name).write(folder)
             found[name] = folder
         yield found
 

@@ -9,7 +9,6 @@ The agents of a launch are processes of this program, and end with it.
 from __future__ import annotations
 
 import base64
-import contextlib
 import errno
 import json
 import os
@@ -24,6 +23,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from pancakes.tools.remote_host.agent_processes import AgentProcesses
 from pancakes.tools.remote_host.deployment import Deploying
 from pancakes.tools.remote_host.host_folders import HostFault, end_process, interpreter_for, prepare_environment
 from pancakes.tools.remote_host.host_probe import look
@@ -37,21 +37,8 @@ from pancakes.tools.launch.clear_state import empty_state
 
 empty_state(load(sys.argv[1], sys.argv[2:], None))
 """
-_CHUNK = 65_536
-
 Emit = Callable[..., None]
 """Tells the launcher something: a word, and values by name."""
-
-
-class LaunchedAgent:
-    """One agent's process, and the pipes that lead to it."""
-
-    def __init__(self, process: subprocess.Popen[bytes], output: int, ready: int) -> None:
-        self.process = process
-        self.output: int | None = output
-        self.ready: int | None = ready
-        self.begun = b""
-        self.said = b""
 
 
 class LaunchedAgents:
@@ -63,16 +50,13 @@ class LaunchedAgents:
 
     def __init__(self, emit: Emit) -> None:
         self._emit = emit
-        self._agents: dict[str, LaunchedAgent] = {}
+        self.processes = AgentProcesses(self)
         self._folder: str | None = None
-
-    def __bool__(self) -> bool:
-        return bool(self._agents)
 
     def start(
         self, fleet: str, agent: str, config: str, sets: list[str], keys: Mapping[str, str], fresh: bool
     ) -> dict[str, Any]:
-        """Starts an agent.
+        """Start an agent.
 
         Args:
             fleet: its fleet.
@@ -92,59 +76,43 @@ class LaunchedAgents:
             path, sets = self._put(agent, config, sets, keys)
             if fresh:
                 self._forget(python, path, sets)
-            self._agents[agent] = self._spawn(python, path, sets)
+            process = self.processes.start(agent, lambda output, said: _spawn(python, path, sets, output, said))
         except OSError as error:
             raise HostFault(f"cannot start {agent}: {(error.strerror or str(error)).lower()}") from None
-        return {"pid": self._agents[agent].process.pid}
+        return {"pid": process.pid}
 
     def end(self, agent: str) -> None:
-        """Tells an agent to end."""
-        if agent in self._agents:
-            self._agents[agent].process.terminate()
+        """Tell an agent to end."""
+        self.processes.terminate(agent)
 
     def kill(self, agent: str) -> None:
-        """Ends an agent by force."""
-        if agent in self._agents:
-            self._agents[agent].process.kill()
+        """End an agent by force."""
+        self.processes.kill(agent)
 
-    def pipes(self) -> dict[int, Callable[[], None]]:
-        """Returns what is to be read, and what reads it."""
-        found: dict[int, Callable[[], None]] = {}
-        for name, it in self._agents.items():
-            if it.output is not None:
-                found[it.output] = lambda name=name, it=it: self._read(name, it)  # type: ignore[misc]
-            if it.ready is not None:
-                found[it.ready] = lambda name=name, it=it: self._read_ready(name, it)  # type: ignore[misc]
-        return found
+    def printed(self, name: str, text: str) -> None:
+        """See `AgentListener`."""
+        self._emit("line", agent=name, text=text)
 
-    def look(self) -> None:
-        """Tells of the agents that have ended."""
-        for name, it in list(self._agents.items()):
-            code = it.process.poll()
-            if code is None:
-                continue
-            del self._agents[name]
-            if it.output is not None:
-                os.set_blocking(it.output, False)
-                with contextlib.suppress(BlockingIOError):  # a child that it left keeps it open
-                    while it.output is not None:
-                        self._read(name, it)
-                self._close_output(name, it)
-            if it.ready is not None:
-                os.close(it.ready)
-            self._emit("ended", agent=name, code=code)
+    def said(self, name: str, line: str) -> None:
+        """See `AgentListener`."""
+        self._emit("said", agent=name, text=line)
+
+    def ended(self, name: str, code: int, how: str = "") -> None:
+        """See `AgentListener`."""
+        self._emit("ended", agent=name, code=code)
 
     def end_all(self) -> None:
         """Ends all of them, by force where they do not in time, and removes what was written for them."""
-        for it in self._agents.values():
-            it.process.terminate()
+        running = self.processes.processes()
+        for process in running:
+            process.terminate()
         until_s = time.monotonic() + END_S
-        for it in self._agents.values():
+        for process in running:
             try:
-                it.process.wait(max(0.0, until_s - time.monotonic()))
+                process.wait(max(0.0, until_s - time.monotonic()))
             except subprocess.TimeoutExpired:
-                it.process.kill()
-                it.process.wait()
+                process.kill()
+                process.wait()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -168,62 +136,20 @@ class LaunchedAgents:
         if done.returncode:
             raise HostFault(f"cannot begin afresh: {last_line(done.stderr)}")
 
-    def _spawn(self, python: str, path: Path, sets: list[str]) -> LaunchedAgent:
-        output, output_there = os.pipe()
-        ready, ready_there = os.pipe()
-        command = [python, "-m", "pancakes.tools.cli.agent_command", "--config", str(path)]
-        command += [f"--die-with-parent={os.getpid()}", f"--ready-fd={ready_there}"]
-        for change in sets:
-            command += ["--set", change]
-        try:
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=output_there,
-                stderr=output_there,
-                start_new_session=True,
-                pass_fds=(ready_there,),
-            )
-        except BaseException:
-            os.close(output)
-            os.close(ready)
-            raise
-        finally:
-            os.close(output_there)
-            os.close(ready_there)
-        return LaunchedAgent(process, output, ready)
 
-    def _read(self, name: str, it: LaunchedAgent) -> None:
-        assert it.output is not None
-        data = os.read(it.output, _CHUNK)
-        if not data:
-            self._close_output(name, it)
-            return
-        *whole, it.begun = (it.begun + data).split(b"\n")
-        if len(it.begun) > _CHUNK:
-            whole, it.begun = [*whole, it.begun], b""
-        for line in whole:
-            self._emit("line", agent=name, text=line.decode("utf-8", "replace").removesuffix("\r"))
-
-    def _close_output(self, name: str, it: LaunchedAgent) -> None:
-        if it.output is None:
-            return
-        os.close(it.output)
-        it.output = None
-        if it.begun:
-            self._emit("line", agent=name, text=it.begun.decode("utf-8", "replace"))
-
-    def _read_ready(self, name: str, it: LaunchedAgent) -> None:
-        """Reads how far an agent says that it is (see `pancakes-agent --ready-fd`)."""
-        assert it.ready is not None
-        data = os.read(it.ready, _CHUNK)
-        if not data:
-            os.close(it.ready)
-            it.ready = None
-            return
-        *whole, it.said = (it.said + data).split(b"\n")
-        for line in whole:
-            self._emit("said", agent=name, text=line.decode("utf-8", "replace"))
+def _spawn(python: str, path: Path, sets: list[str], output: int, said: int) -> subprocess.Popen[bytes]:
+    command = [python, "-m", "pancakes.tools.cli.agent_command", "--config", str(path)]
+    command += [f"--die-with-parent={os.getpid()}", f"--ready-fd={said}"]
+    for change in sets:
+        command += ["--set", change]
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=output,
+        start_new_session=True,
+        pass_fds=(said,),
+    )
 
 
 def last_line(text: str) -> str:
@@ -237,7 +163,7 @@ ALIVE_S = 5.0
 """So often the launcher hears that this program lives, also while it does something that takes long."""
 MOST_WAITING = 1 << 20
 """So many bytes wait for the launcher; then the agents wait until they can print on."""
-_SERVING_CHUNK = 65_536
+_CHUNK = 65_536
 
 
 class Serving:
@@ -284,22 +210,22 @@ class Serving:
             self._agents.end_all()
 
     def _turn(self, woken: int) -> None:
-        calls: dict[int, Callable[[], Any]] = {0: self._read, woken: lambda: os.read(woken, _SERVING_CHUNK)}
+        calls: dict[int, Callable[[], Any]] = {0: self._read, woken: lambda: os.read(woken, _CHUNK)}
         if len(self._out) < MOST_WAITING:
-            calls.update(self._agents.pipes())
+            calls.update(self._agents.processes.pipes())
         readable, writable, _ = select.select(list(calls), [1] if self._out else [], [], 1.0)
         for handle in readable:
             calls[handle]()
-        self._agents.look()
+        self._agents.processes.look()
         if writable:
             self._write()
-        if self._agents and time.monotonic() - self._heard_s > SILENCE_S:
+        if self._agents.processes and time.monotonic() - self._heard_s > SILENCE_S:
             self._ends = True
 
     def _write(self) -> None:
         with self._lock:
             try:
-                del self._out[: os.write(1, self._out[:_SERVING_CHUNK])]
+                del self._out[: os.write(1, self._out[:_CHUNK])]
             except BlockingIOError:
                 pass
             except OSError:

@@ -1,0 +1,198 @@
+"""Start, read and end the processes of launched agents: used by the launcher itself, and sent to other hosts.
+
+Each agent has two pipes: one for what it prints, and one for how far it says that it is (`pancakes-agent --ready-fd`).
+"""
+
+from __future__ import annotations
+
+import os
+from codecs import getincrementaldecoder
+from collections.abc import Callable, Iterator
+from typing import Final, Protocol
+
+LONGEST: Final = 65_536
+"""A line that has no end is cut after so many characters."""
+_CHUNK: Final = 65_536
+
+
+class AgentProcess(Protocol):
+    """One agent's process, as `subprocess.Popen` is one."""
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+
+    @property
+    def returncode(self) -> int | None:
+        """Its exit code, minus the number of the signal that ended it; None: it runs, or `poll` was not called."""
+
+    def poll(self) -> int | None:
+        """Return its exit code; None: it runs."""
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait until it has ended, and return its exit code.
+
+        Raises:
+            subprocess.TimeoutExpired: it has not within `timeout` seconds.
+        """
+
+    def terminate(self) -> None:
+        """Send it SIGTERM."""
+
+    def kill(self) -> None:
+        """Send it SIGKILL."""
+
+
+class AgentListener(Protocol):
+    """Learn what becomes of agents, in the thread that runs them."""
+
+    def printed(self, name: str, text: str) -> None:
+        """Take a line that an agent has printed."""
+
+    def said(self, name: str, line: str) -> None:
+        """Take a line that says how far an agent is, as `pancakes-agent --ready-fd` writes it."""
+
+    def ended(self, name: str, code: int, how: str = "") -> None:
+        """Take the exit code of an agent's process; `how` is a phrase if the code does not say it."""
+
+
+class Lines:
+    """Split what a process prints into lines. What is no UTF-8 is shown as replacement characters."""
+
+    def __init__(self) -> None:
+        self._decoder = getincrementaldecoder("utf-8")("replace")
+        self._begun = ""
+
+    def feed(self, data: bytes) -> Iterator[str]:
+        """Take what was printed, and yield the lines that are whole by that."""
+        *whole, self._begun = (self._begun + self._decoder.decode(data)).split("\n")
+        for line in whole:
+            yield line.removesuffix("\r")
+        while len(self._begun) > LONGEST:
+            yield self._begun[:LONGEST]
+            self._begun = self._begun[LONGEST:]
+
+    def rest(self) -> Iterator[str]:
+        """Yield the last line, if it has no end."""
+        begun, self._begun = self._begun + self._decoder.decode(b"", final=True), ""
+        if begun:
+            yield begun
+
+
+class _Pipe:
+    """One pipe of an agent, and the lines that come through it."""
+
+    def __init__(self, number: int, take: Callable[[str], None], closing: Callable[[int], None]) -> None:
+        os.set_blocking(number, False)
+        self.number = number
+        self.open = True
+        self._take = take
+        self._closing = closing
+        self._lines = Lines()
+
+    def read(self) -> bool:
+        """Read it once, and close it at its end; return whether there was something."""
+        try:
+            data = os.read(self.number, _CHUNK)
+        except BlockingIOError:
+            return False
+        for line in self._lines.feed(data):
+            self._take(line)
+        if not data:
+            self.close()
+        return bool(data)
+
+    def close(self) -> None:
+        if self.open:
+            self.open = False
+            for line in self._lines.rest():
+                self._take(line)
+            self._closing(self.number)
+            os.close(self.number)
+
+
+class _Agent:
+    """The process of one agent, and its pipes."""
+
+    def __init__(self, process: AgentProcess, output: _Pipe, said: _Pipe) -> None:
+        self.process = process
+        self.output = output
+        self.said = said
+
+
+class AgentProcesses:
+    """Hold the processes of agents by their names, in one thread.
+
+    Args:
+        listener: learns what they print and say, and how they end.
+        closing: is told the number of each pipe before it is closed.
+    """
+
+    def __init__(self, listener: AgentListener, closing: Callable[[int], None] = lambda pipe: None) -> None:
+        self._listener = listener
+        self._closing = closing
+        self._agents: dict[str, _Agent] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._agents)
+
+    def start(self, name: str, make: Callable[[int, int], AgentProcess]) -> AgentProcess:
+        """Start an agent.
+
+        Args:
+            name: the agent.
+            make: makes its process, given the ends of the pipes for its output and for what it says.
+
+        Raises:
+            OSError: no process can be made.
+        """
+        output, output_end = os.pipe()
+        said, said_end = os.pipe()
+        try:
+            process = make(output_end, said_end)
+        except BaseException:
+            os.close(output)
+            os.close(said)
+            raise
+        finally:
+            os.close(output_end)
+            os.close(said_end)
+        listener = self._listener
+        self._agents[name] = _Agent(
+            process,
+            _Pipe(output, lambda line: listener.printed(name, line), self._closing),
+            _Pipe(said, lambda line: listener.said(name, line), self._closing),
+        )
+        return process
+
+    def terminate(self, name: str) -> None:
+        """Tell an agent to end."""
+        if name in self._agents:
+            self._agents[name].process.terminate()
+
+    def kill(self, name: str) -> None:
+        """End an agent by force."""
+        if name in self._agents:
+            self._agents[name].process.kill()
+
+    def processes(self) -> list[AgentProcess]:
+        """Return the processes whose end was not reported yet."""
+        return [agent.process for agent in self._agents.values()]
+
+    def pipes(self, name: str = "") -> dict[int, Callable[[], bool]]:
+        """Return the open pipes of one agent, or of all, with what reads them once they are ready."""
+        agents = [self._agents[name]] if name else self._agents.values()
+        return {pipe.number: pipe.read for agent in agents for pipe in (agent.output, agent.said) if pipe.open}
+
+    def look(self) -> None:
+        """Report the agents that have ended, after all that they printed."""
+        for name, agent in list(self._agents.items()):
+            code = agent.process.poll()
+            if code is None:
+                continue
+            del self._agents[name]
+            while agent.output.open and agent.output.read():
+                pass
+            agent.output.close()  # a child that the agent left may keep the other end open for ever
+            agent.said.close()
+            self._listener.ended(name, code)

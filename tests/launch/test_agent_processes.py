@@ -1,0 +1,122 @@
+"""The processes of launched agents: what they print becomes lines, and their end comes after all that they printed."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pancakes.tools.remote_host.agent_processes import LONGEST, AgentProcesses, Lines
+
+
+class Heard:
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[object, ...]] = []
+
+    def printed(self, name: str, text: str) -> None:
+        self.told.append((name, "printed", text))
+
+    def said(self, name: str, line: str) -> None:
+        self.told.append((name, "said", line))
+
+    def ended(self, name: str, code: int, how: str = "") -> None:
+        self.told.append((name, "ended", code))
+
+
+@pytest.fixture
+def heard() -> Heard:
+    return Heard()
+
+
+@pytest.fixture
+def closed() -> list[int]:
+    return []
+
+
+@pytest.fixture
+def processes(heard: Heard, closed: list[int]) -> Iterator[AgentProcesses]:
+    made = AgentProcesses(heard, closed.append)
+    yield made
+    for process in made.processes():
+        process.kill()
+        process.wait()
+    made.look()
+
+
+def start(processes: AgentProcesses, name: str, script: str) -> None:
+    def make(output: int, said: int) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-S", "-c", f"import os, sys\n{script.replace('SAID', str(said))}"]
+        return subprocess.Popen(command, stdout=output, stderr=output, pass_fds=(said,))
+
+    processes.start(name, make)
+
+
+def open_files() -> int:
+    return len(list(Path(f"/proc/{os.getpid()}/fd").iterdir()))
+
+
+def test_an_agent_is_heard_until_its_end_and_its_pipes_are_closed(
+    processes: AgentProcesses, heard: Heard, closed: list[int]
+) -> None:
+    before = open_files()
+    start(processes, "a", "os.write(1, b'one\\n'); os.write(SAID, b'ready\\n'); os.write(1, b'two'); sys.exit(7)")
+    pipes = set(processes.pipes())
+    while reads := processes.pipes():
+        for pipe in select.select(list(reads), [], [])[0]:
+            reads[pipe]()
+    processes.processes()[0].wait()
+    processes.look()
+
+    assert sorted(heard.told[:-1]) == [("a", "printed", "one"), ("a", "printed", "two"), ("a", "said", "ready")]
+    assert heard.told[-1] == ("a", "ended", 7) and not processes
+    assert set(closed) == pipes and open_files() == before
+
+
+def test_what_an_agent_printed_last_comes_before_its_end(processes: AgentProcesses, heard: Heard) -> None:
+    start(processes, "a", "os.write(1, b'last'); os.system('sleep 5 &')")  # its child keeps the pipe open
+    child = processes.processes()[0]
+    child.wait()
+    processes.look()
+
+    assert heard.told == [("a", "printed", "last"), ("a", "ended", 0)]
+
+
+def test_an_agent_that_cannot_be_started_leaves_no_pipe_open(processes: AgentProcesses) -> None:
+    def fail(output: int, said: int) -> subprocess.Popen[bytes]:
+        raise OSError("no room")
+
+    before = open_files()
+    with pytest.raises(OSError, match="no room"):
+        processes.start("a", fail)
+
+    assert open_files() == before and not processes
+
+
+def test_lines_are_put_together_from_pieces() -> None:
+    lines = Lines()
+
+    assert list(lines.feed(b"one\ntw")) == ["one"]
+    assert list(lines.feed(b"o\r\n\nthr")) == ["two", ""]
+    assert list(lines.rest()) == ["thr"]
+    assert list(lines.rest()) == []
+
+
+def test_a_letter_may_come_in_two_pieces_and_what_is_no_letter_is_shown() -> None:
+    lines = Lines()
+    first, second = "ä".encode()[:1], "ä".encode()[1:]
+
+    assert list(lines.feed(first)) == []
+    assert list(lines.feed(second + b"\n\xff\n")) == ["ä", "�"]
+
+
+def test_a_line_without_an_end_is_cut() -> None:
+    found = list(Lines().feed(b"x" * (LONGEST + 5)))
+
+    assert [len(line) for line in found] == [LONGEST]
