@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from pancakes.security.authority import FleetOffice
+from pancakes.security.authority import Authority
 from pancakes.security.roster import CertifiedRole
 
 
@@ -25,15 +25,15 @@ class KeysInTest:
     def __init__(self, directory: Path) -> None:
         self._config = directory / "config"
         self._data = directory / "data"
-        self._offices: dict[str, FleetOffice] = {}
+        self._authorities: dict[str, Authority] = {}
         self.environment = {"XDG_CONFIG_HOME": str(self._config), "XDG_DATA_HOME": str(self._data)}
 
-    def office(self, fleet: str) -> FleetOffice:
-        """Returns the office of a fleet, of which the person alice is an operator."""
-        made = self._offices.get(fleet)
+    def authority(self, fleet: str) -> Authority:
+        """Returns the authority of a fleet, of which the person alice is an operator."""
+        made = self._authorities.get(fleet)
         if made is None:
             folder = self._config / "pancakes" / "fleets" / fleet
-            made = self._offices[fleet] = FleetOffice.founded(fleet, folder)
+            made = self._authorities[fleet] = Authority.founded(fleet, folder)
             made.enrol_with_key("operator", "alice").write(folder / "me")
         return made
 
@@ -45,5 +45,5 @@ class KeysInTest:
         """Makes the keys of an agent, where it has none; returns their folder."""
         folder = self._data / "pancakes" / "keys" / fleet / name
         if not folder.exists():
-            self.office(fleet).enrol_with_key(role, name).write(folder)
+            self.authority(fleet).enrol_with_key(role, name).write(folder)
         return folder

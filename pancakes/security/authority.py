@@ -1,6 +1,6 @@
 """The operator's side of a fleet: issue and revoke certificates, and sign rosters. Needs `cryptography`.
 
-`Authority` is the key that signs. `FleetOffice` joins it with the register and the rules in the operator's folder.
+`Authority` is the operator's folder of a fleet: the key that signs, the register of certificates, and the rules.
 Commands import this module; a running agent never does.
 """
 
@@ -74,40 +74,41 @@ class Issued(NamedTuple):
 
 
 class Authority:
-    """The key and the certificate that sign for a fleet, in a directory of the operator's.
+    """The authority of a fleet, in the operator's folder: the key that signs, the register and the rules.
 
     Args:
-        directory: where they are.
+        folder: the folder.
         password: what the key is locked with; None: nothing.
 
     Raises:
-        PancakesError: they are not there, or the password does not fit.
+        PancakesError: the folder has no authority, or the password does not fit.
     """
 
-    def __init__(self, directory: Path, password: bytes | None = None) -> None:
+    def __init__(self, folder: Path, password: bytes | None = None) -> None:
         try:
-            key = serialization.load_pem_private_key(read_plain(directory / AUTHORITY), password)
-            certificate = x509.load_pem_x509_certificate(read_plain(directory / FLEET))
+            key = serialization.load_pem_private_key(read_plain(folder / AUTHORITY), password)
+            certificate = x509.load_pem_x509_certificate(read_plain(folder / FLEET))
         except OSError as error:
-            raise PancakesError(f"the authority in {directory} cannot be used: {error.strerror or error}") from None
+            raise PancakesError(f"the authority in {folder} cannot be used: {error.strerror or error}") from None
         except (TypeError, ValueError):
-            raise PancakesError(f"the authority in {directory} cannot be used: that is not its password") from None
+            raise PancakesError(f"the authority in {folder} cannot be used: that is not its password") from None
         assert isinstance(key, ec.EllipticCurvePrivateKey)
-        self.directory = directory
+        self.folder = folder
         self._key = key
         self._certificate = certificate
+        self._register = read_register(folder)
         (name,) = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
         self.fleet = str(name.value)
 
     @classmethod
-    def founded(cls, fleet: str, directory: Path, password: bytes | None = None) -> Authority:
-        """Makes the authority of a new fleet.
+    def founded(cls, fleet: str, folder: Path, password: bytes | None = None) -> Authority:
+        """Founds a fleet: makes its key, its first rules and its first roster.
 
         Raises:
-            PancakesError: there is one in that directory already.
+            PancakesError: the folder has an authority already.
         """
-        if (directory / AUTHORITY).exists():
-            raise PancakesError(f"the fleet {fleet} has its authority in {directory} already")
+        if (folder / AUTHORITY).exists():
+            raise PancakesError(f"the fleet {fleet} has its authority in {folder} already")
         key = new_key()
         name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, fleet)])
         built = (
@@ -123,9 +124,108 @@ class Authority:
             .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
         )
         certificate = built.sign(key, hashes.SHA256())
-        write_private(directory / AUTHORITY, pem_of_key(key, password))
-        write_private(directory / FLEET, certificate.public_bytes(_PEM))
-        return cls(directory, password)
+        write_private(folder / AUTHORITY, pem_of_key(key, password))
+        write_private(folder / FLEET, certificate.public_bytes(_PEM))
+        authority = cls(folder, password)
+        begin_rules(folder)
+        authority.sign()
+        return authority
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """All certificates that were given out, the oldest first."""
+        return self._register.entries
+
+    def check_new(self, name: str) -> None:
+        """Checks that a name is free.
+
+        Raises:
+            PancakesError: it is taken.
+        """
+        self._register.check_new(name, self.fleet)
+
+    def enrol(
+        self,
+        key: ec.EllipticCurvePublicKey,
+        role: CertifiedRole,
+        name: str,
+        groups: Sequence[str] = (),
+        came_from: str = "",
+        days: float | None = None,
+    ) -> KeyFiles:
+        """Certifies a key, and registers that; returns the contents of its folder, without the private key."""
+        given = self.certify(key, role, name, groups, days)
+        entry = Entry(name, role, tuple(groups), given.serial, wall_ns() / 1e9, given.ends_s, came_from)
+        self._keep(replace(self._register, entries=(*self._register.entries, entry)))
+        authority, roster = read_plain(self.folder / FLEET), read_plain(self.folder / ROSTER)
+        return KeyFiles(self.fleet, role, name, given.pem, authority, roster)
+
+    def enrol_with_key(
+        self, role: CertifiedRole, name: str, groups: Sequence[str] = (), days: float | None = None
+    ) -> KeyFiles:
+        """Makes a key and certifies it; returns the contents of its folder."""
+        key = new_key()
+        return self.enrol(key.public_key(), role, name, groups, days=days)._replace(key=pem_of_key(key))
+
+    def latest(self, who: str) -> Entry:
+        """Returns the newest certificate of a bearer that is believed; `who` is `NAME` or `ROLE/NAME`.
+
+        Raises:
+            PancakesError: there is none.
+        """
+        return self._register.latest(who, self.fleet)
+
+    def revoke(self, who: str, why: str, force: bool = False) -> list[Entry]:
+        """Revokes all certificates of a bearer, and signs that.
+
+        Raises:
+            PancakesError: there is none, or the roster cannot be signed.
+        """
+        self.latest(who)
+        gone = self._register.of(who)
+        kept = tuple(replace(it, revoked=why) if it in gone else it for it in self._register.entries)
+        self.sign(force, replace(self._register, entries=kept))
+        return gone
+
+    def allow(self, rule: AccessRule, force: bool = False) -> Roster:
+        """Adds a rule, and signs that.
+
+        Raises:
+            PancakesError: the rules are not sound, or the roster cannot be signed.
+        """
+        add_rule(self.folder, rule)
+        return self.sign(force)
+
+    def sign(self, force: bool = False, register: Register | None = None) -> Roster:
+        """Signs a new roster.
+
+        Args:
+            force: whether it is to be believed whatever its date.
+            register: the register that it is made of; None: as it stands.
+
+        Raises:
+            PancakesError: the clock of this machine, or that of the last signing, is not believed; or it is too large.
+        """
+        now = register or self._register
+        now_s = wall_ns() / 1e9
+        if now.number and abs(now_s - now.signed_s) > LATEST_S and not force:
+            last, here = (datetime.datetime.fromtimestamp(it).strftime("%d %B %Y") for it in (now.signed_s, now_s))
+            raise PancakesError(
+                f"the last roster was signed on {last}, and by the clock of this machine it is {here}. Set that clock,"
+                " or, where it is right, say --any-date"
+            )
+        revoked = tuple(Revoked(it.serial, it.who, it.revoked) for it in now.entries if it.revoked)
+        roster = Roster(self.fleet, now.number + 1, now_s, revoked, read_rules(self.folder), force)
+        text = self.signed(roster)
+        self._keep(replace(now, number=roster.number, signed_s=now_s))
+        write_private(self.folder / ROSTER, text)
+        if (self.folder / "me").is_dir():
+            write_private(self.folder / "me" / ROSTER, text)
+        return roster
+
+    def _keep(self, register: Register) -> None:
+        write_register(self.folder, register)
+        self._register = register
 
     def certify(
         self,
@@ -256,135 +356,3 @@ def _usage(signs_certificates: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
-
-
-class FleetOffice:
-    """The authority of a fleet and its register, in the operator's folder.
-
-    Args:
-        folder: the folder.
-        authority: its authority.
-    """
-
-    def __init__(self, folder: Path, authority: Authority) -> None:
-        self.folder = folder
-        self.fleet = authority.fleet
-        self._authority = authority
-        self._register = read_register(folder)
-
-    @classmethod
-    def founded(cls, fleet: str, folder: Path, password: bytes | None = None) -> FleetOffice:
-        """Founds a fleet.
-
-        Raises:
-            PancakesError: there is one in that folder already.
-        """
-        office = cls(folder, Authority.founded(fleet, folder, password))
-        begin_rules(folder)
-        office.sign()
-        return office
-
-    @classmethod
-    def opened(cls, folder: Path, password: bytes | None = None) -> FleetOffice:
-        """Opens the folder of a fleet.
-
-        Raises:
-            PancakesError: there is none, or the password does not fit.
-        """
-        return cls(folder, Authority(folder, password))
-
-    @property
-    def entries(self) -> tuple[Entry, ...]:
-        """All certificates that were given out, the oldest first."""
-        return self._register.entries
-
-    def check_new(self, name: str) -> None:
-        """Checks that a name is free.
-
-        Raises:
-            PancakesError: it is borne already.
-        """
-        self._register.check_new(name, self.fleet)
-
-    def enrol(
-        self,
-        key: ec.EllipticCurvePublicKey,
-        role: CertifiedRole,
-        name: str,
-        groups: Sequence[str] = (),
-        came_from: str = "",
-        days: float | None = None,
-    ) -> KeyFiles:
-        """Certifies a key, and enters that; returns the contents of its folder, without the private key."""
-        given = self._authority.certify(key, role, name, groups, days)
-        entry = Entry(name, role, tuple(groups), given.serial, wall_ns() / 1e9, given.ends_s, came_from)
-        self._keep(replace(self._register, entries=(*self._register.entries, entry)))
-        authority, roster = read_plain(self.folder / FLEET), read_plain(self.folder / ROSTER)
-        return KeyFiles(self.fleet, role, name, given.pem, authority, roster)
-
-    def enrol_with_key(
-        self, role: CertifiedRole, name: str, groups: Sequence[str] = (), days: float | None = None
-    ) -> KeyFiles:
-        """Makes a key and certifies it; returns the contents of its folder."""
-        key = new_key()
-        return self.enrol(key.public_key(), role, name, groups, days=days)._replace(key=pem_of_key(key))
-
-    def latest(self, who: str) -> Entry:
-        """Returns the newest certificate of a bearer that is believed; `who` is `NAME` or `ROLE/NAME`.
-
-        Raises:
-            PancakesError: there is none.
-        """
-        return self._register.latest(who, self.fleet)
-
-    def revoke(self, who: str, why: str, force: bool = False) -> list[Entry]:
-        """Revokes all certificates of a bearer, and signs that.
-
-        Raises:
-            PancakesError: there is none, or the roster cannot be signed.
-        """
-        self.latest(who)
-        gone = self._register.of(who)
-        kept = tuple(replace(it, revoked=why) if it in gone else it for it in self._register.entries)
-        self.sign(force, replace(self._register, entries=kept))
-        return gone
-
-    def allow(self, rule: AccessRule, force: bool = False) -> Roster:
-        """Adds a rule, and signs that.
-
-        Raises:
-            PancakesError: the rules are not sound, or the roster cannot be signed.
-        """
-        add_rule(self.folder, rule)
-        return self.sign(force)
-
-    def sign(self, force: bool = False, register: Register | None = None) -> Roster:
-        """Signs a new roster.
-
-        Args:
-            force: whether it is to be believed whatever its date.
-            register: the register that it is made of; None: as it stands.
-
-        Raises:
-            PancakesError: the clock of this machine, or that of the last signing, is not believed; or it is too large.
-        """
-        now = register or self._register
-        now_s = wall_ns() / 1e9
-        if now.number and abs(now_s - now.signed_s) > LATEST_S and not force:
-            last, here = (datetime.datetime.fromtimestamp(it).strftime("%d %B %Y") for it in (now.signed_s, now_s))
-            raise PancakesError(
-                f"the last roster was signed on {last}, and by the clock of this machine it is {here}. Set that clock,"
-                " or, where it is right, say --any-date"
-            )
-        revoked = tuple(Revoked(it.serial, it.who, it.revoked) for it in now.entries if it.revoked)
-        roster = Roster(self.fleet, now.number + 1, now_s, revoked, read_rules(self.folder), force)
-        text = self._authority.signed(roster)
-        self._keep(replace(now, number=roster.number, signed_s=now_s))
-        write_private(self.folder / ROSTER, text)
-        if (self.folder / "me").is_dir():
-            write_private(self.folder / "me" / ROSTER, text)
-        return roster
-
-    def _keep(self, register: Register) -> None:
-        write_register(self.folder, register)
-        self._register = register

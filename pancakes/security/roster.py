@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from fnmatch import fnmatchcase
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple, get_args
 
 import msgspec
 
@@ -111,19 +111,7 @@ def fault_of_end(it: Certified, time_s: float) -> str:
 Right = Literal[
     "look", "change", "move", "adopt", "end", "host", "guard", "command", "write", "publish", "replay"
 ]  # docs/security.md has a line for each
-RIGHTS: Final[tuple[Right, ...]] = (
-    "look",
-    "change",
-    "move",
-    "adopt",
-    "end",
-    "host",
-    "guard",
-    "command",
-    "write",
-    "publish",
-    "replay",
-)
+RIGHTS: Final[tuple[Right, ...]] = get_args(Right)
 EVERY: Final = "*"
 """In a rule: every right."""
 

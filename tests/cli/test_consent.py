@@ -74,7 +74,7 @@ def test_what_drops_a_state_asks_first(rig: Rig, words: str) -> None:
 
 
 def test_revoke_asks_first(rig: Rig) -> None:
-    rig.keys.office("test").enrol_with_key("operator", "bob")
+    rig.keys.authority("test").enrol_with_key("operator", "bob")
     words = ("fleet", "revoke", "bob", "laptop stolen")
     refused = rig.pancakes(*words)
     assert refused.returncode == 1 and "believes operator/bob any more, for good. With --force" in refused.stderr

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from pancakes.client.session import FleetAccess
 from pancakes.errors import PancakesError
 from pancakes.security import key_store
-from pancakes.security.authority import FleetOffice
+from pancakes.security.authority import Authority
 from pancakes.security.key_store import KEY
 from pancakes.tools.cli.verbs.fleet import fleet
 from pancakes.util.clock import MonotonicClock
@@ -68,7 +68,7 @@ def test_fleet_enrol_gives_out_a_name_once(run: Run, tmp_path: Path):
 
 def test_fleet_join_refuses_a_folder_that_does_not_fit(run: Run, tmp_path: Path):
     run("enrol", "r1", "--out", tmp_path / "r1")
-    FleetOffice.founded("garage", tmp_path / "elsewhere").enrol_with_key("agent", "r1").write(tmp_path / "theirs")
+    Authority.founded("garage", tmp_path / "elsewhere").enrol_with_key("agent", "r1").write(tmp_path / "theirs")
     shutil.copy(tmp_path / "theirs" / KEY, tmp_path / "r1" / KEY)
     with pytest.raises(PancakesError, match="the authority of that fleet has not signed its certificate"):
         run("join", tmp_path / "r1")
@@ -105,7 +105,7 @@ def test_fleet_revoke_leaves_no_rights(run: Run, tmp_path: Path):
 
 def test_fleet_sign_notices_an_old_copy_of_the_authority(rig: Rig):
     rig.ready("a")
-    folder = rig.keys.office("test").folder
+    folder = rig.keys.authority("test").folder
     old = (folder / "register.json").read_bytes()
     for _ in range(2):
         assert rig.pancakes("fleet", "sign", "--fleet", "test").returncode == 0

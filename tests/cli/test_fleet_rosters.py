@@ -37,7 +37,7 @@ def findings(rig: Rig) -> dict[str, tuple[str, str]]:
 
 @pytest.mark.parametrize("words", [("revoke", "bob", "laptop stolen", "--force"), ("sign",), ("allow", "b", "command")])
 def test_roster_that_an_agent_cannot_check_fails_and_is_told(rig: Rig, words: tuple[str, ...]):
-    rig.keys.office("test").enrol_with_key("operator", "bob")
+    rig.keys.authority("test").enrol_with_key("operator", "bob")
     agent = without_cryptography(rig, "a")
     rig.ready("b", agent=f'peers = ["{rig.address(agent)}"]').hear("a (agent, ")
     assert findings(rig)["a"][0] == "error"
@@ -54,15 +54,15 @@ def test_roster_that_an_agent_cannot_check_fails_and_is_told(rig: Rig, words: tu
 def test_roster_that_only_the_operator_has_is_told_by_doctor(rig: Rig):
     rig.ready("a")
     assert findings(rig) == {}
-    office = rig.keys.office("test")
-    number = office.sign().number
-    (office.folder / "me" / ROSTER).unlink()  # so that the terminal has nothing to give
+    authority = rig.keys.authority("test")
+    number = authority.sign().number
+    (authority.folder / "me" / ROSTER).unlink()  # so that the terminal has nothing to give
     level, text = findings(rig)["a"]
     assert level == "warning" and f"the roster {number}" in text
 
 
 def test_revoke_that_no_agent_hears_fails(rig: Rig):
-    rig.keys.office("test").enrol_with_key("operator", "bob")
+    rig.keys.authority("test").enrol_with_key("operator", "bob")
     done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen", "--force")
     assert done.returncode == 1 and "no agent has heard of the roster" in done.stderr
     signed = rig.pancakes("fleet", "sign")
@@ -85,7 +85,7 @@ def full_disk(folder: Path) -> bool:
 
 
 def test_roster_that_cannot_be_kept_is_obeyed_and_told(rig: Rig):
-    rig.keys.office("test").enrol_with_key("operator", "bob")
+    rig.keys.authority("test").enrol_with_key("operator", "bob")
     folder = rig.keys.of_agent("test", "a")
     if not full_disk(folder):
         pytest.skip("a small disk can be had by root only")

@@ -15,7 +15,7 @@ def observed(rig: Rig):
     """The address of an agent, and what runs a command as the observer bob, on a machine of his own."""
     agent = rig.ready("a", LAMP)
     bob = rig.directory / "bob"
-    rig.keys.office("test").enrol_with_key("observer", "bob").write(bob / "pancakes" / "fleets" / "test" / "me")
+    rig.keys.authority("test").enrol_with_key("observer", "bob").write(bob / "pancakes" / "fleets" / "test" / "me")
     (rig.directory / "bobs").mkdir(mode=0o700)
     other = {"XDG_CONFIG_HOME": str(bob), "PANCAKES_RUNTIME_DIR": str(rig.directory / "bobs")}
 
@@ -52,16 +52,16 @@ def test_fleet_rules_are_granted_and_taken_away_at_once(observed):
     assert yes.returncode == 0 and yes.stdout.startswith("yes: bob may change on a/device/* at a (roster 2)")
     assert as_bob("task", "stop", "a/motors").returncode == 0
 
-    rules = rig.keys.office("test").folder / "rules.toml"
+    rules = rig.keys.authority("test").folder / "rules.toml"
     rules.write_text(rules.read_text().replace('may = ["change"]', 'may = ["replay"]'))
     assert rig.pancakes("fleet", "sign", "--fleet", "test").returncode == 0
     assert "it lacks the right 'change'" in as_bob("task", "start", "a/motors").stderr
 
 
 def test_fleet_rules_that_are_not_sound_are_refused(rig: Rig):
-    office = rig.keys.office("test")
-    office.enrol_with_key("observer", "bob")
-    rules = office.folder / "rules.toml"
+    authority = rig.keys.authority("test")
+    authority.enrol_with_key("observer", "bob")
+    rules = authority.folder / "rules.toml"
     before = rules.read_bytes()
     shown = rig.pancakes("fleet", "allow", "bob", "change", "--fleet", "test", "--dry-run")
     assert shown.returncode == 0 and "dry run" in shown.stdout

@@ -63,10 +63,10 @@ def test_keys_of_another_agent_or_none_are_not_taken(rig: Rig):
 
 def test_keys_that_were_revoked_let_an_agent_run_and_warn(rig: Rig):
     config = rig.config("a")
-    office = rig.keys.office("test")
-    office.revoke("a", "lost")
-    office.sign()
-    roster = office.folder / "roster.json"
+    authority = rig.keys.authority("test")
+    authority.revoke("a", "lost")
+    authority.sign()
+    roster = authority.folder / "roster.json"
     (rig.keys.of_agent("test", "a") / "roster.json").write_bytes(roster.read_bytes())
     agent = rig.agent(config)
     agent.hear(READY)

@@ -70,7 +70,7 @@ def test_reload_keys_loses_no_acknowledged_packet(rig: Rig):
     source = rig.ready("a", task("Source", sent), agent=f'peers = ["{rig.address(sink)}"]')
     wait_for(came, 100)
     for name, other in (("a", sink), ("b", source), ("a", sink)):
-        rig.keys.office("test").enrol_with_key("agent", name).write(rig.keys.of_agent("test", name))
+        rig.keys.authority("test").enrol_with_key("agent", name).write(rig.keys.of_agent("test", name))
         reloaded = rig.pancakes("agent", "reload-keys", name)
         assert reloaded.returncode == 0, reloaded.stderr
         other.hear(f"the link to {name} has ended")

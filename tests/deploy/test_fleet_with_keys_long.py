@@ -87,8 +87,8 @@ def test_bare_hosts_become_a_fleet_with_keys_by_one_command(yard: Yard):
     assert code == 1 and "the fleet yard was not founded here" in said, said
     assert not any(host.data.exists() and list(host.data.glob("*/*")) for host in yard.hosts.hosts.values())
 
-    office = yard.rig.keys.office("yard")
-    office.enrol_with_key("operator", "bob")
+    authority = yard.rig.keys.authority("yard")
+    authority.enrol_with_key("operator", "bob")
     code, said = yard.deploy("--enrol")
     assert code == 0, said
     assert "a has keys of the fleet yard on robot1" in said

@@ -33,9 +33,9 @@ from pancakes.durable.snapshot import Snapshot
 from pancakes.journal.file_journal import read_ahead
 from pancakes.journal.journal import JournalEntry, unseal
 from pancakes.packet import SYSCTRL
-from pancakes.security.authority import FleetOffice
+from pancakes.security.authority import Authority
 from pancakes.security.roster import AccessRule
-from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
+from pancakes.testing import AgentHandle, Fleet, threaded_agent
 
 HERE = Path(__file__).resolve().parent
 DATA = HERE / "data"
@@ -152,16 +152,16 @@ def _of_json(value: Any) -> Any:
 
 
 @contextlib.contextmanager
-def started(folder: Path, channels: tuple[str, ...] = ()) -> Iterator[FleetInTest]:
+def started(folder: Path, channels: tuple[str, ...] = ()) -> Iterator[Fleet]:
     """Starts the fleet of the configuration files in a folder in virtual time, on the disks that lie beside them.
 
     Without the recording that c was asked for: that would go on where it was written then.
     """
-    with FleetInTest(seed=41, classes=CLASSES, channels=channels) as fleet:
+    with Fleet(seed=41, classes=CLASSES, channels=channels) as fleet:
         for file in sorted(folder.glob("*.toml")):
             disk = folder / file.stem
             found = {it.name: it.read_bytes() for it in disk.iterdir() if it.name != WANTED_RECORDING}
-            fleet.fleet.disk(file.stem).update(found)
+            fleet.disk(file.stem).update(found)
             fleet.start(file.stem, file.read_text())
         fleet.connect()
         yield fleet
@@ -184,7 +184,7 @@ def keep_fleet(folder: Path) -> dict[str, Any]:
         _asked(a, Create("Removed", "kept.Count"))
         _asked(a, Configure("Count", {"step": 3, "weights": {"near": 0.5}}), Reschedule("Count", 5.0))
         _asked(c, Start(RECORDER, {"path": str(folder.parent / "c.mcap")}))
-        wanted_recording = fleet.fleet.disk("c")[WANTED_RECORDING]
+        wanted_recording = fleet.disk("c")[WANTED_RECORDING]
         _asked(c, Stop(RECORDER))  # an open file would be left by the crash
         a.publish(SYSCTRL, Migrate("Moved", to="b"))
         _done(fleet, lambda: b.running() == ["Moved"])
@@ -197,11 +197,11 @@ def keep_fleet(folder: Path) -> dict[str, Any]:
         client: Any = b.component("client")
         place = client.places[TaskId("b", "Sender")]
         while place.standing.record.phase is not Phase.COMMITTED:
-            assert fleet.fleet.dispatcher.step()
+            assert fleet.dispatcher.step()
         for name in "abc":
             fleet.crash(name)
         for name in "abc":
-            for file, data in fleet.fleet.disk(name).items():
+            for file, data in fleet.disk(name).items():
                 (folder / name / file).write_bytes(data)
     (folder / "c" / WANTED_RECORDING).write_bytes(wanted_recording)
     owners = {"Count": "a", "Created": "a", "Drive": "a", "Guarded": "a", "Receiver": "a", "Moved": "b", "Sender": "c"}
@@ -233,17 +233,17 @@ def run_until_killed(state: str) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-def _asked(agent: AgentInTest, *bodies: Any) -> None:
+def _asked(agent: AgentHandle, *bodies: Any) -> None:
     for body in bodies:
         reply = agent.ask(body)
         assert reply.ok, reply.reason
 
 
-def _done(fleet: FleetInTest, condition: Any) -> None:
+def _done(fleet: Fleet, condition: Any) -> None:
     assert fleet.run_until(condition, 20.0)
 
 
-def _guardians(agent: AgentInTest) -> list[Any]:
+def _guardians(agent: AgentHandle) -> list[Any]:
     rows = agent.ask(Guarding()).result
     return [guardian for row in rows for guardian in row["guardians"]]
 
@@ -258,7 +258,7 @@ def keep_recording(folder: Path) -> dict[str, Any]:
         tasks = '[task.Drive]\ntype = "kept.Drive"\nsettings = { gain = 0.5 }\nstart = false\n' if name == "a" else ""
         text = f'schema = 1\n\n[agent]\nname = "{name}"\nfleet = "{FLEET}"\n{SENSORS}\n{tasks}'
         (folder / f"{name}.toml").write_text(text)
-    with FleetInTest(seed=42, classes=CLASSES) as fleet:
+    with Fleet(seed=42, classes=CLASSES) as fleet:
         a, b = (fleet.start(name, (folder / f"{name}.toml").read_text()) for name in "ab")
         fleet.connect()
         for agent in (a, b):
@@ -280,12 +280,12 @@ def keep_recording(folder: Path) -> dict[str, Any]:
 def keep_keys(folder: Path) -> None:
     """Keeps the authority of a fleet, keys of two agents and an operator, and a roster that revokes a third agent."""
     with mock.patch("time.time_ns", lambda: LONG_AGO_NS):
-        office = FleetOffice.founded(FLEET, folder / "authority")
+        authority = Authority.founded(FLEET, folder / "authority")
         for name in ("a", "b", "lost"):
-            office.enrol_with_key("agent", name).write(folder / name)
-        office.enrol_with_key("operator", "alice").write(folder / "alice")
-        office.revoke("lost", "left in the field")
-        office.allow(AccessRule(("alice",), ("look", "change"), ("*",)))
+            authority.enrol_with_key("agent", name).write(folder / name)
+        authority.enrol_with_key("operator", "alice").write(folder / "alice")
+        authority.revoke("lost", "left in the field")
+        authority.allow(AccessRule(("alice",), ("look", "change"), ("*",)))
     for name in ("a", "b"):
         shutil.copy(folder / "authority" / "roster.json", folder / name)
 

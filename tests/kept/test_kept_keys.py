@@ -9,7 +9,7 @@ from cryptography import x509
 from kept.conftest import Kept
 from kept.make import LONG_AGO_NS
 
-from pancakes.security.authority import FleetOffice
+from pancakes.security.authority import Authority
 from pancakes.security.key_store import FLEET as AUTHORITY_FILE
 from pancakes.security.key_store import KEY, ROSTER
 from pancakes.security.keys import Keys
@@ -40,8 +40,8 @@ def test_kept_roster_revokes_an_agent(keys: Path):
 
 
 def test_kept_authority_enrols_and_signs(keys: Path, monkeypatch: pytest.MonkeyPatch):
-    office = FleetOffice.opened(keys / "authority")
-    assert [it.name for it in office.entries] == ["a", "b", "lost", "alice"]
-    office.enrol_with_key("agent", "c").write(keys / "c")
-    a, new = Keys(keys / "a"), office.sign(force=True)
+    authority = Authority(keys / "authority")
+    assert [it.name for it in authority.entries] == ["a", "b", "lost", "alice"]
+    authority.enrol_with_key("agent", "c").write(keys / "c")
+    a, new = Keys(keys / "a"), authority.sign(force=True)
     assert a.learn(new, (keys / "authority" / ROSTER).read_bytes()) and a.fault_of(Keys(keys / "c").own) == ""

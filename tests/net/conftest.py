@@ -23,7 +23,7 @@ from pancakes.mesh.messages import Gossip, Identity, Role
 from pancakes.mesh.transport import Connection, ConnectionHandler, SocketTransport, Transport
 from pancakes.packet import Packet
 from pancakes.security.access import Access
-from pancakes.security.authority import FleetOffice
+from pancakes.security.authority import Authority
 from pancakes.security.keys import Keys
 from pancakes.security.roster import AccessRule, CertifiedRole
 from pancakes.util.clock import Clock, MonotonicClock, VirtualClock
@@ -147,8 +147,8 @@ class TlsRig(TcpRig):
         super().__init__()
         self.directory = directory
         self._keys: dict[Transport, Keys | None] = {}
-        self.office = FleetOffice.founded("default", directory / "authority")
-        self.office.allow(AccessRule(("role:agent",), ("command",)))
+        self.authority = Authority.founded("default", directory / "authority")
+        self.authority.allow(AccessRule(("role:agent",), ("command",)))
 
     def transport(self, name: str, role: Role = "agent") -> Transport:
         if role == "client":
@@ -158,7 +158,7 @@ class TlsRig(TcpRig):
     def enrol(self, name: str, role: CertifiedRole = "agent", **more: Any) -> Path:
         """Makes keys; returns the folder that they are in."""
         folder = self.directory / f"{role}-{name}-{len(self.transports)}"
-        self.office.enrol_with_key(role, name, **more).write(folder)
+        self.authority.enrol_with_key(role, name, **more).write(folder)
         return folder
 
     def with_keys(self, folder: Path | None) -> Transport:

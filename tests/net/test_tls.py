@@ -18,7 +18,7 @@ from net.conftest import Ear, TlsRig
 from pancakes.errors import PancakesError
 from pancakes.mesh.admission import AT_ONCE, MOST_UNFINISHED, Handshakes
 from pancakes.mesh.transport import SocketTransport
-from pancakes.security.authority import FleetOffice, new_key, pem_of_key
+from pancakes.security.authority import Authority, new_key, pem_of_key
 from pancakes.security.key_store import KEY, write_private
 from pancakes.sim.hardware_bus import BusServer, Drive, Request, encode
 from pancakes.util.plugins import Plugins
@@ -46,7 +46,7 @@ def dialled(rig: TlsRig, folder: Path | None, address: str) -> Ear:
 
 def keys_of_a_stranger(rig: TlsRig) -> Path:
     folder = rig.directory / "x"
-    FleetOffice.founded("default", rig.directory / "elsewhere").enrol_with_key("agent", "a").write(folder)
+    Authority.founded("default", rig.directory / "elsewhere").enrol_with_key("agent", "a").write(folder)
     return folder
 
 
@@ -266,10 +266,10 @@ def test_what_a_member_has_signed_is_believed_by_none(rig, listening):
 def test_a_certificate_without_a_name_is_none_whoever_has_signed_it(rig, listening):
     there, address = listening
     folder, key = rig.enrol("a"), new_key()
-    office = rig.directory / "authority"
-    signer = serialization.load_pem_private_key((office / "authority.key").read_bytes(), None)
+    authority = rig.directory / "authority"
+    signer = serialization.load_pem_private_key((authority / "authority.key").read_bytes(), None)
     assert isinstance(signer, ec.EllipticCurvePrivateKey)
-    issuer = x509.load_pem_x509_certificate((office / "fleet.pem").read_bytes()).subject
+    issuer = x509.load_pem_x509_certificate((authority / "fleet.pem").read_bytes()).subject
     now = datetime.datetime.now(datetime.UTC)
     nameless = x509.CertificateBuilder(
         issuer, x509.Name([]), key.public_key(), 7, now, now + datetime.timedelta(days=9)

@@ -11,7 +11,7 @@ from pancakes.durable.host_state import HostState
 from pancakes.durable.ownership import Owned, OwnerClaim
 from pancakes.durable.record import Epoch, TaskId
 from pancakes.packet import CTRL, NETWORK
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 LOOK = """
 [[access.allow]]
@@ -26,7 +26,7 @@ def allowed(rights: str, on: str = '["*"]') -> str:
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=3) as made:
+    with Fleet(seed=3) as made:
         yield made
 
 

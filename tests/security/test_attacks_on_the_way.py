@@ -157,11 +157,11 @@ def test_a_new_key_of_another_agent_is_not_taken_and_the_old_one_stays(rig):
     folder = rig.enrol("a")
     keys = Keys(folder)
     own = keys.own
-    rig.office.enrol_with_key("agent", "b").write(folder)
+    rig.authority.enrol_with_key("agent", "b").write(folder)
     with pytest.raises(PancakesError, match=r"the new key in .* is of b \(agent\) .*: the old one, of a, stays in use"):
         keys.reload()
     assert keys.own == own and not keys.reload()
-    rig.office.enrol_with_key("agent", "a").write(folder)
+    rig.authority.enrol_with_key("agent", "a").write(folder)
     assert keys.reload() and keys.own.name == "a" and keys.own != own
 
 

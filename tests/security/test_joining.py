@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ed25519
 from cryptography.x509.oid import NameOID
 
 from pancakes.errors import PancakesError
-from pancakes.security.authority import FleetOffice, new_key, pem_of_key
+from pancakes.security.authority import Authority, new_key, pem_of_key
 from pancakes.security.enrolment import MOST_BYTES, TRIES, Desk, JoinCode, join
 from pancakes.security.keys import Keys
 
@@ -32,16 +32,16 @@ PATIENCE_S = 20.0
 class Waiting:
     """A desk that waits in a thread of its own."""
 
-    def __init__(self, office: FleetOffice, open_s: float = PATIENCE_S) -> None:
+    def __init__(self, authority: Authority, open_s: float = PATIENCE_S) -> None:
         self.desk = Desk("127.0.0.1", 0, open_s)
         self.code = str(self.desk.code)
         self.result: Any = None
-        self._thread = threading.Thread(target=self._serve, args=(office,), daemon=True)
+        self._thread = threading.Thread(target=self._serve, args=(authority,), daemon=True)
         self._thread.start()
 
-    def _serve(self, office: FleetOffice) -> None:
+    def _serve(self, authority: Authority) -> None:
         try:
-            self.result = self.desk.serve(lambda key, place: office.enrol(key, "agent", "r1", ("field",), place))
+            self.result = self.desk.serve(lambda key, place: authority.enrol(key, "agent", "r1", ("field",), place))
         except PancakesError as error:
             self.result = str(error)
 
@@ -52,23 +52,23 @@ class Waiting:
 
 
 @pytest.fixture
-def office(tmp_path: Path) -> FleetOffice:
-    return FleetOffice.founded("garage", tmp_path / "office")
+def authority(tmp_path: Path) -> Authority:
+    return Authority.founded("garage", tmp_path / "authority")
 
 
 @pytest.fixture
-def waiting(office: FleetOffice) -> Callable[..., Waiting]:
-    return lambda *arguments: Waiting(office, *arguments)
+def waiting(authority: Authority) -> Callable[..., Waiting]:
+    return lambda *arguments: Waiting(authority, *arguments)
 
 
-def test_the_newcomer_gets_the_name_that_the_operator_chose(office, waiting, tmp_path):
+def test_the_newcomer_gets_the_name_that_the_operator_chose(authority, waiting, tmp_path):
     there = waiting()
     files = join(there.code)
     assert there.ended() == "127.0.0.1"
     files.write(tmp_path / "keys")
     own = Keys(tmp_path / "keys").own
     assert (own.fleet, own.role, own.name, own.groups) == ("garage", "agent", "r1", ("field",))
-    (entry,) = office.entries
+    (entry,) = authority.entries
     assert (entry.who, entry.serial, entry.came_from) == ("agent/r1", own.serial, "127.0.0.1")
 
 
@@ -80,14 +80,14 @@ def test_a_code_is_good_once(waiting):
         join(there.code)
 
 
-def test_of_two_that_come_at_once_with_one_code_one_joins(office):
+def test_of_two_that_come_at_once_with_one_code_one_joins(authority):
     desk = Desk("127.0.0.1", 0, PATIENCE_S)
     first_came, second_came = threading.Event(), threading.Event()
 
     def certify(key: Any, place: str) -> Any:
         first_came.set()
         assert second_came.wait(PATIENCE_S)
-        return office.enrol(key, "agent", "r1", (), place)
+        return authority.enrol(key, "agent", "r1", (), place)
 
     joined: list[str] = []
     serving = threading.Thread(target=desk.serve, args=(certify,), daemon=True)
@@ -103,7 +103,7 @@ def test_of_two_that_come_at_once_with_one_code_one_joins(office):
     first.join(PATIENCE_S)
     serving.join(PATIENCE_S)
     assert answer == {"error": "that code is not good, or not any more"}
-    assert joined == ["r1"] and len(office.entries) == 1
+    assert joined == ["r1"] and len(authority.entries) == 1
 
 
 def test_joining_many_at_once_with_one_code_one_joins():
@@ -128,7 +128,7 @@ def given_to_many(crowd: int) -> int:
 
     def certify(key: Any, place: str) -> Any:
         given.append(place)
-        raise PancakesError("the office is closed")
+        raise PancakesError("the authority is closed")
 
     def come(link: ssl.SSLSocket, request: str) -> None:
         ready.wait()
@@ -154,13 +154,13 @@ def given_to_many(crowd: int) -> int:
     return len(given)
 
 
-def test_a_request_is_no_longer_than_it_may_be(office, waiting):
+def test_a_request_is_no_longer_than_it_may_be(authority, waiting):
     """Although it would be one, were all of it read."""
     there = waiting()
     said = {" " * MOST_BYTES: "", "secret": there.desk.code.secret.hex(), "request": request_of(new_key())}
     with pytest.raises((ValueError, OSError)):
         asked(there.desk.code, said)
-    assert office.entries == ()
+    assert authority.entries == ()
     assert join(there.code).name == "r1"
 
 
@@ -179,7 +179,7 @@ def test_a_newcomer_speaks_no_older_tls_and_says_no_secret_in_it(waiting):
     assert heard == [b""]
 
 
-def test_a_request_that_its_key_has_not_signed_is_given_nothing(office, waiting):
+def test_a_request_that_its_key_has_not_signed_is_given_nothing(authority, waiting):
     """Nor one of another kind of key."""
     there = waiting()
     good = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([]))
@@ -191,7 +191,7 @@ def test_a_request_that_its_key_has_not_signed_is_given_nothing(office, waiting)
         pem = request.public_bytes(serialization.Encoding.PEM).decode()
         said = asked(there.desk.code, {"secret": there.desk.code.secret.hex(), "request": pem})
         assert said == {"error": "the request is not signed by its key"}
-    assert office.entries == ()
+    assert authority.entries == ()
     assert join(there.code).name == "r1", "the code is good still"
 
 
@@ -282,17 +282,17 @@ def shown_by_another() -> tuple[ssl.SSLContext, bytes]:
     return context, hashlib.sha256(made.public_bytes(serialization.Encoding.DER)).digest()[:15]
 
 
-def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(office, waiting):
+def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(authority, waiting):
     there = waiting(30 * PATIENCE_S)
     guess = str(there.desk.code._replace(secret=b"0123456789"))
     for _ in range(TRIES):
         with pytest.raises(PancakesError, match="that code is not good, or not any more"):
             join(guess)
     assert there.ended() == "5 attempts had a wrong code, so it is good no more: enrol the machine again"
-    assert office.entries == ()
+    assert authority.entries == ()
 
 
-def test_the_right_code_is_good_no_more_after_so_many_guesses_whenever_it_came(office, waiting):
+def test_the_right_code_is_good_no_more_after_so_many_guesses_whenever_it_came(authority, waiting):
     there = waiting()
     code = there.desk.code
     said = {"secret": code.secret.hex(), "request": request_of(new_key())}
@@ -301,7 +301,7 @@ def test_the_right_code_is_good_no_more_after_so_many_guesses_whenever_it_came(o
             assert "error" in asked(code, {**said, "secret": "00"})
         came_before.sendall(json.dumps(said).encode() + b"\n")
         answer = json.loads(came_before.makefile("rb").readline())
-    assert answer == {"error": "that code is not good, or not any more"} and office.entries == ()
+    assert answer == {"error": "that code is not good, or not any more"} and authority.entries == ()
 
 
 def test_to_a_machine_in_between_the_secret_is_not_said(waiting):
@@ -370,11 +370,11 @@ def test_a_code_is_read_as_it_is_written():
     assert JoinCode.parse(str(code)) == code == JoinCode.parse(f" {str(code).lower()}\n")
 
 
-def test_an_older_folder_brings_no_older_roster(office, tmp_path):
-    files = office.enrol_with_key("agent", "r2")
+def test_an_older_folder_brings_no_older_roster(authority, tmp_path):
+    files = authority.enrol_with_key("agent", "r2")
     older = files.roster
-    newer = office.sign()
-    files._replace(roster=(office.folder / "roster.json").read_bytes()).write(tmp_path / "keys")
+    newer = authority.sign()
+    files._replace(roster=(authority.folder / "roster.json").read_bytes()).write(tmp_path / "keys")
     files.write(tmp_path / "keys")
     keys = Keys(tmp_path / "keys")
     assert keys.roster == newer and keys.roster_text != older

@@ -44,7 +44,7 @@ from pancakes.mesh.codec import Encoder
 from pancakes.packet import Packet, packet_type, task_address
 from pancakes.supervision.messages import GUARDIAN
 from pancakes.task import Task, every, on
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 
 PATIENCE_S = 20.0
 LEASE_S = 2.0
@@ -109,7 +109,7 @@ class Robots:
         self.d.kernel.stream.tap("network", lambda packet: self.heard.append(packet.body))
         self.a.wait_until(lambda: len(self.guards().members()) == 3 == len(self.guards().sets[0]), PATIENCE_S, "guards")
 
-    def _start(self, name: str, tasks: dict) -> AgentInTest:
+    def _start(self, name: str, tasks: dict) -> AgentHandle:
         keys = self._keys.of_agent("test", name)
         settings = {"keys": str(keys), "transports": {}}
         made = self._stack.enter_context(
@@ -130,24 +130,24 @@ class Robots:
         return [body for body in list(self.heard) if isinstance(body, kind)]
 
     @property
-    def all(self) -> list[AgentInTest]:
+    def all(self) -> list[AgentHandle]:
         return [self.a, self.b, self.c, self.d]
 
     @property
-    def honest(self) -> list[AgentInTest]:
+    def honest(self) -> list[AgentHandle]:
         return [self.a, self.b, self.c]
 
     def guards(self) -> Guards:
         record = self.a.agent.records.get(COUNT)
         return record.guards if record is not None else Guards()
 
-    def guardian(self, agent: AgentInTest) -> GuardianId:
+    def guardian(self, agent: AgentHandle) -> GuardianId:
         return GuardianId(agent.name, agent.agent.mesh.identity.journal)
 
     def version(self, kind: str = "Count") -> str:
         return self.a.slot(kind).spec.version
 
-    def lie(self, to: AgentInTest, at: str, *bodies: Any) -> None:
+    def lie(self, to: AgentHandle, at: str, *bodies: Any) -> None:
         """D says something to an actor of another agent."""
         for body in bodies:
             meant = addressed(body, to.agent.mesh.identity.journal) if hasattr(body, "journal") else body

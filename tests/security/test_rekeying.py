@@ -26,10 +26,10 @@ def test_an_agent_looks_again_and_again_whether_there_is_a_new_key_of_its_own(
     keys = rig.keys_of(a.transport)
     assert keys is not None
     first = keys.own
-    rig.office.enrol_with_key("agent", "c").write(keys.folder)
+    rig.authority.enrol_with_key("agent", "c").write(keys.folder)
     rig.until(lambda: "the old one, of a, stays in use" in a.log("warning"))
     assert a.downs == [] and keys.own == first
-    rig.office.enrol_with_key("agent", "a").write(keys.folder)
+    rig.authority.enrol_with_key("agent", "a").write(keys.folder)
     rig.until(lambda: a.downs and b.downs)
     rig.until(lambda: a.knows("b") and b.knows("a"))
     assert keys.own.name == "a" and keys.own.serial != first.serial

@@ -20,7 +20,7 @@ from pancakes.mesh.codec import Encoder
 from pancakes.mesh.links import Links
 from pancakes.mesh.messages import RosterNumber, RosterText
 from pancakes.mesh.trust import MOST_CHECKS, keep
-from pancakes.security.authority import Authority, FleetOffice, new_key, pem_of_key
+from pancakes.security.authority import Authority, new_key, pem_of_key
 from pancakes.security.key_store import KEY, write_private
 from pancakes.security.keys import Keys
 from pancakes.security.roster import FALSE, LATEST_S, MOST_BYTES, Roster, read_signed
@@ -54,8 +54,8 @@ def number_of(rig: TlsRig, agent: Agent) -> int:
 def newer(rig: TlsRig, *revoked: str) -> Roster:
     """Signs a newer roster, which no agent has heard of yet."""
     for name in revoked:
-        rig.office.revoke(name, "lost")
-    return rig.office.sign()
+        rig.authority.revoke(name, "lost")
+    return rig.authority.sign()
 
 
 def test_a_newcomer_brings_the_roster_and_it_goes_from_peer_to_peer(rig):
@@ -230,7 +230,7 @@ def signed(folder: Path, **more) -> bytes:
 def test_a_roster_that_another_authority_has_signed_ends_the_link(rig):
     a = rig.agent("a")
     before = number_of(rig, a)
-    FleetOffice.founded("default", rig.directory / "elsewhere")
+    Authority.founded("default", rig.directory / "elsewhere")
     peer = speaks(rig, a)
     peer.send(Encoder().link_message(RosterText(signed(rig.directory / "elsewhere"))))
     why_ended = reason_of(rig, peer)

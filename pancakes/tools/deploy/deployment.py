@@ -25,7 +25,7 @@ from pancakes.tools.launch.ssh import HostLink
 from pancakes.util.plugins import Plugins
 
 if TYPE_CHECKING:
-    from pancakes.security.authority import FleetOffice
+    from pancakes.security.authority import Authority
 
 
 Need = Literal["has", "needs", "none"]
@@ -66,7 +66,7 @@ def enrol(
     members: Sequence[Member],
     needed: Mapping[str, Need],
     hosts: Mapping[str, Host],
-    offices: Mapping[str, FleetOffice],
+    authorities: Mapping[str, Authority],
     tell: Callable[[str, str], None],
 ) -> None:
     """Gives keys to the agents that need some.
@@ -75,7 +75,7 @@ def enrol(
         members: the agents.
         needed: see `keys_needed`.
         hosts: their hosts.
-        offices: the authorities of their fleets, by fleet.
+        authorities: the authorities of their fleets, by fleet.
         tell: takes a clause about an agent, to be read after its name.
 
     Raises:
@@ -85,10 +85,10 @@ def enrol(
         if needed[member.name] != "needs":
             continue
         agent = member.config.agent
-        office = offices[agent.fleet]
+        authority = authorities[agent.fleet]
         role: CertifiedRole = "environment" if agent.role == "environment" else "agent"
-        before = [it for it in office.entries if not it.revoked and it.who == f"{role}/{agent.name}"]
-        files = office.enrol_with_key(role, agent.name, before[-1].groups if before else ())
+        before = [it for it in authority.entries if not it.revoked and it.who == f"{role}/{agent.name}"]
+        files = authority.enrol_with_key(role, agent.name, before[-1].groups if before else ())
         sent = {ROSTER: files.roster, FLEET: files.authority, KEY: files.certificate + files.key}
         told = {name: b64encode(data).decode() for name, data in sent.items()}
         hosts[member.host].link.obtain("put_keys", fleet=agent.fleet, name=agent.name, files=told)

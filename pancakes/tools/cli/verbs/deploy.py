@@ -17,7 +17,7 @@ from pancakes.tools.cli.output import Printer, show_text
 from pancakes.tools.cli.streaming import event_at
 
 if TYPE_CHECKING:
-    from pancakes.security.authority import FleetOffice
+    from pancakes.security.authority import Authority
     from pancakes.tools.deploy.deployment import Need
     from pancakes.tools.deploy.drain import TaskMoves
     from pancakes.tools.deploy.plan import DeploymentPlan
@@ -139,11 +139,11 @@ def deploy(
         for member in fleet:
             if not member.host:
                 _tell(member.name, "has no host, and is left as it is")
-        offices = _offices(members, keys)
+        authorities = _authorities(members, keys)
         called_off = event_at(signal.SIGINT, signal.SIGTERM, signal.SIGHUP).is_set
         deployment = Deployment(plan.supplies, plan.changes, moves, _tell, calm_s, called_off)
         deployment.prepare()
-        give_keys(members, keys, hosts, offices, _tell)
+        give_keys(members, keys, hosts, authorities, _tell)
         deployment.switch()
 
 
@@ -171,7 +171,7 @@ def _reached(members: Sequence[Member], only: bool) -> Iterator[dict[str, Host]]
         yield hosts
 
 
-def _offices(members: Sequence[Member], keys: Mapping[str, Need]) -> dict[str, FleetOffice]:
+def _authorities(members: Sequence[Member], keys: Mapping[str, Need]) -> dict[str, Authority]:
     """Opens the authorities of the fleets that agents are enrolled in; a password is asked for now, and not later."""
     from pancakes.tools.cli.verbs.fleet_authority import opened
 

@@ -22,7 +22,7 @@ from pancakes.tools.cli.verbs.fleet_authority import founded, opened, spread
 from pancakes.util.text import fault_of_name
 
 if TYPE_CHECKING:
-    from pancakes.security.authority import FleetOffice
+    from pancakes.security.authority import Authority
     from pancakes.security.key_store import Entry
 
 PORT: Final = 7490
@@ -86,7 +86,7 @@ def init(name: str, person: str | None, no_password: bool, dry_run: bool, printe
     folder = key_store.fleets() / name
     who = person or _own_name()
     with needing_extra("no fleet can be founded"):
-        from pancakes.security.authority import FleetOffice
+        from pancakes.security.authority import Authority
     if folder.exists() and any(folder.iterdir()):
         raise PancakesError(f"there is a fleet {name} in {folder} already")
     row = {"fleet": name, "folder": str(folder), "operator": who}
@@ -96,9 +96,9 @@ def init(name: str, person: str | None, no_password: bool, dry_run: bool, printe
         )
         return
     password = None if no_password else click.prompt("Password", hide_input=True, confirmation_prompt=True)
-    office = FleetOffice.founded(name, folder, password.encode() if password else None)
-    office.enrol_with_key("operator", who).write(key_store.folder_of_person(name))
-    until = _date(office.latest(who).ends_s)
+    authority = Authority.founded(name, folder, password.encode() if password else None)
+    authority.enrol_with_key("operator", who).write(key_store.folder_of_person(name))
+    until = _date(authority.latest(who).ends_s)
     said = f"The fleet {name} is in {folder}. You are its operator {who} until {until}."
     printer.emit([{**row, "until": until, "done": "founded"}], said)
 
@@ -150,8 +150,8 @@ def enrol(
     if dry_run:
         _give_dry(folder.name, role, name, out, printer)
         return
-    office = opened(fleet_name)
-    _give(office, role, name, groups, out, host, port, for_s, printer)
+    authority = opened(fleet_name)
+    _give(authority, role, name, groups, out, host, port, for_s, printer)
 
 
 @fleet.command()
@@ -182,15 +182,15 @@ def renew(
     if dry_run:
         _give_dry(folder.name, entry.role, entry.name, out, printer)
         return
-    office = opened(fleet_name)
-    own = key_store.keys_of_person(office.fleet)
+    authority = opened(fleet_name)
+    own = key_store.keys_of_person(authority.fleet)
     if out is None and entry.role in PEOPLE and own is not None and _bearer(own) == entry.name:
-        office.enrol_with_key(entry.role, entry.name, entry.groups).write(own)
-        until = _date(office.latest(name).ends_s)
+        authority.enrol_with_key(entry.role, entry.name, entry.groups).write(own)
+        until = _date(authority.latest(name).ends_s)
         row = {"name": entry.name, "role": entry.role, "until": until, "done": "renewed"}
-        printer.emit([row], f"You are {entry.role} {entry.name} of the fleet {office.fleet} until {until}.")
+        printer.emit([row], f"You are {entry.role} {entry.name} of the fleet {authority.fleet} until {until}.")
     else:
-        _give(office, entry.role, entry.name, entry.groups, out, host, port, for_s, printer)
+        _give(authority, entry.role, entry.name, entry.groups, out, host, port, for_s, printer)
 
 
 @fleet.command()
@@ -303,9 +303,9 @@ def revoke(
         _show_entries(register.of(who), DRY_RUN, printer)
         return
     must_be_meant(f"no agent of the fleet {folder.name} believes {bearer.role}/{bearer.name} any more, for good", force)
-    office = opened(fleet_name)
-    _show_entries(office.revoke(who, why, any_date), "revoked", printer)
-    spread(office, addresses, printer, must_be_heard=True)
+    authority = opened(fleet_name)
+    _show_entries(authority.revoke(who, why, any_date), "revoked", printer)
+    spread(authority, addresses, printer, must_be_heard=True)
 
 
 @fleet.command()
@@ -331,11 +331,11 @@ def sign(fleet_name: str, addresses: tuple[str, ...], any_date: bool, dry_run: b
         row = {"fleet": folder.name, "roster": number, "rules": rules, "done": DRY_RUN}
         printer.emit([row], f"The roster {number} of the fleet {folder.name} would be signed, with {rules} rules.")
         return
-    office = opened(fleet_name)
-    roster = office.sign(any_date)
-    row = {"fleet": office.fleet, "roster": roster.number, "rules": len(roster.allow), "done": "signed"}
-    printer.emit([row], f"The roster {roster.number} of the fleet {office.fleet} is signed.")
-    spread(office, addresses, printer)
+    authority = opened(fleet_name)
+    roster = authority.sign(any_date)
+    row = {"fleet": authority.fleet, "roster": roster.number, "rules": len(roster.allow), "done": "signed"}
+    printer.emit([row], f"The roster {roster.number} of the fleet {authority.fleet} is signed.")
+    spread(authority, addresses, printer)
 
 
 @fleet.command()
@@ -371,12 +371,12 @@ def allow(
     """
     rule = AccessRule((who,), rights, on or (EVERY,), at or (EVERY,))
     if not dry_run:
-        office = opened(fleet_name)
-        office.allow(rule, any_date)
+        authority = opened(fleet_name)
+        authority.allow(rule, any_date)
     row = {"who": who, "may": list(rights), "on": list(rule.on), "at": list(rule.at)}
     printer.table([{**row, "done": DRY_RUN if dry_run else "allowed"}], (*row, "done"))
     if not dry_run:
-        spread(office, addresses, printer)
+        spread(authority, addresses, printer)
 
 
 @fleet.command()
@@ -423,7 +423,7 @@ def can(who: str, right: Right, on: str, at: str, fleet_name: str, printer: Prin
 
 
 def _give(
-    office: FleetOffice,
+    authority: Authority,
     role: CertifiedRole,
     name: str,
     groups: Sequence[str],
@@ -437,7 +437,7 @@ def _give(
     if out is not None:
         if out.exists() and any(out.iterdir()):
             raise PancakesError(f"the folder {out} is not empty")
-        office.enrol_with_key(role, name, groups).write(out)
+        authority.enrol_with_key(role, name, groups).write(out)
         said = f"Copy {out} to {name} by a way that others cannot read; there: pancakes fleet join {out.name}"
         row = {"name": name, "role": role, "folder": str(out), "done": "written"}
         printer.emit([row], said, "It has the private key: remove it here afterwards.")
@@ -451,7 +451,7 @@ def _give(
     desk = Desk(host, port, for_s)
     said = f"On {name}, within {for_s / 60:.3g} minutes:  pancakes fleet join {desk.code}"
     printer.note(said)
-    came_from = desk.serve(lambda key, place: office.enrol(key, role, name, groups, came_from=place))
+    came_from = desk.serve(lambda key, place: authority.enrol(key, role, name, groups, came_from=place))
     row = {"name": name, "role": role, "came_from": came_from, "done": "joined"}
     printer.emit([row], f"{name} has joined from {came_from}.")
 

@@ -15,7 +15,7 @@ from pancakes.tools.cli.output import Printer, show_text
 
 if TYPE_CHECKING:
     from pancakes.client import Client
-    from pancakes.security.authority import FleetOffice
+    from pancakes.security.authority import Authority
 
 
 TOLD_S: Final = 15.0
@@ -43,7 +43,7 @@ def founded(name: str) -> Path:
     return base / here[0]
 
 
-def opened(name: str) -> FleetOffice:
+def opened(name: str) -> Authority:
     """Opens the folder of a fleet that was founded here, and asks for its password where it has one.
 
     Raises:
@@ -51,16 +51,16 @@ def opened(name: str) -> FleetOffice:
     """
     folder = founded(name)
     with needing_extra("no certificate can be given out"):
-        from pancakes.security.authority import FleetOffice, is_locked
+        from pancakes.security.authority import Authority, is_locked
     password = click.prompt(f"Password of the fleet {folder.name}", hide_input=True) if is_locked(folder) else None
-    return FleetOffice.opened(folder, password.encode() if password else None)
+    return Authority(folder, password.encode() if password else None)
 
 
-def spread(office: FleetOffice, addresses: Sequence[str], printer: Printer, must_be_heard: bool = False) -> None:
+def spread(authority: Authority, addresses: Sequence[str], printer: Printer, must_be_heard: bool = False) -> None:
     """Tells agents of the last roster, and says which know it now.
 
     Args:
-        office: the fleet.
+        authority: the fleet.
         addresses: where to find agents; none: on this machine.
         must_be_heard: whether it is an error if no agent runs that could hear of it.
         printer: prints it; with JSON on standard output, this goes to standard error.
@@ -71,11 +71,11 @@ def spread(office: FleetOffice, addresses: Sequence[str], printer: Printer, must
     from pancakes.client import Client, Where
     from pancakes.security.roster import read_signed
 
-    number = read_signed((office.folder / "roster.json").read_bytes())[1].number
+    number = read_signed((authority.folder / "roster.json").read_bytes())[1].number
     try:
-        if key_store.keys_of_person(office.fleet) is None:
-            raise PancakesError(f"you have no keys of the fleet {office.fleet}, so no agent can be told from here")
-        with Client(Where.of(Where(tuple(addresses), office.fleet)), TOLD_S) as client:
+        if key_store.keys_of_person(authority.fleet) is None:
+            raise PancakesError(f"you have no keys of the fleet {authority.fleet}, so no agent can be told from here")
+        with Client(Where.of(Where(tuple(addresses), authority.fleet)), TOLD_S) as client:
             know, problems, silent = _told(client, number)
         if not know and not problems:
             raise PancakesError("\n".join(silent) or "no agent that answers has keys of the fleet")
@@ -83,7 +83,7 @@ def spread(office: FleetOffice, addresses: Sequence[str], printer: Printer, must
         sentence = f"no agent has heard of the roster {number} yet: {error}"
         if not addresses:
             sentence += "\nAgents elsewhere hear of it with: pancakes fleet sign --tell HOST:PORT"
-        if must_be_heard or addresses or _runs_here(office.fleet):
+        if must_be_heard or addresses or _runs_here(authority.fleet):
             raise PancakesError(sentence) from None
         show_text(sentence, err=True)
         return
