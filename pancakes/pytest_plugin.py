@@ -14,10 +14,10 @@ import pytest
 
 if TYPE_CHECKING:
     from pancakes.simulation.agent_handle import Probe
-    from pancakes.testing import AgentInTest, FleetInTest, Leaks
+    from pancakes.testing import AgentHandle, Fleet, Leaks
     from pancakes.util.clock import VirtualClock
 
-    StartAgent = Callable[..., AgentInTest]
+    StartAgent = Callable[..., AgentHandle]
     ProbeOn = Callable[..., Probe]
 
 MARKER = "pancakes"
@@ -125,22 +125,22 @@ def pancakes_seed(request: pytest.FixtureRequest) -> int:
 
 
 @pytest.fixture
-def fleet(request: pytest.FixtureRequest, no_leaks: Leaks, pancakes_seed: int) -> Iterator[FleetInTest]:
-    """Agents in virtual time on a network in memory, with faults on demand: a `pancakes.testing.FleetInTest`."""
+def fleet(request: pytest.FixtureRequest, no_leaks: Leaks, pancakes_seed: int) -> Iterator[Fleet]:
+    """Agents in virtual time on a network in memory, with faults on demand: a `pancakes.testing.Fleet`."""
     from pancakes.mesh.memory_network import Quality
-    from pancakes.testing import FleetInTest
+    from pancakes.testing import Fleet
 
     quality = {key: value for key, value in _marks(request.node).items() if key in _QUALITY}
-    with FleetInTest(pancakes_seed, Quality(**quality)) as made:
+    with Fleet(pancakes_seed, Quality(**quality)) as made:
         no_leaks.watch(lambda: made.started)
         yield made
 
 
 @pytest.fixture
-def virtual_agent(fleet: FleetInTest) -> StartAgent:
+def virtual_agent(fleet: Fleet) -> StartAgent:
     """Starts agents of `fleet`: `virtual_agent(name="a", text="", tasks=..., devices=..., services=..., ...)`."""
 
-    def start(name: str = "a", text: str = "", **arguments: Any) -> AgentInTest:
+    def start(name: str = "a", text: str = "", **arguments: Any) -> AgentHandle:
         return fleet.start(name, text, **arguments)
 
     return start
@@ -151,11 +151,11 @@ def threaded_agent(no_leaks: Leaks) -> Iterator[StartAgent]:
     """Starts agents on threads and in real time, with the same arguments as `virtual_agent`; the test ends them."""
     from pancakes.testing import threaded_agent
 
-    started: list[AgentInTest] = []
+    started: list[AgentHandle] = []
     no_leaks.watch(lambda: started)
     with ExitStack() as stack:
 
-        def start(name: str = "a", text: str = "", **arguments: Any) -> AgentInTest:
+        def start(name: str = "a", text: str = "", **arguments: Any) -> AgentHandle:
             started.append(stack.enter_context(threaded_agent(name, text, **arguments)))
             return started[-1]
 
@@ -177,7 +177,7 @@ def probe(no_leaks: Leaks) -> ProbeOn:
 
     made: list[Probe] = []
 
-    def listen(agent: AgentInTest, *channels: str) -> Probe:
+    def listen(agent: AgentHandle, *channels: str) -> Probe:
         address = join(agent.name, "test", f"Probe{len(made) + 2}")
         found = agent.kernel.spawn(Probe, address, channels=channels)
         assert isinstance(found, Probe)

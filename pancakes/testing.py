@@ -13,43 +13,37 @@
         assert agent.ask(Stop("Blink")).ok
 
 pytest finds the fixtures (docs/testing.md) by the entry point `pancakes.pytest_plugin`. Everything works without pytest
-too: `FleetInTest` runs any number of agents in virtual time on one thread; `threaded_agent` runs one agent as it runs
-on a robot. Both hand out an `AgentInTest`, so one test can cover both. No shipped module imports this one.
+too: `Fleet` runs any number of agents in virtual time on one thread; `threaded_agent` runs one agent as it runs
+on a robot. Both hand out an `AgentHandle`, so one test can cover both. No shipped module imports this one.
 """
 
 from __future__ import annotations
 
 import gc
 import os
-import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any
 
 from msgspec.structs import replace
 
 from pancakes.agent.agent import Agent
 from pancakes.config import Config
-from pancakes.durable.bidding_messages import MIGRATOR
-from pancakes.events import LogLine
-from pancakes.fleet import Faults
 from pancakes.mesh.address import LOCAL
 from pancakes.mesh.memory_network import Quality
-from pancakes.packet import LOG, Packet, covers, join, type_name
-from pancakes.service import Service
+from pancakes.packet import Packet, type_name
 from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle, BodyTest, Probe
-from pancakes.simulation.fleet_builder import BuiltFleet, config_of, parts, registered
-from pancakes.supervision.slots import Slot
+from pancakes.simulation.fleet import Faults, Fleet, assert_none_failed, build_config, config_of, registered
 from pancakes.util.clock import MonotonicClock, VirtualClock
 
 __all__ = [
-    "AgentInTest",
+    "AgentHandle",
     "Faults",
-    "FleetInTest",
+    "Fleet",
     "Probe",
     "Quality",
     "VirtualClock",
@@ -62,105 +56,25 @@ __all__ = [
 ]
 
 
-OWN: Final = ("client", "device", "log", "network", MIGRATOR)
-"""Pancakes' own actors, by their addresses on an agent, besides those at `kernel` and below it."""
-
-
-class AgentInTest(AgentHandle):
-    """One agent, and what a test asks of it; what does not come in time fails the test.
-
-    Attributes:
-        may_fail: those of Pancakes' own actors that the test itself makes fail: `client`, `kernel/Courier`. Where
-            another one of these fails, `FleetInTest` and `threaded_agent` fail the test at its end.
-    """
-
-    failure: ClassVar[type[Exception]] = AssertionError
-
-    def __init__(self, agent: Agent, probe: Probe) -> None:
-        super().__init__(agent, probe)
-        self.may_fail: set[str] = set()
-        self._outcomes: list[BaseException] = []
-        agent.kernel.unraised = self._outcomes.append
-
-    def raise_outcome(self) -> None:
-        """Ends the test as a task on a thread has asked for, by `pytest.fail` or `pytest.skip`."""
-        outcomes = sys.modules.get("_pytest.outcomes")  # the tests may be run by something else
-        for error in self._outcomes:
-            if outcomes is not None and isinstance(error, outcomes.OutcomeException):
-                raise error
-
-    def failures(self) -> list[str]:
-        """Returns how Pancakes' own actors on this agent have failed that may not. Tasks and a user's services may."""
-        own, kernel = [join(self.name, actor) for actor in OWN], join(self.name, "kernel")
-        may = {join(self.name, actor) for actor in self.may_fail}
-        failures = []
-        for packet in self.probe.packets(LogLine, lambda line: bool(line.traceback)):
-            address = packet.body.text.partition(" ")[0]
-            if address not in may and (address in own or covers(kernel, address)):
-                failures.append(packet.body.text)
-        return failures
-
-    def slot(self, name: str, service: str = "client") -> Slot:
-        """Returns the place of a task in its service."""
-        owner = self.component(service)
-        assert isinstance(owner, Service), f"{self.name} has no service {service}"
-        return owner.slots[name]
-
-    def log_tail(self, count: int = 30) -> str:
-        """Returns the last lines and events on its `log`, one a line, as `pancakes log` shows them."""
-        from click import unstyle  # only where something went wrong
-
-        from pancakes.services.log import record_of
-        from pancakes.tools.cli.verbs.log import text_of
-
-        return "\n".join(unstyle(text_of(record_of(packet))) for packet in self.probe.packets(channel=LOG)[-count:])
-
-    def stop(self) -> None:
-        """Stops the agent in good order."""
-        self.agent.stop()
-
-    def left(self) -> list[str]:
-        """Returns the addresses of the services and tasks that still run although the agent has ended."""
-        if not self.agent.stopping.is_set():
-            return [f"{self.name} (the whole agent)"]
-        own = (join(self.name, "kernel"), join(self.name, "test"))  # these end with the kernel's threads
-        return [
-            component.address
-            for component in self.kernel.registry.components()
-            if not component.actor_stopped.is_set() and not any(covers(place, component.address) for place in own)
-        ]
-
-
-def assert_none_failed(agents: Iterable[AgentInTest]) -> None:
-    """Fails a test in which actors of Pancakes' own have failed that may not."""
-    failures = [failure for agent in agents for failure in agent.failures()]
-    assert not failures, "\n".join(["actors of Pancakes' own have failed, and are not in `may_fail`:", *failures])
-
-
 @contextmanager
 def threaded_agent(
     name: str = "a",
     text: str = "",
     *,
-    tasks: Mapping[str, Any] | None = None,
-    devices: Mapping[str, Any] | None = None,
-    services: Mapping[str, Any] | None = None,
-    classes: Mapping[str, type] | None = None,
     state_dir: Path | None = None,
-    **agent: Any,
-) -> Iterator[AgentInTest]:
-    """Runs an agent on threads and in real time, as on a robot, and stops it at the end of the `with`.
+    **parts: Any,
+) -> Iterator[AgentHandle]:
+    """Run an agent on threads and in real time, as on a robot, and stop it at the end of the `with`.
 
     Args:
-        name, text, tasks, devices, services, agent: as for `FleetInTest.start`. It listens at `local://NAME`
-            as well, where the other agents of this process find it.
-        classes: classes that `text` names, by name.
+        name: its name. It listens at `local://NAME` as well, where the other agents of this process find it.
+        text: its configuration as TOML; `schema` and `[agent]` may be left out.
         state_dir: its state directory; None: one that is removed afterwards.
+        parts: `tasks`, `devices`, `services`, `classes` and keys of `[agent]` and `[clock]`, as for `Fleet.start`.
     """
     with tempfile.TemporaryDirectory(prefix="pancakes-test-") as directory:
-        agent = {"state_dir": str(state_dir or Path(directory) / name), **agent}
-        made = parts(name, text, tasks, devices, services, agent)
-        found = AgentInTest.on(Agent(_apart(made.config), registered({**(classes or {}), **made.classes})))
+        made = build_config(name, text, state_dir=str(state_dir or Path(directory) / name), **parts)
+        found = AgentHandle.with_probe(Agent(_apart(made.config), registered(made.classes)))
         found.agent.start()
         try:
             assert found.agent.ready.wait(PATIENCE_S), f"{name} was not ready within {PATIENCE_S:g} s"
@@ -188,21 +102,6 @@ def _apart(config: Config) -> Config:
     return replace(config, services={**config.services, "network": replace(network, settings=settings)})
 
 
-class FleetInTest(BuiltFleet[AgentInTest]):
-    """Agents in virtual time in a test: what does not come in time fails it.
-
-    So does an actor of Pancakes' own that fails (see `AgentInTest.may_fail`): the end of the `with` raises an
-    `AssertionError` then, unless it ends with another exception.
-    """
-
-    handle: ClassVar[type[Any]] = AgentInTest
-
-    def __exit__(self, *error: Any) -> None:
-        super().__exit__(*error)
-        if error[0] is None:
-            assert_none_failed(self.started)
-
-
 LEAK_PATIENCE_S = 2.0
 """How long, in seconds of the host, what was told to end may take for that."""
 LOOK_S = 0.01
@@ -218,13 +117,13 @@ class Leaks:
     def __init__(self) -> None:
         self._threads = threading.enumerate()
         self._open = _open_descriptors()
-        self._agents: list[Callable[[], Iterable[AgentInTest]]] = []
+        self._agents: list[Callable[[], Iterable[AgentHandle]]] = []
 
-    def watch(self, agents: Callable[[], Iterable[AgentInTest]]) -> None:
+    def watch(self, agents: Callable[[], Iterable[AgentHandle]]) -> None:
         """Tells of agents that should have ended; `agents` is asked for them each time."""
         self._agents.append(agents)
 
-    def agents(self) -> list[AgentInTest]:
+    def agents(self) -> list[AgentHandle]:
         """Returns the agents that it watches."""
         return [agent for ask in self._agents for agent in ask()]
 
@@ -247,7 +146,7 @@ class Leaks:
 
     def _left(self) -> str:
         threads = [thread.name for thread in threading.enumerate() if thread not in self._threads]
-        actors = [address for agent in self.agents() for address in agent.left()]
+        actors = [address for agent in self.agents() for address in agent.still_running()]
         before = set(self._open)
         files = [
             f"{target} (descriptor {number})"
@@ -309,7 +208,7 @@ MOST_SHOWN = 20
 
 
 def assert_published(
-    probe: Probe | AgentInTest,
+    probe: Probe | AgentHandle,
     body: type,
     where: BodyTest | None = None,
     *,
@@ -339,7 +238,7 @@ def assert_published(
     Raises:
         AssertionError: names what was published instead.
     """
-    listener = probe.probe if isinstance(probe, AgentInTest) else probe
+    listener = probe.probe if isinstance(probe, AgentHandle) else probe
 
     def found() -> list[Packet]:
         return listener.packets(body, where, channel=channel, source=source)

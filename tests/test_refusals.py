@@ -19,7 +19,7 @@ from pancakes.errors import (
     Unreachable,
 )
 from pancakes.settings import SettingsError
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 CODES = get_args(RefusalCode)
 PAGE = (Path(__file__).parents[1] / "docs" / "refusals.md").read_text(encoding="utf-8")
@@ -61,7 +61,7 @@ def test_refusal_that_came_back_is_raised_as_it_was():
 
 
 def test_refusals_reach_who_asks_with_their_codes():
-    with FleetInTest(5, classes={"test.Count": Count}) as fleet:
+    with Fleet(5, classes={"test.Count": Count}) as fleet:
         agent = fleet.start("a", tasks={"Count": Count})
         fleet.start("b")
         fleet.connect()
@@ -73,7 +73,7 @@ def test_refusals_reach_who_asks_with_their_codes():
 
 
 def test_refusals_of_neighbours_are_in_the_ledger_with_their_codes():
-    with FleetInTest(5, classes={"test.Count": Count}) as fleet:
+    with Fleet(5, classes={"test.Count": Count}) as fleet:
         agent = fleet.start("a", tasks={"Count": Count})
         fleet.start("b", tasks={"Count": Count})
         fleet.connect()

@@ -9,12 +9,12 @@ from pancakes.devices import Load, Pose, Twist
 from pancakes.settings import SettingsError
 from pancakes.supervision.messages import Carried
 from pancakes.task import Task, every, on, queue, reliable
-from pancakes.testing import FleetInTest, assert_published
+from pancakes.testing import Fleet, assert_published
 
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=6) as made:
+    with Fleet(seed=6) as made:
         yield made
 
 

@@ -12,7 +12,7 @@ from pancakes.devices import Load
 from pancakes.durable.rules import Cost
 from pancakes.events import LogLine
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest, Probe, assert_published, config_of, no_thread_left, threaded_agent
+from pancakes.testing import Fleet, Probe, assert_published, config_of, no_thread_left, threaded_agent
 from pancakes.util.clock import SkewedClock, VirtualClock
 
 
@@ -23,7 +23,7 @@ class Blink(Task):
 
 
 def test_the_example_of_the_module():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Blink": Blink})
         fleet.run_for(10.0)
         assert len(agent.probe.packets(Load)) == 20
@@ -38,7 +38,7 @@ def test_the_same_on_threads():
 
 
 def test_assert_published_tells_what_there_was_instead():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Blink": Blink})
         fleet.run_for(1.0)
         assert assert_published(agent, Load, channel="system").body == Load(1.0)
@@ -51,7 +51,7 @@ def test_assert_published_tells_what_there_was_instead():
 
 
 def test_what_does_not_come_fails_with_the_end_of_the_log():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Blink": Blink})
         with pytest.raises(AssertionError, match=r"a: a packet of the type 'line' did not come(.|\n)*ready"):
             agent.wait_for(LogLine, lambda line: line.text == "never said", at_most_s=2.0)
@@ -60,7 +60,7 @@ def test_what_does_not_come_fails_with_the_end_of_the_log():
 
 
 def test_a_probe_may_listen_to_some_channels_only_and_forgets_on_demand():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Blink": Blink})
         probe = agent.kernel.spawn(Probe, "a/test/Other", channels=("ctrl",))
         assert isinstance(probe, Probe)
@@ -97,7 +97,7 @@ def test_threads_that_are_left_are_named():
 
 
 def test_agents_of_a_test_find_each_other():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         for name in ("a", "b", "c"):
             fleet.start(name)
         fleet.connect()
@@ -118,20 +118,20 @@ class Count(Task):
 
 @pytest.mark.parametrize("calm", [False, True], ids=["its end", "calm"])
 def test_a_full_disk_keeps_nothing_until_that_ends(calm):
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Count": Count})
         fleet.run_for(2.0)
         end = fleet.faults.fill_disk("a")
-        disk = dict(fleet.fleet.disk("a"))
+        disk = dict(fleet.disk("a"))
         fleet.run_for(10.0)
-        assert fleet.fleet.disk("a") == disk
+        assert fleet.disk("a") == disk
         assert [line for line in agent.lines("error") if "no space left on device" in line]
         if calm:
             fleet.faults.calm()
         else:
             end()
         fleet.run_for(10.0)
-        assert fleet.fleet.disk("a") != disk
+        assert fleet.disk("a") != disk
 
 
 def test_a_slow_disk_takes_its_time_until_all_is_calm():
@@ -140,7 +140,7 @@ def test_a_slow_disk_takes_its_time_until_all_is_calm():
         assert agent.ask(body).ok
         return fleet.now() - asked_s
 
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Count": {"type": Count, "start": False}})
         fleet.faults.slow_disk("a", 0.5)
         assert answer_s(agent, Start("Count")) >= 0.5
@@ -158,7 +158,7 @@ class Costly(Cost):
 
 
 def test_a_fleet_may_be_given_cost_functions():
-    with FleetInTest(classes={"costly": Costly}) as fleet:
+    with Fleet(classes={"costly": Costly}) as fleet:
         agent = fleet.start("a", tasks={"Count": Count})
         fleet.start("b")
         fleet.connect()
@@ -168,7 +168,7 @@ def test_a_fleet_may_be_given_cost_functions():
 
 @pytest.mark.parametrize("rate", [0.9, 0.99, 1.01, 1.1])
 def test_an_agent_may_have_a_clock_that_is_too_fast_or_too_slow_now_and_after_a_restart(rate):
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Blink": Blink}, clock_rate=rate)
         fleet.start("b")
         fleet.connect()

@@ -10,9 +10,22 @@
 Nothing here sleeps, and nothing takes the time of the machine.
 """
 
-from pancakes.fleet import Faults
-from pancakes.mesh.memory_network import Quality
-from pancakes.simulation.agent_handle import AgentHandle, Probe, SimulationError
-from pancakes.simulation.simulation import Simulation
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["AgentHandle", "Faults", "Probe", "Quality", "Simulation", "SimulationError"]
+from pancakes.mesh.memory_network import Quality
+from pancakes.simulation.agent_handle import AgentHandle, NotInTime, Probe, SimulationError
+from pancakes.simulation.fleet import Faults, Fleet
+
+if TYPE_CHECKING:
+    from pancakes.simulation.simulation import Simulation
+
+__all__ = ["AgentHandle", "Faults", "Fleet", "NotInTime", "Probe", "Quality", "Simulation", "SimulationError"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the simulated world, and pymunk with it, only for programs that use it: a fleet needs neither."""
+    if name == "Simulation":
+        from pancakes.simulation.simulation import Simulation
+
+        return Simulation
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

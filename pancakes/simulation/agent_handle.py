@@ -1,44 +1,47 @@
 """Ask one agent of this process: publish, wait for packets and replies, read its tasks, its events and its log.
 
-`Probe` is an actor in the agent that records every packet it hears. `AgentHandle` is the front that programs and tests
-use. Both work in virtual time, where a wait runs all actors, and on threads, where a wait blocks the caller.
+`Probe` is an actor in the agent that records every packet it receives. `AgentHandle` is what programs and tests use.
+Both work in virtual time, where a wait runs all actors, and on threads, where a wait blocks the caller.
 """
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Self, cast
+from typing import Any, Final, Self, cast
 
 from pancakes.agent.agent import Agent
 from pancakes.control import Reply
+from pancakes.durable.bidding_messages import MIGRATOR
 from pancakes.errors import PancakesError
 from pancakes.events import Event, LogLine, line_of, record_of
 from pancakes.kernel.actor import Component
 from pancakes.kernel.handlers import Subscription, queue
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
-from pancakes.packet import LOG, SYSCTRL, Packet, join, type_name
-from pancakes.supervision.slots import describe_task
+from pancakes.packet import LOG, SYSCTRL, Packet, covers, join, type_name
+from pancakes.service import Service
+from pancakes.supervision.slots import Slot, describe_task
 
 KEEP = queue(1_000_000)
 LOOK_S = 0.02
-"""How often, in host time, a wait on threads looks at its condition where no packet comes."""
+"""How often, in host time, a wait on threads checks its condition if no packet comes."""
 
 BodyTest = Callable[[Any], bool]
-"""Says of a packet's body whether it is the one that is meant."""
+"""Returns whether a packet's body is the one that is meant."""
 
 
 class Probe(Component):
-    """An actor that listens to channels and remembers every packet in the order in which it came.
+    """Listen to channels as an actor, and record every packet in the order in which it came.
 
-    What it remembers may be asked for from any thread, and it may publish from any thread.
+    Any thread may read the recorded packets, and publish.
 
     Args:
         kernel: the kernel that it belongs to.
         address: its address.
         mailbox: None for one of its own.
-        channels: what to listen to; the default are all channels, those too that are opened later.
+        channels: what to listen to; by default all channels, including those that are opened later.
     """
 
     def __init__(
@@ -47,7 +50,7 @@ class Probe(Component):
         super().__init__(kernel, address, mailbox)
         self._channels = channels
         self._news = threading.Condition()
-        self._heard: list[Packet] = []
+        self._received: list[Packet] = []
         self._listens = False
         self._followed: set[str] = set()
 
@@ -61,41 +64,41 @@ class Probe(Component):
             self._news.notify_all()
 
     def listening(self) -> bool:
-        """Returns whether it has started: whatever is published from then on, it hears."""
+        """Return whether it has started: it receives whatever is published from then on."""
         return self._listens
 
     def follow(self, channel: str) -> None:
-        """Listens to one more channel. Any thread."""
+        """Listen to one more channel. Any thread."""
         with self._news:
             known = channel in self._followed
             self._followed.add(channel)
         if known:  # it was closed, and is there again
             self.kernel.stream.subscribe(self.address, self.actor_inbox, Subscription(channel, None, KEEP))
         else:
-            self.subscribe(channel, None, self._hear, keep=KEEP)
+            self.subscribe(channel, None, self._receive, keep=KEEP)
 
-    def _hear(self, packet: Packet) -> None:
+    def _receive(self, packet: Packet) -> None:
         with self._news:
-            self._heard.append(packet)
+            self._received.append(packet)
             self._news.notify_all()
 
     def packets(
         self, body: type | None = None, where: BodyTest | None = None, *, channel: str = "", source: str = ""
     ) -> list[Packet]:
-        """Returns what has been heard so far.
+        """Return the packets so far.
 
         Args:
             body: only packets of this type.
-            where: only those whose body it says yes to.
+            where: only those for whose body it returns True.
             channel: only those on this channel.
             source: only those of this publisher.
         """
         name = type_name(body) if body is not None else ""
         with self._news:
-            heard = list(self._heard)
+            received = list(self._received)
         return [
             packet
-            for packet in heard
+            for packet in received
             if (not name or packet.type == name)
             and (not channel or packet.channel == channel)
             and (not source or packet.source == source)
@@ -103,15 +106,15 @@ class Probe(Component):
         ]
 
     def forget(self) -> None:
-        """Forgets what has been heard so far."""
+        """Drop the packets so far."""
         with self._news:
-            self._heard.clear()
+            self._received.clear()
 
     def wait(self, condition: Callable[[], bool], at_most_s: float) -> bool:
-        """Waits until a condition is true; not to be called from an actor.
+        """Wait until a condition is true; actors must not call it.
 
-        In virtual time it runs all actors meanwhile. On threads it looks at the condition with each packet, and every
-        now and then.
+        In virtual time it runs all actors meanwhile. On threads it checks the condition with each packet, and every
+        `LOOK_S`.
 
         Args:
             condition: is called in this thread.
@@ -135,31 +138,38 @@ class Probe(Component):
 
 
 PATIENCE_S = 10.0
-"""How long, in the time of the agent, a program waits for something before that fails."""
+"""How long, in the time of the agent, to wait for something before that fails."""
+OWN_ACTORS: Final = ("client", "device", "log", "network", MIGRATOR)
+"""Pancakes' own actors, by their addresses on an agent, besides those at `kernel` and below it."""
 
 
 class SimulationError(PancakesError):
-    """A simulation cannot do what it is asked, or what is waited for did not come in time."""
+    """A simulation cannot do what it is asked."""
+
+
+class NotInTime(SimulationError, AssertionError):
+    """What was waited for did not come in time, or is not there. In a test it is a failure, as any `AssertionError`."""
 
 
 class AgentHandle:
-    """One agent, and what a program asks of it.
+    """Control and observe one agent of this process.
 
     Attributes:
         agent: the agent itself.
-        probe: hears what is published on it, from its start on.
+        may_fail: those of Pancakes' own actors that a test makes fail on purpose: `client`, `kernel/Courier`. If
+            another one of them fails, the test fails at the end of its `Fleet` or `threaded_agent`.
     """
 
-    failure: ClassVar[type[Exception]] = SimulationError
-    """What is raised where something does not come in time, or is not there."""
-
-    def __init__(self, agent: Agent, probe: Probe) -> None:
+    def __init__(self, agent: Agent, probe: Probe | None = None) -> None:
         self.agent = agent
-        self.probe = probe
+        self.may_fail: set[str] = set()
+        self._probe = probe
+        self._outcomes: list[BaseException] = []
+        agent.kernel.unraised = self._outcomes.append
 
     @classmethod
-    def on(cls, agent: Agent, channels: tuple[str, ...] = ()) -> Self:
-        """Lets a probe listen on an agent that has not been started yet.
+    def with_probe(cls, agent: Agent, channels: tuple[str, ...] = ()) -> Self:
+        """Add a probe to an agent that has not been started yet.
 
         Args:
             agent: the agent.
@@ -168,6 +178,13 @@ class AgentHandle:
         probe = agent.kernel.spawn(Probe, join(agent.name, "test", "Probe"), channels=channels)
         assert isinstance(probe, Probe)
         return cls(agent, probe)
+
+    @property
+    def probe(self) -> Probe:
+        """The actor that records what is published on the agent, from its start on."""
+        if self._probe is None:
+            raise SimulationError(f"{self.name} was started without a probe: start it with one")
+        return self._probe
 
     @property
     def name(self) -> str:
@@ -180,36 +197,36 @@ class AgentHandle:
         return self.agent.kernel
 
     def component(self, path: str) -> Component | None:
-        """Returns the actor that runs at `service` or `service/task`."""
+        """Return the actor that runs at `service` or `service/task`."""
         return cast("Component | None", self.kernel.registry.get(join(self.name, path)))  # it looks inside
 
     def task(self, name: str, service: str = "client") -> Any:
-        """Returns the actor of a task that runs; fails where it does not.
+        """Return the actor of a running task.
 
-        In virtual time nothing else runs meanwhile: its `state` and `settings` may be read, and nothing be changed.
+        In virtual time nothing else runs meanwhile: read its `state` and `settings`, and change nothing.
         """
         found = self.component(join(service, name))
         if found is None:
-            raise self.failure(f"{name} does not run on {self.name}, only {self.running()}")
+            raise NotInTime(f"{name} does not run on {self.name}, only {self.running()}")
         return found
 
     def running(self, service: str = "client") -> list[str]:
-        """Returns the names of the tasks of a service that have an actor."""
+        """Return the names of the tasks of a service that have an actor."""
         prefix = join(self.name, service) + "/"
         return [
             component.name for component in self.kernel.registry.components() if component.address.startswith(prefix)
         ]
 
     def tasks(self) -> list[dict[str, Any]]:
-        """Returns what is to be known about each of its tasks, as `pancakes task list --json` tells it."""
+        """Return a description of each of its tasks, as `pancakes task list --json` prints it."""
         return [describe_task(self.kernel, entry) for entry in self.kernel.tasks.all()]
 
     def publish(self, channel: str, body: Any, to: str = "") -> Packet:
-        """Publishes a packet in the probe's name; see `Component.publish`."""
+        """Publish a packet in the probe's name; see `Component.publish`."""
         return self.probe.publish(channel, body, to)
 
     def ask(self, body: Any, to: str = "", at_most_s: float = PATIENCE_S) -> Reply:
-        """Publishes a control packet, and waits for the reply to it.
+        """Publish a control packet, and wait for the reply.
 
         Args:
             body: the control packet's body.
@@ -220,7 +237,7 @@ class AgentHandle:
         return self.reply_to(asked, at_most_s)
 
     def reply_to(self, asked: Packet, at_most_s: float = PATIENCE_S) -> Reply:
-        """Waits for the reply to a control packet that the probe has published."""
+        """Wait for the reply to a control packet that the probe has published."""
         cause = (asked.source, asked.seq)
 
         def replies() -> list[Packet]:
@@ -240,7 +257,7 @@ class AgentHandle:
         source: str = "",
         at_most_s: float = PATIENCE_S,
     ) -> Packet:
-        """Waits until a packet has been published, and returns the first that fits; see `Probe.packets`."""
+        """Wait until a packet is published, and return the first that fits; see `Probe.packets`."""
 
         def found() -> list[Packet]:
             return self.probe.packets(body, where, channel=channel, source=source)
@@ -249,35 +266,83 @@ class AgentHandle:
         return found()[0]
 
     def wait_for_event(self, kind: str, at_most_s: float = PATIENCE_S, **fields: Any) -> Mapping[str, Any]:
-        """Waits for an event with these fields, and returns all of its fields."""
+        """Wait for an event with these fields, and return all of its fields."""
         fits = _event(kind, fields)
         packet = self.wait_for(Event, fits, channel=LOG, at_most_s=at_most_s)
         assert isinstance(packet.body, Event)
         return packet.body.fields
 
     def wait_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S, what: str = "") -> None:
-        """Runs the agent, or waits for it, until a condition is true; fails where it is not in time."""
+        """Run the agent, or wait for it, until a condition is true.
+
+        Raises:
+            NotInTime: it did not become true; the message ends with the last lines of the log.
+        """
         if not self.probe.wait(condition, at_most_s):
-            raise self.failure(
+            raise NotInTime(
                 f"{self.name}: {what or 'it'} did not come within {at_most_s:g} s; last on log:\n{self.log_tail(15)}"
             )
 
     def events(self, kind: str = "", **fields: Any) -> list[Mapping[str, Any]]:
-        """Returns the events so far, each as its fields with its `kind`, in order."""
+        """Return the events so far, each as its fields with its `kind`, in order."""
         return [
             {"kind": packet.body.kind, **packet.body.fields}
             for packet in self.probe.packets(Event, _event(kind, fields), channel=LOG)
         ]
 
     def lines(self, level: str = "") -> list[str]:
-        """Returns the lines on `log` so far."""
+        """Return the lines on `log` so far."""
         return [
             packet.body.text for packet in self.probe.packets(LogLine, lambda body: not level or body.level == level)
         ]
 
     def log_tail(self, count: int = 30) -> str:
-        """Returns the last lines and events on its `log`, one a line, as its log file has them."""
+        """Return the last lines and events on its `log`, one a line, as its log file has them."""
         return "\n".join(line_of(record_of(packet)) for packet in self.probe.packets(channel=LOG)[-count:])
+
+    def slot(self, name: str, service: str = "client") -> Slot:
+        """Return the slot of a task in its service."""
+        owner = self.component(service)
+        assert isinstance(owner, Service), f"{self.name} has no service {service}"
+        return owner.slots[name]
+
+    def stop(self) -> None:
+        """Stop the agent gracefully."""
+        self.agent.stop()
+
+    # At the end of a test --------------------------------------------------------------------------------------
+
+    def raise_outcome(self) -> None:
+        """End the test if a task on a thread has asked for that, by `pytest.fail` or `pytest.skip`."""
+        outcomes = sys.modules.get("_pytest.outcomes")  # the tests may be run by something else
+        for error in self._outcomes:
+            if outcomes is not None and isinstance(error, outcomes.OutcomeException):
+                raise error
+
+    def failures(self) -> list[str]:
+        """Return how Pancakes' own actors on this agent have failed, without `may_fail`.
+
+        Tasks and a user's services may fail.
+        """
+        own, kernel = [join(self.name, actor) for actor in OWN_ACTORS], join(self.name, "kernel")
+        may = {join(self.name, actor) for actor in self.may_fail}
+        failures = []
+        for packet in self.probe.packets(LogLine, lambda line: bool(line.traceback)):
+            address = packet.body.text.partition(" ")[0]
+            if address not in may and (address in own or covers(kernel, address)):
+                failures.append(packet.body.text)
+        return failures
+
+    def still_running(self) -> list[str]:
+        """Return the addresses of the services and tasks that still run although the agent has ended."""
+        if not self.agent.stopping.is_set():
+            return [f"{self.name} (the whole agent)"]
+        own = (join(self.name, "kernel"), join(self.name, "test"))  # these end with the kernel's threads
+        return [
+            component.address
+            for component in self.kernel.registry.components()
+            if not component.actor_stopped.is_set() and not any(covers(place, component.address) for place in own)
+        ]
 
 
 def _event(kind: str, fields: Mapping[str, Any]) -> BodyTest:

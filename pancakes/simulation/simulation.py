@@ -14,13 +14,12 @@ from msgspec.structs import replace
 
 from pancakes.config import Config, load
 from pancakes.control import Begin
-from pancakes.fleet import Faults
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import LOG, SYSCTRL
 from pancakes.sim.world import World
 from pancakes.sim.world_state import BodyState, WorldState
 from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle, SimulationError
-from pancakes.simulation.fleet_builder import BuiltFleet, has_met, meeting, parts, registered, silent
+from pancakes.simulation.fleet import Faults, Fleet, build_config, has_met, meeting, registered, silent
 from pancakes.util.plugins import Plugins
 
 READY_S = 120.0
@@ -60,7 +59,7 @@ class Simulation:
         self._configs: dict[str, Config] = {}
         self._classes: dict[str, type] = {}
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._fleet: BuiltFleet[AgentHandle] | None = None
+        self._fleet: Fleet | None = None
         self._zero_s = 0.0
 
     @classmethod
@@ -123,8 +122,9 @@ class Simulation:
             The simulation.
         """
         others = [config for config in self._configs.values() if config.agent.name != name]
-        made = parts(name, text, tasks, devices, services, {**meeting(name, others, agent.get("links")), **agent})
-        self._classes.update({**(classes or {}), **made.classes})
+        agent = {**meeting(name, others, agent.get("links")), **agent}
+        made = build_config(name, text, tasks=tasks, devices=devices, services=services, classes=classes, **agent)
+        self._classes.update(made.classes)
         self._enter(made.config)
         return self
 
@@ -166,14 +166,14 @@ class Simulation:
         if not self._configs:
             raise SimulationError("this simulation has no agents yet: add some by `add`, `load` or `of_demo`")
         self._end()
-        fleet: BuiltFleet[AgentHandle] = BuiltFleet(seed, self._quality, self._classes, self._channels)
+        fleet = Fleet(seed, self._quality, self._classes, self._channels)
         self._fleet = fleet
         try:
             for config in self._configs.values():
                 for device in config.devices.values():
                     if "world" in device.settings:
                         fleet.network.exempt(str(device.settings["world"]))
-                fleet.start_as(replace(config, agent=replace(config.agent, seed=seed)), settle=False)
+                fleet.start_config(replace(config, agent=replace(config.agent, seed=seed)), settle=False)
             self._begin(list(self._configs))
         except BaseException:
             self._end()
@@ -231,7 +231,7 @@ class Simulation:
         if not 0.0 <= seconds < math.inf:
             raise SimulationError(f"a simulation cannot step by {seconds} s: a step is 0 s or more, and ends")
         fleet = self._running()
-        fleet.fleet.run_until(self._zero_s + round(self.now_s + seconds, DIGITS) + LATE_S)
+        fleet.run_to(self._zero_s + round(self.now_s + seconds, DIGITS) + LATE_S)
 
     def step_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S) -> bool:
         """Runs all agents until a condition is true.
@@ -328,7 +328,7 @@ class Simulation:
     def _unknown(name: str, known: Mapping[str, Any]) -> str:
         return f"the simulation has no agent {name!r}, only {', '.join(known) or 'none'}"
 
-    def _running(self) -> BuiltFleet[AgentHandle]:
+    def _running(self) -> Fleet:
         if self._fleet is None:
             raise SimulationError("this simulation does not run: call `reset` first")
         return self._fleet

@@ -104,7 +104,6 @@ MAY_ASK = {
     "pancakes/pytest_plugin.py": "a test looks inside",
     "pancakes/simulation/agent_handle.py": "it looks between two turns, or a test looks inside",
     "pancakes/simulation/simulation.py": "it looks between two turns, on the thread that runs all turns",
-    "pancakes/testing.py": "a test looks inside",
     "pancakes/recording/virtual_recorder.py": "it looks between two turns, on the thread that runs all turns",
     "pancakes/tools/replay/virtual_replay.py": "it looks between two turns, on the thread that runs all turns",
     "pancakes/tools/web/virtual_watch.py": "it looks between two turns, on the thread that runs all turns",

@@ -14,14 +14,13 @@ from pancakes.control import Describe
 from pancakes.devices import Load, Pose
 from pancakes.errors import PancakesError
 from pancakes.events import Event
-from pancakes.fleet import VirtualFleet
 from pancakes.mesh.event_loop import Loop
 from pancakes.mesh.memory_network import Quality
 from pancakes.mesh.tcp import TcpTransport
 from pancakes.security.keys import Keys
 from pancakes.service import Service
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest, assert_published, config_of, no_thread_left, registered, threaded_agent
+from pancakes.testing import Fleet, assert_published, config_of, no_thread_left, registered, threaded_agent
 
 
 class Chatty(Task):
@@ -69,7 +68,7 @@ settings = { factor = 100.0 }
 
 
 def test_an_agent_is_what_its_file_says():
-    with FleetInTest(classes={"test.Chatty": Chatty}) as fleet:
+    with Fleet(classes={"test.Chatty": Chatty}) as fleet:
         agent = fleet.start("a", TOML)
         assert agent.kernel.stream.channels()[-1] == "map"
         fleet.run_for(2.0)
@@ -82,7 +81,7 @@ def test_services_start_in_order_log_first_and_stop_last():
     class Own(Service):
         pass
 
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Chatty": Chatty}, services={"own": Own})
         order = ["log", "device", "network", "client", "own"]
         assert [event["service"] for event in agent.events("service_started")] == order
@@ -97,7 +96,7 @@ def test_services_start_in_order_log_first_and_stop_last():
 
 def run(order, **others):
     """All that is published on two agents in 5 s of virtual time."""
-    with FleetInTest(order, Quality(0.01, 0.01)) as fleet:
+    with Fleet(order, Quality(0.01, 0.01)) as fleet:
         for name in ("a", "b"):
             fleet.start(name, tasks={"Chatty": Chatty}, **others)
         fleet.run_for(5.0)
@@ -113,7 +112,7 @@ def test_the_same_seed_gives_the_same_packets_in_the_same_order():
 
 
 def test_what_is_wrong_with_one_plug_in_is_told_and_the_rest_runs():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         text = '[task.Bad]\ntype = "test.Chaty"\n[device.bad]\ndriver = "nul.motors"\n'
         agent = fleet.start("a", text, tasks={"Chatty": Chatty})
         assert agent.running() == ["Chatty"]
@@ -124,7 +123,7 @@ def test_what_is_wrong_with_one_plug_in_is_told_and_the_rest_runs():
 
 
 def test_an_address_in_use_is_a_sentence_and_leaves_nothing_behind():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         fleet.start("a")
         with pytest.raises(PancakesError, match="cannot listen at tcp://a:7400"):
             fleet.start("b", listen="tcp://a:7400")
@@ -160,14 +159,14 @@ def test_the_settings_of_a_transport_reach_it(tmp_path):
 
 
 def test_of_two_agents_of_one_name_the_newcomer_says_so_and_runs_on_without_links():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         fleet.start("b")
         fleet.start("a")
         fleet.connect()
-        other = VirtualFleet(9)
-        other.dispatcher, other.network = fleet.fleet.dispatcher, fleet.network
+        other = Fleet(9)
+        other.dispatcher, other.network = fleet.dispatcher, fleet.network
         config = config_of("a", listen=("local://elsewhere", "tcp://elsewhere:7400"), peers=("tcp://b:7400",))
-        newcomer = other.start(config)
+        newcomer = other.start_config(config, settle=False, probe=False).agent
         said: list[str] = []
         newcomer.kernel.stream.tap("log", lambda packet: said.append(str(packet.body)))
         fleet.run_for(15.0)
@@ -198,7 +197,7 @@ def test_a_second_stop_does_nothing_and_a_crash_is_for_virtual_time():
 
 
 def test_an_agent_that_crashed_says_and_does_nothing_more():
-    with FleetInTest(3) as fleet:
+    with Fleet(3) as fleet:
         agent = fleet.start("a", tasks={"Chatty": Chatty})
         other = fleet.start("b", tasks={"Chatty": Chatty})
         fleet.connect()
@@ -243,7 +242,7 @@ def test_a_configuration_without_a_seed_draws_one():
     )
     seeds = []
     for _ in range(2):
-        fleet = VirtualFleet(1)
-        seeds.append(fleet.start(config).kernel.seed)
+        fleet = Fleet(1)
+        seeds.append(fleet.start_config(config, settle=False, probe=False).kernel.seed)
         fleet.close()
     assert seeds[0] != seeds[1]

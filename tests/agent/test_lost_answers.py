@@ -4,11 +4,11 @@ from pancakes.control import Describe
 from pancakes.mesh.mesh import Mesh
 from pancakes.mesh.session import PeerBusy
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 def test_an_asker_that_does_not_listen_ends_neither_the_root_nor_a_service(monkeypatch):
-    with FleetInTest(seed=1) as fleet:
+    with Fleet(seed=1) as fleet:
         a = fleet.start("a", tasks={"Task": Task})
         b = fleet.start("b")
         fleet.connect()

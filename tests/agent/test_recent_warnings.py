@@ -4,7 +4,7 @@ from pancakes.agent.log_buffers import KEPT_S, MOST_LINES
 from pancakes.control import Describe, Migrate, Start, Stop
 from pancakes.service import Service
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Grumbles(Task):
@@ -21,7 +21,7 @@ def told(agent):
 
 
 def test_warnings_are_told_once_with_the_newest_numbers():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Grumbles": Grumbles})
         fleet.run_for(2.0)
         assert told(agent) == [
@@ -33,7 +33,7 @@ def test_warnings_are_told_once_with_the_newest_numbers():
 
 
 def test_warnings_are_bounded():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Grumbles": Grumbles})
         for letter in map(chr, range(97, 97 + 2 * MOST_LINES)):
             agent.kernel.log("warning", f"{letter} is wrong")
@@ -50,7 +50,7 @@ def texts(agent):
 
 
 def test_what_only_answers_a_request_is_no_warning():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Home": Task})
         assert not agent.ask(Migrate("Home", to="a")).ok
         assert not agent.ask(Migrate("Home")).ok
@@ -60,7 +60,7 @@ def test_what_only_answers_a_request_is_no_warning():
 
 
 def test_warnings_of_a_task_that_is_gone_are_gone():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services={"extra": Extra}, tasks={"Grumbles": {"type": Grumbles, "service": "extra"}})
         fleet.run_for(2.0)
         assert len(texts(agent)) == 2
@@ -73,7 +73,7 @@ class Extra(Service):
 
 
 def test_warnings_of_a_failure_are_over_once_a_person_stops_the_task():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Boom": {"type": Boom, "restart": {"at_most": 1}}})
         fleet.run_for(5.0)
         assert [text.partition(":")[0].split(" in ")[0] for text in texts(agent)] == [
@@ -85,7 +85,7 @@ def test_warnings_of_a_failure_are_over_once_a_person_stops_the_task():
 
 
 def test_a_birth_that_waited_is_no_warning_once_it_is_over():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Grumbles": Task})
         agent.kernel.log("warning", "not born yet: Grumbles. They are new here and may run elsewhere, and nothing was")
         agent.kernel.log("warning", "a/Grumbles is born, although nothing was heard of it from b")

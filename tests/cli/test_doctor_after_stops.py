@@ -5,7 +5,7 @@ import pytest
 from pancakes.control import Describe, Start, Stop
 from pancakes.service import Service
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 from pancakes.tools.cli.verbs.agent_checks import check_agents
 from pancakes.tools.cli.verbs.checks import Facts
 
@@ -22,7 +22,7 @@ class Blind(Task):
 
 @pytest.fixture
 def agent(tmp_path):
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         tasks = {name: {"type": Task, "service": service} for name, service in (("Home", "client"), ("Odd", "plain"))}
         tasks["Blind"] = {"type": Blind, "service": "plain", "start": False}
         yield fleet.start(
@@ -57,7 +57,7 @@ def test_a_service_that_was_stopped_is_named_with_who_asked(agent):
 
 
 def test_what_waits_for_a_device_is_named():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Blind": {"type": Blind, "service": "plain"}}, services={"plain": Plain})
         found = findings(agent)
     assert ("warning", "a/Blind") in [row[:2] for row in found]
@@ -69,7 +69,7 @@ class Boom(Task):
 
 
 def test_a_task_that_was_given_up_is_named_once_and_no_more_after_a_stop():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Boom": {"type": Boom, "restart": {"at_most": 1}}})
         fleet.run_for(5.0)
         assert [row[:2] for row in findings(agent)] == [("error", "a/Boom")]

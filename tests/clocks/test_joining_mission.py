@@ -8,7 +8,7 @@ import pytest
 from clocks.pulses import PulseReader, PulseTeller
 
 from pancakes.task import Task, Tick, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Stopwatch(Task):
@@ -27,7 +27,7 @@ class Stopwatch(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest() as made:
+    with Fleet() as made:
         yield made
 
 

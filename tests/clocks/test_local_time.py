@@ -8,7 +8,7 @@ from seeded import for_each
 
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import Packet
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 LATENCY_S = 0.002
 JITTER_S = 0.001
@@ -20,7 +20,7 @@ CLOCKS = ((1.0, 0.0, 1.0), (1.0003, 5000.0, 1.0), (0.97, 3.0, 2.0))
 
 def check_stamp(case):
     seed, (rate, ahead_s, speed) = case
-    with FleetInTest(seed, Quality(LATENCY_S, JITTER_S)) as fleet:
+    with Fleet(seed, Quality(LATENCY_S, JITTER_S)) as fleet:
         fleet.start("a", tasks={"Teller": PulseTeller}, clock_rate=rate, clock_ahead_s=ahead_s, speed=speed)
         fleet.run_for(7.0)
         b = fleet.start("b", tasks={"Reader": PulseReader}, clock_rate=0.9999)
@@ -48,7 +48,7 @@ def test_local_time_error_below_half_a_round_trip():
 
 
 def test_a_packet_of_ones_own_agent_has_its_stamp():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         a = fleet.start("a", tasks={"Reader": PulseReader})
         fleet.run_for(3.0)
         a.probe.publish("network", PulseTold(3.0))
@@ -62,7 +62,7 @@ def of(agent, stamp):
 
 
 def test_a_packet_whose_time_cannot_be_known_has_none():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         fleet.start("a", tasks={"Teller": PulseTeller})
         fleet.start("held", hold=True)
         b = fleet.start("b", tasks={"Reader": PulseReader})
@@ -77,7 +77,7 @@ def test_a_packet_whose_time_cannot_be_known_has_none():
 
 
 def test_a_packet_that_came_along_with_its_task_gets_a_stamp_of_the_agent_that_the_task_is_on_now():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         fleet.start("a", clock_ahead_s=30.0)
         fleet.run_for(10.0)
         b = fleet.start("b")
@@ -91,7 +91,7 @@ def test_a_packet_that_came_along_with_its_task_gets_a_stamp_of_the_agent_that_t
 
 
 def test_what_is_known_of_a_clock_outlasts_its_link_and_gets_worse():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         fleet.start("a", tasks={"Teller": PulseTeller})
         b = fleet.start("b", tasks={"Reader": PulseReader})
         fleet.connect()
@@ -108,7 +108,7 @@ def test_what_is_known_of_a_clock_outlasts_its_link_and_gets_worse():
 
 
 def test_a_peer_that_was_started_again_is_measured_anew_and_its_old_stamps_are_not_believed():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         fleet.start("a", tasks={"Teller": PulseTeller})
         b = fleet.start("b", tasks={"Reader": PulseReader})
         fleet.connect()
@@ -126,7 +126,7 @@ def test_a_peer_that_was_started_again_is_measured_anew_and_its_old_stamps_are_n
 
 
 def test_a_held_mission_is_told_once_it_begins():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         a = fleet.start("a", hold=True)
         b = fleet.start("b", tasks={"Reader": PulseReader})
         fleet.connect()
@@ -139,7 +139,7 @@ def test_a_held_mission_is_told_once_it_begins():
 
 
 def test_the_links_of_an_agent_say_how_clocks_stand():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         a = fleet.start("a", clock_rate=1.02, clock_ahead_s=30.0)
         b = fleet.start("b")
         fleet.connect()
@@ -154,7 +154,7 @@ def test_the_links_of_an_agent_say_how_clocks_stand():
 
 def test_an_idle_link_carries_about_as_much_as_without_clocks():
     """Of the two figures one is that of an earlier version: 2.1 pings a second, and as many answers."""
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         silent = {"network": {"settings": {"discovery_hz": 0.0}}}
         a = fleet.start("a", services=silent)
         fleet.start("b", services=silent)

@@ -12,7 +12,7 @@ from pancakes.kernel.kernel import Folders
 from pancakes.recording.settings import RecordingSettings
 from pancakes.settings import FilePath, change_settings, check_settings, make_settings
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 from pancakes.tools.launch.fleet_file import make_fleet
 from pancakes.util.files import NoHome, at_home
 from pancakes.util.plugins import Plugins
@@ -105,7 +105,7 @@ class Notes(Task):
 
 
 def test_a_task_gets_whole_paths(home: Path) -> None:
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Notes": {"type": Notes, "settings": {"path": "~/notes.csv"}}})
         fleet.run_for(0.1)
         assert agent.events("path", path=f"{home}/notes.csv")

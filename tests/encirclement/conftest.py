@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 
 from pancakes.sim.csv_records import TRAJECTORY_HEADER
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 from pancakes.tools.demo import Run
 
 
 class Crew:
     """A fleet of robots, and what a test says and hears there."""
 
-    def __init__(self, fleet: FleetInTest) -> None:
+    def __init__(self, fleet: Fleet) -> None:
         self.fleet = fleet
 
     def join(self, name: str, port: int, *peers: int, tables: str = "") -> None:
@@ -28,7 +28,7 @@ class Crew:
         self.fleet.start(name, tables, listen=addresses[0], peers=tuple(addresses[1:]))
         self.run(1.0)
 
-    def ear(self, agent: str) -> AgentInTest:
+    def ear(self, agent: str) -> AgentHandle:
         return self.fleet.agents[agent]
 
     def say(self, agent: str, channel: str, body: Any, run_s: float = 0.05) -> None:
@@ -49,7 +49,7 @@ class Crew:
 
 
 @pytest.fixture
-def crew(fleet: FleetInTest) -> Crew:
+def crew(fleet: Fleet) -> Crew:
     return Crew(fleet)
 
 

@@ -15,7 +15,7 @@ from pancakes.energy.rate_supervisor import RateSupervisor
 from pancakes.events import Event
 from pancakes.packet import LOG, SYSTEM
 from pancakes.task import Task, Tick, every
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 
 
 class Gauge(Sensor):
@@ -65,13 +65,13 @@ GOVERNED: dict[str, Any] = {
 }
 
 
-def governed(fleet: FleetInTest, **changes: Any) -> AgentInTest:
+def governed(fleet: Fleet, **changes: Any) -> AgentHandle:
     settings = {**GOVERNED, **changes}
     tasks = {"Wheels": Wheels, "Governor": {"type": EnergyGovernor, "settings": settings}}
     return fleet.start("a", devices=DEVICES, tasks=tasks)
 
 
-def standing(agent: AgentInTest) -> tuple[float, float, float]:
+def standing(agent: AgentHandle) -> tuple[float, float, float]:
     """Where the three knobs really stand."""
     motion, beacons = agent.task("motion", "device"), agent.task("Discovery", "network")
     return (
@@ -81,14 +81,14 @@ def standing(agent: AgentInTest) -> tuple[float, float, float]:
     )
 
 
-def orders(agent: AgentInTest) -> int:
+def orders(agent: AgentHandle) -> int:
     """How many orders the governor has given."""
     asked = (Reschedule, Configure, Start, Stop)
     return sum(len(agent.probe.packets(body, source="a/client/Governor")) for body in asked)
 
 
 def test_the_governor_turns_real_tasks_down_and_up_again():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet)
         fleet.run_for(10.0)
         assert standing(agent) == (5.0, 1.0, 0.1)
@@ -107,7 +107,7 @@ def test_the_governor_turns_real_tasks_down_and_up_again():
 
 
 def test_no_order_is_repeated_while_nothing_changes():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet)
         Gauge.level = 0.2
         fleet.run_for(5.0)
@@ -119,7 +119,7 @@ def test_no_order_is_repeated_while_nothing_changes():
 
 
 def test_a_refusal_is_logged_in_clear_words_and_made_good_when_the_task_starts():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet)
         assert agent.ask(Stop("Wheels")).ok
         Gauge.level = 0.2
@@ -132,7 +132,7 @@ def test_a_refusal_is_logged_in_clear_words_and_made_good_when_the_task_starts()
 
 
 def test_a_target_that_does_not_exist_is_named_once():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet, rates={"device/mtion": {"full": 5, "least": 1}})
         Gauge.level = 0.2
         fleet.run_for(60.0)
@@ -141,7 +141,7 @@ def test_a_target_that_does_not_exist_is_named_once():
 
 
 def test_the_network_really_sleeps_and_is_awake_again_when_the_battery_is_full():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet, sleep={"every_s": 20, "for_s": 10})
         other = fleet.start("b")
         fleet.connect()
@@ -167,7 +167,7 @@ def test_the_network_really_sleeps_and_is_awake_again_when_the_battery_is_full()
 
 
 def test_a_governor_that_is_stopped_gives_everything_back_and_takes_it_again():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet)
         Gauge.level = 0.2
         fleet.run_for(5.0)
@@ -180,7 +180,7 @@ def test_a_governor_that_is_stopped_gives_everything_back_and_takes_it_again():
 
 
 def test_a_governor_that_is_stopped_while_the_network_sleeps_wakes_it():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet, sleep={"every_s": 60, "for_s": 50})
         Gauge.level = 0.2
         agent.wait_for_event("service_stopped", service="network")
@@ -191,7 +191,7 @@ def test_a_governor_that_is_stopped_while_the_network_sleeps_wakes_it():
 
 
 def test_an_agent_that_ends_has_nothing_to_give_back():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet, sleep={"every_s": 60, "for_s": 50})
         Gauge.level = 0.2
         fleet.run_for(5.0)
@@ -205,7 +205,7 @@ def test_an_agent_that_ends_has_nothing_to_give_back():
 
 
 def test_a_governor_that_crashed_goes_on_without_repeating_its_orders():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet)
         Gauge.level = 0.2
         fleet.run_for(5.0)
@@ -220,7 +220,7 @@ def test_a_governor_that_crashed_goes_on_without_repeating_its_orders():
 
 
 def test_new_settings_count_at_once():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet)
         Gauge.level = 0.2
         fleet.run_for(5.0)
@@ -233,7 +233,7 @@ def test_new_settings_count_at_once():
 
 
 def test_a_foreign_battery_is_no_concern():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet)
         other = fleet.start("b")
         fleet.connect()
@@ -245,7 +245,7 @@ def test_a_foreign_battery_is_no_concern():
 
 
 def test_a_service_of_another_agent_that_stops_is_no_concern():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = governed(fleet)
         other = fleet.start("b")
         fleet.connect()
@@ -258,7 +258,7 @@ def test_a_service_of_another_agent_that_stops_is_no_concern():
 
 def test_feedback_lets_a_battery_last_that_pays_for_what_is_done():
     """A closed loop: the governor turns the rate, the rate empties the battery."""
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         feedback = {"until_s": 600, "reserve": 0.1, "period_s": 20}
         only = {"rates": {"device/motion": {"full": 5, "least": 0.5}}, "values": {}}
         agent = governed(fleet, policy="feedback", feedback=feedback, **only)
@@ -278,7 +278,7 @@ def test_feedback_gives_way_to_a_busy_processor():
         def sample(self) -> Load:
             return Load(0.95)
 
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         feedback = {"until_s": 100_000, "period_s": 10, "load_at_most": 0.7}
         settings = {**GOVERNED, "policy": "feedback", "feedback": feedback}
         tasks = {"Wheels": Wheels, "Governor": {"type": EnergyGovernor, "settings": settings}}
@@ -289,7 +289,7 @@ def test_feedback_gives_way_to_a_busy_processor():
 
 
 def test_the_load_of_another_agent_is_no_concern():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         feedback = {"until_s": 100_000, "period_s": 10, "load_at_most": 0.7}
         agent = governed(fleet, policy="feedback", feedback=feedback)
         other = fleet.start("b")
@@ -305,19 +305,19 @@ RULES = {"moves": {"when": "motion", "field": "detected", "above": 0.5, "quiet_a
 PACES = {"device/battery": {"fast": 1, "slow": 0.2}, "Wheels": {"fast": 10, "slow": 1}}
 
 
-def supervised(fleet: FleetInTest, **changes: Any) -> AgentInTest:
+def supervised(fleet: Fleet, **changes: Any) -> AgentHandle:
     rules = {"moves": {**RULES["moves"], "rates": PACES, **changes}}
     tasks = {"Wheels": Wheels, "Supervisor": {"type": RateSupervisor, "settings": {"rules": rules}}}
     return fleet.start("a", devices=DEVICES, tasks=tasks)
 
 
-def rates(agent: AgentInTest) -> tuple[float, float]:
+def rates(agent: AgentHandle) -> tuple[float, float]:
     battery = agent.task("battery", "device").timers["sample"].rate_hz
     return round(battery, 6), round(agent.task("Wheels").timers["drive"].rate_hz, 6)
 
 
 def test_the_supervisor_slows_sensors_down_while_it_is_quiet_and_is_fast_at_once():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = supervised(fleet)
         fleet.run_for(5.0)
         assert rates(agent) == (1.0, 10.0)
@@ -333,7 +333,7 @@ def test_the_supervisor_slows_sensors_down_while_it_is_quiet_and_is_fast_at_once
 
 def test_packets_of_neighbours_count_only_where_the_rule_says_so():
     for foreign in (False, True):
-        with FleetInTest() as fleet:
+        with Fleet() as fleet:
             agent = supervised(fleet, foreign=foreign)
             other = fleet.start("b")
             fleet.connect()
@@ -344,7 +344,7 @@ def test_packets_of_neighbours_count_only_where_the_rule_says_so():
 
 
 def test_a_supervisor_that_is_stopped_lets_all_be_fast():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = supervised(fleet)
         fleet.run_for(15.0)
         assert rates(agent) == (0.2, 1.0)
@@ -354,7 +354,7 @@ def test_a_supervisor_that_is_stopped_lets_all_be_fast():
 
 
 def test_a_supervisor_that_was_restarted_finds_what_was_slow():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = supervised(fleet)
         fleet.run_for(15.0)
         agent.task("Supervisor").call(lambda: 1 / 0)
@@ -375,7 +375,7 @@ def test_a_supervisor_that_was_restarted_finds_what_was_slow():
     ],
 )
 def test_a_rule_about_nothing_that_exists_is_refused_and_changes_nothing(change, said):
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = supervised(fleet)
         rule = {**RULES["moves"], "rates": PACES, **change}
         assert said in agent.ask(Configure("Supervisor", {"rules": {"moves": rule}})).reason

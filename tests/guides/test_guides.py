@@ -25,9 +25,9 @@ from pancakes.config.checks import check_plugins
 from pancakes.devices import Pose
 from pancakes.devices.driver import Actuator, Sensor
 from pancakes.packet import Packet
-from pancakes.simulation.fleet_builder import registered
+from pancakes.simulation.fleet import registered
 from pancakes.task import Task, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 from pancakes.tools.cli.agent_command import agent as pancakes_agent
 from pancakes.tools.cli.main import pancakes
 from pancakes.tools.launch.fleet_file import load_fleet
@@ -356,7 +356,7 @@ def test_time_of_a_packet_elsewhere():
     names: dict[str, Any] = {"on": on, "Pose": Pose, "Packet": Packet, "Task": Task, "found": []}
     text = "class Track(Task):\n    class track:\n        add = staticmethod(lambda *pair: found.append(pair))\n"
     exec(compile(text + textwrap.indent(code.text, "    "), str(code), "exec"), names)
-    with FleetInTest(classes={"test.Track": names["Track"]}) as fleet:
+    with Fleet(classes={"test.Track": names["Track"]}) as fleet:
         agent = fleet.start("a", tasks={"Track": names["Track"]})
         fleet.run_for(1.0)
         agent.publish("system", Pose(1.0, 2.0, 0.0))

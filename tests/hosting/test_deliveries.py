@@ -13,7 +13,7 @@ from pancakes.kernel.mailbox import tell
 from pancakes.packet import packet_type
 from pancakes.supervision.messages import Give, LetterGiven, LetterOutcome
 from pancakes.task import Task, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 @packet_type("test.command")
@@ -32,7 +32,7 @@ class Sink(Task):
 
 def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_newest_are_not(monkeypatch):
     monkeypatch.setattr(hosting, "MOST_KNOWN", 4)
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Sink": Sink})
         client = agent.component("client")
         assert isinstance(client, ClientService)
@@ -57,7 +57,7 @@ def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_
 @pytest.mark.parametrize("task_id", ["a/Sink", "z/Unknown"])
 @pytest.mark.parametrize("outcome", LetterOutcome)
 def test_what_a_task_says_of_a_letter_that_is_not_known_any_more_means_nothing(task_id: str, outcome: LetterOutcome):
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Sink": Sink})
         sink, client = agent.component("client/Sink"), agent.component("client")
         assert isinstance(client, ClientService) and sink is not None

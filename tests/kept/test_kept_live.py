@@ -14,7 +14,7 @@ from kept.test_kept_state import began
 
 from pancakes.control import Describe
 from pancakes.journal import FileJournal
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 from pancakes.tools.cli.main import pancakes
 
 
@@ -37,7 +37,7 @@ def agent(name: str, keys: Path, **more: Any) -> Any:
     return threaded_agent(name, services=network, fleet=FLEET, listen="tcp://127.0.0.1:0", **more)
 
 
-def address(agent: AgentInTest) -> str:
+def address(agent: AgentHandle) -> str:
     (found,) = [it for it in agent.ask(Describe()).result["listen"] if it.startswith("tcp://")]
     return found
 

@@ -19,7 +19,7 @@ from pancakes.journal import Disk, MemoryJournal, VirtualStore
 from pancakes.journal.journal import unseal
 from pancakes.packet import Fence, Packet
 from pancakes.services.log import wanted_recordings
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 from pancakes.util.plugins import Plugins
 
 KINDS = {"boot", "fence", "guard", "identity", "ledger", "record", "recording"}
@@ -28,20 +28,20 @@ PHASES = {Phase.OWNER, Phase.PREPARED, Phase.COMMITTED, Phase.RELEASED}
 
 
 @pytest.fixture
-def fleet(kept: Kept) -> Iterator[FleetInTest]:
+def fleet(kept: Kept) -> Iterator[Fleet]:
     """The agents a, b and c, five seconds after their power was back."""
     with started(kept.folder / "fleet") as fleet:
         fleet.run_for(5.0)
         yield fleet
 
 
-def began(agent: AgentInTest, name: str) -> dict[str, Any]:
+def began(agent: AgentHandle, name: str) -> dict[str, Any]:
     """Returns what a task began with, as JSON can say it."""
     told = agent.ask(Describe(name, state=True, began=True)).result["began"]
     return {key: plain(told[key]) for key in ("settings", "periods_s", "state")}
 
 
-def owner(fleet: FleetInTest, name: str) -> str:
+def owner(fleet: Fleet, name: str) -> str:
     (found,) = [agent.name for agent in fleet.agents.values() if name in agent.running()]
     return found
 
@@ -56,29 +56,29 @@ def test_kept_disks_have_entries_of_every_kind(kept: Kept):
     assert (kept.folder / "agent" / "state" / "journal.wal").stat().st_size > 1000
 
 
-def test_kept_disks_are_read_without_complaint(fleet: FleetInTest):
+def test_kept_disks_are_read_without_complaint(fleet: Fleet):
     said = [line for agent in fleet.agents.values() for level in ("warning", "error") for line in agent.lines(level)]
     assert [line for line in said if not line.startswith(("a/client/Stopped", "a/client/Moved"))] == []
     for name in fleet.agents:
-        assert not [file for file in fleet.fleet.disk(name) if file.endswith(".bad")]
+        assert not [file for file in fleet.disk(name) if file.endswith(".bad")]
 
 
 @pytest.mark.parametrize("name", ["Count", "Created", "Drive", "Guarded", "Moved", "Receiver"])
-def test_kept_tasks_go_on_from_their_state(kept: Kept, fleet: FleetInTest, name: str):
+def test_kept_tasks_go_on_from_their_state(kept: Kept, fleet: Fleet, name: str):
     """With the settings and rates that were changed while they ran, and where they were moved to."""
     expected = kept.expected["fleet"][name]
     assert owner(fleet, name) == expected.pop("agent")
     assert began(fleet.agents[owner(fleet, name)], name) == expected
 
 
-def test_kept_tasks_that_were_stopped_or_removed_do_not_run(fleet: FleetInTest):
+def test_kept_tasks_that_were_stopped_or_removed_do_not_run(fleet: Fleet):
     a = fleet.agents["a"]
     assert a.ask(Describe("Stopped")).result["state"] == "stopped"
     assert not a.ask(Describe("Removed")).ok
     assert a.ask(Create("Removed", "kept.Count")).ok and a.task("Removed").state.n < 5
 
 
-def test_kept_guarded_task_has_its_guardians_and_is_taken_over(kept: Kept, fleet: FleetInTest):
+def test_kept_guarded_task_has_its_guardians_and_is_taken_over(kept: Kept, fleet: Fleet):
     n = kept.expected["fleet"]["Guarded"]["state"]["n"]
     (row,) = fleet.agents["a"].ask(Guarding()).result
     assert (row["owner"], row["epoch"], row["guardians"]) == ("a", "0@a", ["a", "b", "c"])
@@ -87,7 +87,7 @@ def test_kept_guarded_task_has_its_guardians_and_is_taken_over(kept: Kept, fleet
     assert fleet.agents[owner(fleet, "Guarded")].task("Guarded").state.n > n
 
 
-def test_kept_letters_of_a_task_under_way_arrive(kept: Kept, fleet: FleetInTest):
+def test_kept_letters_of_a_task_under_way_arrive(kept: Kept, fleet: Fleet):
     """Sender was handed over from b to c, with letters that no agent had got, when the power failed."""
     before = kept.expected["fleet"]["Receiver"]["state"]["numbers"]
     sent = kept.expected["fleet"]["Sender"]["state"]["n"]
@@ -96,7 +96,7 @@ def test_kept_letters_of_a_task_under_way_arrive(kept: Kept, fleet: FleetInTest)
     assert fleet.agents["a"].task("Receiver").state.numbers == list(range(1, sent + 1))
 
 
-def test_kept_fence_refuses_an_earlier_epoch(fleet: FleetInTest):
+def test_kept_fence_refuses_an_earlier_epoch(fleet: Fleet):
     a = fleet.agents["a"]
     earlier = Fence("a/Drive", (-1, "a"))
     a.kernel.stream.publish(Packet("ctrl", "motors", "a/client/Drive", "", 0.0, 1, Twist(0.1, 0.0), None, earlier))
@@ -114,7 +114,7 @@ def test_kept_wish_for_a_recording_is_read(kept: Kept):
     assert Path(wanted.first).name == "c.mcap" and wanted.settings["path"] == wanted.first and unread == []
 
 
-def test_kept_accounts_of_moves_are_listed(fleet: FleetInTest):
+def test_kept_accounts_of_moves_are_listed(fleet: Fleet):
     accounts = {agent.name: agent.ask(Migrations()).result for agent in fleet.agents.values()}
     moves = {(it["task_id"], it["boot"]) for rows in accounts.values() for it in rows}
     assert ("a/Moved", 1) in moves

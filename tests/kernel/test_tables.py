@@ -9,7 +9,7 @@ import pytest
 from pancakes.control import Configure, Describe
 from pancakes.kernel.registry import SettingsNote
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Blink(Task):
@@ -30,7 +30,7 @@ class Blink(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(1) as made:
+    with Fleet(1) as made:
         yield made
 
 

@@ -14,7 +14,7 @@ from pancakes.devices import Battery, Load, Pose
 from pancakes.events import Event
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task, every, on, queue
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 from pancakes.tools.metrics.prometheus import MOST_REQUESTS
 
 SERVICES = {"metrics": {"type": "metrics", "settings": {"port": 0}}}
@@ -215,7 +215,7 @@ def test_a_port_in_use_is_told_and_the_agent_runs(agent):
 
 
 def test_links_are_told_by_peer_and_virtual_time_is_refused():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services=SERVICES)
         fleet.run_for(30.0)
         (line,) = agent.lines("error")

@@ -18,7 +18,7 @@ from pancakes.devices import Temperature
 from pancakes.kernel.handlers import on, reliable
 from pancakes.packet import Packet
 from pancakes.task import Task
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 
 NUMBERS = "numbers"
 VERSIONS = pytest.mark.parametrize("protocol", ["5", "3.1.1"])
@@ -35,7 +35,7 @@ def service(broker: Mosquitto, **settings: Any) -> dict[str, Any]:
     return {"mqtt": {"type": MqttBridge, "settings": {**tables, **settings}}}
 
 
-def traffic(agent: AgentInTest) -> BrokerTraffic:
+def traffic(agent: AgentHandle) -> BrokerTraffic:
     """Returns how the service fares, as it says it after this was asked."""
     agent.probe.forget()
     found = agent.wait_for(BrokerTraffic).body
@@ -43,16 +43,16 @@ def traffic(agent: AgentInTest) -> BrokerTraffic:
     return found
 
 
-def is_there(agent: AgentInTest, broker: Mosquitto) -> None:
+def is_there(agent: AgentHandle, broker: Mosquitto) -> None:
     agent.wait_until(lambda: "Sending SUBACK to pancakes-a-mqtt" in broker.log(), what="SUBACK")
     agent.wait_for(BrokerTraffic, lambda body: body.connected and not body.waiting)
 
 
-def is_gone(agent: AgentInTest) -> None:
+def is_gone(agent: AgentHandle) -> None:
     agent.wait_until(lambda: any("is gone" in line for line in agent.lines("warning")), what="the broker is gone")
 
 
-def taken(agent: AgentInTest) -> list[float]:
+def taken(agent: AgentHandle) -> list[float]:
     return [packet.body.value for packet in agent.probe.packets(Number, channel=NUMBERS)]
 
 

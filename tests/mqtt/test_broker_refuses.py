@@ -21,7 +21,7 @@ from mqtt.brokers import Mosquitto, passwords
 from pancakes_mqtt.bridge import MqttBridge
 from pancakes_mqtt.packets import BrokerTraffic, Number
 
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 
 
 class Authority:
@@ -72,7 +72,7 @@ def service(address: str, **settings: Any) -> dict[str, Any]:
     }
 
 
-def says(agent: AgentInTest, text: str, level: str = "error") -> None:
+def says(agent: AgentHandle, text: str, level: str = "error") -> None:
     agent.wait_until(lambda: any(text in line for line in agent.lines(level)), what=text)
 
 

@@ -14,7 +14,7 @@ from pancakes.devices import Twist
 from pancakes.packet import CTRL
 from pancakes.settings import check_settings
 from pancakes.task import Task
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 
 
 class Hand(Task):
@@ -36,7 +36,7 @@ def device(cls: type, broker: Mosquitto, hold_after_s: float = 60.0, **settings:
     return {"device": parts}
 
 
-def is_connected(agent: AgentInTest, count: int = 1) -> None:
+def is_connected(agent: AgentHandle, count: int = 1) -> None:
     agent.wait_until(lambda: sum("connected to the broker" in line for line in agent.lines("info")) >= count)
 
 

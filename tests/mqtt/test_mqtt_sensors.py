@@ -13,14 +13,14 @@ from pancakes_mqtt.sensors import MqttBattery, MqttDistance, MqttMotion, MqttNum
 from pancakes.control import Describe, Stop
 from pancakes.devices import Battery, Motion, Pose, Sonar, Temperature
 from pancakes.settings import check_settings
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 
 
 def device(cls: type, broker: Mosquitto, **settings: Any) -> dict[str, Any]:
     return {"device": {"type": cls, "settings": {"broker": broker.address, **settings}}}
 
 
-def is_heard(agent: AgentInTest, broker: Mosquitto, count: int = 1) -> None:
+def is_heard(agent: AgentHandle, broker: Mosquitto, count: int = 1) -> None:
     """Waits until the broker has said that it sends what the agent asked for."""
     agent.wait_until(lambda: broker.log().count("Sending SUBACK to pancakes-") >= count, what="SUBACK")
 

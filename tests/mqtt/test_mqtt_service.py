@@ -15,7 +15,7 @@ from pancakes.devices import Battery, Pose, Temperature
 from pancakes.events import Event
 from pancakes.packet import NETWORK, SYSTEM
 from pancakes.settings import check_settings
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 
 POSES = {"channel": "system", "type": "pose", "topic": "robots/{agent}/{name}/{type}"}
 
@@ -24,11 +24,11 @@ def service(broker: Mosquitto, **settings: Any) -> dict[str, Any]:
     return {"mqtt": {"type": MqttBridge, "settings": {"broker": broker.address, "report_s": 0.2, **settings}}}
 
 
-def is_heard(agent: AgentInTest, broker: Mosquitto, count: int = 1) -> None:
+def is_heard(agent: AgentHandle, broker: Mosquitto, count: int = 1) -> None:
     agent.wait_until(lambda: broker.log().count("Sending SUBACK to pancakes-") >= count, what="SUBACK")
 
 
-def is_connected(agent: AgentInTest) -> None:
+def is_connected(agent: AgentHandle) -> None:
     agent.wait_for(BrokerTraffic, lambda body: body.connected)
 
 

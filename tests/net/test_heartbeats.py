@@ -6,7 +6,7 @@ from pancakes.mesh.address import Reach, WayFacts
 from pancakes.mesh.codec import RowEncoder, frame, head_of, run_of
 from pancakes.mesh.link import LinkTimes
 from pancakes.packet import Packet
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 NEWS = Packet("chat", "words", "a/client/test", "b", 0.0, 1, "news")
 
@@ -55,7 +55,7 @@ def test_who_sends_packets_sends_no_heartbeats(memory_rig):
 
 def test_the_configuration_says_how_long_a_peer_may_be_silent():
     def gone_after_s(settings):
-        with FleetInTest() as fleet:
+        with Fleet() as fleet:
             silent = {"network": {"settings": {"discovery_hz": 0.0, **settings}}}
             a = fleet.start("a", services=silent)
             fleet.start("b", services=silent)

@@ -20,7 +20,7 @@ from pancakes_pi.gps_reports import Origin, Position, pose_at, position_in, repo
 
 from pancakes.control import Describe
 from pancakes.devices import Pose
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 
 ORIGIN = {"lat_deg": 48.0, "lon_deg": 11.5}
 SLOW_S = 40.0
@@ -103,7 +103,7 @@ def device(port: int, **settings: Any) -> dict[str, Any]:
     return {"gps": {"type": GpsPose, "settings": {**ORIGIN, "port": port, **settings}}}
 
 
-def hears(agent: AgentInTest, times: int) -> None:
+def hears(agent: AgentHandle, times: int) -> None:
     agent.wait_until(lambda: sum("hears gpsd at" in line for line in agent.lines("info")) == times)
 
 

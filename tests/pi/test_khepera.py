@@ -16,7 +16,7 @@ from pancakes.control import Describe, Stop
 from pancakes.devices import Battery, Infrared, Sonar, Twist
 from pancakes.packet import CTRL
 from pancakes.task import Task
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 
 
 @pytest.fixture
@@ -41,11 +41,11 @@ def devices(robot: KheperaBench, hold_after_s: float = 30.0, rate_hz: float = 20
     }
 
 
-def drives(agent: AgentInTest, robot: KheperaBench, left: int, right: int) -> None:
+def drives(agent: AgentHandle, robot: KheperaBench, left: int, right: int) -> None:
     agent.wait_until(lambda: robot.speeds == (left, right), what=f"{left}, {right}; the robot has {robot.speeds}")
 
 
-def is_there(agent: AgentInTest, times: int = 1) -> None:
+def is_there(agent: AgentHandle, times: int = 1) -> None:
     agent.wait_until(lambda: sum("speaks with a Khepera III" in it for it in agent.lines("info")) == times)
 
 

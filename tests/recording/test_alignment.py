@@ -14,7 +14,7 @@ from pancakes.recording.reader import RecordingReader, repair
 from pancakes.recording.records import NANOSECONDS
 from pancakes.recording.settings import RecordingSettings
 from pancakes.recording.virtual_recorder import VirtualRecorder
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 from pancakes.util.plugins import Plugins
 
 S = NANOSECONDS
@@ -32,7 +32,7 @@ def life(agent, epoch_s=0.0, **notes):
 @pytest.fixture
 def folder(tmp_path) -> Path:
     """A recording of three agents, 25 s long, each on a clock of its own."""
-    with FleetInTest(3, Quality(LATENCY_S, 0.001)) as fleet:
+    with Fleet(3, Quality(LATENCY_S, 0.001)) as fleet:
         for name, (rate, ahead_s) in RATES.items():
             fleet.start(name, tasks={"Teller": PulseTeller}, clock_rate=rate, clock_ahead_s=ahead_s)
         fleet.connect()
@@ -78,7 +78,7 @@ def test_a_recording_that_was_cut_off_and_repaired_keeps_its_clocks(folder):
 
 
 def test_agents_on_one_virtual_clock_write_nothing_of_clocks(tmp_path):
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         for name in "ab":
             fleet.start(name)
         fleet.connect()

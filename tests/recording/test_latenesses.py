@@ -20,7 +20,7 @@ from pancakes.recording.task_statistics import (
     ticks_of,
 )
 from pancakes.task import Task, Tick, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 from pancakes.tools.report.performance import Rates
 
 
@@ -60,7 +60,7 @@ def test_what_is_not_late_is_not_and_nothing_has_no_percentiles():
 
 @pytest.fixture(scope="module")
 def timer():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         return fleet.start("a", tasks={"Tick100": Tick100}).task("Tick100").timers["tick"]
 
 
@@ -116,7 +116,7 @@ def test_lost_ticks_are_told(timer):
 
 
 def test_a_recording_holds_all_ticks_and_nobody_counts_once_it_has_ended(tmp_path):
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Tick100": Tick100})
         assert agent.ask(Start("log/Recorder", {"path": str(tmp_path / "r.mcap")})).ok
         fleet.run_for(5.0)

@@ -8,7 +8,7 @@ from pancakes.packet import NEIGHBOURS
 from pancakes.recording.causal_chains import CommandChains
 from pancakes.recording.reader import RecordingReader
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Sense(Task):
@@ -30,7 +30,7 @@ class React(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         yield fleet
 
 
@@ -44,7 +44,7 @@ def lives_recorded(fleet, folder, *, keeps_its_disk=True):
     fleet.run_for(3.0)
     fleet.stop("a")
     if not keeps_its_disk:
-        fleet.fleet.disk("a").clear()
+        fleet.disk("a").clear()
     fleet.run_for(2.0)
     a = fleet.restart("a")
     if not keeps_its_disk:  # else the recording goes on by itself

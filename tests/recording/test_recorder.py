@@ -21,7 +21,7 @@ from pancakes.recording.recording import Recording
 from pancakes.recording.records import NANOSECONDS, TaskDescription
 from pancakes.recording.settings import RecordingSettings
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 RECORDER = "log/Recorder"
 
@@ -65,7 +65,7 @@ class Talk(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         yield fleet
 
 
@@ -545,4 +545,4 @@ def test_of_a_recording_that_the_configuration_starts_nothing_is_written_down(fl
     fleet.run_for(1.0)
     fleet.stop("a")
     assert (tmp_path / "r.mcap").exists()
-    assert not [name for name in fleet.fleet.disk("a") if name.startswith("recording.")]
+    assert not [name for name in fleet.disk("a") if name.startswith("recording.")]

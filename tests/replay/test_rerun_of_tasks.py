@@ -15,9 +15,9 @@ from pancakes.errors import PancakesError
 from pancakes.packet import task_address
 from pancakes.recording.reader import RecordingReader
 from pancakes.recording.records import RecordingError
-from pancakes.simulation.fleet_builder import registered
+from pancakes.simulation.fleet import registered
 from pancakes.task import Task, every, on
-from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
+from pancakes.testing import AgentHandle, Fleet, threaded_agent
 from pancakes.tools.replay.comparison import StreamKey
 from pancakes.tools.replay.recorded_run import UNKNOWN_TICKS, choose_stays, find_stays
 from pancakes.tools.replay.rerun import class_of
@@ -74,7 +74,7 @@ class Other(Track):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         yield fleet
 
 
@@ -401,7 +401,7 @@ def test_a_state_that_fits_no_more_and_a_class_that_is_gone_are_sentences(fleet,
         class_of(stay, registered({}))
 
 
-def wait_for(agent: AgentInTest, cls: type, count: int) -> None:
+def wait_for(agent: AgentHandle, cls: type, count: int) -> None:
     agent.wait_until(lambda: len(agent.probe.packets(cls)) >= count)
 
 
@@ -471,7 +471,7 @@ def test_rerun_leaves_out_missed_ticks(tmp_path, stops):
 
 def test_a_task_of_a_recording_that_went_on_after_a_kill_is_run_again_life_by_life(tmp_path, monkeypatch):
     made = made_files(monkeypatch)
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Track": {"type": Track, "durability": "each"}})
         assert agent.ask(Start("log/Recorder", {"path": str(tmp_path / "a.mcap")})).ok
         for x_m in (1.0, 2.0, 3.0):

@@ -10,9 +10,9 @@ from pancakes.devices import Load, Pose
 from pancakes.devices.driver import Sensor
 from pancakes.errors import ConfigError
 from pancakes.recording.reader import RecordingReader
-from pancakes.simulation.fleet_builder import registered
+from pancakes.simulation.fleet import registered
 from pancakes.task import Task, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 from pancakes.tools.replay.replay import Selection, tally_of
 from pancakes.tools.replay.virtual_replay import VirtualReplay
 
@@ -58,7 +58,7 @@ class Follow(Task):
 @pytest.fixture
 def walk(tmp_path):
     """A recording of an agent with a real pose and no task."""
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", devices={"pose": {"type": Walk, "rate_hz": 5}})
         with recorded(tmp_path, agent):
             fleet.run_for(3.0)

@@ -16,7 +16,7 @@ from pancakes.control import Configure, Migrate, Stop
 from pancakes.devices import Motion, Temperature
 from pancakes.devices.builtin_drivers import NullMotion, NullSensor, NullTemperature
 from pancakes.packet import Packet, task_address
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 
 ALARM = {"type": Alarm, "durability": "each", "settings": {"tally_s": 5.0}}
 SENSES = {"temperature": TinyTemperature, "motion": TinyMotion}
@@ -24,18 +24,18 @@ BLIND = {"temperature": NullTemperature, "motion": NullMotion}
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest() as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet() as made:
         yield made
 
 
-def feel(agent: AgentInTest, body: Any, device: str = "") -> None:
+def feel(agent: AgentHandle, body: Any, device: str = "") -> None:
     """Lets a node's sensor say something."""
     kind = device or ("motion" if isinstance(body, Motion) else "temperature")
     agent.publish("system", body, to=f"{agent.name}/device/{kind}")
 
 
-def report(agent: AgentInTest, node: str, number: int, celsius: float, moving: bool) -> None:
+def report(agent: AgentHandle, node: str, number: int, celsius: float, moving: bool) -> None:
     """Lets some node report to the alarm that was born on `gateway`."""
     agent.publish("system", Report(node, number, celsius, moving), to=task_address("gateway/Alarm"))
 
@@ -43,19 +43,19 @@ def report(agent: AgentInTest, node: str, number: int, celsius: float, moving: b
 # Watch -----------------------------------------------------------------------------------------------------------
 
 
-def watched(fleet: FleetInTest, **settings: Any) -> AgentInTest:
+def watched(fleet: Fleet, **settings: Any) -> AgentHandle:
     settings = {"alarm": "node/Alarm", **settings}
     tasks = {"Alarm": ALARM, "Watch": {"type": Watch, "rate_hz": 0.1, "settings": settings}}
     return fleet.start("node", devices=SENSES, tasks=tasks)
 
 
-def reports(agent: AgentInTest) -> dict[str, list[Any]]:
+def reports(agent: AgentHandle) -> dict[str, list[Any]]:
     """Returns what the alarm on an agent remembers of each node."""
     nodes = agent.task("Alarm").state.nodes
     return {name: [node.received, node.celsius, node.moving] for name, node in nodes.items()}
 
 
-def test_a_watch_reports_at_its_rate_and_at_once_when_something_happens(fleet: FleetInTest) -> None:
+def test_a_watch_reports_at_its_rate_and_at_once_when_something_happens(fleet: Fleet) -> None:
     node = watched(fleet)
     fleet.run_for(15.0)
     assert reports(node) == {}, "it has not felt anything yet"
@@ -75,7 +75,7 @@ def test_a_watch_reports_at_its_rate_and_at_once_when_something_happens(fleet: F
     assert node.task("Watch").state.reports == 3
 
 
-def test_a_watch_says_to_its_own_agent_when_something_happens_and_when_no_more(fleet: FleetInTest) -> None:
+def test_a_watch_says_to_its_own_agent_when_something_happens_and_when_no_more(fleet: Fleet) -> None:
     node = watched(fleet)
     for body in (Motion(True), Temperature(40.0), Motion(False), Temperature(20.0)):
         feel(node, body)
@@ -83,7 +83,7 @@ def test_a_watch_says_to_its_own_agent_when_something_happens_and_when_no_more(f
     assert [packet.body for packet in node.probe.packets(Activity)] == [Activity("node", True), Activity("node", False)]
 
 
-def test_a_watch_of_a_tiny_node_takes_the_devices_that_stand_for_it(fleet: FleetInTest) -> None:
+def test_a_watch_of_a_tiny_node_takes_the_devices_that_stand_for_it(fleet: Fleet) -> None:
     devices = {**SENSES, "shed_temperature": TinyTemperature, "shed_motion": TinyMotion}
     settings = {"alarm": "node/Alarm", "node": "shed", "temperature": "shed_temperature", "motion": "shed_motion"}
     node = fleet.start("node", devices=devices, tasks={"Alarm": ALARM, "Watch": {"type": Watch, "settings": settings}})
@@ -98,7 +98,7 @@ def test_a_watch_of_a_tiny_node_takes_the_devices_that_stand_for_it(fleet: Fleet
 # Alarm -----------------------------------------------------------------------------------------------------------
 
 
-def test_motion_and_heat_raise_one_alarm_which_is_said_until_it_is_over(fleet: FleetInTest) -> None:
+def test_motion_and_heat_raise_one_alarm_which_is_said_until_it_is_over(fleet: Fleet) -> None:
     gateway = fleet.start("gateway", devices=BLIND, tasks={"Alarm": ALARM})
     neighbour = fleet.start("north", devices=BLIND)
     fleet.connect()
@@ -119,7 +119,7 @@ def test_motion_and_heat_raise_one_alarm_which_is_said_until_it_is_over(fleet: F
     assert len(neighbour.probe.packets(AlarmRaised)) == said
 
 
-def test_the_open_alarm_its_count_and_its_evidence_move_and_no_report_is_lost(fleet: FleetInTest) -> None:
+def test_the_open_alarm_its_count_and_its_evidence_move_and_no_report_is_lost(fleet: Fleet) -> None:
     gateway = fleet.start("gateway", devices=BLIND, tasks={"Alarm": ALARM})
     north = fleet.start("north", devices=BLIND)
     fleet.connect()
@@ -140,7 +140,7 @@ def test_the_open_alarm_its_count_and_its_evidence_move_and_no_report_is_lost(fl
     assert north.wait_for_event("alarm_raised")["number"] == 2
 
 
-def test_an_agent_without_what_the_alarm_requires_refuses_it(fleet: FleetInTest) -> None:
+def test_an_agent_without_what_the_alarm_requires_refuses_it(fleet: Fleet) -> None:
     gateway = fleet.start("gateway", devices=BLIND, tasks={"Alarm": ALARM})
     fleet.start("north", devices={"temperature": NullTemperature})
     fleet.connect()
@@ -160,7 +160,7 @@ SLEEPY = {
 }
 
 
-def sleeper(fleet: FleetInTest, **tasks: Any) -> AgentInTest:
+def sleeper(fleet: Fleet, **tasks: Any) -> AgentHandle:
     """Starts a node that sleeps while nothing happens, and one that always listens."""
     gateway = fleet.start("gateway")
     duty = {"type": DutyCycle, "settings": SLEEPY}
@@ -169,16 +169,16 @@ def sleeper(fleet: FleetInTest, **tasks: Any) -> AgentInTest:
     return gateway
 
 
-def awake(gateway: AgentInTest) -> bool:
+def awake(gateway: AgentHandle) -> bool:
     """Returns whether the node can be reached."""
     return "node" in gateway.agent.mesh.connected()
 
 
-def rate_hz(agent: AgentInTest, task: str) -> float:
+def rate_hz(agent: AgentHandle, task: str) -> float:
     return 1.0 / agent.task(task, "device").timers["sample"].period_s
 
 
-def test_a_quiet_node_sleeps_most_of_the_time_and_looks_in_now_and_then(fleet: FleetInTest) -> None:
+def test_a_quiet_node_sleeps_most_of_the_time_and_looks_in_now_and_then(fleet: Fleet) -> None:
     gateway = sleeper(fleet)
     seen = []
     for _ in range(100):
@@ -189,7 +189,7 @@ def test_a_quiet_node_sleeps_most_of_the_time_and_looks_in_now_and_then(fleet: F
     assert rate_hz(fleet.agents["node"], "motion") == 1.0
 
 
-def test_what_happens_wakes_it_at_once_and_raises_its_rates(fleet: FleetInTest) -> None:
+def test_what_happens_wakes_it_at_once_and_raises_its_rates(fleet: Fleet) -> None:
     gateway = sleeper(fleet)
     node = fleet.agents["node"]
     fleet.run_for(10.0)
@@ -207,7 +207,7 @@ def test_what_happens_wakes_it_at_once_and_raises_its_rates(fleet: FleetInTest) 
     assert [event["busy"] for event in node.events("duty")] == [True, False]
 
 
-def test_an_alarm_keeps_those_awake_that_hear_of_it(fleet: FleetInTest) -> None:
+def test_an_alarm_keeps_those_awake_that_hear_of_it(fleet: Fleet) -> None:
     gateway = sleeper(fleet)
     fleet.run_for(2.0)
     for _ in range(10):
@@ -218,13 +218,13 @@ def test_an_alarm_keeps_those_awake_that_hear_of_it(fleet: FleetInTest) -> None:
     assert not awake(gateway)
 
 
-def test_an_agent_that_has_the_alarm_stays_in_reach(fleet: FleetInTest) -> None:
+def test_an_agent_that_has_the_alarm_stays_in_reach(fleet: Fleet) -> None:
     gateway = sleeper(fleet, Alarm={**ALARM, "start": True})
     fleet.run_for(60.0)
     assert awake(gateway)
 
 
-def test_an_alarm_that_arrives_keeps_its_new_agent_awake(fleet: FleetInTest) -> None:
+def test_an_alarm_that_arrives_keeps_its_new_agent_awake(fleet: Fleet) -> None:
     gateway = fleet.start("gateway", devices=BLIND, tasks={"Alarm": ALARM})
     fleet.start("node", devices=BLIND, tasks={"DutyCycle": {"type": DutyCycle, "settings": SLEEPY}})
     fleet.connect()
@@ -233,7 +233,7 @@ def test_an_alarm_that_arrives_keeps_its_new_agent_awake(fleet: FleetInTest) -> 
     assert awake(gateway) and "Alarm" in fleet.agents["node"].running()
 
 
-def test_reports_wait_for_a_network_that_sleeps(fleet: FleetInTest) -> None:
+def test_reports_wait_for_a_network_that_sleeps(fleet: Fleet) -> None:
     gateway = fleet.start("gateway", devices=BLIND, tasks={"Alarm": ALARM})
     watch = {"type": Watch, "rate_hz": 0.5, "settings": {"alarm": "gateway/Alarm"}}
     duty = {"type": DutyCycle, "settings": {**SLEEPY, "hosts": []}}
@@ -248,7 +248,7 @@ def test_reports_wait_for_a_network_that_sleeps(fleet: FleetInTest) -> None:
     assert remembered.received == remembered.highest >= made
 
 
-def test_what_was_reported_late_counts_from_when_it_was_seen(fleet: FleetInTest) -> None:
+def test_what_was_reported_late_counts_from_when_it_was_seen(fleet: Fleet) -> None:
     gateway = fleet.start("gateway", devices=BLIND, tasks={"Alarm": ALARM})
     watch = {"type": Watch, "rate_hz": 0.5, "settings": {"alarm": "gateway/Alarm"}}
     node = fleet.start("node", devices=SENSES, tasks={"Watch": watch})
@@ -273,7 +273,7 @@ class Line(NullSensor):
         self.context.log("info", f"every {packet.body.period_s:g} s")
 
 
-def test_lines_are_told_how_often_their_tiny_nodes_report(fleet: FleetInTest) -> None:
+def test_lines_are_told_how_often_their_tiny_nodes_report(fleet: Fleet) -> None:
     duty = {"type": DutyCycle, "settings": {"lines": {"tiny": {"quiet_s": 10.0, "busy_s": 1.0}}}}
     gateway = fleet.start("gateway", devices={"tiny": Line}, tasks={"DutyCycle": duty})
     fleet.run_for(2.0)
@@ -282,14 +282,14 @@ def test_lines_are_told_how_often_their_tiny_nodes_report(fleet: FleetInTest) ->
     assert [line for line in gateway.lines("info") if "every" in line] == ["tiny: every 10 s", "tiny: every 1 s"]
 
 
-def test_what_cannot_be_slowed_down_is_named(fleet: FleetInTest) -> None:
+def test_what_cannot_be_slowed_down_is_named(fleet: Fleet) -> None:
     settings = {"rates": {"client/Nobody": {"quiet_hz": 1.0, "busy_hz": 2.0}}}
     node = fleet.start("node", tasks={"DutyCycle": {"type": DutyCycle, "settings": settings}})
     fleet.run_for(2.0)
     assert any(line.startswith("client/Nobody did not change its rate: ") for line in node.lines("warning"))
 
 
-def test_new_settings_count_at_once(fleet: FleetInTest) -> None:
+def test_new_settings_count_at_once(fleet: Fleet) -> None:
     gateway = sleeper(fleet)
     node = fleet.agents["node"]
     fleet.run_for(2.0)

@@ -8,7 +8,7 @@ import pytest
 from pancakes_sensor_field.drivers import TcpNodes
 
 from pancakes.mesh.transport import Connection, ConnectionHandler
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 LINE = "tcp://127.0.0.1:7421"
 
@@ -30,12 +30,12 @@ class Ends(ConnectionHandler):
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest(seed=5) as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet(seed=5) as made:
         yield made
 
 
-def test_a_line_that_says_nothing_is_opened_again_and_that_is_told_once(fleet: FleetInTest) -> None:
+def test_a_line_that_says_nothing_is_opened_again_and_that_is_told_once(fleet: Fleet) -> None:
     server, ends = fleet.start("server"), Ends()
     server.kernel.transport.listen(LINE, lambda: ends)
     settings = {"address": LINE, "nodes": {"shed": 1}, "line_silent_s": 10.0}

@@ -16,7 +16,7 @@ from pancakes.control import Configure, Describe, Stop
 from pancakes.mesh.transport import Connection, ConnectionHandler
 from pancakes.packet import CTRL
 from pancakes.task import Task, Tick, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 LINE = "tcp://127.0.0.1:4001"
 
@@ -34,7 +34,7 @@ class Warn(Task):
 class Hardware(ConnectionHandler):
     """A tiny node at the other end of a simulated line. It is on mains, so it lives where its gateway does not."""
 
-    def __init__(self, fleet: FleetInTest) -> None:
+    def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
         self._connection: Connection | None = None
         self.mote = Mote(7, 60.0)
@@ -64,13 +64,13 @@ class Hardware(ConnectionHandler):
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest() as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet() as made:
         yield made
 
 
 @pytest.fixture
-def hardware(fleet: FleetInTest) -> Hardware:
+def hardware(fleet: Fleet) -> Hardware:
     made = Hardware(fleet)
     devices = {
         "line": {"type": TcpNodes, "rate_hz": 1, "settings": {"nodes": {"shed": 7}, "address": LINE}},
@@ -81,14 +81,14 @@ def hardware(fleet: FleetInTest) -> Hardware:
     return made
 
 
-def test_it_sounds_while_its_task_says_so(fleet: FleetInTest, hardware: Hardware) -> None:
+def test_it_sounds_while_its_task_says_so(fleet: Fleet, hardware: Hardware) -> None:
     hardware.start()
     assert hardware.sounds_in(0.3) and hardware.sounds_in(1.0)
     assert fleet.agents["gateway"].ask(Stop("Warn")).ok
     assert not hardware.sounds_in(0.1)
 
 
-def test_it_falls_silent_by_itself_where_its_gateway_is_dead(fleet: FleetInTest, hardware: Hardware) -> None:
+def test_it_falls_silent_by_itself_where_its_gateway_is_dead(fleet: Fleet, hardware: Hardware) -> None:
     hardware.start()
     assert hardware.sounds_in(1.0)
     fleet.crash("gateway")
@@ -96,13 +96,11 @@ def test_it_falls_silent_by_itself_where_its_gateway_is_dead(fleet: FleetInTest,
     assert not hardware.sounds_in(0.3)
 
 
-def test_its_driver_says_that_it_does(fleet: FleetInTest, hardware: Hardware) -> None:
+def test_its_driver_says_that_it_does(fleet: Fleet, hardware: Hardware) -> None:
     assert fleet.agents["gateway"].ask(Describe("siren")).result["holds_by_itself_s"] == 0.5
 
 
-def test_a_node_that_has_not_spoken_cannot_be_commanded_and_that_is_said_once(
-    fleet: FleetInTest, hardware: Hardware
-) -> None:
+def test_a_node_that_has_not_spoken_cannot_be_commanded_and_that_is_said_once(fleet: Fleet, hardware: Hardware) -> None:
     gateway = fleet.agents["gateway"]
     warned = "the siren of shed is not commanded: the node has not spoken on its line yet"
     assert sum(warned in line for line in gateway.lines("warning")) == 1

@@ -19,7 +19,7 @@ from typing import Any
 from pancakes_sensor_field.drivers import SerialNodes, TcpNodes, TinyMotion, TinyTemperature, UdpNodes
 
 from pancakes.mesh.transport import Connection, ConnectionHandler
-from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
+from pancakes.testing import AgentHandle, Fleet, threaded_agent
 
 NODES = {"shed": 7, "gate": 9}
 PATIENCE_S = 10.0
@@ -32,7 +32,7 @@ class Bench(ABC):
         gateway: the agent.
     """
 
-    gateway: AgentInTest
+    gateway: AgentHandle
 
     @abstractmethod
     def send(self, data: bytes) -> None:
@@ -124,7 +124,7 @@ class VirtualBench(Bench, ConnectionHandler):
     ADDRESS = "tcp://127.0.0.1:4001"
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
-        self.fleet = stack.enter_context(FleetInTest())
+        self.fleet = stack.enter_context(Fleet())
         self._connection: Connection | None = None
         self._got = b""
         self.plug()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pancakes.control import Create
 from pancakes.task import Task, Tick, every
-from pancakes.testing import AgentInTest
+from pancakes.testing import AgentHandle
 
 
 class Count(Task):
@@ -34,7 +34,7 @@ class Drive(Count):
 COUNT = Create("Count", "test.Count", {"step": 2}, rate_hz=5.0)
 
 
-def count_of(agent: AgentInTest) -> int:
+def count_of(agent: AgentHandle) -> int:
     task = agent.task("Count")
     assert isinstance(task, Count)
     n = task.state.n

@@ -10,7 +10,7 @@ from seeded import for_each
 from services.created import Count
 
 from pancakes.control import Create, Migrate, Remove
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 STEPS = 20
 GUARD = {"guard": 3, "lease_s": 2.0}
@@ -26,7 +26,7 @@ class Storm:
         keys: other keys of the tasks.
     """
 
-    def __init__(self, fleet: FleetInTest, seed: int, keys: dict[str, object]) -> None:
+    def __init__(self, fleet: Fleet, seed: int, keys: dict[str, object]) -> None:
         self._fleet = fleet
         self._random = random.Random(seed)
         self._keys = keys
@@ -88,7 +88,7 @@ def creation_storms(seeds: Iterable[int], keys: dict[str, object]) -> None:
     done: Counter[str] = Counter()
 
     def storm_of(seed: int) -> None:
-        with FleetInTest(seed, classes={"test.Count": Count}) as fleet:
+        with Fleet(seed, classes={"test.Count": Count}) as fleet:
             for name in "abc":
                 fleet.start(name)
             fleet.connect()

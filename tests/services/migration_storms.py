@@ -11,7 +11,7 @@ from pancakes.control import Migrate, Restart, Start, Stop
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 ROBOTS = ("a", "b", "c")
 
@@ -40,7 +40,7 @@ class Storm:
 
     def __init__(self, seed):
         self.random = random.Random(f"storm/{seed}")
-        self.fleet = FleetInTest(
+        self.fleet = Fleet(
             seed,
             quality=Quality(latency_s=self.random.choice([0.0005, 0.01, 0.08]), jitter_s=self.random.random() * 0.05),
         )
@@ -61,7 +61,7 @@ class Storm:
 
     def run_for(self, duration_s):
         """Runs, and looks after each step."""
-        dispatcher = self.fleet.fleet.dispatcher
+        dispatcher = self.fleet.dispatcher
         until_s = self.fleet.now() + duration_s
         dispatcher.call_at(until_s, lambda: None)
         while self.fleet.now() < until_s:

@@ -14,7 +14,7 @@ from pancakes.devices import Pose
 from pancakes.devices.driver import Sensor
 from pancakes.errors import PancakesError
 from pancakes.packet import known_types
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 NAMES: Final = ("Count", "Count", "Guarded", "Made", "g", "client", "a", "b", "a/Count", "a/Guarded", "test.Count")
 ACTORS: Final = ("", "/client", "/network/TaskMigrator", "/guardian", "/courier", "/census", "/kernel")
@@ -38,7 +38,7 @@ def classes_of(*modules: str) -> list[type[msgspec.Struct]]:
 
 def say_odd_things(seed: int, channel: str, classes: list[type[msgspec.Struct]], actors: tuple[str, ...]) -> int:
     """Has three agents say odd things to each other while tasks start, stop and move; returns how many were sent."""
-    with FleetInTest(seed, classes={"test.Count": Count}) as fleet:
+    with Fleet(seed, classes={"test.Count": Count}) as fleet:
         tasks = {"Count": {"type": "test.Count"}, "Guarded": {"type": "test.Count", "guard": 3}}
         a = fleet.start("a", tasks=tasks, devices={"g": {"type": Still, "rate_hz": 5}})
         agents = [a, fleet.start("b"), fleet.start("c")]

@@ -7,7 +7,7 @@ from pancakes.durable.record import Phase, TaskId
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Circle(Task):
@@ -25,7 +25,7 @@ class Home(Circle):
 
 
 def two(seed=3):
-    fleet = FleetInTest(seed, classes={"test.Circle": Circle, "test.Home": Home})
+    fleet = Fleet(seed, classes={"test.Circle": Circle, "test.Home": Home})
     fleet.start("a", tasks={"Circle": Circle, "Home": {"type": Home, "start": False}})
     fleet.start("b")
     fleet.connect()
@@ -41,7 +41,7 @@ def phase(fleet, agent, name="Circle"):
 def until(fleet, condition):
     begin_s = fleet.now()
     while not condition():
-        assert fleet.fleet.dispatcher.step() and fleet.now() < begin_s + 20.0
+        assert fleet.dispatcher.step() and fleet.now() < begin_s + 20.0
 
 
 def moving(fleet, wanted, **others):
@@ -57,7 +57,7 @@ def follows_after_a_death(steps):
     with two() as fleet:
         moving(fleet, Phase.COMMITTED, then="Home")
         for _ in range(steps):
-            fleet.fleet.dispatcher.step()
+            fleet.dispatcher.step()
         fleet.crash("a")
         fleet.run_for(1.0)
         a = fleet.restart("a")

@@ -7,7 +7,7 @@ from typing import Any
 
 from pancakes.events import Event
 from pancakes.packet import LOG, NETWORK, Packet
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Talk:
@@ -20,7 +20,7 @@ class Talk:
         fleet: the agents.
     """
 
-    def __init__(self, fleet: FleetInTest) -> None:
+    def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
         self._lines: list[tuple[str, str]] = []
         self._bodies: list[Any] = []

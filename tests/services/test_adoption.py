@@ -5,15 +5,15 @@ from services.counting import Count
 
 from pancakes.control import Adopt, Describe, Migrate, Migrations, Stop
 from pancakes.durable.record import Phase, TaskId
-from pancakes.fleet import DISK_FULL
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
-from pancakes.testing import FleetInTest
+from pancakes.simulation.fleet import DISK_FULL
+from pancakes.testing import Fleet
 
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(5, classes={"test.Count": Count}) as made:
+    with Fleet(5, classes={"test.Count": Count}) as made:
         made.start("a", tasks={"Count": Count}, services={"network": {"restart": {"policy": "no"}}})
         made.start("b")
         made.connect()
@@ -30,7 +30,7 @@ def until(fleet, condition):
     """Runs step by step, so that the moment is caught as it comes."""
     begin_s = fleet.now()
     while not condition():
-        assert fleet.fleet.dispatcher.step() and fleet.now() < begin_s + 20.0
+        assert fleet.dispatcher.step() and fleet.now() < begin_s + 20.0
 
 
 def committed_and_alone(fleet):
@@ -113,7 +113,7 @@ def test_it_can_be_adopted_after_the_agent_in_doubt_was_started_anew(fleet):
 def test_the_one_that_is_gone_may_be_set_up_anew_with_an_empty_disk_afterwards(fleet):
     b = prepared_and_alone(fleet)
     assert b.ask(Adopt("Count", force=True)).ok
-    fleet.fleet.disk("a").clear()
+    fleet.disk("a").clear()
     fleet.start("a")
     fleet.connect()
 
@@ -163,7 +163,7 @@ def test_where_it_cannot_run_it_is_said_that_it_was_adopted_all_the_same():
     class Drive(Count):
         requires = ("motors",)
 
-    with FleetInTest(5, classes={"test.Drive": Drive}) as fleet:
+    with Fleet(5, classes={"test.Drive": Drive}) as fleet:
         fleet.start("a", devices={"wheels": "null.motors"}, tasks={"Count": Drive})
         fleet.start("b", devices={"wheels": "null.motors"})
         fleet.connect()

@@ -11,7 +11,7 @@ from pancakes.durable.record import Phase, TaskId
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Circle(Task):
@@ -32,7 +32,7 @@ KEPT = "wheels is kept for b/client/Circle, which is about to start"
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(7, classes={"test.Circle": Circle}) as made:
+    with Fleet(7, classes={"test.Circle": Circle}) as made:
         made.start("a", devices=WHEELS, tasks={"Circle": Circle})
         made.start("b", devices=WHEELS, tasks={"Home": {"type": Home, "start": False}})
         made.connect()
@@ -119,7 +119,7 @@ class Look(Task):
 
 
 def test_a_task_that_needs_no_actuator_may_start_whatever_others_hold():
-    with FleetInTest(7) as fleet:
+    with Fleet(7) as fleet:
         a = fleet.start("a", devices=WHEELS, tasks={"Circle": Circle, "Look": {"type": Look, "start": False}})
         fleet.run_for(0.5)
         assert a.kernel.registry.holder("wheels") == "a/client/Circle"
@@ -149,7 +149,7 @@ class LastWord(Circle):
 @pytest.mark.parametrize(("moves", "told"), [(True, False), (False, True)])
 def test_what_a_task_commands_as_it_ends_reaches_no_wheel_where_it_was_handed_over(moves, told):
     Wheels.told.clear()
-    with FleetInTest(7, classes={"test.LastWord": LastWord}) as fleet:
+    with Fleet(7, classes={"test.LastWord": LastWord}) as fleet:
         a = fleet.start("a", devices={"wheels": Wheels}, tasks={"LastWord": LastWord})
         fleet.start("b", devices=WHEELS)
         fleet.connect()

@@ -10,7 +10,7 @@ from pancakes.control import Channels, Configure, Describe, Follow, History, Res
 from pancakes.devices import Load, Pose
 from pancakes.service import Service
 from pancakes.task import Task, every, on, queue
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Count(Task):
@@ -52,7 +52,7 @@ class Plain(Service):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         yield fleet
 
 

@@ -18,7 +18,7 @@ from pancakes.control import Describe, Migrate, Restart, Start, Stop
 from pancakes.packet import packet_type
 from pancakes.settings import SettingsError, make_settings
 from pancakes.task import Task, Tick, every
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 
 
 @packet_type("bad_tasks.share")
@@ -184,7 +184,7 @@ BAD = [
 ]
 
 
-def with_a_bad_task(fleet: FleetInTest, cls: type[Task]) -> AgentInTest:
+def with_a_bad_task(fleet: Fleet, cls: type[Task]) -> AgentHandle:
     agent = fleet.start("a", tasks={"Bad": cls, "Good": Good})
     fleet.start("b")
     fleet.connect()
@@ -195,7 +195,7 @@ def with_a_bad_task(fleet: FleetInTest, cls: type[Task]) -> AgentInTest:
 @pytest.mark.parametrize("asked", [Stop, Restart, Migrate, partial(Describe, state=True), None])
 def test_bad_task_harms_no_other(asked: Callable[[str], object] | None) -> None:
     """All bad tasks of one agent together, and whatever is asked of them."""
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={**{cls.__name__: cls for cls in BAD}, "Good": Good})
         fleet.start("b")
         fleet.connect()
@@ -227,7 +227,7 @@ def test_bad_task_harms_no_other(asked: Callable[[str], object] | None) -> None:
     ],
 )
 def test_bad_state_is_told_once_with_its_place(cls: type[Task], why: str) -> None:
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = with_a_bad_task(fleet, cls)
         fleet.run_for(3.0)
         told = [line for line in agent.lines("error") if "cannot be written down" in line]
@@ -237,7 +237,7 @@ def test_bad_state_is_told_once_with_its_place(cls: type[Task], why: str) -> Non
 
 @pytest.mark.parametrize("value", [None, "x", 2.5])
 def test_bad_state_leaves_the_last_good_checkpoint(value: object) -> None:
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = with_a_bad_task(fleet, KeepsWrongTypes)
         agent.task("Bad").reschedule(0.001)  # from here on its state stays as it is
         fleet.run_for(1.5)
@@ -258,7 +258,7 @@ def test_bad_state_of_a_record_is_called_state() -> None:
 
 
 def test_bad_state_that_is_mended_is_written_again() -> None:
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = with_a_bad_task(fleet, KeepsALongInteger)
         for _ in range(2):
             agent.task("Bad").state.whole = 3
@@ -276,7 +276,7 @@ def test_bad_state_is_told_again_after_it_was_mended() -> None:
         def do_wrong(self) -> None:
             self.reschedule(0.001)  # from here on its state stays as it is
 
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = with_a_bad_task(fleet, Flips)
         for _ in range(2):
             agent.task("Bad").state.whole = 2**64
@@ -287,7 +287,7 @@ def test_bad_state_is_told_again_after_it_was_mended() -> None:
 
 
 def test_bad_state_at_the_end_loses_to_the_disk() -> None:
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = with_a_bad_task(fleet, KeepsALongInteger)
         assert agent.ask(Stop("Bad")).ok
         lost = [line for line in agent.lines("error") if "carried is lost" in line]
@@ -298,7 +298,7 @@ def test_bad_state_at_the_end_loses_to_the_disk() -> None:
 
 
 def test_rule_with_a_bad_reading_asks_again_later() -> None:
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         rule = {"when": "bad_tasks.share", "below": 0.5}
         agent = fleet.start("a", tasks={"Good": {"type": Good, "migrate": rule}})
         fleet.start("b")

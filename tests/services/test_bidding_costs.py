@@ -9,7 +9,7 @@ from pancakes.devices import Battery
 from pancakes.durable.rules import Cost
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Rover(Task):
@@ -22,7 +22,7 @@ BATTERY = {"battery": "null.battery"}
 @pytest.fixture
 def fleet():
     """`a` has the task; `b` has nothing else to do but half a battery; `c` has a task, and a full one."""
-    with FleetInTest(4, classes={"test.Rover": Rover}) as made:
+    with Fleet(4, classes={"test.Rover": Rover}) as made:
         made.start("a", tasks={"Rover": Rover})
         made.start("b", devices=BATTERY)
         made.start("c", devices=BATTERY, tasks={"Other": Task})
@@ -113,7 +113,7 @@ def test_weights_that_are_none_are_refused_to_whoever_asks(fleet):
 
 def test_a_rule_weighs_too():
     rule = {"when": "battery", "below": 0.65, "cost": {"tasks": 1.0, "battery": 3.0}}
-    with FleetInTest(4, classes={"test.Rover": Rover}) as fleet:
+    with Fleet(4, classes={"test.Rover": Rover}) as fleet:
         a = fleet.start("a", tasks={"Rover": {"type": Rover, "migrate": rule}})
         fleet.start("b", devices=BATTERY)
         c = fleet.start("c", devices=BATTERY, tasks={"Other": Task})
@@ -139,7 +139,7 @@ def test_a_function_that_fails_refuses_and_harms_nobody(error: BaseException):
         def terms(self, asked):
             raise error
 
-    with FleetInTest(4, classes={"test.Rover": Rover, "broken": Broken}) as fleet:
+    with Fleet(4, classes={"test.Rover": Rover, "broken": Broken}) as fleet:
         a = fleet.start("a", tasks={"Rover": Rover})
         fleet.start("b")
         fleet.connect()
@@ -158,7 +158,7 @@ def test_a_function_that_cannot_be_made_is_not_known(error: BaseException):
         def terms(self, asked):
             return {}
 
-    with FleetInTest(4, classes={"test.Rover": Rover, "unmade": Unmade}) as fleet:
+    with Fleet(4, classes={"test.Rover": Rover, "unmade": Unmade}) as fleet:
         a = fleet.start("a", tasks={"Rover": Rover})
         fleet.start("b")
         fleet.connect()

@@ -14,7 +14,7 @@ from pancakes.durable.census import CENSUS
 from pancakes.durable.ownership import AskTasks, TaskFact, TasksKnown, questions
 from pancakes.durable.record import Epoch, TaskId
 from pancakes.packet import NETWORK
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 
 SINK = {"Sink": Sink}
 GUARDED = {"Sink": {"type": Sink, "guard": 3}}
@@ -22,23 +22,23 @@ TASK = TaskId("a", "Sink")
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest(seed=7) as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet(seed=7) as made:
         yield made
 
 
-def start(fleet: FleetInTest, name: str, peers: str = "", text: str = "", **others: Any) -> AgentInTest:
+def start(fleet: Fleet, name: str, peers: str = "", text: str = "", **others: Any) -> AgentHandle:
     """Starts an agent that asks those of `peers`, one letter each, before it gives birth."""
     addresses = tuple(f"tcp://{peer}:7400" for peer in peers)
     return fleet.start(name, text, peers=addresses, **{"birth_wait_s": 10.0, "classes": {"Sink": Sink}, **others})
 
 
-def state(agent: AgentInTest, task: str = "Sink") -> tuple[str, str]:
+def state(agent: AgentHandle, task: str = "Sink") -> tuple[str, str]:
     found = agent.ask(Describe(target=task)).result
     return found["state"], found["rest"]
 
 
-def moved(fleet: FleetInTest, tasks: dict[str, Any] = SINK) -> None:
+def moved(fleet: Fleet, tasks: dict[str, Any] = SINK) -> None:
     """The task was born on a and runs on b, and a has crashed."""
     start(fleet, "a", tasks=tasks)
     start(fleet, "b", "a")
@@ -49,7 +49,7 @@ def moved(fleet: FleetInTest, tasks: dict[str, Any] = SINK) -> None:
     fleet.crash("a")
 
 
-def test_when_a_whole_fleet_starts_for_the_first_time_all_is_born_at_once_and_nothing_is_said(fleet: FleetInTest):
+def test_when_a_whole_fleet_starts_for_the_first_time_all_is_born_at_once_and_nothing_is_said(fleet: Fleet):
     for name, others in (("a", "bc"), ("b", "ac"), ("c", "ab")):
         start(fleet, name, others, tasks={"Sink": Sink, "Other": Sink}, settle=False)
     agents = list(fleet.agents.values())
@@ -59,30 +59,30 @@ def test_when_a_whole_fleet_starts_for_the_first_time_all_is_born_at_once_and_no
     assert [event for agent in agents for event in agent.events("birth_waits")] == []
 
 
-def test_an_agent_is_ready_while_its_tasks_wait(fleet: FleetInTest):
+def test_an_agent_is_ready_while_its_tasks_wait(fleet: Fleet):
     a = start(fleet, "a", "b", tasks=SINK)
     assert a.agent.ready.is_set() and state(a) == ("stopped", "waits → tcp://b:7400")
 
 
-def test_without_peers_it_is_born_at_once(fleet: FleetInTest):
+def test_without_peers_it_is_born_at_once(fleet: Fleet):
     assert start(fleet, "a", tasks=SINK).running("client") == ["Sink"]
     assert start(fleet, "b", "c", tasks=SINK, birth_wait_s=0.0).running("client") == ["Sink"]
 
 
-def test_an_agent_that_has_a_record_of_it_waits_for_none(fleet: FleetInTest):
+def test_an_agent_that_has_a_record_of_it_waits_for_none(fleet: Fleet):
     start(fleet, "a", tasks=SINK)
     fleet.run_for(0.5)
     fleet.crash("a")
     assert start(fleet, "a", "bc", tasks=SINK).running("client") == ["Sink"]
 
 
-def test_a_simulated_world_among_the_peers_is_met_and_not_asked(fleet: FleetInTest):
+def test_a_simulated_world_among_the_peers_is_met_and_not_asked(fleet: Fleet):
     fleet.start("w", role="environment")
     a = start(fleet, "a", "w", tasks=SINK)
     assert fleet.run_until(lambda: a.running("client") == ["Sink"], 2.0)
 
 
-def test_where_an_agent_is_missing_it_says_so_and_the_task_begins_later_with_a_warning(fleet: FleetInTest):
+def test_where_an_agent_is_missing_it_says_so_and_the_task_begins_later_with_a_warning(fleet: Fleet):
     start(fleet, "b")
     a = start(fleet, "a", "bc", tasks={"Sink": Sink, "Other": Sink})
     fleet.run_for(2.0)
@@ -105,7 +105,7 @@ class Drive(Sink):
     requires = ("motors",)
 
 
-def test_a_task_that_lacks_a_device_when_the_wait_is_over_begins_once_that_is_there(fleet: FleetInTest):
+def test_a_task_that_lacks_a_device_when_the_wait_is_over_begins_once_that_is_there(fleet: Fleet):
     a = start(fleet, "a", "b", tasks={"Drive": Drive}, devices={"wheels": "null.motors"}, classes={"Drive": Drive})
     assert a.ask(Stop("device/wheels")).ok
     fleet.run_for(15.0)
@@ -116,7 +116,7 @@ def test_a_task_that_lacks_a_device_when_the_wait_is_over_begins_once_that_is_th
     assert (unasked["task"], unasked["missing"]) == ("Drive", "tcp://b:7400")
 
 
-def test_an_agent_that_comes_late_is_asked_then(fleet: FleetInTest):
+def test_an_agent_that_comes_late_is_asked_then(fleet: Fleet):
     a = start(fleet, "a", "b", tasks=SINK)
     fleet.run_for(3.0)
     start(fleet, "b", "a")
@@ -124,7 +124,7 @@ def test_an_agent_that_comes_late_is_asked_then(fleet: FleetInTest):
     assert a.events("born_unasked") == []
 
 
-def test_a_question_that_was_lost_is_asked_again(fleet: FleetInTest, monkeypatch: pytest.MonkeyPatch):
+def test_a_question_that_was_lost_is_asked_again(fleet: Fleet, monkeypatch: pytest.MonkeyPatch):
     lost: list[AskTasks] = []
 
     def loses_the_first(task_ids: tuple[TaskId, ...]) -> list[AskTasks]:
@@ -141,23 +141,23 @@ def test_a_question_that_was_lost_is_asked_again(fleet: FleetInTest, monkeypatch
     assert a.events("born_unasked") == []
 
 
-def test_what_is_asked_for_expressly_begins_at_once(fleet: FleetInTest):
+def test_what_is_asked_for_expressly_begins_at_once(fleet: Fleet):
     a = start(fleet, "a", "b", tasks=SINK)
     assert a.ask(Start("Sink", dry_run=True)).ok and a.running("client") == []
     assert a.ask(Start("Sink")).ok and a.running("client") == ["Sink"]
     assert [it["missing"] for it in a.events("born_unasked")] == ["tcp://b:7400"]
 
 
-def test_one_that_is_stopped_while_it_waits_stays_stopped(fleet: FleetInTest):
+def test_one_that_is_stopped_while_it_waits_stays_stopped(fleet: Fleet):
     a = start(fleet, "a", "b", tasks=SINK)
     assert a.ask(Stop("Sink")).ok
     fleet.run_for(12.0)
     assert a.running("client") == []
 
 
-def test_a_birthplace_with_an_empty_disk_gives_no_birth_to_what_runs_elsewhere(fleet: FleetInTest):
+def test_a_birthplace_with_an_empty_disk_gives_no_birth_to_what_runs_elsewhere(fleet: Fleet):
     moved(fleet)
-    fleet.fleet.disk("a").clear()
+    fleet.disk("a").clear()
     a = start(fleet, "a", "b", tasks=SINK)
     fleet.run_for(12.0)
     assert a.running("client") == [] and state(fleet.agents["b"])[0] == "running"
@@ -170,14 +170,14 @@ def test_a_birthplace_with_an_empty_disk_gives_no_birth_to_what_runs_elsewhere(f
     assert state(a) == ("running", "")
 
 
-def test_also_one_that_passed_it_on_knows_that_it_was_born(fleet: FleetInTest):
+def test_also_one_that_passed_it_on_knows_that_it_was_born(fleet: Fleet):
     moved(fleet)
     start(fleet, "c", "b")
     fleet.connect()
     assert fleet.agents["b"].ask(Migrate("Sink", to="c")).ok
     fleet.run_for(2.0)
     fleet.crash("c")
-    fleet.fleet.disk("a").clear()
+    fleet.disk("a").clear()
     a = start(fleet, "a", "b", tasks=SINK)
     fleet.run_for(12.0)
     assert state(a) == ("stopped", "disk lost")
@@ -187,7 +187,7 @@ def test_also_one_that_passed_it_on_knows_that_it_was_born(fleet: FleetInTest):
     assert "was born before" in a.ask(Start("Sink")).reason
 
 
-def test_a_person_decides_about_one_that_was_born_before(fleet: FleetInTest):
+def test_a_person_decides_about_one_that_was_born_before(fleet: Fleet):
     test_also_one_that_passed_it_on_knows_that_it_was_born(fleet)
     a = fleet.agents["a"]
     meaning = a.ask(Adopt("Sink"))
@@ -201,7 +201,7 @@ def test_a_person_decides_about_one_that_was_born_before(fleet: FleetInTest):
     assert state(c) == ("stopped", "disputed"), "its epoch is the lower one"
 
 
-def test_forgotten_it_rests_for_good(fleet: FleetInTest):
+def test_forgotten_it_rests_for_good(fleet: Fleet):
     test_also_one_that_passed_it_on_knows_that_it_was_born(fleet)
     assert fleet.agents["a"].ask(Forget("Sink")).ok
     fleet.crash("a")
@@ -210,24 +210,24 @@ def test_forgotten_it_rests_for_good(fleet: FleetInTest):
     assert state(a) == ("stopped", "forgotten")
 
 
-def test_what_was_moved_before_its_agent_was_renamed_is_not_born_under_the_new_name(fleet: FleetInTest):
+def test_what_was_moved_before_its_agent_was_renamed_is_not_born_under_the_new_name(fleet: Fleet):
     moved(fleet)
-    disk = {name: data for name, data in fleet.fleet.disk("a").items() if name != "lock"}
-    fleet.fleet.disk("r").update(disk)
+    disk = {name: data for name, data in fleet.disk("a").items() if name != "lock"}
+    fleet.disk("r").update(disk)
     r = start(fleet, "r", "b", tasks=SINK)
     fleet.run_for(12.0)
     assert state(r) == ("stopped", "disk lost")
     assert any("a/Sink was born before (b has it, epoch 1@a), and r knows nothing of r/Sink" in it for it in r.lines())
 
 
-def test_an_old_disk_under_a_new_name_asks_about_both_names(fleet: FleetInTest):
+def test_an_old_disk_under_a_new_name_asks_about_both_names(fleet: Fleet):
     start(fleet, "a")
     fleet.run_for(0.5)
-    disk = {name: data for name, data in fleet.fleet.disk("a").items() if name != "lock"}
+    disk = {name: data for name, data in fleet.disk("a").items() if name != "lock"}
     fleet.crash("a")
-    fleet.fleet.disk("a").clear()
+    fleet.disk("a").clear()
     moved(fleet)
-    fleet.fleet.disk("r").update(disk)
+    fleet.disk("r").update(disk)
     r = start(fleet, "r", "b", tasks=SINK)
     fleet.run_for(12.0)
     assert state(r) == ("stopped", "disk lost"), "it went from another disk, which had that name"
@@ -236,7 +236,7 @@ def test_an_old_disk_under_a_new_name_asks_about_both_names(fleet: FleetInTest):
 # Guarded tasks -----------------------------------------------------------------------------------------------------
 
 
-def test_a_guarded_task_waits_on_until_a_person_decides(fleet: FleetInTest):
+def test_a_guarded_task_waits_on_until_a_person_decides(fleet: Fleet):
     a = start(fleet, "a", "b", tasks=GUARDED)
     fleet.run_for(30.0)
     assert state(a) == ("stopped", "waits → tcp://b:7400")
@@ -248,7 +248,7 @@ def test_a_guarded_task_waits_on_until_a_person_decides(fleet: FleetInTest):
     assert state(a)[0] == "running"
 
 
-def test_a_guarded_task_is_born_once_most_of_its_guardians_know_nothing_of_it(fleet: FleetInTest):
+def test_a_guarded_task_is_born_once_most_of_its_guardians_know_nothing_of_it(fleet: Fleet):
     start(fleet, "b")
     guarded = {"Sink": {"type": Sink, "guard": 3, "guardians": ("b", "a")}}
     a = start(fleet, "a", "bc", tasks=guarded)
@@ -258,14 +258,14 @@ def test_a_guarded_task_is_born_once_most_of_its_guardians_know_nothing_of_it(fl
     assert state(a)[0] == "running" and [it["missing"] for it in a.events("born_unasked")] == ["tcp://c:7400"]
 
 
-def test_a_guardian_knows_of_its_task(fleet: FleetInTest):
+def test_a_guardian_knows_of_its_task(fleet: Fleet):
     start(fleet, "b")
     start(fleet, "c", "b")
     a = start(fleet, "a", "bc", tasks=GUARDED)
     fleet.run_for(5.0)
     assert state(a)[0] == "running"
     fleet.crash("a")
-    fleet.fleet.disk("a").clear()
+    fleet.disk("a").clear()
     a = start(fleet, "a", "bc", tasks=GUARDED)
     fleet.run_for(1.0)
     assert state(a) == ("stopped", "disk lost"), "its lease runs, and it is not born a second time"
@@ -282,14 +282,14 @@ may = ["look", "publish"]
 """
 
 
-def says(fleet: FleetInTest, who: str, *facts: TaskFact, task_ids: tuple[TaskId, ...] = (TASK,)) -> None:
+def says(fleet: Fleet, who: str, *facts: TaskFact, task_ids: tuple[TaskId, ...] = (TASK,)) -> None:
     fleet.agents[who].publish(NETWORK, TasksKnown(task_ids, facts), to=f"a/{CENSUS}")
     fleet.run_for(0.2)
 
 
 @pytest.mark.parametrize("right", ["host", ""])
 def test_an_agent_that_says_it_is_at_the_address_of_another_is_believed_as_far_as_it_may_host(
-    fleet: FleetInTest, right: str
+    fleet: Fleet, right: str
 ) -> None:
     rights = ALLOWED.replace('"publish"', f'"publish", "{right}"') if right else ALLOWED
     a = start(fleet, "a", "b", rights, tasks=SINK)
@@ -300,7 +300,7 @@ def test_an_agent_that_says_it_is_at_the_address_of_another_is_believed_as_far_a
 
 
 @pytest.mark.parametrize("right", ["host", "guard", ""])
-def test_that_a_task_was_born_is_believed_only_of_an_agent_that_may_host_or_guard_it(fleet: FleetInTest, right: str):
+def test_that_a_task_was_born_is_believed_only_of_an_agent_that_may_host_or_guard_it(fleet: Fleet, right: str):
     rights = ALLOWED.replace('"publish"', f'"publish", "{right}"') if right else ALLOWED
     start(fleet, "x")
     a = start(fleet, "a", "xb", rights, tasks=SINK)
@@ -312,7 +312,7 @@ def test_that_a_task_was_born_is_believed_only_of_an_agent_that_may_host_or_guar
     assert refused == (not right)
 
 
-def test_an_agent_answers_for_itself_alone(fleet: FleetInTest):
+def test_an_agent_answers_for_itself_alone(fleet: Fleet):
     a = start(fleet, "a", "b", tasks=SINK)
     for name in "xy":
         start(fleet, name, "a")
@@ -322,7 +322,7 @@ def test_an_agent_answers_for_itself_alone(fleet: FleetInTest):
     assert state(a) == ("stopped", "waits → tcp://b:7400")
 
 
-def test_an_answer_about_a_task_that_was_not_asked_about_says_nothing(fleet: FleetInTest):
+def test_an_answer_about_a_task_that_was_not_asked_about_says_nothing(fleet: Fleet):
     start(fleet, "x")
     a = start(fleet, "a", "xb", tasks=SINK)
     fleet.run_for(1.0)
@@ -331,7 +331,7 @@ def test_an_answer_about_a_task_that_was_not_asked_about_says_nothing(fleet: Fle
     assert state(a) == ("stopped", "waits → tcp://b:7400")
 
 
-def test_a_simulated_world_knows_of_no_task(fleet: FleetInTest):
+def test_a_simulated_world_knows_of_no_task(fleet: Fleet):
     fleet.start("w", role="environment")
     a = start(fleet, "a", "wb", tasks=SINK)
     fleet.run_for(1.0)
@@ -339,7 +339,7 @@ def test_a_simulated_world_knows_of_no_task(fleet: FleetInTest):
     assert state(a) == ("stopped", "waits → tcp://b:7400")
 
 
-def test_an_agent_that_asks_is_answered_and_a_simulated_world_is_not(fleet: FleetInTest):
+def test_an_agent_that_asks_is_answered_and_a_simulated_world_is_not(fleet: Fleet):
     start(fleet, "a", tasks=SINK)
     answers = {}
     for name, role in (("x", "agent"), ("w", "environment")):

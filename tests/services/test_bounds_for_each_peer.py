@@ -23,7 +23,7 @@ from pancakes.mesh.partial_mesh import MOST_KNOWN, MOST_OF_PEER, FewLinks
 from pancakes.packet import Fence, Packet, type_name
 from pancakes.services.fence_rule import MOST_OF_PEER as MOST_MARKS
 from pancakes.services.fence_rule import ClaimRefused, EpochClaim, Mark, May, judged
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 from pancakes.tools.cli.verbs.agent_checks import check_kept
 from pancakes.tools.cli.verbs.checks import Facts
 from pancakes.util import codecs
@@ -33,7 +33,7 @@ COUNT = TaskId("a", "Count")
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as made:
+    with Fleet(seed=5, classes={"test.Count": Count}) as made:
         made.start("a", tasks={"Count": Count, "Sink": Sink})
         made.start("b")
         made.start("c")

@@ -14,7 +14,7 @@ from pancakes.devices.driver import Sensor
 from pancakes.journal.file_journal import WRITE_AHEAD
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 
 class Count(Task):
@@ -158,7 +158,7 @@ def test_a_symbolic_link_is_followed_and_told(tmp_path):
 
 
 def test_agent_says_that_its_journal_cannot_write():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Count": Count})
         fleet.faults.fill_disk("a")
         fleet.run_for(3.0)

@@ -22,7 +22,7 @@ from pancakes.durable.messages import (
 from pancakes.durable.record import MOST_STEP, Epoch, GuardianId, Guards, Record, TaskId, Volatile, forgotten_guards
 from pancakes.durable.snapshot import Snapshot
 from pancakes.supervision.messages import GUARDIAN
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 COUNT, FREE = TaskId("a", "Count"), TaskId("a", "Free")
 FIRST = Epoch(0, "a")
@@ -30,7 +30,7 @@ FIRST = Epoch(0, "a")
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as made:
+    with Fleet(seed=5, classes={"test.Count": Count}) as made:
         guarded = {"type": Count, "guard": 3, "lease_s": 2.0, "guardians": ["b", "c"]}
         made.start("a", tasks={"Count": guarded, "Free": {"type": Count}})
         for name in "bcde":

@@ -7,7 +7,7 @@ from pancakes.devices import Pose
 from pancakes.durable.client_service import ClientService
 from pancakes.kernel.handlers import on
 from pancakes.task import Task
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 
 
 class Count(Task):
@@ -22,14 +22,14 @@ class Fragile(ClientService):
         raise RuntimeError("no map")
 
 
-def replies(agent: AgentInTest, *bodies: object) -> list[str]:
+def replies(agent: AgentHandle, *bodies: object) -> list[str]:
     """Asks for several things at once; returns what each was refused for, an empty string where it was done."""
     asked = [agent.publish("sysctrl", body) for body in bodies]
     return [agent.reply_to(packet).reason for packet in asked]
 
 
 def test_where_their_service_is_stopped():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Count": Count})
 
         reasons = replies(agent, Stop("Count"), Start("Count"), Restart("Count"), Stop("client/"))
@@ -49,7 +49,7 @@ def test_where_their_service_is_stopped():
     ],
 )
 def test_where_their_service_fails(heard: bool, reason: str):
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services={"fragile": Fragile}, tasks={"Count": {"type": Count, "service": "fragile"}})
         asked = [agent.publish("sysctrl", body) for body in (Stop("Count"), Start("Count"))]
         if heard:
@@ -64,7 +64,7 @@ def test_where_their_service_fails(heard: bool, reason: str):
 
 
 def test_more_than_there_is_room_for_is_refused_and_not_forgotten():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Count": Count})
         other = fleet.start("b")
         fleet.connect()
@@ -83,7 +83,7 @@ def test_more_than_there_is_room_for_is_refused_and_not_forgotten():
 
 
 def test_what_became_of_a_command_that_was_put_off_is_told_and_a_failure_is_a_warning():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         tasks = {name: {"type": Count, "service": "fragile", "start": False} for name in ("One", "Two")}
         agent = fleet.start("a", services={"fragile": Fragile}, tasks=tasks)
         agent.may_fail.add("fragile")

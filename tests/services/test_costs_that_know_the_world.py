@@ -20,7 +20,7 @@ from pancakes.durable.snapshot import OFFER_BYTES
 from pancakes.errors import ClassError
 from pancakes.packet import CTRL
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 BUS = "tcp://127.0.0.1:7499"
 ROBOTS = {"a": (0.0, 0.0), "b": (1.0, 0.8), "c": (-1.0, 0.8), "d": (-1.0, -0.8), "e": (1.0, -0.8)}
@@ -71,7 +71,7 @@ class Roam(Task):
 
 
 @pytest.fixture
-def robots() -> Iterator[FleetInTest]:
+def robots() -> Iterator[Fleet]:
     """Five robots that drive about in the simulator; the motion capture tells each its pose."""
     world = {
         "bus": BUS,
@@ -81,7 +81,7 @@ def robots() -> Iterator[FleetInTest]:
     }
     capture = {"targets": {name: f"{name}/device/pose" for name in ROBOTS}, "send_hz": 10}
     classes = {"test.Patrol": Patrol, "nearest": Nearest}
-    with FleetInTest(seed=5, classes=classes) as fleet:
+    with Fleet(seed=5, classes=classes) as fleet:
         for name in ROBOTS:
             wheels = {"type": "sim.differential_drive", "settings": {"world": BUS}}
             tasks = {"Roam": Roam, **({"Patrol": {"type": "test.Patrol"}} if name == "a" else {})}
@@ -95,7 +95,7 @@ def robots() -> Iterator[FleetInTest]:
         yield fleet
 
 
-def distances(fleet: FleetInTest, place_m: tuple[float, float]) -> dict[str, float]:
+def distances(fleet: Fleet, place_m: tuple[float, float]) -> dict[str, float]:
     """Returns how far each robot is from a place in truth."""
     seen: dict[str, float] = {}
 
@@ -110,7 +110,7 @@ def distances(fleet: FleetInTest, place_m: tuple[float, float]) -> dict[str, flo
     return {name: distance for name, distance in seen.items() if name in ROBOTS}
 
 
-def test_of_five_robots_that_drive_about_the_nearest_takes_the_task(robots: FleetInTest):
+def test_of_five_robots_that_drive_about_the_nearest_takes_the_task(robots: Fleet):
     winners = set()
     for place_m in ((1.2, 0.9), (-1.2, 0.9), (-1.2, -0.9), (1.2, -0.9)):
         home = next(name for name in ROBOTS if "Patrol" in robots.agents[name].running())
@@ -128,7 +128,7 @@ def test_of_five_robots_that_drive_about_the_nearest_takes_the_task(robots: Flee
     assert len(winners) >= 3
 
 
-def test_bidders_are_told_what_the_class_offers_and_no_more(robots: FleetInTest):
+def test_bidders_are_told_what_the_class_offers_and_no_more(robots: Fleet):
     asked: list[Solicit] = []
     robots.agents["b"].kernel.stream.tap("network", lambda packet: asked.append(packet.body), ("migration.solicit",))
     for cost in ("nearest", "tasks"):
@@ -139,7 +139,7 @@ def test_bidders_are_told_what_the_class_offers_and_no_more(robots: FleetInTest)
 
 def one(cost: type[Cost], task: type[Task] = Patrol, **others: Any) -> str:
     """Returns why the only neighbour refuses."""
-    with FleetInTest(4, classes={"test.Patrol": task, "odd": cost}) as fleet:
+    with Fleet(4, classes={"test.Patrol": task, "odd": cost}) as fleet:
         a = fleet.start("a", tasks={"Patrol": {"type": "test.Patrol", **others}})
         fleet.start("b")
         fleet.connect()
@@ -197,7 +197,7 @@ def test_a_reading_of_another_agent_counts_for_nothing():
         def terms(self, facts: CostFacts) -> Mapping[str, float]:
             return {"degrees": facts.reading("temperature").celsius}
 
-    with FleetInTest(4, classes={"test.Patrol": Patrol, "odd": Warm}) as fleet:
+    with Fleet(4, classes={"test.Patrol": Patrol, "odd": Warm}) as fleet:
         a = fleet.start("a", tasks={"Patrol": {"type": "test.Patrol"}})
         b = fleet.start("b")
         fleet.connect()
@@ -228,7 +228,7 @@ def test_an_offer_that_cannot_be_read_is_a_refusal():
     class Near(Nearest):
         name = "odd"
 
-    with FleetInTest(4, classes={"test.Patrol": Patrol, "odd": Near}) as fleet:
+    with Fleet(4, classes={"test.Patrol": Patrol, "odd": Near}) as fleet:
         a = fleet.start("a")
         b = fleet.start("b")
         fleet.connect()
@@ -244,7 +244,7 @@ def test_an_offer_that_cannot_be_read_is_a_refusal():
 def test_guardians_tell_bidders_for_a_lost_task_what_its_class_offers():
     rule = {"when": "battery", "below": 0.1, "cost": "nearest"}
     task = {"type": "test.Patrol", "guard": 3, "guardians": ["b", "c"], "migrate": rule}
-    with FleetInTest(4, classes={"test.Patrol": Patrol, "nearest": Nearest}) as fleet:
+    with Fleet(4, classes={"test.Patrol": Patrol, "nearest": Nearest}) as fleet:
         a = fleet.start("a", tasks={"Patrol": task})
         for name, x_m in (("b", 3.0), ("c", 2.0), ("d", 1.0)):
             fleet.start(name).publish("system", Pose(x_m, 0.0, 0.0))

@@ -11,19 +11,19 @@ from services.numbered import Sink
 
 from pancakes.control import Configure, Create, Describe, Migrate, Migrations, Remove, Revive, Start, Stop
 from pancakes.durable.record import Phase, TaskId
-from pancakes.fleet import DISK_FULL
 from pancakes.mesh.memory_network import Quality
+from pancakes.simulation.fleet import DISK_FULL
 from pancakes.task import Task, Tick, every
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest(seed=18, classes={"test.Count": Count, "test.Drive": Drive, "test.Sink": Sink}) as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet(seed=18, classes={"test.Count": Count, "test.Drive": Drive, "test.Sink": Sink}) as made:
         yield made
 
 
-def test_a_task_is_created_with_its_settings_and_its_rate(fleet: FleetInTest) -> None:
+def test_a_task_is_created_with_its_settings_and_its_rate(fleet: Fleet) -> None:
     a = fleet.start("a")
     created = a.ask(COUNT)
     assert created.ok, created.reason
@@ -32,7 +32,7 @@ def test_a_task_is_created_with_its_settings_and_its_rate(fleet: FleetInTest) ->
     assert count_of(a) == 40
 
 
-def test_it_says_of_which_agents_nothing_was_heard(fleet: FleetInTest) -> None:
+def test_it_says_of_which_agents_nothing_was_heard(fleet: Fleet) -> None:
     a, _ = fleet.start("a"), fleet.start("b")
     fleet.connect()
     assert a.ask(COUNT).ok and a.ask(Remove("Count")).ok
@@ -44,7 +44,7 @@ def test_it_says_of_which_agents_nothing_was_heard(fleet: FleetInTest) -> None:
     assert warned == ["a/Count is created, although nothing was heard of it from b"]
 
 
-def test_it_comes_back_with_its_state_where_its_agent_ends_or_crashes(fleet: FleetInTest) -> None:
+def test_it_comes_back_with_its_state_where_its_agent_ends_or_crashes(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok
     fleet.run_for(2.0)
@@ -61,7 +61,7 @@ def test_it_comes_back_with_its_state_where_its_agent_ends_or_crashes(fleet: Fle
     assert (found["settings"], found["rate_hz"]) == ({"step": 2}, 5.0)
 
 
-def test_a_stop_of_it_outlives_its_agent_and_a_start_brings_it_back(fleet: FleetInTest) -> None:
+def test_a_stop_of_it_outlives_its_agent_and_a_start_brings_it_back(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok and a.ask(Stop("Count")).ok
     fleet.stop("a")
@@ -70,18 +70,18 @@ def test_a_stop_of_it_outlives_its_agent_and_a_start_brings_it_back(fleet: Fleet
     assert a.ask(Start("Count")).ok and a.running() == ["Count"]
 
 
-def test_a_crash_before_it_is_written_down_leaves_nothing_of_it(fleet: FleetInTest) -> None:
+def test_a_crash_before_it_is_written_down_leaves_nothing_of_it(fleet: Fleet) -> None:
     a = fleet.start("a")
     a.publish("sysctrl", COUNT)
-    assert not fleet.fleet.disk("a").get("record")
+    assert not fleet.disk("a").get("record")
     while not a.events("asked", what="create"):
-        assert fleet.fleet.dispatcher.step()
+        assert fleet.dispatcher.step()
     fleet.crash("a")
     a = fleet.restart("a")
     assert a.running() == [] and a.ask(COUNT).ok
 
 
-def test_it_moves_away_and_back_and_is_not_born_again_meanwhile(fleet: FleetInTest) -> None:
+def test_it_moves_away_and_back_and_is_not_born_again_meanwhile(fleet: Fleet) -> None:
     a, b = fleet.start("a"), fleet.start("b")
     fleet.connect()
     assert a.ask(COUNT).ok
@@ -99,7 +99,7 @@ def test_it_moves_away_and_back_and_is_not_born_again_meanwhile(fleet: FleetInTe
     assert a.running() == ["Count"] and b.running() == [] and count_of(a) > 100
 
 
-def test_what_was_done_is_an_event_and_an_account(fleet: FleetInTest) -> None:
+def test_what_was_done_is_an_event_and_an_account(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok and a.ask(Remove("Count")).ok
     told = [(it["kind"], it.get("what")) for it in a.events() if it.get("task") == "Count"]
@@ -142,14 +142,14 @@ def test_what_was_done_is_an_event_and_an_account(fleet: FleetInTest) -> None:
         (Create("nothing/Count", "test.Count"), "a/nothing is not there"),
     ],
 )
-def test_what_cannot_be_is_said_and_nothing_is_left_of_it(fleet: FleetInTest, body: Create, why: str) -> None:
+def test_what_cannot_be_is_said_and_nothing_is_left_of_it(fleet: Fleet, body: Create, why: str) -> None:
     a = fleet.start("a")
     refused = a.ask(body)
     assert not refused.ok and why in refused.reason, refused.reason
-    assert a.running() == [] and not any("record" in name for name in fleet.fleet.disk("a"))
+    assert a.running() == [] and not any("record" in name for name in fleet.disk("a"))
 
 
-def test_a_dry_run_says_whether_it_would_be_and_changes_nothing(fleet: FleetInTest) -> None:
+def test_a_dry_run_says_whether_it_would_be_and_changes_nothing(fleet: Fleet) -> None:
     a = fleet.start("a", devices={"motors": "null.motors"})
     would = Create("Drive", "test.Drive", dry_run=True)
     assert a.ask(would).result["task_id"] == "a/Drive"
@@ -159,7 +159,7 @@ def test_a_dry_run_says_whether_it_would_be_and_changes_nothing(fleet: FleetInTe
     assert a.ask(Remove("Other", dry_run=True)).ok and a.running() == ["Other"]
 
 
-def test_a_name_that_is_there_is_refused_here_and_elsewhere(fleet: FleetInTest) -> None:
+def test_a_name_that_is_there_is_refused_here_and_elsewhere(fleet: Fleet) -> None:
     a, b = fleet.start("a", tasks={"Sink": "test.Sink"}), fleet.start("b")
     fleet.connect()
     assert a.ask(COUNT).ok
@@ -171,7 +171,7 @@ def test_a_name_that_is_there_is_refused_here_and_elsewhere(fleet: FleetInTest) 
     assert b.ask(Create("Sink", "test.Sink")).ok  # each agent may have its own
 
 
-def test_two_that_are_asked_for_at_once_make_one(fleet: FleetInTest) -> None:
+def test_two_that_are_asked_for_at_once_make_one(fleet: Fleet) -> None:
     a = fleet.start("a")
     fleet.start("b")
     fleet.connect()
@@ -180,7 +180,7 @@ def test_two_that_are_asked_for_at_once_make_one(fleet: FleetInTest) -> None:
     assert a.reply_to(second).reason == "a/Count is being created already"
 
 
-def test_of_two_that_need_the_same_actuator_at_once_one_is_created(fleet: FleetInTest) -> None:
+def test_of_two_that_need_the_same_actuator_at_once_one_is_created(fleet: Fleet) -> None:
     a = fleet.start("a", devices={"motors": "null.motors"})
     fleet.start("b")
     fleet.connect()
@@ -190,7 +190,7 @@ def test_of_two_that_need_the_same_actuator_at_once_one_is_created(fleet: FleetI
     assert second.reason.startswith("Two cannot run on a: motors is ")
 
 
-def test_where_an_agent_that_may_have_it_is_cut_off_it_is_not_created_a_second_time(fleet: FleetInTest) -> None:
+def test_where_an_agent_that_may_have_it_is_cut_off_it_is_not_created_a_second_time(fleet: Fleet) -> None:
     a = fleet.start("a")
     fleet.start("b")
     fleet.connect()
@@ -203,7 +203,7 @@ def test_where_an_agent_that_may_have_it_is_cut_off_it_is_not_created_a_second_t
     )
 
 
-def test_a_task_that_is_removed_stays_away_and_a_later_one_has_a_higher_epoch(fleet: FleetInTest) -> None:
+def test_a_task_that_is_removed_stays_away_and_a_later_one_has_a_higher_epoch(fleet: Fleet) -> None:
     a = fleet.start("a", devices={"motors": "null.motors"})
     assert a.ask(Create("Count", "test.Drive")).ok
     fleet.run_for(2.0)
@@ -221,13 +221,13 @@ def test_a_task_that_is_removed_stays_away_and_a_later_one_has_a_higher_epoch(fl
     assert count_of(a) == 10
 
 
-def test_a_task_that_stands_still_is_removed_too(fleet: FleetInTest) -> None:
+def test_a_task_that_stands_still_is_removed_too(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok and a.ask(Stop("Count")).ok and a.ask(Remove("Count")).ok
     assert "has no task" in a.ask(Start("Count")).reason
 
 
-def test_a_task_is_removed_where_it_is_and_then_created_anew_where_it_was_born(fleet: FleetInTest) -> None:
+def test_a_task_is_removed_where_it_is_and_then_created_anew_where_it_was_born(fleet: Fleet) -> None:
     a, b = fleet.start("a"), fleet.start("b")
     fleet.connect()
     assert a.ask(COUNT).ok and a.ask(Migrate("Count", to="b")).ok
@@ -238,7 +238,7 @@ def test_a_task_is_removed_where_it_is_and_then_created_anew_where_it_was_born(f
     assert a.running() == ["Count"] and b.running() == []
 
 
-def test_a_task_that_a_file_names_is_not_removed(fleet: FleetInTest) -> None:
+def test_a_task_that_a_file_names_is_not_removed(fleet: Fleet) -> None:
     a, b = fleet.start("a", tasks={"Count": "test.Count"}), fleet.start("b")
     fleet.connect()
     assert a.ask(Remove("Count")).reason.startswith(
@@ -249,7 +249,7 @@ def test_a_task_that_a_file_names_is_not_removed(fleet: FleetInTest) -> None:
     assert b.running() == ["Count"]
 
 
-def test_a_task_that_was_taken_out_of_the_file_is_removed(fleet: FleetInTest) -> None:
+def test_a_task_that_was_taken_out_of_the_file_is_removed(fleet: Fleet) -> None:
     fleet.start("a", tasks={"Count": "test.Count"})
     fleet.stop("a")
     a = fleet.start("a")
@@ -258,7 +258,7 @@ def test_a_task_that_was_taken_out_of_the_file_is_removed(fleet: FleetInTest) ->
 
 
 def test_a_task_that_was_taken_out_of_the_file_while_it_was_away_is_removed_where_it_was_born(
-    fleet: FleetInTest,
+    fleet: Fleet,
 ) -> None:
     a, b = fleet.start("a", tasks={"Count": "test.Count"}), fleet.start("b")
     fleet.connect()
@@ -272,7 +272,7 @@ def test_a_task_that_was_taken_out_of_the_file_while_it_was_away_is_removed_wher
     assert a.ask(Remove("Count")).ok and a.running() == b.running() == []
 
 
-def test_a_file_that_names_a_removed_task_later_has_it_begin_anew(fleet: FleetInTest) -> None:
+def test_a_file_that_names_a_removed_task_later_has_it_begin_anew(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok and a.ask(Remove("Count")).ok
     fleet.stop("a")
@@ -282,7 +282,7 @@ def test_a_file_that_names_a_removed_task_later_has_it_begin_anew(fleet: FleetIn
     assert a.agent.resting == {}
 
 
-def test_a_removed_task_that_a_file_names_and_does_not_start_begins_once_it_is_asked_for(fleet: FleetInTest) -> None:
+def test_a_removed_task_that_a_file_names_and_does_not_start_begins_once_it_is_asked_for(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok and a.ask(Remove("Count")).ok
     fleet.stop("a")
@@ -292,7 +292,7 @@ def test_a_removed_task_that_a_file_names_and_does_not_start_begins_once_it_is_a
     assert a.ask(Describe("Count")).result["fence"] == {"task_id": "a/Count", "epoch": 2}
 
 
-def test_a_created_task_that_a_file_names_later_goes_on_with_its_state(fleet: FleetInTest) -> None:
+def test_a_created_task_that_a_file_names_later_goes_on_with_its_state(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok
     fleet.run_for(2.0)
@@ -306,7 +306,7 @@ def test_a_created_task_that_a_file_names_later_goes_on_with_its_state(fleet: Fl
 
 @pytest.mark.parametrize("said", [{}, {"step": 1}], ids=["no settings", "all settings"])
 def test_a_created_task_keeps_what_was_set_where_a_file_that_names_it_says_what_it_began_with(
-    fleet: FleetInTest, said: dict[str, int]
+    fleet: Fleet, said: dict[str, int]
 ) -> None:
     a = fleet.start("a")
     assert a.ask(Create("Count", "test.Count")).ok
@@ -321,7 +321,7 @@ def test_a_created_task_keeps_what_was_set_where_a_file_that_names_it_says_what_
     assert a.ask(Describe("Count")).result["settings"] == {"step": 3}
 
 
-def test_devices_and_services_are_not_removed(fleet: FleetInTest) -> None:
+def test_devices_and_services_are_not_removed(fleet: Fleet) -> None:
     a = fleet.start("a", devices={"motors": "null.motors"})
     assert a.ask(Remove("motors")).reason == (
         "a/device/motors cannot be removed: what a/device looks after is not created"
@@ -329,7 +329,7 @@ def test_devices_and_services_are_not_removed(fleet: FleetInTest) -> None:
     assert "is a service: name one of its tasks" in a.ask(Remove("client")).reason
 
 
-def test_what_is_created_is_in_the_configuration_that_its_agent_tells(fleet: FleetInTest) -> None:
+def test_what_is_created_is_in_the_configuration_that_its_agent_tells(fleet: Fleet) -> None:
     a = fleet.start("a", tasks={"Sink": "test.Sink"})
     keys = {"guard": 3, "lease_s": 4.0, "restart": {"policy": "no"}}
     assert a.ask(Create("Count", "test.Count", {"step": 2}, 5.0, keys)).ok
@@ -342,7 +342,7 @@ def test_what_is_created_is_in_the_configuration_that_its_agent_tells(fleet: Fle
     assert TaskId("a", "Count") in a.agent.records.all()
 
 
-def test_while_it_is_handed_over_it_is_not_removed(fleet: FleetInTest) -> None:
+def test_while_it_is_handed_over_it_is_not_removed(fleet: Fleet) -> None:
     a, b = fleet.start("a"), fleet.start("b")
     fleet.connect()
     assert a.ask(COUNT).ok
@@ -350,13 +350,13 @@ def test_while_it_is_handed_over_it_is_not_removed(fleet: FleetInTest) -> None:
     a.publish("sysctrl", Migrate("Count", to="b"))
     record = b.agent.records.get
     while (kept := record(TaskId("a", "Count"))) is None or kept.phase is not Phase.PREPARED:
-        assert fleet.fleet.dispatcher.step()
+        assert fleet.dispatcher.step()
     assert a.ask(Remove("Count")).reason == "a/client/Count is being handed over between a and b"
     fleet.run_for(2.0)
     assert b.running() == ["Count"] and b.ask(Remove("Count")).ok
 
 
-def test_where_the_disk_is_full_it_is_created_and_removed_once_it_is_not(fleet: FleetInTest) -> None:
+def test_where_the_disk_is_full_it_is_created_and_removed_once_it_is_not(fleet: Fleet) -> None:
     a = fleet.start("a")
     end = fleet.faults.fill_disk("a")
     waits = a.ask(COUNT)
@@ -372,7 +372,7 @@ def test_where_the_disk_is_full_it_is_created_and_removed_once_it_is_not(fleet: 
     assert a.running() == [] and a.ask(COUNT).ok
 
 
-def test_a_removal_that_cannot_be_written_down_is_refused_and_the_task_is_there(fleet: FleetInTest) -> None:
+def test_a_removal_that_cannot_be_written_down_is_refused_and_the_task_is_there(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok and a.ask(Stop("Count")).ok
     end = fleet.faults.fill_disk("a")
@@ -381,7 +381,7 @@ def test_a_removal_that_cannot_be_written_down_is_refused_and_the_task_is_there(
     assert a.ask(Start("Count")).ok and a.running() == ["Count"]
 
 
-def test_what_is_asked_of_a_task_that_is_being_removed_is_refused(fleet: FleetInTest) -> None:
+def test_what_is_asked_of_a_task_that_is_being_removed_is_refused(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok
     removal, start = a.publish("sysctrl", Remove("Count")), a.publish("sysctrl", Start("Count"))
@@ -389,7 +389,7 @@ def test_what_is_asked_of_a_task_that_is_being_removed_is_refused(fleet: FleetIn
     assert a.reply_to(removal).ok and a.running() == []
 
 
-def test_of_a_task_whose_whereabouts_are_not_known_it_is_said(fleet: FleetInTest) -> None:
+def test_of_a_task_whose_whereabouts_are_not_known_it_is_said(fleet: Fleet) -> None:
     a, b = fleet.start("a"), fleet.start("b")
     fleet.connect()
     assert b.ask(Revive("a/Other", "test.Count", force=True)).ok
@@ -400,7 +400,7 @@ def test_of_a_task_whose_whereabouts_are_not_known_it_is_said(fleet: FleetInTest
     assert "a/Other is on b (epoch 1000000@b), as far as is known, and b is not connected" in refused
 
 
-def test_after_a_removal_too_a_full_disk_puts_it_off(fleet: FleetInTest) -> None:
+def test_after_a_removal_too_a_full_disk_puts_it_off(fleet: Fleet) -> None:
     a = fleet.start("a")
     assert a.ask(COUNT).ok and a.ask(Remove("Count")).ok
     end = fleet.faults.fill_disk("a")
@@ -410,7 +410,7 @@ def test_after_a_removal_too_a_full_disk_puts_it_off(fleet: FleetInTest) -> None
     assert a.running() == ["Count"]
 
 
-def test_a_peer_creates_what_it_may_change_and_host(fleet: FleetInTest) -> None:
+def test_a_peer_creates_what_it_may_change_and_host(fleet: Fleet) -> None:
     allow = '[[access.allow]]\nwho = ["b"]\nmay = {}\n'
     a = fleet.start("a", allow.format('["look", "change"]') + allow.format('["host"]') + 'on = ["test.Count"]\n')
     b = fleet.start("b")
@@ -431,7 +431,7 @@ class Stubborn(Task):
         raise RuntimeError("not today")
 
 
-def test_a_task_that_fails_at_once_is_there_and_can_be_removed(fleet: FleetInTest) -> None:
+def test_a_task_that_fails_at_once_is_there_and_can_be_removed(fleet: Fleet) -> None:
     a = fleet.start("a", classes={"test.Stubborn": Stubborn})
     failed = a.ask(Create("Stubborn", "test.Stubborn", keys={"restart": {"policy": "no"}}))
     assert not failed.ok and "a/Stubborn was created, and does not run: " in failed.reason
@@ -440,7 +440,7 @@ def test_a_task_that_fails_at_once_is_there_and_can_be_removed(fleet: FleetInTes
     assert "has no task" in a.ask(Describe("Stubborn")).reason
 
 
-def test_a_device_that_does_not_run_now_is_missed(fleet: FleetInTest) -> None:
+def test_a_device_that_does_not_run_now_is_missed(fleet: Fleet) -> None:
     a = fleet.start("a", devices={"motors": "null.motors"})
     assert a.ask(Stop("motors")).ok
     refused = a.ask(Create("Drive", "test.Drive"))

@@ -12,7 +12,7 @@ from pancakes.events import Event
 from pancakes.packet import Fence, Packet
 from pancakes.services.device import SharedThings
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest, assert_published
+from pancakes.testing import Fleet, assert_published
 
 
 class Thermometer(Sensor):
@@ -128,7 +128,7 @@ def counters():
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=2) as made:
+    with Fleet(seed=2) as made:
         yield made
 
 
@@ -520,7 +520,7 @@ def test_the_rate_of_discovery_is_a_tasks_rate_like_any_other(fleet):
 
 
 def test_only_an_actuator_says_whether_it_holds_by_itself():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", devices={"motors": "null.motors", "pose": "null.pose"})
         assert "holds_by_itself_s" in agent.ask(Describe("motors")).result
         assert "holds_by_itself_s" not in agent.ask(Describe("pose")).result

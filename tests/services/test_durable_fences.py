@@ -5,15 +5,15 @@ import pytest
 from pancakes.control import Migrate, Restart, Stop
 from pancakes.devices import Twist
 from pancakes.devices.driver import Actuator
-from pancakes.fleet import DISK_FULL
 from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import Fence, Packet
 from pancakes.services.fence import Fences
 from pancakes.services.fence_rule import Mark
 from pancakes.sim.world_state import WorldState
+from pancakes.simulation.fleet import DISK_FULL
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Wheels(Actuator):
@@ -48,7 +48,7 @@ ZOMBIE_MPS = 9.0
 @pytest.fixture
 def fleet():
     Wheels.told = []
-    with FleetInTest(3, classes=CLASSES) as made:
+    with Fleet(3, classes=CLASSES) as made:
         yield made
 
 
@@ -88,12 +88,12 @@ def test_no_command_of_a_new_epoch_is_obeyed_before_the_mark_is_on_disk(fleet):
     give(fleet, a, command((2, "b"), v_mps=0.1), command((2, "b"), v_mps=0.2), for_s=0.001)
     assert Wheels.told == []
     # Had it been obeyed, a crash now would let an older epoch in.
-    assert not any("fence" in name for name in fleet.fleet.disk("a"))
+    assert not any("fence" in name for name in fleet.disk("a"))
     fleet.run_for(0.01)
     # The newest has waited; what it replaced is stale.
     assert Wheels.told == [("a", 0.2)]
     fleet.crash("a")
-    assert any("fence" in name for name in fleet.fleet.disk("a"))
+    assert any("fence" in name for name in fleet.disk("a"))
 
 
 def test_a_later_epoch_that_comes_while_an_earlier_one_is_written_is_on_disk_before_its_command_is_obeyed(fleet):

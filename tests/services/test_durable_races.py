@@ -14,7 +14,7 @@ from pancakes.durable.snapshot import cut
 from pancakes.durable.state_machine import idle
 from pancakes.mesh.memory_network import Quality
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Odd(Task):
@@ -54,7 +54,7 @@ class Wheels(Actuator):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5, classes={"test.wheels": Wheels}) as made:
+    with Fleet(seed=5, classes={"test.wheels": Wheels}) as made:
         yield made
 
 

@@ -9,11 +9,11 @@ from pancakes.devices import Load, Pose
 from pancakes.durable.client_service import ClientService
 from pancakes.durable.record import Record, Wanted
 from pancakes.durable.state_machine import idle
-from pancakes.fleet import DISK_FULL
 from pancakes.journal import JournalError, MemoryJournal
 from pancakes.service import Service
+from pancakes.simulation.fleet import DISK_FULL
 from pancakes.task import Task, TaskSpec, every, on
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 
 class Count(Task):
@@ -77,14 +77,14 @@ class Still(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=4) as made:
+    with Fleet(seed=4) as made:
         yield made
 
 
 def records(fleet, name="a"):
     """What lies on an agent's disk, by task."""
     found = {}
-    disk = {key: value for key, value in fleet.fleet.disk(name).items() if key != "lock"}
+    disk = {key: value for key, value in fleet.disk(name).items() if key != "lock"}
     for entry in MemoryJournal(disk, "").entries("record"):
         record = Record.decode(entry.data)
         found[record.task_id.name] = record
@@ -134,7 +134,7 @@ def test_what_was_changed_in_the_file_meanwhile_goes_before_the_record_and_all_e
 def test_not_a_tick_is_lost_however_the_stop_falls_between_two_checkpoints():
     """The last checkpoint may have to wait until the one before it is on disk."""
     for step in range(12):
-        with FleetInTest(seed=step) as fleet:
+        with Fleet(seed=step) as fleet:
             agent = fleet.start("a", tasks={"Count": Count})
             fleet.run_for(2.9995 + 0.0005 * step)  # the checkpoint of the third second is being written
             n = agent.task("Count").state.n
@@ -331,7 +331,7 @@ def test_a_service_says_with_which_tasks_it_has_started(fleet):
 def test_a_journal_that_is_in_use_is_not_shared(fleet):
     fleet.start("a")
     with pytest.raises(JournalError, match="two agents cannot share one"):
-        fleet.fleet.start(fleet.agents["a"].agent.config)
+        fleet.start_config(fleet.agents["a"].agent.config)
 
 
 def test_a_state_directory_that_is_in_use_is_not_shared(tmp_path):

@@ -10,7 +10,7 @@ from pancakes.durable.record import Epoch
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import Fence, Packet
 from pancakes.services.fence_rule import Mark
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 CLASSES = {"test.Circle": Circle}
 REMOTE = {"type": "network.motors", "settings": {"target": "far/device/wheels"}}
@@ -19,7 +19,7 @@ REMOTE = {"type": "network.motors", "settings": {"target": "far/device/wheels"}}
 @pytest.fixture
 def fleet():
     Wheels.told = []
-    with FleetInTest(3, classes=CLASSES) as made:
+    with Fleet(3, classes=CLASSES) as made:
         yield made
 
 

@@ -10,7 +10,7 @@ from pancakes.devices.driver import Sensor
 from pancakes.kernel.kernel import Folders
 from pancakes.settings import FilePath, paths_in
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 @dataclass
@@ -101,7 +101,7 @@ def test_a_path_lies_below_a_folder_that_is_named_or_is_the_file_that_is_named(t
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=2, classes={"test.Writer": Writer}) as made:
+    with Fleet(seed=2, classes={"test.Writer": Writer}) as made:
         yield made
 
 

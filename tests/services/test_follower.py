@@ -8,12 +8,12 @@ from pancakes.control import Follow, Unfollow
 from pancakes.devices import Load, Pose
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.services.network import LEAST_HZ, SOON_S
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(1) as made:
+    with Fleet(1) as made:
         made.start("b")
         made.start("a")
         made.connect()

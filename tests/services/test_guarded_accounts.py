@@ -12,7 +12,7 @@ from services.counting import Count
 from pancakes.control import Create, Guarding, Migrations, Stop, Take
 from pancakes.durable.guardian import CALLED_S
 from pancakes.packet import NETWORK, Packet
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 GUARDED = {"type": "test.Count", "guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b", "c"]}
 CAUSE = r"taken over from a, silent for (\d+\.\d) s; checkpoint 0@a/\d+, (\d\.\d) s old at its last word"
@@ -26,8 +26,8 @@ class Idle(Count):
 
 
 @pytest.fixture(params=["auto", "ask"])
-def fleet(request: Any) -> Iterator[FleetInTest]:
-    with FleetInTest(seed=5, classes={"test.Count": Count, "test.Idle": Idle}) as made:
+def fleet(request: Any) -> Iterator[Fleet]:
+    with Fleet(seed=5, classes={"test.Count": Count, "test.Idle": Idle}) as made:
         made.start("a", tasks={"Count": {**GUARDED, "takeover": request.param}})
         for name in "bc":
             made.start(name)
@@ -37,17 +37,17 @@ def fleet(request: Any) -> Iterator[FleetInTest]:
         yield made
 
 
-def has_guards(fleet: FleetInTest) -> bool:
+def has_guards(fleet: Fleet) -> bool:
     rows = fleet.agents["a"].ask(Guarding()).result
     return len(rows) == 1 and len(rows[0]["guardians"]) == 3
 
 
-def accounts(fleet: FleetInTest) -> list[dict[str, Any]]:
+def accounts(fleet: Fleet) -> list[dict[str, Any]]:
     return [row for name in "bc" for row in fleet.agents[name].ask(Migrations()).result]
 
 
 @pytest.mark.parametrize("fleet", ["auto"], indirect=True)
-def test_its_account_says_from_which_agent_and_checkpoint_it_was_taken_over(fleet: FleetInTest):
+def test_its_account_says_from_which_agent_and_checkpoint_it_was_taken_over(fleet: Fleet):
     fleet.crash("a")
     assert fleet.run_until(lambda: bool(accounts(fleet)), 8)
     (account,) = accounts(fleet)
@@ -63,7 +63,7 @@ def test_its_account_says_from_which_agent_and_checkpoint_it_was_taken_over(flee
 
 
 @pytest.mark.parametrize("fleet", ["ask"], indirect=True)
-def test_a_dry_run_names_the_taker_and_what_is_lost(fleet: FleetInTest):
+def test_a_dry_run_names_the_taker_and_what_is_lost(fleet: Fleet):
     fleet.crash("a")
     fleet.run_for(10.0)
     would = fleet.agents["b"].ask(Take("Count", dry_run=True)).result
@@ -74,7 +74,7 @@ def test_a_dry_run_names_the_taker_and_what_is_lost(fleet: FleetInTest):
 
 
 @pytest.mark.parametrize("fleet", ["ask"], indirect=True)
-def test_a_take_over_that_is_asked_for_twice_is_done_once(fleet: FleetInTest):
+def test_a_take_over_that_is_asked_for_twice_is_done_once(fleet: Fleet):
     fleet.crash("a")
     fleet.run_for(10.0)
     b = fleet.agents["b"]
@@ -86,7 +86,7 @@ def test_a_take_over_that_is_asked_for_twice_is_done_once(fleet: FleetInTest):
 
 
 @pytest.mark.parametrize("fleet", ["ask"], indirect=True)
-def test_where_too_few_guardians_say_that_its_owner_is_silent_it_is_not_taken_over(fleet: FleetInTest):
+def test_where_too_few_guardians_say_that_its_owner_is_silent_it_is_not_taken_over(fleet: Fleet):
     fleet.crash("a")
     fleet.run_for(10.0)
     fleet.crash("c")
@@ -101,7 +101,7 @@ def test_where_too_few_guardians_say_that_its_owner_is_silent_it_is_not_taken_ov
 
 
 @pytest.mark.parametrize("fleet", ["auto"], indirect=True)
-def test_a_task_that_a_person_has_stopped_is_taken_over_by_none(fleet: FleetInTest):
+def test_a_task_that_a_person_has_stopped_is_taken_over_by_none(fleet: Fleet):
     assert fleet.agents["a"].ask(Stop("Count")).ok
     fleet.run_for(3.0)
     fleet.crash("a")
@@ -114,7 +114,7 @@ def test_a_task_that_a_person_has_stopped_is_taken_over_by_none(fleet: FleetInTe
 
 def test_of_two_tasks_of_one_name_the_birthplace_says_which_is_taken_over():
     rule = {**GUARDED, "takeover": "ask", "guardians": ["c", "d"]}
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+    with Fleet(seed=5, classes={"test.Count": Count}) as fleet:
         for name in "ab":
             fleet.start(name, tasks={"Count": rule})
         for name in "cd":
@@ -133,7 +133,7 @@ def test_of_two_tasks_of_one_name_the_birthplace_says_which_is_taken_over():
 
 
 @pytest.mark.parametrize("fleet", ["ask"], indirect=True)
-def test_a_guardian_that_began_anew_says_that_it_does_not_know_the_age(fleet: FleetInTest):
+def test_a_guardian_that_began_anew_says_that_it_does_not_know_the_age(fleet: Fleet):
     for name in "abc":
         fleet.crash(name)
     for name in "bc":
@@ -144,7 +144,7 @@ def test_a_guardian_that_began_anew_says_that_it_does_not_know_the_age(fleet: Fl
 
 
 def test_a_checkpoint_of_a_task_that_does_not_change_grows_no_older():
-    with FleetInTest(seed=5, classes={"test.Idle": Idle}) as fleet:
+    with Fleet(seed=5, classes={"test.Idle": Idle}) as fleet:
         fleet.start("a", tasks={"Count": {**GUARDED, "type": "test.Idle"}})
         for name in "bc":
             fleet.start(name)
@@ -160,7 +160,7 @@ def test_a_checkpoint_of_a_task_that_does_not_change_grows_no_older():
 
 
 @pytest.mark.parametrize("fleet", ["ask"], indirect=True)
-def test_the_newest_checkpoint_is_named_that_any_guardian_has(fleet: FleetInTest):
+def test_the_newest_checkpoint_is_named_that_any_guardian_has(fleet: Fleet):
     fleet.faults.cut("b", off=("a",))
     fleet.run_for(5.0)
     fleet.crash("a")
@@ -172,7 +172,7 @@ def test_the_newest_checkpoint_is_named_that_any_guardian_has(fleet: FleetInTest
 
 
 @pytest.mark.parametrize("fleet", ["auto"], indirect=True)
-def test_where_the_cheapest_bidder_dies_once_it_is_called_the_next_one_takes_it(fleet: FleetInTest):
+def test_where_the_cheapest_bidder_dies_once_it_is_called_the_next_one_takes_it(fleet: Fleet):
     d = fleet.start("d")
     fleet.connect()
     called: list[Packet] = []

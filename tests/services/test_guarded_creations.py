@@ -10,23 +10,23 @@ from services.created import COUNT, Count, count_of
 
 from pancakes.control import Configure, Create, Guarding, Remove, Start, Stop
 from pancakes.durable.record import TaskId
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 
 GUARDED = Create("Count", "test.Count", {"step": 2}, 5.0, {"guard": 3, "lease_s": 2.0})
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest(seed=18, classes={"test.Count": Count}) as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet(seed=18, classes={"test.Count": Count}) as made:
         yield made
 
 
-def guarding(agent: AgentInTest) -> list[str]:
+def guarding(agent: AgentHandle) -> list[str]:
     """Returns the tasks that an agent guards."""
     return [row["task_id"] for row in agent.ask(Guarding()).result]
 
 
-def guarded(fleet: FleetInTest) -> list[AgentInTest]:
+def guarded(fleet: Fleet) -> list[AgentHandle]:
     """Three agents that guard the task, which runs on the first."""
     agents = [fleet.start(name) for name in "abc"]
     fleet.connect()
@@ -37,7 +37,7 @@ def guarded(fleet: FleetInTest) -> list[AgentInTest]:
     return agents
 
 
-def test_a_created_task_that_is_guarded_is_taken_over(fleet: FleetInTest) -> None:
+def test_a_created_task_that_is_guarded_is_taken_over(fleet: Fleet) -> None:
     _, b, c = guarded(fleet)
     fleet.crash("a")
     fleet.run_for(15.0)
@@ -51,7 +51,7 @@ def test_a_created_task_that_is_guarded_is_taken_over(fleet: FleetInTest) -> Non
     assert a.ask(GUARDED).ok
 
 
-def test_the_guardians_of_a_removed_task_forget_it_and_none_has_it_run_again(fleet: FleetInTest) -> None:
+def test_the_guardians_of_a_removed_task_forget_it_and_none_has_it_run_again(fleet: Fleet) -> None:
     a, b, c = agents = guarded(fleet)
     removed = a.ask(Remove("Count"), at_most_s=30.0)
     assert removed.ok, removed.reason
@@ -67,7 +67,7 @@ def test_the_guardians_of_a_removed_task_forget_it_and_none_has_it_run_again(fle
     assert a.running() == ["Count"] and [guarding(it) for it in (a, b, c)] == [["a/Count"]] * 3
 
 
-def test_what_was_guarded_and_removed_runs_unguarded_where_it_is_created_so(fleet: FleetInTest) -> None:
+def test_what_was_guarded_and_removed_runs_unguarded_where_it_is_created_so(fleet: Fleet) -> None:
     a, *_ = guarded(fleet)
     assert a.ask(Remove("Count"), at_most_s=30.0).ok
     assert a.ask(COUNT).ok
@@ -75,7 +75,7 @@ def test_what_was_guarded_and_removed_runs_unguarded_where_it_is_created_so(flee
     assert count_of(a) == 40
 
 
-def test_a_guardian_that_was_away_while_it_was_removed_forgets_it_too(fleet: FleetInTest) -> None:
+def test_a_guardian_that_was_away_while_it_was_removed_forgets_it_too(fleet: Fleet) -> None:
     a, b, c = guarded(fleet)
     away = c if "c" in str(a.ask(Guarding()).result[0]["guardians"]) else b
     fleet.crash(away.name)
@@ -86,7 +86,7 @@ def test_a_guardian_that_was_away_while_it_was_removed_forgets_it_too(fleet: Fle
     assert not back.running() and not a.running() and guarding(back) == []
 
 
-def test_a_removal_that_waits_for_guardians_says_so_and_is_done_once_they_are_back(fleet: FleetInTest) -> None:
+def test_a_removal_that_waits_for_guardians_says_so_and_is_done_once_they_are_back(fleet: Fleet) -> None:
     a, _, _ = guarded(fleet)
     fleet.crash("b")
     fleet.crash("c")
@@ -103,7 +103,7 @@ def test_a_removal_that_waits_for_guardians_says_so_and_is_done_once_they_are_ba
 
 
 def test_what_is_asked_of_one_that_cannot_start_without_its_guardians_is_answered_and_done_once_they_are_back(
-    fleet: FleetInTest,
+    fleet: Fleet,
 ) -> None:
     a, _, _ = guarded(fleet)
     assert a.ask(Stop("Count"), at_most_s=30.0).ok
@@ -123,12 +123,12 @@ def test_what_is_asked_of_one_that_cannot_start_without_its_guardians_is_answere
     assert not any(it.running() for it in fleet.agents.values())
 
 
-def test_an_agent_that_ends_right_after_a_removal_guards_it_no_more(fleet: FleetInTest) -> None:
+def test_an_agent_that_ends_right_after_a_removal_guards_it_no_more(fleet: Fleet) -> None:
     a, b, c = guarded(fleet)
     a.publish("sysctrl", Remove("Count"))
     record = a.agent.records.get
     while (kept := record(TaskId("a", "Count"))) is None or not kept.removed:
-        assert fleet.fleet.dispatcher.step()
+        assert fleet.dispatcher.step()
     fleet.crash("a")
     a = fleet.restart("a")
     fleet.connect()

@@ -13,7 +13,7 @@ from pancakes.durable.record import TaskId
 from pancakes.kernel.permits import PermitEnd
 from pancakes.packet import Packet
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 LEASE_S = 2.0
 GUARD = {"guard": 3, "lease_s": LEASE_S, "guardians": ["b", "c"], "takeover": "ask"}
@@ -64,7 +64,7 @@ def record(fleet, name="Drive"):
 
 
 def started(wheels=WithDeadMan, cls=Drive, **others):
-    fleet = FleetInTest(seed=5)
+    fleet = Fleet(seed=5)
     fleet.start("d", devices={"motors": WithDeadMan} if wheels == "network.motors" else None)
     device = {"type": wheels, "settings": {"target": "d/device/motors"}} if wheels == "network.motors" else wheels
     fleet.start("a", tasks={cls.__name__: {"type": cls, **GUARD, **others}}, devices={"motors": device})

@@ -23,7 +23,7 @@ from pancakes.durable.snapshot import Snapshot
 from pancakes.security.access import Access
 from pancakes.security.roster import RIGHTS, AccessRule, Right
 from pancakes.supervision.messages import GUARDIAN
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 COUNT = TaskId("a", "Count")
 FIRST, HIGH = Epoch(0, "a"), Epoch(7, "d")
@@ -31,7 +31,7 @@ FIRST, HIGH = Epoch(0, "a"), Epoch(7, "d")
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as made:
+    with Fleet(seed=5, classes={"test.Count": Count}) as made:
         made.start("a", tasks={"Count": {"type": Count, "guard": 3, "lease_s": 2.0, "guardians": ["b", "c"]}})
         for name in "bcd":
             made.start(name)

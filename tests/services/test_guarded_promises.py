@@ -10,7 +10,7 @@ from pancakes.durable.record import Epoch, Phase, TaskId
 from pancakes.mesh.memory_network import Quality
 from pancakes.supervision.messages import GUARDIAN
 from pancakes.task import every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 GUARD = {"guard": 3, "lease_s": 2.0, "guardians": ["b", "c"]}
 
@@ -52,7 +52,7 @@ class Late(Count):
 
 
 def guarded(name, cls, **others):
-    fleet = FleetInTest(seed=5)
+    fleet = Fleet(seed=5)
     devices = {"motors": Wheels} if cls is Drive else None
     fleet.start("a", tasks={name: {"type": cls, **GUARD, **others}}, devices=devices)
     for other in "bcd":
@@ -112,7 +112,7 @@ def test_a_state_that_is_on_its_way_to_a_guardian_is_not_sent_again():
 
 
 def test_its_guardians_are_chosen_as_soon_as_its_neighbours_have_had_time_to_answer():
-    with FleetInTest(seed=5) as fleet:
+    with Fleet(seed=5) as fleet:
         for other in "bcd":
             fleet.start(other)
         fleet.start("a", tasks={"Count": {"type": Count, **GUARD}})

@@ -7,7 +7,7 @@ import pytest
 from torture.storms import DONE, Act, run_storms
 
 from pancakes.durable.record import TaskId
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 ACT = TaskId("a", "Act")
 SEEDS = (1, 14, 18)
@@ -31,7 +31,7 @@ def test_guarded_storms_catch_clocks_ten_percent_apart():
 def test_guarded_task_needs_clocks_five_percent_apart_at_most(apart, holds):
     """A lease is longer than a permit by just that."""
     DONE.clear()
-    with FleetInTest(seed=7, classes={"test.Act": Act}) as fleet:
+    with Fleet(seed=7, classes={"test.Act": Act}) as fleet:
         task = {"type": Act, "guard": 3, "lease_s": 10.0}
         fleet.start("a", tasks={"Act": task}, clock_rate=1.0 - apart)
         fleet.start("b", clock_rate=1.0 + apart)

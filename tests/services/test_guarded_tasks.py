@@ -14,7 +14,7 @@ from pancakes.events import record_of as record_of_log
 from pancakes.journal.journal import MARK
 from pancakes.packet import number_in_life
 from pancakes.supervision.messages import GUARDIAN
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 COUNT = TaskId("a", "Count")
 GUARDED = {"Count": {"type": Count, "guard": 3, "lease_s": 4.0, "checkpoint_s": 0.5}}
@@ -34,7 +34,7 @@ def guards(fleet, name="a"):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as made:
+    with Fleet(seed=5, classes={"test.Count": Count}) as made:
         made.start("a", tasks=GUARDED)
         made.start("b")
         made.start("c")
@@ -50,12 +50,12 @@ def guarded(fleet):
 
 def copy_of(fleet, name):
     """Returns a copy of a disk, as a backup makes one that takes a file at a time."""
-    return {file: data for file, data in fleet.fleet.disk(name).items() if file not in ("lock", MARK)}
+    return {file: data for file, data in fleet.disk(name).items() if file not in ("lock", MARK)}
 
 
 def put(fleet, name, disk):
-    fleet.fleet.disk(name).clear()
-    fleet.fleet.disk(name).update(disk)
+    fleet.disk(name).clear()
+    fleet.disk(name).update(disk)
 
 
 def guard_row(agent):
@@ -113,7 +113,7 @@ def test_no_guardian_that_arranged_a_take_over_fails_once_the_taker_had_its_time
 
 
 def test_an_owner_without_enough_guardians_asks_its_neighbours_every_two_seconds():
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+    with Fleet(seed=5, classes={"test.Count": Count}) as fleet:
         fleet.start("a", tasks=GUARDED)
         b = fleet.start("b")
         fleet.connect()
@@ -193,7 +193,7 @@ def test_it_moves_by_the_word_of_its_guardians(guarded):
 @pytest.mark.parametrize("restarts", [False, True])
 def test_an_agent_that_was_offered_it_drops_what_it_was_sent_where_another_has_taken_it(restarts):
     task = {"type": Count, "guard": 3, "lease_s": 2.0, "guardians": ["c", "d"]}
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+    with Fleet(seed=5, classes={"test.Count": Count}) as fleet:
         fleet.start("a", tasks={"Count": task})
         for name in "bcd":
             fleet.start(name)
@@ -234,7 +234,7 @@ def test_a_goodbye_ends_the_wait(guarded):
 
 @pytest.mark.parametrize("after_s", [0.0, 0.05, 0.3, 1.0])
 def test_a_packet_that_was_acknowledged_is_not_lost_with_the_owner(after_s):
-    with FleetInTest(seed=3) as fleet:
+    with Fleet(seed=3) as fleet:
         sink = {"type": Sink, "guard": 3, "lease_s": 2.0, "durability": "each"}
         fleet.start("a", tasks={"Sink": sink})
         fleet.start("b")
@@ -284,7 +284,7 @@ def test_a_task_without_a_permit_publishes_nothing_but_log_lines(guarded):
 
 
 def test_a_person_has_a_task_taken_over_that_waits_for_one():
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+    with Fleet(seed=5, classes={"test.Count": Count}) as fleet:
         fleet.start("a", tasks={"Count": {**GUARDED["Count"], "takeover": "ask"}})
         fleet.start("b")
         fleet.start("c")
@@ -397,14 +397,14 @@ def test_a_task_does_not_go_on_from_a_copy_of_its_owners_disk_but_from_what_the_
 
 
 def test_a_task_that_was_not_guarded_is_guarded_on_a_copy_too():
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as fleet:
+    with Fleet(seed=5, classes={"test.Count": Count}) as fleet:
         fleet.start("a", tasks={"Count": Count})
         fleet.start("b")
         fleet.start("c")
         fleet.connect()
         fleet.run_for(2.0)
         fleet.crash("a")
-        del fleet.fleet.disk("a")[MARK]
+        del fleet.disk("a")[MARK]
         fleet.start("a", tasks=GUARDED)
         fleet.connect()
         assert fleet.run_until(lambda: guards(fleet) == [["a", "b", "c"]], 10)

@@ -26,7 +26,7 @@ from pancakes.packet import NETWORK
 from pancakes.security.access import Access
 from pancakes.security.roster import RIGHTS, AccessRule, Right
 from pancakes.supervision.messages import GUARDIAN
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 TASK = TaskId("a", "Scan")
 OLD = Epoch(1, "a")
@@ -35,7 +35,7 @@ LEASE_S = 2.0
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5) as made:
+    with Fleet(seed=5) as made:
         made.start("a")
         made.start("b")
         made.start("c")
@@ -123,7 +123,7 @@ def test_a_guardian_whose_disk_was_lost_is_not_believed_to_be_the_old_one(fleet)
     answered(fleet, "a", keep(fleet))
     meant_for_the_old_one = seize(fleet)
     fleet.crash("b")
-    fleet.fleet.disk("b").clear()
+    fleet.disk("b").clear()
     fleet.restart("b")
     fleet.connect()
     assert answered(fleet, "c", meant_for_the_old_one) is None
@@ -135,7 +135,7 @@ def test_a_guardian_whose_disk_is_a_copy_is_not_believed_to_be_the_old_one(fleet
     answered(fleet, "a", keep(fleet))
     meant_for_the_old_one = seize(fleet)
     fleet.crash("b")
-    del fleet.fleet.disk("b")[MARK]
+    del fleet.disk("b")[MARK]
     b = fleet.restart("b")
     fleet.connect()
     assert any("b guards a/Scan anew: its disk is a copy" in line for line in b.lines("warning"))
@@ -155,7 +155,7 @@ def test_a_guardian_whose_disk_is_a_copy_is_not_believed_to_be_the_old_one(fleet
 def test_one_that_has_lost_a_register_guards_the_task_no_more(fleet):
     answered(fleet, "a", keep(fleet))
     fleet.crash("b")
-    disk = fleet.fleet.disk("b")
+    disk = fleet.disk("b")
     (name,) = [file for file in disk if "guard" in file]
     disk[name] = disk[name][:-3] + b"???"
     b = fleet.restart("b")

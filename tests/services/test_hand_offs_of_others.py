@@ -11,14 +11,14 @@ from pancakes.durable.messages import Bid, Commit, Nak, Piece, Reserve, Reserved
 from pancakes.durable.record import Epoch, Phase, TaskId
 from pancakes.durable.snapshot import Snapshot, cut
 from pancakes.packet import Packet
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 COUNT = TaskId("a", "Count")
 
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as made:
+    with Fleet(seed=5, classes={"test.Count": Count}) as made:
         made.start("a", tasks={"Count": Count})
         made.start("b")
         made.start("c")

@@ -8,14 +8,14 @@ from services.counting import Count
 from pancakes.control import Migrate, Stop
 from pancakes.durable.messages import Reserve, Solicit
 from pancakes.durable.record import Epoch, TaskId
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 COUNT = {"Count": {"type": "test.Count"}}
 
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5, classes={"test.Count": Count}) as made:
+    with Fleet(seed=5, classes={"test.Count": Count}) as made:
         yield made
 
 

@@ -9,7 +9,7 @@ from pancakes.control import Configure, Describe, Restart
 from pancakes.mesh.codec import MAX_MESSAGE_BYTES
 from pancakes.service import Service
 from pancakes.task import Task
-from pancakes.testing import FleetInTest, no_thread_left, threaded_agent
+from pancakes.testing import Fleet, no_thread_left, threaded_agent
 
 
 class Map(Task):
@@ -40,14 +40,14 @@ class Chatty(Service):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(3) as made:
+    with Fleet(3) as made:
         made.start("a", tasks={"Map": Map}, services={"chatty": Chatty})
         made.start("b")
         made.connect()
         yield made
 
 
-def sized(fleet: FleetInTest, size: int) -> None:
+def sized(fleet: Fleet, size: int) -> None:
     assert fleet.agents["a"].ask(Configure("Map", {"size": size})).ok
 
 

@@ -15,7 +15,7 @@ from pancakes.durable.messages import CanGuard, MayGuard
 from pancakes.durable.record import TaskId
 from pancakes.packet import NETWORK
 from pancakes.supervision.messages import GUARDIAN
-from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
+from pancakes.testing import AgentHandle, Fleet, threaded_agent
 
 INSECURE = "[service.network]\nsettings = { insecure = true }\n"
 LATE = "late_in_test.Slow"
@@ -36,8 +36,8 @@ class Slow(Task):
 class Pair(NamedTuple):
     """Two linked agents; the second has not imported the class of a task of the first."""
 
-    a: AgentInTest
-    b: AgentInTest
+    a: AgentHandle
+    b: AgentHandle
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ def test_no_class_is_imported_for_a_peer_that_may_not_bring_such_tasks() -> None
     sys.modules.pop("late_in_test", None)
     IMPORTING.clear()
     GO_ON.set()
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         fleet.start("a", '[[access.allow]]\nwho = ["b"]\nmay = ["look", "change", "adopt", "guard"]\n')
         b = fleet.start("b")
         fleet.connect()

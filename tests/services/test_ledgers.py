@@ -8,7 +8,7 @@ from pancakes.durable.ledger import Ledger, Line
 from pancakes.durable.store import LEDGER, Ledgers
 from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 CLASSES = {"test.Task": Task}
 
@@ -21,7 +21,7 @@ def ledger(name="Count"):
 
 
 def test_each_move_is_kept_over_a_crash_with_all_that_was_said():
-    with FleetInTest(1, classes=CLASSES) as fleet:
+    with Fleet(1, classes=CLASSES) as fleet:
         a = fleet.start("a", tasks={"Count": Task, "Other": Task})
         fleet.start("b", tasks={"Mine": Task})
         fleet.start("world", role="environment")
@@ -64,7 +64,7 @@ def test_each_move_is_kept_over_a_crash_with_all_that_was_said():
 
 
 def test_another_agent_gets_the_same_answer():
-    with FleetInTest(1, classes=CLASSES) as fleet:
+    with Fleet(1, classes=CLASSES) as fleet:
         a = fleet.start("a", tasks={"Count": Task})
         b = fleet.start("b")
         fleet.connect()
@@ -74,7 +74,7 @@ def test_another_agent_gets_the_same_answer():
 
 
 def test_a_dry_run_is_no_move():
-    with FleetInTest(1, classes=CLASSES) as fleet:
+    with Fleet(1, classes=CLASSES) as fleet:
         a = fleet.start("a", tasks={"Count": Task})
         fleet.start("b")
         fleet.connect()

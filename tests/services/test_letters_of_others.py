@@ -7,7 +7,7 @@ from services.numbered import SINK, Numbered, Sink, numbers
 from pancakes.durable.delivery import ForwardTo, Letter, Receipt
 from pancakes.mesh.codec import Encoder
 from pancakes.packet import Packet
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 COURIER = "a/kernel/Courier"
 FORGED = Packet("system", "test.numbered", "c/client/Source", SINK, 0.0, 1, Numbered(1))
@@ -19,7 +19,7 @@ def letter(packet, sender):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=3) as made:
+    with Fleet(seed=3) as made:
         made.start("a", tasks={"Sink": Sink})
         made.start("b")
         made.start("c")

@@ -13,7 +13,7 @@ from pancakes.kernel.payload_size import weigh
 from pancakes.packet import Packet, packet_type
 from pancakes.services.log import REMEMBERED_BYTES
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 
 @packet_type("test_log.note")
@@ -34,7 +34,7 @@ class Talkative(Task):
 
 
 def talk(capsys, **settings):
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         fleet.start("a", tasks={"Talkative": Talkative}, services={"log": {"settings": settings}})
         fleet.run_for(1.5)
     return capsys.readouterr().err
@@ -94,7 +94,7 @@ def test_a_record_has_lists_where_an_event_has_arrays():
 
 
 def test_the_log_may_be_turned_off_and_the_rest_goes_on():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Talkative": Talkative})
         assert agent.ask(Stop("log")).ok
         fleet.run_for(3.0)
@@ -106,7 +106,7 @@ def remembered(agent):
 
 
 def test_so_many_lines_are_remembered_as_its_settings_say():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": False, "remembered": 3}}})
         for number in range(5):
             agent.publish("log", Event("said", {"number": number}))
@@ -114,13 +114,13 @@ def test_so_many_lines_are_remembered_as_its_settings_say():
 
 
 def test_the_first_line_that_is_remembered_has_the_number_1():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a")
         assert agent.ask(History()).result[0]["entry"] == 1
 
 
 def test_4_mib_are_remembered():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": False}}})
         for number in range(20):
             agent.publish("log", Event("said", {"number": number, "map": "x" * 256 * 1024}))
@@ -131,7 +131,7 @@ def test_4_mib_are_remembered():
 
 
 def test_a_page_ends_before_the_first_line_that_does_not_fit():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": False, "remembered": 8}}})
         for number in range(7):
             agent.publish("log", Event("said", {"number": number, "text": "x" * 9_000}))
@@ -141,7 +141,7 @@ def test_a_page_ends_before_the_first_line_that_does_not_fit():
 
 
 def test_of_what_is_large_less_is_remembered_but_always_the_last():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a")
         for _ in range(5):
             agent.publish("log", Event("seen", {"image": bytes(REMEMBERED_BYTES // 3 + 1)}))
@@ -152,7 +152,7 @@ def test_of_what_is_large_less_is_remembered_but_always_the_last():
 
 
 def test_a_recording_is_as_the_configuration_says_and_not_as_it_was_started_last(tmp_path):
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a")
         first = {"path": str(tmp_path / "1.mcap"), "channels": ["system"]}
         assert agent.ask(Start("log/Recorder", first)).ok
@@ -163,7 +163,7 @@ def test_a_recording_is_as_the_configuration_says_and_not_as_it_was_started_last
 
 
 def test_what_waits_for_the_disk_before_a_recording_begins_is_told_so(tmp_path):
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a")
         fleet.faults.slow_disk("a", 6.0)
         begun_s = fleet.now()
@@ -176,14 +176,14 @@ def test_what_waits_for_the_disk_before_a_recording_begins_is_told_so(tmp_path):
 
 
 def test_what_waits_for_a_disk_or_a_terminal_has_a_thread_of_its_own():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": True}}})
         console = agent.component("log/Console")
         assert console is not None and console.blocking
 
 
 def test_the_console_goes_on_as_it_was_set():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": True}}})
         assert agent.ask(Configure("log/Console", {"level": "error"})).ok
         assert agent.ask(Stop("log/Console")).ok
@@ -193,7 +193,7 @@ def test_the_console_goes_on_as_it_was_set():
 
 @pytest.mark.parametrize(("length", "said"), [(20_000, "line"), (20_001, "20001 characters left out")])
 def test_a_line_is_told_up_to_20_000_characters(length, said):
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a")
         empty = agent.publish("log", LogLine("info", ""))
         agent.publish("log", LogLine("info", "line".ljust(length - len(line_of(record_of(empty))))))
@@ -202,7 +202,7 @@ def test_a_line_is_told_up_to_20_000_characters(length, said):
 
 @pytest.mark.parametrize(("last", "count"), [(15_000, 4), (15_001, 3)])
 def test_a_page_has_up_to_60_000_characters(last, count):
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": False, "remembered": 4}}})
         empty = line_of(record_of(agent.publish("log", LogLine("info", ""))))
         for length in (15_000, 15_000, 15_000, last):
@@ -211,7 +211,7 @@ def test_a_page_has_up_to_60_000_characters(last, count):
 
 
 def test_what_takes_4_mib_to_the_byte_is_remembered():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": False}}})
         quarter = REMEMBERED_BYTES // 4
         image = bytes(quarter - weigh(Event("said", {"image": b""})))
@@ -222,7 +222,7 @@ def test_what_takes_4_mib_to_the_byte_is_remembered():
 
 
 def test_a_console_that_is_slow_for_a_moment_shows_4096_lines_and_loses_the_oldest_of_more(capsys):
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"share_kib_s": 0.0}}})
         for count, first in ((4096, 0), (4097, 1)):
             capsys.readouterr()
@@ -234,7 +234,7 @@ def test_a_console_that_is_slow_for_a_moment_shows_4096_lines_and_loses_the_olde
 
 
 def test_a_recording_that_goes_on_keeps_its_settings_and_the_file_and_the_console_keep_theirs(tmp_path):
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         settings = {"level": "error", "file": str(tmp_path / "a.jsonl")}
         agent = fleet.start("a", services={"log": {"settings": settings}})
         path = str(tmp_path / "r.mcap")
@@ -267,7 +267,7 @@ class Pipe:
 def test_a_console_whose_reader_has_gone_stops_and_its_service_goes_on(monkeypatch):
     pipe = Pipe()
     monkeypatch.setattr("sys.stderr", pipe)
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": True}}})
         agent.publish("log", LogLine("warning", "read"))
         assert any("read" in text for text in pipe.written) and agent.running("log") == ["Console"]

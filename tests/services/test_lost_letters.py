@@ -11,20 +11,20 @@ from services.numbered import SINK, Numbered, Sink, Source, numbers, upto
 from pancakes.control import Guarding, Migrate, Revive, Start, Stop
 from pancakes.durable.courier import COURIER
 from pancakes.durable.delivery import StreamsBegan
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 GUARDED = {"type": "test.Sink", "guard": 3, "lease_s": 2.0, "checkpoint_s": 30.0, "guardians": ["b", "c"]}
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
+def fleet() -> Iterator[Fleet]:
     with made(GUARDED) as fleet:
         assert fleet.run_until(lambda: is_guarded(fleet), 10)
         yield fleet
 
 
-def made(sink: dict[str, Any]) -> FleetInTest:
-    fleet = FleetInTest(seed=5, classes={"test.Sink": Sink, "test.Source": Source})
+def made(sink: dict[str, Any]) -> Fleet:
+    fleet = Fleet(seed=5, classes={"test.Sink": Sink, "test.Source": Source})
     fleet.start("a", tasks={"Sink": sink})
     for name in "bc":
         fleet.start(name)
@@ -33,29 +33,29 @@ def made(sink: dict[str, Any]) -> FleetInTest:
     return fleet
 
 
-def is_guarded(fleet: FleetInTest) -> bool:
+def is_guarded(fleet: Fleet) -> bool:
     rows = fleet.agents["a"].ask(Guarding()).result
     return len(rows) == 1 and len(rows[0]["guardians"]) == 3
 
 
-def send(fleet: FleetInTest, *seqs: int) -> None:
+def send(fleet: Fleet, *seqs: int) -> None:
     for n in seqs:
         fleet.agents["d"].publish("system", Numbered(n), to=SINK)
     fleet.run_for(1.0)
 
 
-def told(fleet: FleetInTest, name: str = "d") -> list[tuple[Any, ...]]:
+def told(fleet: Fleet, name: str = "d") -> list[tuple[Any, ...]]:
     """What an agent has said of lost packets: the task, the sender, the first and the last one."""
     events = fleet.agents[name].events("packets_lost")
     return [(it["task"], it["sender"], it["first"], it["last"]) for it in events]
 
 
-def waiting(fleet: FleetInTest) -> dict[str, int]:
+def waiting(fleet: Fleet) -> dict[str, int]:
     found: dict[str, int] = fleet.agents["d"].agent.outbox.waiting()
     return found
 
 
-def test_a_sender_that_says_nothing_more_is_told_what_may_be_lost(fleet: FleetInTest):
+def test_a_sender_that_says_nothing_more_is_told_what_may_be_lost(fleet: Fleet):
     send(fleet, *upto(20))
     assert not waiting(fleet)
     fleet.crash("a")
@@ -69,7 +69,7 @@ def test_a_sender_that_says_nothing_more_is_told_what_may_be_lost(fleet: FleetIn
     assert numbers(fleet) == [21, 22] and len(told(fleet)) == 1
 
 
-def test_what_a_checkpoint_at_the_guardians_has_is_not_lost(fleet: FleetInTest):
+def test_what_a_checkpoint_at_the_guardians_has_is_not_lost(fleet: Fleet):
     send(fleet, *upto(5))
     fleet.run_for(35.0)
     send(fleet, 6, 7)
@@ -78,7 +78,7 @@ def test_what_a_checkpoint_at_the_guardians_has_is_not_lost(fleet: FleetInTest):
     assert numbers(fleet) == upto(5) and told(fleet) == [("a/Sink", "d", 6, 7)]
 
 
-def test_a_sender_that_was_cut_off_meanwhile_is_told_once_it_is_linked(fleet: FleetInTest):
+def test_a_sender_that_was_cut_off_meanwhile_is_told_once_it_is_linked(fleet: Fleet):
     send(fleet, *upto(3))
     fleet.faults.cut("d")
     fleet.crash("a")
@@ -89,7 +89,7 @@ def test_a_sender_that_was_cut_off_meanwhile_is_told_once_it_is_linked(fleet: Fl
     assert told(fleet) == [("a/Sink", "d", 1, 3)]
 
 
-def test_one_that_goes_on_sending_is_told_too_and_what_it_sends_arrives(fleet: FleetInTest):
+def test_one_that_goes_on_sending_is_told_too_and_what_it_sends_arrives(fleet: Fleet):
     send(fleet, *upto(3))
     fleet.crash("a")
     send(fleet, 4, 5, 6)
@@ -98,7 +98,7 @@ def test_one_that_goes_on_sending_is_told_too_and_what_it_sends_arrives(fleet: F
     assert numbers(fleet) == [4, 5, 6] and told(fleet) == [("a/Sink", "d", 1, 3)] and not waiting(fleet)
 
 
-def test_a_task_that_sends_is_named(fleet: FleetInTest):
+def test_a_task_that_sends_is_named(fleet: Fleet):
     d = fleet.agents["d"]
     assert d.ask(Start("client/Source")).ok
     fleet.run_for(1.0)
@@ -144,7 +144,7 @@ def test_a_task_that_is_revived_without_its_state_has_lost_all():
         assert told(fleet) == [("a/Sink", "d", 1, 5)]
 
 
-def test_an_agent_that_was_not_asked_is_not_believed(fleet: FleetInTest):
+def test_an_agent_that_was_not_asked_is_not_believed(fleet: Fleet):
     send(fleet, *upto(5))
     (stream,) = fleet.agents["a"].task("Sink").carry().heard
     fleet.agents["c"].publish("network", StreamsBegan("a/Sink", 9, {stream: 0}), to=f"d/{COURIER}")

@@ -7,7 +7,7 @@ from pancakes.devices import Pose, Twist
 from pancakes.devices.builtin_drivers import NullMotors
 from pancakes.packet import CTRL, SYSCTRL, SYSTEM, task_address
 from pancakes.task import Task, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Steer(Task):
@@ -25,7 +25,7 @@ POSE = Pose(0.0, 0.0, 0.0)
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(5) as made:
+    with Fleet(5) as made:
         made.start("agent1", tasks={"Reader": Reader, "Steer": Steer}, devices={"motors": NullMotors})
         made.start("agent2", tasks={"Reader": Reader})
         made.connect()

@@ -4,7 +4,7 @@ import pytest
 from services.counting import Count
 
 from pancakes.control import Adopt, Describe, Forget, Migrate, Start, Stop
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 RECORD = "record.a%2FCount.rec"
 IDENTITY = "identity.identity.rec"
@@ -13,7 +13,7 @@ DAMAGED = (RECORD, IDENTITY)
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=2) as made:
+    with Fleet(seed=2) as made:
         made.start("a", tasks={"Count": Count})
         made.start("b")
         made.connect()
@@ -22,7 +22,7 @@ def fleet():
 
 def flip(fleet, agent, name, at):
     """Flips one bit of a file on the disk of an agent that stands still."""
-    disk = fleet.fleet.disk(agent)
+    disk = fleet.disk(agent)
     changed = bytearray(disk[name])
     changed[at] ^= 1
     disk[name] = bytes(changed)
@@ -43,7 +43,7 @@ def copies(fleet):
 def test_damaged_record_makes_no_second_copy(fleet, name):
     """Whichever byte is flipped, and however often the agent stops, crashes and starts again."""
     moved_away(fleet)
-    disk = fleet.fleet.disk("a")
+    disk = fleet.disk("a")
     before = dict(disk)
     for at, hows in {
         0: "stop",
@@ -97,7 +97,7 @@ def test_forgotten_task_stays_elsewhere_and_may_return(fleet, name):
 def test_adopted_task_without_record_begins_at_a_high_epoch(fleet):
     moved_away(fleet)
     fleet.stop("b")
-    fleet.fleet.disk("b").clear()  # the only one that had it
+    fleet.disk("b").clear()  # the only one that had it
     flip(fleet, "a", RECORD, 50)
     a = fleet.restart("a")
 

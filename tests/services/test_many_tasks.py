@@ -9,7 +9,7 @@ from pancakes.service import Service
 from pancakes.supervision.lifecycle import State
 from pancakes.supervision.slots import STARTED_AT_ONCE
 from pancakes.task import Task, TaskSpec, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Small(Task):
@@ -39,7 +39,7 @@ def a_crowd(fleet, tasks):
 
 def test_all_of_many_tasks_run_once_the_service_is_ready():
     for tasks in (STARTED_AT_ONCE, 3 * STARTED_AT_ONCE + 1):
-        with FleetInTest() as fleet:
+        with Fleet() as fleet:
             agent = a_crowd(fleet, tasks)
             assert agent.running("crowd") == [f"Small{number}" for number in range(tasks)]
             service = agent.component("crowd")
@@ -59,7 +59,7 @@ class Impatient(Crowd):
 
 
 def test_what_is_asked_of_a_task_before_its_turn_to_start_waits_for_that():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         tasks = 2 * STARTED_AT_ONCE
         agent = fleet.start("a", services={"crowd": {"type": Impatient, "settings": {"tasks": tasks}}})
         service = agent.component("crowd")
@@ -81,7 +81,7 @@ class Leaving(Crowd):
 
 
 def test_a_service_that_is_stopped_meanwhile_starts_no_more_of_them():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services={"crowd": {"type": Leaving, "settings": {"tasks": 3 * STARTED_AT_ONCE}}})
         fleet.run_for(2.0)
         assert agent.running("crowd") == []

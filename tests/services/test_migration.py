@@ -11,7 +11,7 @@ from pancakes.durable.record import Phase, TaskId
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Circle(Task):
@@ -55,7 +55,7 @@ WHEELS = {"wheels": "null.motors"}
 
 def fleet_of(seed=1, robots=("a", "b"), tasks=None, **others):
     """A fleet with wheels each, whose first robot runs `Circle`."""
-    fleet = FleetInTest(seed, classes=CLASSES, **others)
+    fleet = Fleet(seed, classes=CLASSES, **others)
     for name in robots:
         mine = tasks if tasks is not None else {"Circle": Circle, "Home": {"type": Home, "start": False}}
         fleet.start(name, devices=WHEELS, tasks=mine if name == robots[0] else {})
@@ -202,7 +202,7 @@ def test_migration_is_refused_by_unable_neighbours(fleet):
 )
 def test_migration_is_refused_by_a_host_that_should_not(prepare, reason):
     rule = {"when": "battery", "below": 0.65}
-    with FleetInTest(2, classes=CLASSES) as fleet:
+    with Fleet(2, classes=CLASSES) as fleet:
         a = fleet.start("a", devices=WHEELS, tasks={"Circle": {"type": Circle, "migrate": rule}})
         b = fleet.start("b", devices=WHEELS, tasks={"Mine": {"type": Home, "start": False}})
         fleet.connect()
@@ -219,7 +219,7 @@ def test_migration_is_refused_where_the_name_is_taken(fleet):
 
 
 def test_migration_without_neighbours():
-    with FleetInTest(2) as fleet:
+    with Fleet(2) as fleet:
         a = fleet.start("a", tasks={"Home": Task})
         alone = "no neighbour can take Home: there is no neighbour that hosts tasks"
         assert a.ask(Migrate("Home", dry_run=True)).reason == alone and a.lines("warning") == []
@@ -317,7 +317,7 @@ def ruled(fleet, others=("b",)):
 
 
 def test_migration_rule_acts_below_its_threshold():
-    with FleetInTest(3, classes=CLASSES) as fleet:
+    with Fleet(3, classes=CLASSES) as fleet:
         a = ruled(fleet)
         for level in (0.9, 0.7, 0.65):
             a.publish("system", Battery(11.0, level))
@@ -330,7 +330,7 @@ def test_migration_rule_acts_below_its_threshold():
 
 
 def test_migration_rule_asks_again_after_a_minute():
-    with FleetInTest(3, classes=CLASSES) as fleet:
+    with Fleet(3, classes=CLASSES) as fleet:
         a = ruled(fleet, others=())
         fleet.start("b")
         fleet.connect()
@@ -349,7 +349,7 @@ def test_migration_rule_asks_again_after_a_minute():
 
 
 def test_migration_rule_ignores_other_agents():
-    with FleetInTest(3, classes=CLASSES) as fleet:
+    with Fleet(3, classes=CLASSES) as fleet:
         a = ruled(fleet)
         fleet.agents["b"].publish("system", Battery(11.0, 0.1), to="*")
         fleet.run_for(2.0)
@@ -357,7 +357,7 @@ def test_migration_rule_ignores_other_agents():
 
 
 def test_migration_rule_moves_with_its_task():
-    with FleetInTest(3, classes=CLASSES) as fleet:
+    with Fleet(3, classes=CLASSES) as fleet:
         a = ruled(fleet, others=("b", "c"))
         a.publish("system", Battery(11.0, 0.6))
         assert fleet.run_until(lambda: hosts(fleet) == ["b"])
@@ -377,7 +377,7 @@ def until(fleet, condition, at_most_s=20.0, what=""):
     """Runs step by step until a condition holds, so that the moment is caught as it comes."""
     begin_s = fleet.now()
     while not condition():
-        assert fleet.fleet.dispatcher.step(), "nothing happens any more"
+        assert fleet.dispatcher.step(), "nothing happens any more"
         assert fleet.now() < begin_s + at_most_s, what or "it did not come"
 
 

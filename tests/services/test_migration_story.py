@@ -18,7 +18,7 @@ from pancakes.durable.record import Phase, TaskId
 from pancakes.events import Event, LogLine
 from pancakes.packet import LOG, NETWORK, Packet
 from pancakes.task import Task, Tick, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 KNOWN = Path(__file__).with_name("story_of_a_moving_task.txt")
 HEAD = [
@@ -52,7 +52,7 @@ class Story:
         fleet: the agents.
     """
 
-    def __init__(self, fleet: FleetInTest) -> None:
+    def __init__(self, fleet: Fleet) -> None:
         self.lines = list(HEAD)
         self._fleet = fleet
 
@@ -87,15 +87,15 @@ class Story:
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest(seed=5, classes={"test.Slow": Slow, "test.Sink": Sink}) as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet(seed=5, classes={"test.Slow": Slow, "test.Sink": Sink}) as made:
         for name in "abc":
             made.start(name)
         made.connect()
         yield made
 
 
-def test_migration_story(fleet: FleetInTest, tmp_path: Path) -> None:
+def test_migration_story(fleet: Fleet, tmp_path: Path) -> None:
     """A task moves while it is written to, cannot move, is in doubt, is owned twice, is given up and is revived."""
     agents, sink, told = fleet.agents, TaskId("a", "Sink"), Story(fleet)
     for name in agents:
@@ -114,12 +114,12 @@ def test_migration_story(fleet: FleetInTest, tmp_path: Path) -> None:
     assert not agents["b"].ask(Migrate("Sink", to="c")).ok
     calm()
     fleet.run_for(6.0)
-    before = {file: data for file, data in fleet.fleet.disk("b").items() if file != "lock"}
+    before = {file: data for file, data in fleet.disk("b").items() if file != "lock"}
     told.tell("Sink is asked to move to c, which dies when it has the snapshot; a writes to Sink")
     agents["b"].publish("sysctrl", Migrate("Sink", to="c"))
     record = agents["c"].agent.records.get
     while (kept := record(sink)) is None or kept.phase is not Phase.PREPARED:
-        assert fleet.fleet.dispatcher.step()
+        assert fleet.dispatcher.step()
     fleet.crash("c")
     agents["a"].publish("system", Numbered(3), to=SINK)
     fleet.run_for(10.0)
@@ -130,8 +130,8 @@ def test_migration_story(fleet: FleetInTest, tmp_path: Path) -> None:
     fleet.run_for(5.0)
     told.tell("b begins again from an old copy of its disk, so two agents own Sink")
     fleet.crash("b")
-    fleet.fleet.disk("b").clear()
-    fleet.fleet.disk("b").update(before)
+    fleet.disk("b").clear()
+    fleet.disk("b").update(before)
     fleet.restart("b")
     told.hear("b")
     fleet.connect()

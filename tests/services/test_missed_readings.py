@@ -15,7 +15,7 @@ from pancakes.devices.driver import Actuator, Sensor
 from pancakes.events import Event, LogLine
 from pancakes.packet import packet_type
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 @packet_type("test.arm")
@@ -97,7 +97,7 @@ class Commanding(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=4) as made:
+    with Fleet(seed=4) as made:
         yield made
 
 

@@ -12,7 +12,7 @@ from pancakes.kernel.handlers import on
 from pancakes.service import Service
 from pancakes.supervision.restart import RestartSpec
 from pancakes.task import Task, every
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 
 WHEELS = {"wheels": "null.motors"}
 
@@ -44,16 +44,16 @@ class Guide(Task):
         self.publish("system", Load(float(self.state.n)))
 
 
-def two(services_of_b: dict[str, object], seed: int = 1) -> FleetInTest:
+def two(services_of_b: dict[str, object], seed: int = 1) -> Fleet:
     """Two agents; `a` has the task `Guide` in its service `guides`."""
-    fleet = FleetInTest(seed, classes={"test.Guide": Guide})
+    fleet = Fleet(seed, classes={"test.Guide": Guide})
     fleet.start("a", services={"guides": Guides}, devices=WHEELS, tasks={"Guide": {"type": Guide, "service": "guides"}})
     fleet.start("b", services=services_of_b, devices=WHEELS)
     fleet.connect()
     return fleet
 
 
-def phase(agent: AgentInTest, service: str = "guides") -> Phase:
+def phase(agent: AgentHandle, service: str = "guides") -> Phase:
     owner = agent.component(service)
     place = owner.places.get(TaskId("a", "Guide")) if isinstance(owner, ClientService) else None
     return place.standing.record.phase if place is not None else Phase.ABSENT
@@ -77,7 +77,7 @@ def test_an_agent_without_that_service_refuses_and_nothing_is_left_behind(servic
     with two(services) as fleet:
         a, b = fleet.agents["a"], fleet.agents["b"]
         fleet.run_for(1.0)  # each has noted the other's boot
-        disk = dict(fleet.fleet.disk("b"))
+        disk = dict(fleet.disk("b"))
 
         reply = a.ask(Migrate("Guide", dry_run=dry_run))
 
@@ -90,7 +90,7 @@ def test_an_agent_without_that_service_refuses_and_nothing_is_left_behind(servic
         assert phase(a) is Phase.OWNER
         assert a.running("guides") == ["Guide"]
         assert a.task("Guide", "guides").state.n >= 100
-        assert fleet.fleet.disk("b") == disk
+        assert fleet.disk("b") == disk
         assert not b.kernel.registry.taken("wheels", "b/client/Driving")
         assert b.running() == []
 
@@ -123,7 +123,7 @@ def test_a_service_that_stops_after_its_agent_has_bid_is_a_refusal_and_the_task_
     ("restarted", "reason"), [("client", ""), ("maps", ""), ("guides", "a/guides was stopped before")]
 )
 def test_a_start_of_its_own_service_alone_ends_the_bidding_for_a_task(restarted, reason):
-    with FleetInTest(1, classes={"test.Guide": Guide}) as fleet:
+    with Fleet(1, classes={"test.Guide": Guide}) as fleet:
         services = {"guides": Guides, "maps": Guides}
         tasks = {"Guide": {"type": Guide, "service": "guides"}}
         a = fleet.start("a", services=services, devices=WHEELS, tasks=tasks)

@@ -10,12 +10,12 @@ import pytest
 from pancakes.control import Configure, Start, Stop
 from pancakes.devices import Pose
 from pancakes.packet import SYSTEM, packet_type
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(5) as made:
+    with Fleet(5) as made:
         made.start("a")
         made.start("b")
         made.connect()

@@ -6,7 +6,7 @@ import pytest
 
 from pancakes.control import Configure, Migrate
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Circle(Task):
@@ -38,7 +38,7 @@ TASKS = {"Circle": {"type": "test.Circle", "settings": {"speed_mps": 0.1}}}
 
 @pytest.mark.parametrize("goes_elsewhere", [False, True])
 def test_new_version_brings_its_defaults_to_a_task_that_goes_on(goes_elsewhere):
-    with FleetInTest(classes={"test.Circle": Circle}) as fleet:
+    with Fleet(classes={"test.Circle": Circle}) as fleet:
         a = fleet.start("a", tasks=TASKS)
         fleet.start("b")
         fleet.connect()

@@ -63,7 +63,7 @@ class Leaving(Task):
 
 def kept_by(fleet, agent, path):
     """How many bytes a component keeps by itself, besides all that it shares with others."""
-    shared = [fleet.fleet, fleet.fleet.dispatcher, fleet.network, *fleet.fleet.journals.values()]
+    shared = [fleet, fleet.dispatcher, fleet.network, *fleet.journals.values()]
     for whole in (other.agent for other in fleet.agents.values()):
         shared += [whole, whole.kernel, whole.kernel.stream, whole.kernel.registry, whole.kernel.timer]
         shared += [whole.kernel.transport, whole.mesh, whole.records, whole.ledgers, whole.outbox, whole.host_state]

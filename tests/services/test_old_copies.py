@@ -12,33 +12,33 @@ from pancakes.durable.census import CENSUS
 from pancakes.durable.ownership import BootRemembered, TaskFact, TasksKnown
 from pancakes.durable.record import Epoch, TaskId
 from pancakes.packet import NETWORK
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 
 TASKS = {"Sink": Sink, "Other": Sink}
 SAYS = "takes the disk of a for an old copy"
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest(seed=11) as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet(seed=11) as made:
         yield made
 
 
-def state(agent: AgentInTest, task: str = "Sink") -> tuple[str, str]:
+def state(agent: AgentHandle, task: str = "Sink") -> tuple[str, str]:
     found = agent.ask(Describe(target=task)).result
     return found["state"], found["rest"]
 
 
-def copy_of(fleet: FleetInTest, name: str) -> dict[str, bytes]:
-    return {file: data for file, data in fleet.fleet.disk(name).items() if file != "lock"}
+def copy_of(fleet: Fleet, name: str) -> dict[str, bytes]:
+    return {file: data for file, data in fleet.disk(name).items() if file != "lock"}
 
 
-def put(fleet: FleetInTest, name: str, disk: dict[str, bytes]) -> None:
-    fleet.fleet.disk(name).clear()
-    fleet.fleet.disk(name).update(disk)
+def put(fleet: Fleet, name: str, disk: dict[str, bytes]) -> None:
+    fleet.disk(name).clear()
+    fleet.disk(name).update(disk)
 
 
-def begun(fleet: FleetInTest, others: str, text: str = "") -> dict[str, bytes]:
+def begun(fleet: Fleet, others: str, text: str = "") -> dict[str, bytes]:
     """Agent a with two tasks, and the others; returns a's disk, after which a was started twice again."""
     fleet.start("a", text, tasks=TASKS)
     for name in others:
@@ -54,14 +54,14 @@ def begun(fleet: FleetInTest, others: str, text: str = "") -> dict[str, bytes]:
     return disk
 
 
-def restored(fleet: FleetInTest, disk: dict[str, bytes]) -> AgentInTest:
+def restored(fleet: Fleet, disk: dict[str, bytes]) -> AgentHandle:
     if "a" in fleet.agents:
         fleet.crash("a")
     put(fleet, "a", disk)
     return fleet.restart("a")
 
 
-def test_two_that_say_so_and_know_of_no_later_owner_let_the_tasks_go_on(fleet: FleetInTest):
+def test_two_that_say_so_and_know_of_no_later_owner_let_the_tasks_go_on(fleet: Fleet):
     a = restored(fleet, begun(fleet, "bc"))
     fleet.connect()
     fleet.run_for(2.0)
@@ -75,7 +75,7 @@ def test_two_that_say_so_and_know_of_no_later_owner_let_the_tasks_go_on(fleet: F
         assert any("the disk of a is an old copy" in it for it in fleet.agents[other].lines("warning"))
 
 
-def test_what_went_on_elsewhere_stands_still_until_a_person_decides(fleet: FleetInTest):
+def test_what_went_on_elsewhere_stands_still_until_a_person_decides(fleet: Fleet):
     disk = begun(fleet, "bcd")
     assert fleet.agents["a"].ask(Migrate("Sink", to="b")).ok
     fleet.run_for(2.0)
@@ -96,7 +96,7 @@ def test_what_went_on_elsewhere_stands_still_until_a_person_decides(fleet: Fleet
     assert state(a)[0] == "running" and state(d) == ("stopped", "disputed")
 
 
-def test_one_that_says_so_alone_warns(fleet: FleetInTest):
+def test_one_that_says_so_alone_warns(fleet: Fleet):
     a = restored(fleet, begun(fleet, "b"))
     fleet.connect()
     fleet.run_for(2.0)
@@ -104,7 +104,7 @@ def test_one_that_says_so_alone_warns(fleet: FleetInTest):
     assert a.events("old_copy") == a.events("task_stopped") == []
 
 
-def test_a_copy_of_the_last_start_is_noticed_too(fleet: FleetInTest):
+def test_a_copy_of_the_last_start_is_noticed_too(fleet: Fleet):
     begun(fleet, "bc")
     fleet.stop("a")
     disk = copy_of(fleet, "a")
@@ -118,7 +118,7 @@ def test_a_copy_of_the_last_start_is_noticed_too(fleet: FleetInTest):
     assert any("another start of its journal with the same number" in line for line in a.lines("warning"))
 
 
-def test_it_is_remembered_over_a_start_of_the_whole_fleet(fleet: FleetInTest):
+def test_it_is_remembered_over_a_start_of_the_whole_fleet(fleet: Fleet):
     disk = begun(fleet, "bc")
     for name in "abc":
         fleet.crash(name)
@@ -130,7 +130,7 @@ def test_it_is_remembered_over_a_start_of_the_whole_fleet(fleet: FleetInTest):
     assert len(fleet.agents["a"].events("old_copy")) == 1
 
 
-def test_an_agent_that_starts_again_and_again_is_no_copy(fleet: FleetInTest):
+def test_an_agent_that_starts_again_and_again_is_no_copy(fleet: Fleet):
     begun(fleet, "bc")
     for how in ("crash", "stop", "crash"):
         getattr(fleet, how)("a")
@@ -143,7 +143,7 @@ def test_an_agent_that_starts_again_and_again_is_no_copy(fleet: FleetInTest):
     assert a.lines("warning") == []
 
 
-def test_an_agent_with_a_new_disk_is_no_copy_and_its_old_disk_is_one(fleet: FleetInTest):
+def test_an_agent_with_a_new_disk_is_no_copy_and_its_old_disk_is_one(fleet: Fleet):
     disk = begun(fleet, "bc")
     a = restored(fleet, {})
     fleet.connect()
@@ -158,7 +158,7 @@ def test_an_agent_with_a_new_disk_is_no_copy_and_its_old_disk_is_one(fleet: Flee
 # Until they have told ----------------------------------------------------------------------------------------------
 
 
-def silent(fleet: FleetInTest) -> AgentInTest:
+def silent(fleet: Fleet) -> AgentHandle:
     """Agents b and c say that a has an old copy for a disk, and answer nothing."""
     begun(fleet, "bc")
     for name in "bc":
@@ -172,7 +172,7 @@ def silent(fleet: FleetInTest) -> AgentInTest:
     return fleet.agents["a"]
 
 
-def test_until_they_have_told_all_its_tasks_stand_still_and_it_says_why(fleet: FleetInTest):
+def test_until_they_have_told_all_its_tasks_stand_still_and_it_says_why(fleet: Fleet):
     a = silent(fleet)
     for task in TASKS:
         assert state(a, task) == ("stopped", "old copy")
@@ -191,7 +191,7 @@ def test_until_they_have_told_all_its_tasks_stand_still_and_it_says_why(fleet: F
     assert state(a)[0] == state(a, "Other")[0] == "running", "they are asked again, and tell"
 
 
-def test_a_person_has_one_of_them_go_on(fleet: FleetInTest):
+def test_a_person_has_one_of_them_go_on(fleet: Fleet):
     a = silent(fleet)
     meaning = a.ask(Adopt("Sink"))
     assert not meaning.ok and "it goes on on a from that copy (epoch 0@a)" in meaning.reason
@@ -211,14 +211,14 @@ may = ["look", "publish"]
 """
 
 
-def lies(fleet: FleetInTest, who: str, number: int = 99, journal: str = "") -> None:
+def lies(fleet: Fleet, who: str, number: int = 99, journal: str = "") -> None:
     journal = journal or fleet.agents["a"].agent.mesh.identity.journal
     fleet.agents[who].publish(NETWORK, BootRemembered(journal, number, "made up"), to=f"a/{CENSUS}")
     fleet.run_for(0.5)
 
 
 @pytest.mark.parametrize("right", ["host", "guard", ""])
-def test_that_a_disk_is_an_old_copy_is_believed_only_of_two_that_may_host_or_guard(fleet: FleetInTest, right: str):
+def test_that_a_disk_is_an_old_copy_is_believed_only_of_two_that_may_host_or_guard(fleet: Fleet, right: str):
     rights = ALLOWED.replace('"publish"', f'"publish", "{right}"') if right else ALLOWED
     begun(fleet, "bc", rights)
     a = fleet.agents["a"]
@@ -231,7 +231,7 @@ def test_that_a_disk_is_an_old_copy_is_believed_only_of_two_that_may_host_or_gua
     assert sorted(a.running("client")) == ["Other", "Sink"], "and then they tell that they know of no other owner"
 
 
-def test_a_lie_about_another_journal_or_an_earlier_start_says_nothing(fleet: FleetInTest):
+def test_a_lie_about_another_journal_or_an_earlier_start_says_nothing(fleet: Fleet):
     begun(fleet, "bc")
     for who in "bc":
         lies(fleet, who, journal="another disk")
@@ -239,7 +239,7 @@ def test_a_lie_about_another_journal_or_an_earlier_start_says_nothing(fleet: Fle
     assert fleet.agents["a"].lines("warning") == [] and fleet.agents["a"].events("old_copy") == []
 
 
-def test_a_simulated_world_says_nothing_of_disks(fleet: FleetInTest):
+def test_a_simulated_world_says_nothing_of_disks(fleet: Fleet):
     begun(fleet, "b")
     for name in "vw":
         fleet.start(name, role="environment")
@@ -252,7 +252,7 @@ def test_a_simulated_world_says_nothing_of_disks(fleet: FleetInTest):
 FORGED = TasksKnown((TASK,), (TaskFact(TASK, "d", Epoch(9, "d")),))
 
 
-def test_that_a_task_went_on_elsewhere_is_believed_only_of_those_that_take_the_disk_for_a_copy(fleet: FleetInTest):
+def test_that_a_task_went_on_elsewhere_is_believed_only_of_those_that_take_the_disk_for_a_copy(fleet: Fleet):
     begun(fleet, "bcd")
     a = fleet.agents["a"]
     for who in "bc":
@@ -262,7 +262,7 @@ def test_that_a_task_went_on_elsewhere_is_believed_only_of_those_that_take_the_d
     assert state(a)[0] == "running" and a.events("task_disputed") == []
 
 
-def test_what_one_of_them_knows_counts_once_there_are_two(fleet: FleetInTest):
+def test_what_one_of_them_knows_counts_once_there_are_two(fleet: Fleet):
     begun(fleet, "bc")
     a = fleet.agents["a"]
     lies(fleet, "b")
@@ -274,7 +274,7 @@ def test_what_one_of_them_knows_counts_once_there_are_two(fleet: FleetInTest):
 
 
 def test_an_agent_that_bears_the_journal_of_another_changes_nothing_of_what_is_remembered_of_that_one(
-    fleet: FleetInTest,
+    fleet: Fleet,
 ):
     """Its boot number may be as high as it likes: what is remembered goes by the name of an agent too."""
     begun(fleet, "bc")

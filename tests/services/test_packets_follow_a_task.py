@@ -9,12 +9,12 @@ from pancakes.durable.delivery import Letter
 from pancakes.errors import LocalProtocolError, MailboxFull
 from pancakes.mesh.codec import Encoder
 from pancakes.mesh.memory_network import Quality
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=3) as made:
+    with Fleet(seed=3) as made:
         yield made
 
 

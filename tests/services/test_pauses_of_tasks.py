@@ -8,7 +8,7 @@ from pancakes.control import Migrate
 from pancakes.devices import Load
 from pancakes.mesh.memory_network import Quality
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Naps(Task):
@@ -37,7 +37,7 @@ class Naps(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(1, classes={"test.Naps": Naps}) as made:
+    with Fleet(1, classes={"test.Naps": Naps}) as made:
         made.start("a", tasks={"Naps": Naps})
         made.start("b")
         made.connect()

@@ -4,7 +4,7 @@ from pancakes.control import Create, Describe, Reschedule
 from pancakes.devices import Load
 from pancakes.devices.driver import Sensor
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Meter(Sensor):
@@ -30,7 +30,7 @@ TYPES = {"test.Beat": Beat}
 
 
 def test_a_rate_of_zero_rests_until_it_is_rescheduled():
-    with FleetInTest(seed=3, classes=TYPES) as fleet:
+    with Fleet(seed=3, classes=TYPES) as fleet:
         agent = fleet.start(
             "a",
             devices={"load": {"type": Meter, "rate_hz": 0}},

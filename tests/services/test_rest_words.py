@@ -7,7 +7,7 @@ import pytest
 from pancakes.client.rates import RateMeter
 from pancakes.control import Configure, Describe, Migrate, Remove, Reschedule
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Count(Task):
@@ -28,7 +28,7 @@ class Count(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(classes={"test.Count": Count}) as fleet:
+    with Fleet(classes={"test.Count": Count}) as fleet:
         yield fleet
 
 

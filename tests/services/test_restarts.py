@@ -10,7 +10,7 @@ from pancakes.devices import Load
 from pancakes.devices.driver import Sensor
 from pancakes.service import Service
 from pancakes.task import Task, TaskSpec, every
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 
 class Gauge(Sensor):
@@ -70,7 +70,7 @@ class Camera(Service):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=3) as made:
+    with Fleet(seed=3) as made:
         yield made
 
 
@@ -250,7 +250,7 @@ def test_a_start_with_other_settings_while_it_waits_takes_these(fleet, path, tmp
     other = tmp_path / "ttyUSB1"
     other.write_text("")
     for kind in ("device", "client", "plain"):
-        with FleetInTest(seed=4) as another:
+        with Fleet(seed=4) as another:
             it = Thing(kind, another, path, {"pause_s": 5.0})
             assert not it.agent.ask(Configure(it.target, {"path": str(other)})).ok
             assert it.agent.ask(Start(it.target, {"path": str(other)})).ok
@@ -352,7 +352,7 @@ def test_pauses_pass_in_host_time_whatever_the_speed_of_the_mission(fleet, path)
 
 def test_the_same_seed_gives_the_same_pauses(path):
     def stamps(seed):
-        with FleetInTest(seed) as fleet:
+        with Fleet(seed) as fleet:
             agent = fleet.start("a", tasks={"Opener": {"type": Opener, "settings": {"path": str(path)}}}, seed=seed)
             fleet.run_for(30.0)
             return [(packet.stamp, packet.body) for packet in agent.probe.packets(channel="log")]

@@ -8,7 +8,7 @@ from services.numbered import Numbered, Sink
 from pancakes.control import Checkpoints, Describe, HeldCheckpoint, Migrate, Revive, Start
 from pancakes.durable.record import Phase, TaskId
 from pancakes.packet import SYSCTRL, task_address
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 SINK = Revive("a/Sink", "test.Sink")
 FORCED = Revive("a/Sink", "test.Sink", force=True)
@@ -16,7 +16,7 @@ FORCED = Revive("a/Sink", "test.Sink", force=True)
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=8, classes={"test.Sink": Sink}) as made:
+    with Fleet(seed=8, classes={"test.Sink": Sink}) as made:
         yield made
 
 
@@ -125,7 +125,7 @@ def test_it_goes_on_from_the_snapshot_of_a_hand_off_that_is_in_doubt(fleet):
     fleet.agents["a"].publish(SYSCTRL, Migrate("Sink", to="b"))
     record = fleet.agents["b"].agent.records.get
     while record(TaskId("a", "Sink")) is None or record(TaskId("a", "Sink")).phase is not Phase.PREPARED:
-        assert fleet.fleet.dispatcher.step()
+        assert fleet.dispatcher.step()
     fleet.crash("a")
     fleet.run_for(3.0)
     (row,) = fleet.agents["b"].ask(Checkpoints("Sink", body=True)).result

@@ -12,15 +12,15 @@ from services.numbered import Sink
 from pancakes.control import Checkpoints, Describe, HeldCheckpoint, Revive
 from pancakes.durable.record import Phase, Record, TaskId
 from pancakes.journal.journal import MARK
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 COUNT = TaskId("a", "Count")
 GUARDED = {"Count": {"type": "test.Count", "guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b", "c"]}}
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest(seed=5, classes={"test.Count": Count, "test.Sink": Sink}) as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet(seed=5, classes={"test.Count": Count, "test.Sink": Sink}) as made:
         made.start("a", tasks=GUARDED)
         for name in "bcd":
             made.start(name)
@@ -30,21 +30,21 @@ def fleet() -> Iterator[FleetInTest]:
         yield made
 
 
-def record(fleet: FleetInTest, name: str) -> Record:
+def record(fleet: Fleet, name: str) -> Record:
     found = fleet.agents[name].agent.records.get(COUNT)
     assert found is not None
     return found
 
 
-def guards(fleet: FleetInTest, name: str) -> list[list[str]]:
+def guards(fleet: Fleet, name: str) -> list[list[str]]:
     return [sorted(one.agent for one in members) for members in record(fleet, name).guards.sets]
 
 
-def where(fleet: FleetInTest) -> list[str]:
+def where(fleet: Fleet) -> list[str]:
     return [name for name, agent in fleet.agents.items() if "Count" in agent.running("client")]
 
 
-def held(fleet: FleetInTest, name: str) -> dict[str, Any]:
+def held(fleet: Fleet, name: str) -> dict[str, Any]:
     (row,) = fleet.agents[name].ask(Checkpoints("Count", body=True)).result
     found: dict[str, Any] = row
     return found
@@ -55,7 +55,7 @@ def from_held(row: dict[str, Any], **others: Any) -> Revive:
     return Revive(row["task_id"], service=row["service"], checkpoint=checkpoint, seen=row["seen"], **others)
 
 
-def most_are_lost(fleet: FleetInTest) -> tuple[dict[str, Any], int]:
+def most_are_lost(fleet: Fleet) -> tuple[dict[str, Any], int]:
     """The owner and a guardian are gone; returns what the other guardian holds, and how far the task was."""
     n: int = fleet.agents["a"].task("Count").state.n
     fleet.crash("a")
@@ -65,7 +65,7 @@ def most_are_lost(fleet: FleetInTest) -> tuple[dict[str, Any], int]:
     return held(fleet, "c"), n
 
 
-def test_a_guardian_tells_what_it_holds_and_how_old_that_is(fleet: FleetInTest):
+def test_a_guardian_tells_what_it_holds_and_how_old_that_is(fleet: Fleet):
     row = held(fleet, "c")
     assert (row["task_id"], row["agent"], row["held"], row["epoch"]) == ("a/Count", "c", "guardian", [0, "a"])
     assert (row["type"], row["service"], row["wanted"], row["at_least"]) == ("test.Count", "client", "running", False)
@@ -79,7 +79,7 @@ def test_a_guardian_tells_what_it_holds_and_how_old_that_is(fleet: FleetInTest):
     assert 60.0 < held(fleet, "c")["age_s"] < 62.0
 
 
-def test_a_guardian_that_began_anew_says_that_a_checkpoint_may_be_older(fleet: FleetInTest):
+def test_a_guardian_that_began_anew_says_that_a_checkpoint_may_be_older(fleet: Fleet):
     most_are_lost(fleet)
     fleet.crash("c")
     fleet.restart("c")
@@ -88,7 +88,7 @@ def test_a_guardian_that_began_anew_says_that_a_checkpoint_may_be_older(fleet: F
     assert row["at_least"] and row["age_s"] < 2.0
 
 
-def test_it_goes_on_from_a_checkpoint_that_a_guardian_holds(fleet: FleetInTest):
+def test_it_goes_on_from_a_checkpoint_that_a_guardian_holds(fleet: Fleet):
     row, n = most_are_lost(fleet)
     d = fleet.agents["d"]
     told = d.ask(from_held(row)).reason
@@ -103,7 +103,7 @@ def test_it_goes_on_from_a_checkpoint_that_a_guardian_holds(fleet: FleetInTest):
     assert d.ask(Describe("client/Count")).result["fence"]["epoch"] == 1_000_000
 
 
-def test_the_lost_agent_stands_still_when_it_is_back_though_half_of_its_guardians_would_follow_it(fleet: FleetInTest):
+def test_the_lost_agent_stands_still_when_it_is_back_though_half_of_its_guardians_would_follow_it(fleet: Fleet):
     row, _ = most_are_lost(fleet)
     assert fleet.agents["d"].ask(from_held(row, force=True)).ok
     fleet.run_for(1.0)
@@ -122,7 +122,7 @@ def test_the_lost_agent_stands_still_when_it_is_back_though_half_of_its_guardian
     assert "d" in guards(fleet, "d")[0] and len(guards(fleet, "d")[0]) == 3
 
 
-def test_it_goes_on_as_it_stands_where_its_guardians_are_gone_for_good(fleet: FleetInTest):
+def test_it_goes_on_as_it_stands_where_its_guardians_are_gone_for_good(fleet: Fleet):
     a = fleet.agents["a"]
     fleet.crash("b")
     fleet.crash("c")
@@ -145,7 +145,7 @@ def test_it_goes_on_as_it_stands_where_its_guardians_are_gone_for_good(fleet: Fl
     assert "is known on a" in a.ask(Revive("a/Count", force=True)).reason
 
 
-def test_guardians_that_were_not_gone_after_all_have_their_owner_stand_still_once_they_are_linked(fleet: FleetInTest):
+def test_guardians_that_were_not_gone_after_all_have_their_owner_stand_still_once_they_are_linked(fleet: Fleet):
     a = fleet.agents["a"]
     fleet.faults.cut("a")
     fleet.run_for(10.0)
@@ -160,7 +160,7 @@ def test_guardians_that_were_not_gone_after_all_have_their_owner_stand_still_onc
     assert a.task("Count").state.n > n + 10
 
 
-def test_an_owner_from_an_old_disk_does_not_go_on_without_its_guardians(fleet: FleetInTest):
+def test_an_owner_from_an_old_disk_does_not_go_on_without_its_guardians(fleet: Fleet):
     a, row = fleet.agents["a"], held(fleet, "c")
     fleet.crash("b")
     fleet.crash("c")
@@ -169,11 +169,11 @@ def test_an_owner_from_an_old_disk_does_not_go_on_without_its_guardians(fleet: F
     assert not refused.ok and "from an old copy of its disk, older than what c holds" in refused.reason
 
 
-def test_where_all_disks_are_copies_a_person_has_the_task_go_on(fleet: FleetInTest):
+def test_where_all_disks_are_copies_a_person_has_the_task_go_on(fleet: Fleet):
     n = fleet.agents["a"].task("Count").state.n
     for name in "abcd":
         fleet.crash(name)
-        del fleet.fleet.disk(name)[MARK]
+        del fleet.disk(name)[MARK]
     for name in "abcd":
         fleet.restart(name)
     fleet.connect()

@@ -14,7 +14,7 @@ from pancakes.kernel.actor import Component
 from pancakes.kernel.handlers import on
 from pancakes.service import Service
 from pancakes.task import Task, every
-from pancakes.testing import AgentInTest, FleetInTest, no_thread_left, threaded_agent
+from pancakes.testing import AgentHandle, Fleet, no_thread_left, threaded_agent
 
 
 class Count(Task):
@@ -92,19 +92,19 @@ class Driving(Count):
     requires = ("motors",)
 
 
-def replies(agent: AgentInTest, *bodies: object) -> list[str]:
+def replies(agent: AgentHandle, *bodies: object) -> list[str]:
     """Asks for several things at once; returns what each was refused for, an empty string where it was done."""
     asked = [agent.publish("sysctrl", body) for body in bodies]
     return [agent.reply_to(packet).reason for packet in asked]
 
 
-def with_service(fleet: FleetInTest, cls: type, **others: Any) -> AgentInTest:
+def with_service(fleet: Fleet, cls: type, **others: Any) -> AgentHandle:
     tasks = {"Count": {"type": Count, "service": "own"}}
     return fleet.start("a", services={"own": cls}, tasks=tasks, **others)
 
 
 def test_a_refuse_stop_that_fails_is_the_answer_also_to_a_command_that_has_waited():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = with_service(fleet, RefusesBadly)
         reasons = replies(agent, Stop("own"), Restart("own"), Stop("own"), Stop("own"))
         assert reasons[1] == ""
@@ -114,7 +114,7 @@ def test_a_refuse_stop_that_fails_is_the_answer_also_to_a_command_that_has_waite
 
 
 def test_a_keep_that_fails_costs_what_the_tasks_carried_and_not_the_agent():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = with_service(fleet, KeepsBadly)
         assert agent.ask(Stop("own")).ok
         assert any(
@@ -125,7 +125,7 @@ def test_a_keep_that_fails_costs_what_the_tasks_carried_and_not_the_agent():
 
 
 def test_who_waits_for_a_service_is_answered_where_its_on_failure_leaves_the_base_class_out():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = with_service(fleet, FailsBadly)
         asked = [agent.publish("sysctrl", body) for body in (Stop("Count"), Start("Count"))]
         agent.wait_for_event("asked", what="stop")
@@ -141,7 +141,7 @@ def test_a_service_that_fails_on_a_command_answers_it_once():
         def carry_out_command(self, body, slot, request):
             raise RuntimeError("no map")
 
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = with_service(fleet, Fails)
         asked = agent.publish("sysctrl", Describe("own/Count"))
         assert agent.reply_to(asked).reason.startswith("a/own failed before it had done that: RuntimeError: no map")
@@ -156,7 +156,7 @@ def test_a_service_that_exits_where_it_is_made_fails_alone():
             super().__init__(*args, **others)
             sys.exit(3)
 
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services={"own": Made}, tasks={"Other": Count})
         agent.wait_for_event("service_failed", service="own")
         fleet.run_for(1.0)
@@ -165,7 +165,7 @@ def test_a_service_that_exits_where_it_is_made_fails_alone():
 
 @pytest.mark.parametrize("from_elsewhere", [False, True])
 def test_a_root_that_fails_ends_the_agent_and_answers_all_who_asked(from_elsewhere: bool):
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = with_service(fleet, Exits)
         asker = fleet.start("b") if from_elsewhere else agent
         fleet.connect()
@@ -184,7 +184,7 @@ def test_a_root_that_fails_ends_the_agent_and_answers_all_who_asked(from_elsewhe
 
 
 def test_the_agent_of_a_root_that_failed_ends_in_order():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start(
             "a", services={"own": Exits}, tasks={"Driving": Driving}, devices={"wheels": {"type": Wheels}}
         )
@@ -201,4 +201,4 @@ def test_an_agent_on_threads_whose_root_failed_leaves_no_thread(name):
     with no_thread_left(), threaded_agent("a", services={name: Exits}, tasks={"Driving": Count}) as agent:
         assert not agent.ask(Stop(name)).ok
         agent.wait_until(lambda: bool(agent.agent.fatal))
-    assert agent.left() == []
+    assert agent.still_running() == []

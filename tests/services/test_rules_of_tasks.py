@@ -4,7 +4,7 @@ from pancakes.control import Start, Stop
 from pancakes.devices import Battery
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Plain(Task):
@@ -19,7 +19,7 @@ def test_a_reading_is_compared_with_the_rules_about_its_type_alone():
     """Both rules look at a field of the same name."""
     about_load = {"type": Plain, "migrate": {"when": "load", "field": "level", "below": 0.65}}
     about_battery = {"type": Other, "migrate": {"when": "battery", "below": 0.3}}
-    with FleetInTest(3) as fleet:
+    with Fleet(3) as fleet:
         a = fleet.start("a", tasks={"Plain": about_load, "Other": about_battery})
         fleet.start("b")
         fleet.connect()
@@ -32,7 +32,7 @@ def test_a_reading_is_compared_with_the_rules_about_its_type_alone():
 
 
 def test_the_reading_of_another_agent_moves_no_task():
-    with FleetInTest(3) as fleet:
+    with Fleet(3) as fleet:
         a = fleet.start("a", tasks={"Other": {"type": Other, "migrate": {"when": "battery", "below": 0.3}}})
         b = fleet.start("b")
         fleet.connect()
@@ -45,7 +45,7 @@ def test_the_reading_of_another_agent_moves_no_task():
 
 
 def test_a_rule_that_was_refused_says_so_once_and_asks_again_after_a_minute():
-    with FleetInTest(3) as fleet:
+    with Fleet(3) as fleet:
         rule = {"when": "battery", "below": 0.3}
         a = fleet.start("a", tasks={"Other": {"type": Other, "migrate": rule}})
         fleet.start("b")
@@ -83,7 +83,7 @@ MOTORS = {"Motors": {"driver": "null.motors"}}
 
 
 def test_where_no_agent_can_take_a_task_another_starts_in_its_place():
-    with FleetInTest(3) as fleet:
+    with Fleet(3) as fleet:
         rule = {"when": "battery", "below": 0.3, "otherwise": "GoCharge"}
         tasks = {"Circle": {"type": Circle, "migrate": rule}, "GoCharge": {"type": GoCharge, "start": False}}
         a = fleet.start("a", tasks=tasks, devices=MOTORS)
@@ -98,7 +98,7 @@ def test_where_no_agent_can_take_a_task_another_starts_in_its_place():
 
 
 def test_another_task_starts_only_where_no_agent_takes_the_first():
-    with FleetInTest(3) as fleet:
+    with Fleet(3) as fleet:
         rule = {"when": "battery", "below": 0.3, "otherwise": "GoCharge"}
         tasks = {"Circle": {"type": Circle, "migrate": rule}, "GoCharge": {"type": GoCharge, "start": False}}
         a = fleet.start("a", tasks=tasks, devices=MOTORS)
@@ -111,7 +111,7 @@ def test_another_task_starts_only_where_no_agent_takes_the_first():
 
 
 def test_a_rule_asks_again_when_it_says():
-    with FleetInTest(3) as fleet:
+    with Fleet(3) as fleet:
         rule = {"when": "battery", "below": 0.3, "again_s": 5.0}
         a = fleet.start("a", tasks={"Other": {"type": Other, "migrate": rule}})
         for _ in range(24):

@@ -9,7 +9,7 @@ from pancakes.devices import Load, Twist
 from pancakes.devices.driver import Actuator, Sensor
 from pancakes.kernel.handlers import on
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest, no_thread_left, threaded_agent
+from pancakes.testing import Fleet, no_thread_left, threaded_agent
 from pancakes.tools.metrics.metrics_service import MetricsService
 
 
@@ -69,13 +69,13 @@ def states(agent):
 
 
 def test_a_device_service_without_devices_runs():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", '[service.sensors]\ntype = "device"\n')
         assert states(agent) == dict.fromkeys(["log", "device", "sensors", "network", "client"], "running")
 
 
 def test_a_second_device_service_has_the_devices_that_name_it():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services=SENSORS, devices=DEVICES, tasks={"Drive": Drive})
         assert agent.running("sensors") == ["gauge", "wheels"]
         assert agent.running("device") == ["other"]
@@ -88,7 +88,7 @@ def test_a_second_device_service_has_the_devices_that_name_it():
 
 
 def test_its_actuators_stand_when_their_holder_lets_go_and_obey_nobody_else():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services=SENSORS, devices=DEVICES, tasks={"Drive": Drive})
         fleet.run_for(0.5)
         assert agent.ask(Describe("sensors/wheels")).result["holder"] == "a/client/Drive"
@@ -99,14 +99,14 @@ def test_its_actuators_stand_when_their_holder_lets_go_and_obey_nobody_else():
 
 
 def test_a_device_service_looks_after_tasks_of_the_configuration_too():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services=SENSORS, tasks={"Note": {"type": Note, "service": "sensors"}})
         assert agent.ask(Describe("sensors/Note")).result["state"] == "running"
         assert states(agent)["sensors"] == "running"
 
 
 def test_a_second_client_service_keeps_its_tasks_over_a_crash():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         tasks = {"Drive": {"type": Drive, "service": "crew"}}
         agent = fleet.start("a", services={"crew": "client", **SENSORS}, devices=DEVICES, tasks=tasks)
         fleet.run_for(3.0)
@@ -138,7 +138,7 @@ def test_a_second_log_service_has_a_file_and_a_recorder_of_its_own(tmp_path: Pat
 
 def test_a_recording_that_a_second_log_service_was_asked_for_goes_on_when_its_agent_comes_back(tmp_path: Path):
     services = {"audit": {"type": "log", "settings": {"console": False}}}
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services=services)
         assert agent.ask(Start("audit/Recorder", {"path": str(tmp_path / "audit.mcap")})).ok
         fleet.stop("a")
@@ -159,7 +159,7 @@ def test_a_second_metrics_service_serves_at_a_port_of_its_own():
 
 
 def test_a_second_network_service_of_a_configuration_made_in_code_is_left_out_with_a_sentence():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", services={"radio": "network"}, tasks={"Note": Note})
         fleet.start("b")
         fleet.connect()
@@ -170,7 +170,7 @@ def test_a_second_network_service_of_a_configuration_made_in_code_is_left_out_wi
 
 
 def test_a_device_whose_service_is_none_for_devices_is_named():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         agent = fleet.start("a", devices={"gauge": {"type": Gauge, "service": "client"}})
         reason = "the device gauge does not run: no device service 'client' does"
         assert reason in agent.lines("error")

@@ -15,7 +15,7 @@ from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.service import Service
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Listens(Task):
@@ -80,7 +80,7 @@ def test_account_after_a_restart_of_the_source(wanted):
 
 def test_sequel_of_a_rule_is_not_that_of_a_command():
     """A move that was asked for without `then` lets nothing follow, also where the task has a rule."""
-    with FleetInTest(3, classes={"test.Circle": Circle, "test.Home": Home}) as fleet:
+    with Fleet(3, classes={"test.Circle": Circle, "test.Home": Home}) as fleet:
         rule = {"when": "battery", "below": 0.1, "then": "Home"}
         fleet.start("a", tasks={"Circle": {"type": Circle, "migrate": rule}, "Home": {"type": Home, "start": False}})
         fleet.start("b")
@@ -152,7 +152,7 @@ def test_tombstone_belongs_to_the_service_that_wrote_it(service):
     assert service is None or issubclass(service, Service)
     services = {"surveys": Surveys}
     home = "surveys" if service else "client"
-    with FleetInTest(3, classes={"test.Circle": Circle}) as fleet:
+    with Fleet(3, classes={"test.Circle": Circle}) as fleet:
         b = fleet.start("b", services=services)
         fleet.start("a", services=services, tasks={"Circle": {"type": Circle, "service": home}})
         fleet.connect()
@@ -193,7 +193,7 @@ def test_sequel_after_a_restart_of_the_service_only(wanted):
 
 @pytest.mark.parametrize("negotiates", ["Owner", "Guardian"])
 def test_service_hears_once_that_its_move_is_accounted(negotiates):
-    with FleetInTest(3) as fleet:
+    with Fleet(3) as fleet:
         a = fleet.start("a", tasks={"Owner": Listens, "Guardian": Listens})
         fleet.start("b")
         fleet.connect()

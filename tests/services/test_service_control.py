@@ -14,7 +14,7 @@ from pancakes.kernel.handlers import on
 from pancakes.packet import SYSCTRL
 from pancakes.service import Service
 from pancakes.task import Task, TaskSpec
-from pancakes.testing import FleetInTest, Probe, assert_published, no_thread_left, threaded_agent
+from pancakes.testing import Fleet, Probe, assert_published, no_thread_left, threaded_agent
 
 
 def said(reply):
@@ -46,7 +46,7 @@ class Mapper(Service):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5, classes={"test.mapper": Mapper}) as made:
+    with Fleet(seed=5, classes={"test.mapper": Mapper}) as made:
         yield made
 
 

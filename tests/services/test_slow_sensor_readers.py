@@ -3,7 +3,7 @@
 from pancakes.devices import Load
 from pancakes.devices.driver import Sensor
 from pancakes.task import Task, on, reliable
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Meter(Sensor):
@@ -24,7 +24,7 @@ class Slow(Task):
 
 
 def test_a_reliable_reader_without_room_does_not_end_a_sensor():
-    with FleetInTest(seed=2) as fleet:
+    with Fleet(seed=2) as fleet:
         agent = fleet.start("a", devices={"load": {"type": Meter, "rate_hz": 10}}, tasks={"Slow": Slow})
         slow = agent.task("Slow")
         slow.call(slow.pause)

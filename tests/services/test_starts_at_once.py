@@ -6,7 +6,7 @@ from pancakes.control import Start, Stop
 from pancakes.durable.record import TaskId, Wanted
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Circle(Task):
@@ -19,7 +19,7 @@ class Home(Circle):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(7, classes={"test.Circle": Circle, "test.Home": Home}) as made:
+    with Fleet(7, classes={"test.Circle": Circle, "test.Home": Home}) as made:
         yield made
 
 

@@ -11,7 +11,7 @@ from pancakes.events import LogLine
 from pancakes.packet import SYSCTRL
 from pancakes.service import Service
 from pancakes.task import Task, every, on, reliable
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 
 def said(reply):
@@ -80,7 +80,7 @@ def service(request):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=3, classes={"test.plain": Plain}) as made:
+    with Fleet(seed=3, classes={"test.plain": Plain}) as made:
         yield made
 
 
@@ -251,7 +251,7 @@ def test_commands_in_a_hail_end_as_the_last_one_said(service):
 
 
 def hail_of_commands(seed, service):
-    with FleetInTest(seed, classes={"test.plain": Plain}) as fleet:
+    with Fleet(seed, classes={"test.plain": Plain}) as fleet:
         agent = start(fleet, service, Count=Count)
         random = agent.kernel.random_for(f"hail/{seed}")
         for last in (Start("Count"), Stop("Count")):

@@ -11,7 +11,7 @@ from services.talk import Talk
 from pancakes.control import Create, Migrate, Remove, Start, Stop
 from pancakes.durable.messages import KeepLease, LeaseKept, SeizeTask
 from pancakes.task import Task, Tick, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 KEPT_BY_B_AND_C = [
     *(f"a/client > {other}/Guardian: guard.keep" for other in "bc"),
@@ -33,8 +33,8 @@ class Slow(Task):
 
 
 @pytest.fixture
-def fleet() -> Iterator[FleetInTest]:
-    with FleetInTest(seed=5, classes={"test.Slow": Slow}) as made:
+def fleet() -> Iterator[Fleet]:
+    with Fleet(seed=5, classes={"test.Slow": Slow}) as made:
         for name in "abcd":
             made.start(name)
         made.connect()
@@ -42,14 +42,14 @@ def fleet() -> Iterator[FleetInTest]:
 
 
 @pytest.fixture
-def guarded(fleet: FleetInTest) -> FleetInTest:
+def guarded(fleet: Fleet) -> Fleet:
     """Slow runs on a; b and c guard it."""
     assert fleet.agents["a"].ask(Create("Slow", "test.Slow", keys=GUARDED)).ok
     fleet.run_for(6.0)
     return fleet
 
 
-def test_creation_asks_all_agents_before_it_tells_them(fleet: FleetInTest) -> None:
+def test_creation_asks_all_agents_before_it_tells_them(fleet: Fleet) -> None:
     talk = Talk(fleet)
     assert fleet.agents["a"].ask(Create("Slow", "test.Slow")).ok
     fleet.run_for(0.5)
@@ -63,7 +63,7 @@ def test_creation_asks_all_agents_before_it_tells_them(fleet: FleetInTest) -> No
     ]
 
 
-def test_migration_messages_come_in_order(fleet: FleetInTest) -> None:
+def test_migration_messages_come_in_order(fleet: Fleet) -> None:
     """The task is stopped before the other agent may start it, and only the named agent is asked."""
     a = fleet.agents["a"]
     assert a.ask(Create("Slow", "test.Slow")).ok
@@ -92,7 +92,7 @@ def test_migration_messages_come_in_order(fleet: FleetInTest) -> None:
     ]
 
 
-def test_guard_is_asked_of_all_and_kept_by_two(fleet: FleetInTest) -> None:
+def test_guard_is_asked_of_all_and_kept_by_two(fleet: Fleet) -> None:
     """The task has its first permit before it starts; guardians are chosen a second later, and first get its state."""
     talk = Talk(fleet)
     assert fleet.agents["a"].ask(Create("Slow", "test.Slow", keys=GUARDED)).ok
@@ -110,7 +110,7 @@ def test_guard_is_asked_of_all_and_kept_by_two(fleet: FleetInTest) -> None:
     assert first.epoch == (1_000_000, "a") and first.body is not None
 
 
-def test_guard_rhythm(guarded: FleetInTest) -> None:
+def test_guard_rhythm(guarded: Fleet) -> None:
     """Guardians hear of the task four times a lease; its state comes only with each checkpoint, and with a number."""
     talk = Talk(guarded)
     guarded.run_for(7.9)
@@ -126,7 +126,7 @@ def test_guard_rhythm(guarded: FleetInTest) -> None:
     assert {body.no for body in kept} == {first - 1, *with_state}
 
 
-def test_guarded_migration_seizes_the_guardians(guarded: FleetInTest) -> None:
+def test_guarded_migration_seizes_the_guardians(guarded: Fleet) -> None:
     """The new owner has the pledges of the guardians, and a permit, before it starts the task."""
     talk = Talk(guarded)
     assert guarded.agents["a"].ask(Migrate("Slow", to="b")).ok
@@ -181,7 +181,7 @@ TAKEN_OVER = [
 TOLD = ("migration.", "guard", "permit", "task_called", "task_taken", "task.owned", "taken_over", "task_started")
 
 
-def test_take_over_of_a_dead_owner_waits_for_the_lease(guarded: FleetInTest) -> None:
+def test_take_over_of_a_dead_owner_waits_for_the_lease(guarded: Fleet) -> None:
     talk = Talk(guarded)
     guarded.crash("a")
     guarded.run_for(3.9)
@@ -192,7 +192,7 @@ def test_take_over_of_a_dead_owner_waits_for_the_lease(guarded: FleetInTest) -> 
     assert epoch == (1_000_001, "b")
 
 
-def test_take_over_of_an_ended_owner_does_not_wait(guarded: FleetInTest) -> None:
+def test_take_over_of_an_ended_owner_does_not_wait(guarded: Fleet) -> None:
     """An agent that ends in good order gives its guardians its last state, and yields the lease."""
     talk = Talk(guarded)
     guarded.stop("a")
@@ -201,7 +201,7 @@ def test_take_over_of_an_ended_owner_does_not_wait(guarded: FleetInTest) -> None
     assert talk.take(*TOLD) == yielded + TAKEN_OVER
 
 
-def test_take_over_after_a_cut_lets_only_one_side_act(guarded: FleetInTest) -> None:
+def test_take_over_after_a_cut_lets_only_one_side_act(guarded: Fleet) -> None:
     """The owner that is cut off loses its permit before the others take over."""
     talk = Talk(guarded)
     guarded.faults.cut("a", off=tuple("bcd"), for_s=20.0)
@@ -212,7 +212,7 @@ def test_take_over_after_a_cut_lets_only_one_side_act(guarded: FleetInTest) -> N
     assert talk.take("permit", "guard.seize", "task_taken") == taken
 
 
-def test_stop_start_and_removal_are_kept_at_once(guarded: FleetInTest) -> None:
+def test_stop_start_and_removal_are_kept_at_once(guarded: Fleet) -> None:
     """Guardians learn of each at once, and no agent but the owner and its guardians has a part in it."""
     a = guarded.agents["a"]
     talk = Talk(guarded)
@@ -239,7 +239,7 @@ def test_stop_start_and_removal_are_kept_at_once(guarded: FleetInTest) -> None:
 
 def test_guard_that_is_thin_is_told_once_and_asked_for_again() -> None:
     """Agents are asked every two seconds until enough can guard it. One that is gone for a minute is replaced."""
-    with FleetInTest(seed=5, classes={"test.Slow": Slow}) as fleet:
+    with Fleet(seed=5, classes={"test.Slow": Slow}) as fleet:
         a, _ = fleet.start("a"), fleet.start("b")
         fleet.connect()
         talk = Talk(fleet)

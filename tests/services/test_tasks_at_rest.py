@@ -7,7 +7,7 @@ import pytest
 from pancakes.control import Describe, Migrate, Start, Stop
 from pancakes.durable.record import Epoch, Record, TaskId, rest_of
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Walk(Task):
@@ -24,7 +24,7 @@ class Break(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=4) as made:
+    with Fleet(seed=4) as made:
         yield made
 
 

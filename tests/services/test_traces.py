@@ -18,7 +18,7 @@ from pancakes.services.traces import (
     Tracing,
 )
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 MS = 1_000_000
 
@@ -142,7 +142,7 @@ class Steer(Task):
 
 
 def test_an_agent_notes_nothing_until_it_is_asked_and_ceases_when_nobody_asks_any_more():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
         fleet.run_for(1.0)
         assert agent.ask(Traces()).result["rows"] == []
@@ -162,7 +162,7 @@ def test_an_agent_notes_nothing_until_it_is_asked_and_ceases_when_nobody_asks_an
 
 
 def test_who_asks_no_more_may_say_so_and_others_still_get_answers():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
         tracing = tracing_of(agent)
         fleet.run_for(0.5)
@@ -190,7 +190,7 @@ def test_who_asks_no_more_may_say_so_and_others_still_get_answers():
 def test_after_the_last_question_no_packet_is_looked_at(monkeypatch):
     looked_at: list[Packet] = []
     monkeypatch.setattr(TracedPackets, "hear", lambda traced, ns, packet: looked_at.append(packet))
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
         assert agent.ask(Traces()).ok
         fleet.run_for(1.0)
@@ -213,7 +213,7 @@ def test_an_answer_is_found_in_short_steps():
 
 
 def test_other_tasks_have_their_turns_while_an_answer_is_found():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
         tracing = tracing_of(agent)
         told: list[Any] = []
@@ -231,7 +231,7 @@ def test_other_tasks_have_their_turns_while_an_answer_is_found():
 
 
 def test_who_asks_faster_than_answers_are_found_is_refused():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
         asked = [agent.publish("sysctrl", Traces(), to="a").seq for _ in range(2 * MOST_QUESTIONS)]
         fleet.run_for(1.0)
@@ -243,7 +243,7 @@ def test_who_asks_faster_than_answers_are_found_is_refused():
 
 
 def test_who_waits_for_an_answer_gets_it_when_the_service_stops():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
         tracing = tracing_of(agent)
         told: list[Any] = []
@@ -256,7 +256,7 @@ def test_who_waits_for_an_answer_gets_it_when_the_service_stops():
 
 
 def test_one_that_asks_right_after_the_end_gets_an_answer_and_the_service_goes_on():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
         log, tracing = agent.component("log"), tracing_of(agent)
         told: list[Any] = []
@@ -312,7 +312,7 @@ def test_old_packets_are_forgotten_in_short_steps_and_a_few_in_none_of_their_own
 
 
 def test_packets_are_noted_for_10_s_after_the_last_question():
-    with FleetInTest(1) as fleet:
+    with Fleet(1) as fleet:
         agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
         assert agent.ask(Traces()).result["rows"] == []
         fleet.run_for(9.5)

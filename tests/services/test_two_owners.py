@@ -13,14 +13,14 @@ from pancakes.durable.ownership import Owned, OwnerClaim
 from pancakes.durable.record import Epoch, Phase, Record, TaskId
 from pancakes.durable.snapshot import Snapshot
 from pancakes.packet import NETWORK
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 TASKS = {"Sink": Sink}
 
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=5) as made:
+    with Fleet(seed=5) as made:
         yield made
 
 
@@ -31,12 +31,12 @@ def state(agent):
 
 def copy_of(fleet, name):
     """What is on an agent's disk, without the lock of its process."""
-    return {file: data for file, data in fleet.fleet.disk(name).items() if file != "lock"}
+    return {file: data for file, data in fleet.disk(name).items() if file != "lock"}
 
 
 def put(fleet, name, disk):
-    fleet.fleet.disk(name).clear()
-    fleet.fleet.disk(name).update(disk)
+    fleet.disk(name).clear()
+    fleet.disk(name).update(disk)
 
 
 def moved(fleet):
@@ -128,7 +128,7 @@ def test_what_rests_without_its_class_is_given_up_too(fleet):
     def gone(record):
         return replace(record, snapshot=replace(Snapshot.decode(record.snapshot), type="test.Gone").encode())
 
-    change_record(fleet.fleet.disk("a"), journal, "Sink", gone)
+    change_record(fleet.disk("a"), journal, "Sink", gone)
     a = fleet.start("a")
     fleet.connect()
     fleet.run_for(1.0)
@@ -141,7 +141,7 @@ def test_what_rests_without_its_class_is_given_up_too(fleet):
 def test_a_birthplace_with_an_empty_disk_gives_way(fleet):
     moved(fleet)
     fleet.crash("a")
-    fleet.fleet.disk("a").clear()
+    fleet.disk("a").clear()
     a = fleet.restart("a")
     fleet.connect()
     fleet.run_for(1.0)
@@ -151,7 +151,7 @@ def test_a_birthplace_with_an_empty_disk_gives_way(fleet):
 def test_a_birthplace_that_hears_of_the_owner_first_gives_no_birth(fleet):
     moved(fleet)
     fleet.crash("a")
-    fleet.fleet.disk("a").clear()
+    fleet.disk("a").clear()
     a = fleet.start("a", tasks={"Sink": {"type": Sink, "start": False}})
     fleet.connect()
     fleet.run_for(1.0)

@@ -15,7 +15,7 @@ from pancakes.durable.snapshot import Snapshot
 from pancakes.journal.journal import JournalEntry, seal, unseal
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task
-from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.testing import AgentHandle, Fleet
 
 WHY = "what is on disk of it cannot be read: these 1 bytes are no snapshot of a task"
 HOW = "`pancakes task restart --drop-state a/Count` begins it as its configuration says, without its state"
@@ -31,12 +31,12 @@ def change_record(
     disk[file] = seal(journal, JournalEntry(entry.kind, entry.key, data))
 
 
-def rewritten(fleet: FleetInTest, name: str, snapshot: bytes | None = None, **changes: Any) -> AgentInTest:
+def rewritten(fleet: Fleet, name: str, snapshot: bytes | None = None, **changes: Any) -> AgentHandle:
     """Ends a, has the record of a task say something else, and starts a again."""
     journal = fleet.agents["a"].agent.mesh.identity.journal
     fleet.run_for(2.0)
     fleet.crash("a")
-    disk = fleet.fleet.disk("a")
+    disk = fleet.disk("a")
 
     def change(record: Record) -> Record:
         nonlocal snapshot
@@ -58,7 +58,7 @@ def rewritten(fleet: FleetInTest, name: str, snapshot: bytes | None = None, **ch
 
 @pytest.mark.parametrize("guard", [{}, {"guard": 3}])
 def test_a_configured_task_waits_until_a_person_drops_its_state(guard: dict[str, int]) -> None:
-    with FleetInTest(2) as fleet:
+    with Fleet(2) as fleet:
         fleet.start("a", tasks={"Other": Count, "Count": {"type": Count, **guard}})
         fleet.start("b")
         fleet.start("c")
@@ -91,7 +91,7 @@ def test_a_configured_task_waits_until_a_person_drops_its_state(guard: dict[str,
 
 
 def test_a_stop_is_answered_and_outlives_the_agent() -> None:
-    with FleetInTest(2) as fleet:
+    with Fleet(2) as fleet:
         fleet.start("a", tasks={"Other": Count, "Count": Count})
         a = rewritten(fleet, "Count", b"\x80")
         assert a.ask(Stop("Count")).ok
@@ -105,7 +105,7 @@ def test_a_stop_is_answered_and_outlives_the_agent() -> None:
     ("snapshot", "changes"), [(b"\x80", {}), (None, {"restart": {"policy": "daily"}}), (None, {"migrate": {"when": 3}})]
 )
 def test_a_task_that_no_file_names_harms_no_other(snapshot: bytes | None, changes: dict[str, Any]) -> None:
-    with FleetInTest(2, classes={"test.Count": Count}) as fleet:
+    with Fleet(2, classes={"test.Count": Count}) as fleet:
         a = fleet.start("a", tasks={"Other": Count})
         assert a.ask(Create("Count", "test.Count")).ok
         again = rewritten(fleet, "Count", snapshot, **changes)
@@ -114,7 +114,7 @@ def test_a_task_that_no_file_names_harms_no_other(snapshot: bytes | None, change
 
 
 def test_what_was_to_follow_a_hand_over_and_cannot_be_read_is_said_once() -> None:
-    with FleetInTest(2, classes={"test.Count": Count}) as fleet:
+    with Fleet(2, classes={"test.Count": Count}) as fleet:
         a = fleet.start("a", tasks={"Home": {"type": Count, "start": False}, "Count": Count})
         fleet.start("b")
         fleet.connect()
@@ -123,9 +123,9 @@ def test_what_was_to_follow_a_hand_over_and_cannot_be_read_is_said_once() -> Non
         client: Any = a.component("client")
         place = client.places[TaskId("a", "Count")]
         while place.standing.record.phase is not Phase.COMMITTED:
-            assert fleet.fleet.dispatcher.step()
+            assert fleet.dispatcher.step()
         fleet.crash("a")
-        change_record(fleet.fleet.disk("a"), journal, "Count", lambda record: replace(record, sequel=b"\xc1"))
+        change_record(fleet.disk("a"), journal, "Count", lambda record: replace(record, sequel=b"\xc1"))
         again = fleet.restart("a")
         fleet.run_for(20.0)
         assert again.running() == [] and fleet.agents["b"].running() == ["Count"]
@@ -162,7 +162,7 @@ class Wider(Task):
 
 
 def test_a_later_version_of_a_class_reads_what_an_earlier_one_saved() -> None:
-    with FleetInTest(2) as fleet:
+    with Fleet(2) as fleet:
         fleet.start("a", tasks={"Task": Earlier})
         fleet.run_for(2.0)
         fleet.crash("a")
@@ -179,7 +179,7 @@ def test_a_later_version_of_a_class_reads_what_an_earlier_one_saved() -> None:
 
 
 def test_a_guarded_task_whose_class_is_gone_on_its_agent_is_taken_over() -> None:
-    with FleetInTest(2, classes={"test.Count": Count}) as fleet:
+    with Fleet(2, classes={"test.Count": Count}) as fleet:
         a = fleet.start("a")
         for name in "bc":
             fleet.start(name)

@@ -7,7 +7,7 @@ from services.numbered import HOSTS, Sink, Source, fails, numbers, sent_by, upto
 from pancakes.control import Migrate, Stop
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 class Voyage:
@@ -22,7 +22,7 @@ class Voyage:
     def __init__(self, seed, durability, source=Source):
         self.random = random.Random(f"voyage/{seed}")
         latency_s = self.random.choice([0.0005, 0.01, 0.08])
-        self.fleet = FleetInTest(
+        self.fleet = Fleet(
             seed,
             classes={f"test.{source.__name__}": source},
             quality=Quality(latency_s=latency_s, jitter_s=self.random.random() * 0.05),

@@ -10,7 +10,7 @@ import pytest
 
 from pancakes.control import Stop
 from pancakes.sim.battery import BatteryModel, BatterySettings
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 
 def battery(**settings: Any) -> BatteryModel:
@@ -74,7 +74,7 @@ ROBOT = """
 
 def test_the_record_shows_what_a_rate_and_a_sleep_save(tmp_path: Path):
     path = tmp_path / "consumption.csv"
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         fleet.start("world", WORLD.replace("PATH", str(path)))
         robot = fleet.start("robot", ROBOT)
         fleet.run_for(30.0)

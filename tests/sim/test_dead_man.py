@@ -8,7 +8,7 @@ from pancakes.control import Describe
 from pancakes.devices import Twist
 from pancakes.packet import CTRL
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 BUS = "tcp://127.0.0.1:7499"
 WORLD = {
@@ -31,7 +31,7 @@ class Driving(Task):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=3) as made:
+    with Fleet(seed=3) as made:
         made.start("world", tasks={"World": {"type": "sim.world", "settings": WORLD}}, role="environment")
         wheels = {"type": "sim.differential_drive", "settings": {"world": BUS}, "hold_after_s": 0.4}
         made.start("a", devices={"motors": wheels}, tasks={"Driving": Driving})

@@ -15,7 +15,7 @@ from pancakes.sim.hardware_bus import Attach, Drive, encode
 from pancakes.sim.world import World
 from pancakes.sim.world_state import WorldState
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 BUS = "tcp://127.0.0.1:7499"
 LINE = "tcp://127.0.0.1:7421"
@@ -70,7 +70,7 @@ class DrivingOnNan(Driving):
 
 @pytest.fixture
 def fleet():
-    with FleetInTest(seed=3) as made:
+    with Fleet(seed=3) as made:
         yield made
 
 

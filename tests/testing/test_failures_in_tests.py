@@ -7,7 +7,7 @@ import pytest
 from pancakes.kernel.actor import Component
 from pancakes.service import Service
 from pancakes.task import Task, every
-from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
+from pancakes.testing import AgentHandle, Fleet, threaded_agent
 
 
 class Weak(Service):
@@ -29,7 +29,7 @@ def fail() -> None:
     raise OSError("worn out")
 
 
-def actor(agent: AgentInTest, address: str) -> Component:
+def actor(agent: AgentHandle, address: str) -> Component:
     found = agent.component(address)
     assert found is not None
     return found
@@ -37,7 +37,7 @@ def actor(agent: AgentInTest, address: str) -> Component:
 
 @pytest.mark.parametrize("address", ["client", "network", "network/TaskMigrator", "kernel/Courier"])
 def test_an_actor_of_pancakes_own_fails_the_test_also_where_its_agent_is_gone(address: str) -> None:
-    with pytest.raises(AssertionError, match=f"a/{address} (is|failed) .*worn out"), FleetInTest() as fleet:
+    with pytest.raises(AssertionError, match=f"a/{address} (is|failed) .*worn out"), Fleet() as fleet:
         actor(fleet.start("a"), address).call(fail)
         fleet.run_for(1.0)
         fleet.crash("a")
@@ -50,7 +50,7 @@ def test_on_threads_too() -> None:
 
 
 def test_one_that_may_fail_and_those_of_a_user_fail_no_test() -> None:
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         a = fleet.start("a", tasks={"Clumsy": Clumsy}, services={"weak": Weak})
         a.may_fail.add("client")
         fleet.run_for(1.0)
@@ -61,7 +61,7 @@ def test_one_that_may_fail_and_those_of_a_user_fail_no_test() -> None:
 
 
 def test_what_a_test_itself_says_comes_first() -> None:
-    with pytest.raises(LookupError), FleetInTest() as fleet:
+    with pytest.raises(LookupError), Fleet() as fleet:
         actor(fleet.start("a"), "client").call(fail)
         fleet.run_for(1.0)
         raise LookupError

@@ -9,7 +9,7 @@ from pancakes.devices import Load
 from pancakes.events import Event
 from pancakes.packet import NEIGHBOURS
 from pancakes.task import Task, every
-from pancakes.testing import FleetInTest, assert_published
+from pancakes.testing import Fleet, assert_published
 
 
 class Count(Task):
@@ -21,7 +21,7 @@ class Count(Task):
 
 
 @pytest.fixture
-def pair(fleet: FleetInTest):
+def pair(fleet: Fleet):
     """Two agents with a link, of which the first counts aloud."""
     a = fleet.start("a")
     b = fleet.start("b")
@@ -29,7 +29,7 @@ def pair(fleet: FleetInTest):
     return a, b
 
 
-def count(fleet: FleetInTest, name: str = "counter", for_s: float = 20.5) -> list[float]:
+def count(fleet: Fleet, name: str = "counter", for_s: float = 20.5) -> list[float]:
     """Lets a third agent count, and returns what `b` heard of it."""
     fleet.start(name, tasks={"Count": Count})
     fleet.connect()
@@ -66,7 +66,7 @@ def test_a_share_of_them_is_lost_and_the_seed_draws_which(fleet, pair):
     heard = count(fleet, for_s=200.0)
     assert 60 < len(heard) < 140
 
-    with FleetInTest(fleet.fleet.seed) as again:
+    with Fleet(fleet.seed) as again:
         again.start("a")
         again.start("b")
         again.connect()

@@ -11,7 +11,7 @@ import pytest
 
 from pancakes.devices import Pose
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import Fleet, threaded_agent
 
 
 class Hangs(Task):
@@ -57,7 +57,7 @@ def test_timeout_in_virtual_task_fails_the_test(pytest_of):
 stopped = []
 
 def test_it():
-    with FleetInTest() as fleet:
+    with Fleet() as fleet:
         fleet.start("a", tasks={"Hangs": Hangs})
         try:
             fleet.run_for(10.0)
@@ -86,7 +86,7 @@ def judge(agent):
     agent.wait_for_event("never")
 
 def test_it():
-    with FleetInTest() as fleet, threaded_agent("t", tasks={{"It": {cls}}}) as threaded:
+    with Fleet() as fleet, threaded_agent("t", tasks={{"It": {cls}}}) as threaded:
         judge(fleet.start("v", tasks={{"It": {cls}}}) if "{where}" == "virtual_agent" else threaded)
 
 def test_fixture({where}):

@@ -61,7 +61,7 @@ def test_a_clock(virtual_clock):
 
 @pytest.mark.pancakes(seed=7, latency_s=0.5)
 def test_its_network(fleet, pancakes_seed):
-    assert fleet.fleet.seed == pancakes_seed == 7
+    assert fleet.seed == pancakes_seed == 7
     assert fleet.network.quality("a", "b").latency_s == 0.5
 """
 
@@ -231,6 +231,6 @@ def test_it():
 def test_nothing_that_an_agent_imports_imports_pytest():
     code = "import sys, pancakes.agent.agent, pancakes.tools.cli.agent_command, pancakes.tools.cli.main; "
     code += "import pancakes.testing; "
-    code += "from pancakes.testing import FleetInTest, threaded_agent; print('pytest' in sys.modules)"
+    code += "from pancakes.testing import Fleet, threaded_agent; print('pytest' in sys.modules)"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout == "False\n"

@@ -13,7 +13,7 @@ import pytest
 from pancakes.config import parse
 from pancakes.control import Describe
 from pancakes.errors import ControlRefused, Unreachable
-from pancakes.fleet import VirtualFleet
+from pancakes.simulation.fleet import Fleet
 from pancakes.tools.web.virtual_watch import VirtualWatch
 from pancakes.tools.web.watch import fleet_among
 
@@ -22,24 +22,24 @@ ENCIRCLEMENT = Path(__file__).parents[2] / "configs" / "encirclement"
 
 def fly(watch: VirtualWatch | None, place: Path) -> list[dict[str, Any]]:
     """Runs the first seconds of a mission; returns what its agents ended up as."""
-    fleet = VirtualFleet(seed=3)
+    fleet = Fleet(seed=3)
     try:
         for name in ("world", "agent1", "sensor"):
             text = (ENCIRCLEMENT / f"{name}.toml").read_text().replace("hold = true", "hold = false")
             text = text.replace("[agent]", "[agent]\nseed = 3\nbirth_wait_s = 0").replace(
                 "trajectory.csv", f"{place}/trajectory.csv"
             )
-            fleet.start(parse(text, where=name))
+            fleet.start_config(parse(text, where=name), settle=False, probe=False)
         if watch is not None:
             watch.begin(fleet)
         states: list[Any] = []
         fleet.agents["world"].kernel.stream.tap("system", lambda packet: states.append(packet.body))
         until_s = fleet.now() + 8.0
         while fleet.now() < until_s:
-            fleet.run_until(min(until_s, fleet.now() + (watch.slice_s() if watch is not None else 8.0)))
+            fleet.run_to(min(until_s, fleet.now() + (watch.slice_s() if watch is not None else 8.0)))
             if watch is not None:
                 watch.pace()
-        return [states[-1], fleet.agents["agent1"].mesh.describe()]
+        return [states[-1], fleet.agents["agent1"].agent.mesh.describe()]
     finally:
         if watch is not None:
             watch.end()
@@ -72,8 +72,8 @@ def test_virtual_watch_looks_at_tasks_between_turns():
     stopped.set()
     watch = VirtualWatch(5.0, stopped)
     text = 'schema = 1\n[agent]\nname = "a"\nbirth_wait_s = 0\n[device.pose]\ndriver = "null.pose"\nrate_hz = 5\n'
-    with closing(VirtualFleet()) as fleet:
-        fleet.start(parse(text, where="a"))
+    with closing(Fleet()) as fleet:
+        fleet.start_config(parse(text, where="a"), settle=False, probe=False)
         watch.begin(fleet)
         asked = [
             watch.look(agent, Describe(target, state=state), 3.0)
@@ -108,7 +108,7 @@ def test_virtual_watch_keeps_a_run_at_its_pace():
             return False
 
     watch = VirtualWatch(100.0, Stopping())
-    fleet = VirtualFleet()
+    fleet = Fleet()
     watch.begin(fleet)
     fleet.run_for(500.0)
     watch.pace()

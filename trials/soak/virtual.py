@@ -15,9 +15,8 @@ from pancakes.agent.agent import Agent
 from pancakes.config import parse
 from pancakes.control import Migrate
 from pancakes.events import Event
-from pancakes.fleet import VirtualFleet
 from pancakes.packet import LOG, SYSCTRL, Packet, join, type_name
-from pancakes.testing import registered
+from pancakes.simulation.fleet import Fleet
 
 MEETS_WITHIN_S: Final = 5.0
 MOVES_WITHIN_S: Final = 10.0
@@ -61,16 +60,17 @@ def run(agents: int, duration_s: float, seed: int, told: Callable[[str], None]) 
     began_s = time.monotonic()
     outcome = Outcome(agents)
     names = names_of(agents)
-    fleet = VirtualFleet(seed, plugins=registered({"soak.Roamer": Roamer}))
+    fleet = Fleet(seed, classes={"soak.Roamer": Roamer})
 
     def wall_s() -> float:
         return time.monotonic() - began_s
 
     for number, name in enumerate(names):
-        agent = fleet.start(parse(_config(name, number, agents), name))
-        agent.kernel.stream.tap(LOG, _watch(agent, outcome))
+        config = parse(_config(name, number, agents), name)
+        agent = fleet.start_config(config, settle=False, probe=False)
+        agent.kernel.stream.tap(LOG, _watch(agent.agent, outcome))
     # Each link is told of at both of its ends; to ask all agents after each step would cost more than the fleet.
-    if not fleet.run_while(lambda: outcome.links < agents * (agents - 1), MEETS_WITHIN_S):
+    if not fleet.run_until(lambda: outcome.links >= agents * (agents - 1), MEETS_WITHIN_S):
         outcome.faults.append(f"not all have met within {MEETS_WITHIN_S:g} s")
     outcome.met_s = fleet.now()
     gc.freeze()  # all that stands now stays; to look through it time and again takes a third of the whole time

@@ -29,12 +29,11 @@ from pancakes.durable.client_service import ClientService
 from pancakes.durable.record import Phase, Record, Wanted
 from pancakes.durable.store import RECORD
 from pancakes.errors import PancakesError
-from pancakes.fleet import VirtualFleet
 from pancakes.journal import JournalEntry
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, Packet, agent_of, join
-from pancakes.testing import Probe, config_of, registered
+from pancakes.testing import Fleet, Probe, config_of, registered
 from pancakes.util.plugins import Plugins
 
 ROBOTS = ("a", "b", "c")
@@ -93,7 +92,7 @@ class Schedule:
         self.random = random.Random(f"schedule/{seed}")
         draw = self.random
         self.quality = Quality(latency_s=draw.choice([0.0005, 0.005, 0.05]), jitter_s=draw.choice([0.0, 0.03]))
-        self.fleet = VirtualFleet(seed, self.quality)
+        self.fleet = Fleet(seed, self.quality)
         self.outcome = Outcome(seed)
         self.story = Story(trace, self.fleet.now)
         self._lost, self._doubled, self._late = draw.choice(
@@ -165,7 +164,7 @@ class Schedule:
 
         def write_and_tell(batch: Sequence[JournalEntry]) -> None:
             self._step(name, "write")
-            if self.fleet.agents.get(name) is not agent:
+            if self._agent(name) is not agent:
                 return  # killed just before it was written
             write(batch)
             for entry in batch:
@@ -190,13 +189,17 @@ class Schedule:
         if doom[1] <= 1:
             self.kill(name)
 
+    def _agent(self, name: str) -> Agent | None:
+        handle = self.fleet.agents.get(name)
+        return handle.agent if handle is not None else None
+
     def kill(self, name: str) -> None:
         """Kills an agent where it stands, which may be between any two steps."""
         self._doomed.pop(name, None)
-        agent = self.fleet.agents.pop(name, None)
-        if agent is not None:
+        handle = self.fleet.agents.pop(name, None)
+        if handle is not None:
             self.tell("kill", name)
-            agent.crash()
+            handle.agent.crash()
 
     # The network -----------------------------------------------------------------------------------------------
 
@@ -227,7 +230,7 @@ class Schedule:
 
     def _come_late(self, name: str, packet: Packet) -> None:
         """It reaches whoever has the name by then, also the agent that was killed and started again in between."""
-        agent = self.fleet.agents.get(name)
+        agent = self._agent(name)
         if agent is not None:
             self.story.heard(name, packet, " late")
             # Past the faults: once is enough.
@@ -312,7 +315,7 @@ class Schedule:
             self.outcome.violation = traceback.format_exc()
         finally:
             # Its agents are in the middle of something; they end where they stand, so that nothing of them stays.
-            for agent in list(self.fleet.agents.values()):
+            for agent in [handle.agent for handle in self.fleet.agents.values()]:
                 agent.crash()
             self.fleet.agents.clear()
         if self.outcome.violation:
@@ -360,7 +363,7 @@ class Schedule:
         self.fleet.network.heal()
         self.revive()
         healed_s = self.fleet.now()
-        if not self.fleet.run_while(lambda: not self._settled(), HEALS_WITHIN_S):
+        if not self.fleet.run_until(self._settled, HEALS_WITHIN_S):
             raise Violation(f"{HEALS_WITHIN_S:g} s after all healed: {self._state()}")
         for _ in range(2):
             for name, task in self._stopped():
@@ -369,7 +372,7 @@ class Schedule:
                 self.ask(name, Start(f"client/{task}"))
             self.fleet.run_for(3.0)
             # What was on its way when all healed may come only now, and is settled by another round of messages.
-            self.fleet.run_while(lambda: not self._settled(), HEALS_WITHIN_S)
+            self.fleet.run_until(self._settled, HEALS_WITHIN_S)
         resting = [task for _, task in self._stopped()]
         if not self._settled() or any(not self._waits_for_wheels(name, task) for name, task in self._stopped()):
             raise Violation(f"{HEALS_WITHIN_S:g} s after all healed: {self._state()}")
@@ -381,19 +384,19 @@ class Schedule:
             if now <= before or now < self.oracle.durable.get(task, 0):
                 raise Violation(f"{task} has counted {now - before} in 2 s, {self.oracle.durable.get(task)} on disk")
         self.oracle.talk = False
-        if not self.fleet.run_while(lambda: bool(self._unheard(resting)), HEALS_WITHIN_S):
+        if not self.fleet.run_until(lambda: not self._unheard(resting), HEALS_WITHIN_S):
             raise Violation(f"{HEALS_WITHIN_S:g} s after all healed these wait for packets: {self._unheard(resting)}")
 
     def _unheard(self, resting: Sequence[str]) -> dict[str, int]:
         """Returns how many packets still wait for each task that runs."""
         waiting: Counter[str] = Counter()
-        for agent in self.fleet.agents.values():
+        for agent in (handle.agent for handle in self.fleet.agents.values()):
             waiting.update(agent.outbox.waiting())
         return {task: count for task, count in waiting.items() if task.partition("/")[2] not in resting}
 
     def _records(self) -> list[tuple[str, Record]]:
         found = []
-        for name, agent in self.fleet.agents.items():
+        for name, agent in ((name, handle.agent) for name, handle in self.fleet.agents.items()):
             service = agent.kernel.registry.get(join(name, "client"))
             if isinstance(service, ClientService):
                 found += [(name, place.standing.record) for place in service.places.values()]
@@ -422,7 +425,7 @@ class Schedule:
                 if len(self.hosts(record.task_id.name)) != (record.wanted is Wanted.RUNNING):
                     return False
         return all(owners[task] == 1 for task in BORN) and all(
-            agent.ready.is_set() for agent in self.fleet.agents.values()
+            handle.agent.ready.is_set() for handle in self.fleet.agents.values()
         )
 
     def _state(self) -> str:
@@ -433,7 +436,7 @@ class Schedule:
         ]
         running = [f"{task} runs on {self.hosts(task)}" for task in BORN]
         broken = [
-            f"{name} has no client service: {' '.join(agent.skipped)}"
+            f"{name} has no client service: {' '.join(agent.agent.skipped)}"
             for name, agent in self.fleet.agents.items()
             if agent.kernel.registry.get(join(name, "client")) is None
         ]

@@ -30,7 +30,7 @@ from pancakes.control import Reschedule, Start, Stop
 from pancakes.kernel.actor import Component
 from pancakes.packet import Packet, packet_type
 from pancakes.task import Task, Tick, every, on
-from pancakes.testing import AgentInTest, threaded_agent
+from pancakes.testing import AgentHandle, threaded_agent
 from pancakes.tools.cli.agent_process import prepare
 
 LOOK_S: Final = 0.02
@@ -161,7 +161,7 @@ class Watch:
         least: the smallest share of its ticks that a ticker had in any second.
     """
 
-    def __init__(self, agent: AgentInTest, out: TextIO) -> None:
+    def __init__(self, agent: AgentHandle, out: TextIO) -> None:
         kernel = agent.kernel
         echo = kernel.spawn(Component, f"{agent.name}/echo")
         self._kernel = kernel

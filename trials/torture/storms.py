@@ -17,7 +17,7 @@ from typing import Final
 
 from pancakes.control import Migrate
 from pancakes.task import Task, Tick, every
-from pancakes.testing import FleetInTest
+from pancakes.testing import Fleet
 
 LEASES_S: Final = (3.0, 20.0)
 """Of these one is drawn. A longer one leaves more time between the end of a permit by one clock and by another."""
@@ -84,7 +84,7 @@ class Storm:
         if clocks.random() < 0.5:
             self._rates = dict.fromkeys(self._names, 1.0 + apart) | {clocks.choice(self._names): 1.0 - apart}
         self._lease_s = self._random.choice(LEASES_S)
-        self._fleet = FleetInTest(seed=seed, classes={"test.Act": Act})
+        self._fleet = Fleet(seed=seed, classes={"test.Act": Act})
         self._down: list[str] = []
         self._counts: Counter[str] = Counter()
 

@@ -23,10 +23,10 @@ from msgspec.structs import replace
 from pancakes.agent.agent import Agent
 from pancakes.config import Config, load, parse
 from pancakes.errors import PancakesError
-from pancakes.fleet import VirtualFleet
 from pancakes.kernel.mailbox import tell
 from pancakes.mesh.memory_network import Quality
 from pancakes.recording.virtual_recorder import VirtualRecorder
+from pancakes.simulation.fleet import Fleet
 from pancakes.tools.demo.conductor import Conductor, EndMission, Losses, LossStep, Mission, late_ones
 from pancakes.tools.demo.demo import Demo, Run
 from pancakes.tools.launch.clear_state import check_alone, empty_state
@@ -365,7 +365,7 @@ def _settle(mission: Mission) -> None:
 class Onlooker(Protocol):
     """Watches a fleet in virtual time, and keeps it from going faster than it can be watched. It changes nothing."""
 
-    def begin(self, fleet: VirtualFleet) -> None:
+    def begin(self, fleet: Fleet) -> None:
         """Takes the fleet, before anything runs."""
 
     def joined(self, agent: Agent) -> None:
@@ -409,21 +409,21 @@ def run_virtual(
     """
     began_s = HOST.now()
     mission.news_hz = NEWS_HZ
-    fleet = VirtualFleet(plan.seed, faults.quality if faults is not None else None)
+    fleet = Fleet(plan.seed, faults.quality if faults is not None else None)
     for address in plan.buses():
         fleet.network.exempt(address)
     recorders: dict[str, VirtualRecorder] = {}
 
     def start(name: str) -> None:
         config = plan.configs[name]
-        agent = fleet.start(replace(config, record=None))
+        agent = fleet.start_config(replace(config, record=None), settle=False, probe=False).agent
         if config.record is not None and config.record.start:
             recorders[name] = VirtualRecorder(agent.kernel, config.record, say)
 
     def start_again(name: str) -> None:
         start(name)
         if onlooker is not None:
-            onlooker.joined(fleet.agents[name])
+            onlooker.joined(fleet.agents[name].agent)
 
     def kill(name: str) -> None:
         if name in recorders:
@@ -435,7 +435,7 @@ def run_virtual(
             start(name)
         if onlooker is not None:
             onlooker.begin(fleet)
-        launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual))
+        launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual)).agent
         losses = Losses(
             plan.demo.loss, plan.seed, launcher.kernel.mission.now, kill, start_again, partial(tell_conductor, launcher)
         )
@@ -466,7 +466,7 @@ def run_virtual(
 
 
 def _run_while(
-    fleet: VirtualFleet,
+    fleet: Fleet,
     condition: Callable[[], bool],
     at_most_s: float,
     interrupted: threading.Event,
@@ -482,7 +482,7 @@ def _run_while(
     while fleet.now() < until_s and not interrupted.is_set():
         slice_s = onlooker.slice_s() if onlooker is not None else SLICE_S
         # In virtual time a mission second is one of the fleet's.
-        if fleet.run_while(condition, min(slice_s, losses.wait_s(), until_s - fleet.now())):
+        if fleet.run_until(lambda: not condition(), min(slice_s, losses.wait_s(), until_s - fleet.now())):
             return True
         losses.look()
         if onlooker is not None:
@@ -507,7 +507,7 @@ class NetworkFaults:
         self._breaks = breaks
         self.quality = Quality(latency_s=latency_s, jitter_s=jitter_s)
 
-    def arrange(self, fleet: VirtualFleet, launcher: Agent) -> None:
+    def arrange(self, fleet: Fleet, launcher: Agent) -> None:
         """Draws the breaks of one mission."""
         names = [name for name in fleet.agents if name != launcher.name]
         for _ in range(self._breaks):

@@ -11,11 +11,11 @@ from msgspec.structs import replace
 from pancakes.config import Config
 from pancakes.config.tables import RecordConfig
 from pancakes.errors import ConfigError, Fault, MailboxFull, PancakesError
-from pancakes.fleet import VirtualFleet
 from pancakes.packet import join
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.recording.virtual_recorder import VirtualRecorder
 from pancakes.services.root import Root
+from pancakes.simulation.fleet import Fleet
 from pancakes.tools.replay.replay import Live, Selection, Tally
 from pancakes.util.plugins import Plugins
 
@@ -43,7 +43,7 @@ class VirtualReplay:
     """
 
     def __init__(self, configs: Sequence[Config], out: Path | None, plugins: Plugins, seed: int = 0) -> None:
-        self._fleet = VirtualFleet(seed, plugins=plugins)
+        self._fleet = Fleet(seed, plugins=plugins)
         self._configs: dict[str, Config] = {}
         self._records: dict[str, RecordConfig] = {}
         self._recorders: list[VirtualRecorder] = []
@@ -76,11 +76,11 @@ class VirtualReplay:
         """
         agents = []
         for name, config in self._configs.items():
-            agent = self._fleet.start(config)
+            agent = self._fleet.start_config(config, settle=False, probe=False).agent
             agents.append(agent)
             if name in self._records:
                 self._recorders.append(VirtualRecorder(agent.kernel, self._records[name], self.refused.append))
-        if not self._fleet.run_while(lambda: not all(agent.ready.is_set() for agent in agents), READY_S):
+        if not self._fleet.run_until(lambda: all(agent.ready.is_set() for agent in agents), READY_S):
             late = ", ".join(agent.name for agent in agents if not agent.ready.is_set())
             raise PancakesError(f"{late} did not become ready within {READY_S:g} s of virtual time")
         roots = [agent.kernel.registry.get(join(agent.name, "kernel")) for agent in agents]
@@ -100,7 +100,7 @@ class VirtualReplay:
             if fed.topic.left_out:
                 continue
             due_s = begin_s + (fed.time_ns - first_ns) / NANOSECONDS * scale
-            self._fleet.run_until(max(due_s, self._fleet.now()))
+            self._fleet.run_to(max(due_s, self._fleet.now()))
             kernel = self._fleet.agents[fed.topic.agent].kernel
             try:
                 kernel.stream.inject(replace(fed.packet, stamp=kernel.mission.now()))

@@ -12,7 +12,7 @@ from pancakes.agent.agent import Agent
 from pancakes.client.rates import RateMeter
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, PancakesError, Unreachable
-from pancakes.fleet import VirtualFleet
+from pancakes.simulation.fleet import Fleet
 from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
 from pancakes.recording.causal_chains import ActuatorCommand, CommandChains
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
@@ -49,7 +49,7 @@ class VirtualWatch:
         self.speed = speed
         self.feed = Feed(self._now)
         self._stopping = stopping
-        self._fleet: VirtualFleet | None = None
+        self._fleet: Fleet | None = None
         self._time_s = 0.0
         self._began_s = HOST.now()
         self._over = False
@@ -61,10 +61,10 @@ class VirtualWatch:
         self._chains = CommandChains()
         self._explaining = Explaining()
 
-    def begin(self, fleet: VirtualFleet) -> None:
+    def begin(self, fleet: Fleet) -> None:
         """Takes the agents of a fleet that are there; to be called before anything runs."""
         self._fleet = fleet
-        for agent in fleet.agents.values():
+        for agent in (handle.agent for handle in fleet.agents.values()):
             self.joined(agent)
 
     def joined(self, agent: Agent) -> None:
@@ -198,7 +198,7 @@ class VirtualWatch:
             return
         self._looked_s = self._time_s
         described = []
-        for agent in self._fleet.agents.values():
+        for agent in (handle.agent for handle in self._fleet.agents.values()):
             root = agent.kernel.registry.get(f"{agent.name}/kernel")
             if isinstance(root, Root) and agent.config.agent.role != "client":
                 description = root.describe()
