@@ -69,7 +69,7 @@ for number in range(int(sys.argv[1])):
     unmet = packet.Packet("system", kind, "a/client/t", "b", 0.0, 1, plain)  # to encode the body looks at its class
     head = codec.head_of(it)
     run = codec.messages_from_payload(b"\\x91" + codec.run_of(head, [codec.RowEncoder(b"").encode(unmet)]))
-    letter = [codec.Encoder().packet(unmet)]
+    letter = [codec.encode_packet(unmet)]
 
     def received(run=run, body=body):
         packets, unfit = codec.packets_of(run[0])
@@ -110,7 +110,7 @@ from pancakes.durable.snapshot import Snapshot
 from pancakes.recording import message_format
 from pancakes.durable.hosting import plain_of
 from pancakes.supervision.messages import Carried
-from pancakes.mesh.codec import Encoder
+from pancakes.mesh.codec import encode_packet
 from pancakes.mesh.codec import RowEncoder, head_of
 
 LARGE = b"x" * 12_000_000
@@ -119,7 +119,7 @@ listed = Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, [["some t
 data = message_format.data_of(Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, {"many": ["text\\n"] * 1_500_000}))
 TRIES = {
     "row": lambda: RowEncoder(head_of(it)).encode(it),
-    "letter": lambda: Encoder().packet(listed),
+    "letter": lambda: encode_packet(listed),
     "seal": lambda: seal("journal", JournalEntry("task", "a/t", LARGE)),
     "snapshot": lambda: Snapshot(TaskId("a", "t"), "x.T", "1", "client", state={"data": LARGE}).encode(),
     "checkpoint": lambda: plain_of(Carried({}, {"data": LARGE}, {}, {})),

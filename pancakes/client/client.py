@@ -19,7 +19,7 @@ from pancakes.client.subscriptions import KeepAlive, Subscriber, Subscription, S
 from pancakes.control import CONTROLS, Channels, Configure, Describe, Migrate, Reply
 from pancakes.durable.ledger import Ledger
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, PeerLost, RemoteProtocolError, Unreachable
-from pancakes.mesh.codec import Encoder, array_head, packet_from_row, rows_from_payload
+from pancakes.mesh.codec import array_head, encode_packet, packet_from_row, rows_from_payload
 from pancakes.mesh.session import PeerBusy
 from pancakes.packet import LOG, NEIGHBOURS, SYSCTRL, TO_TASK, Packet, agent_of, join, type_name
 from pancakes.util import codecs
@@ -89,7 +89,7 @@ def check_body(body: Any) -> None:
     Raises:
         PancakesError: a value in it does not fit its type, or cannot travel.
     """
-    message = Encoder().packet(Packet(SYSCTRL, type_name(body), "this program", "", 0.0, 1, body))
+    message = encode_packet(Packet(SYSCTRL, type_name(body), "this program", "", 0.0, 1, body))
     try:
         packet_from_row(rows_from_payload(array_head(1) + message)[0])
     except RemoteProtocolError as error:

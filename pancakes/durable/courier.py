@@ -37,7 +37,7 @@ from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, R
 from pancakes.kernel.actor import Component
 from pancakes.kernel.handlers import on, queue
 from pancakes.kernel.mailbox import Reference, tell
-from pancakes.mesh.codec import MAX_MESSAGE_BYTES, Encoder, of_agent, packet_from_row, rows_from_payload
+from pancakes.mesh.codec import MAX_MESSAGE_BYTES, encode_packet, of_agent, packet_from_row, rows_from_payload
 from pancakes.mesh.mesh import Mesh
 from pancakes.packet import NETWORK, TO_TASK, Fence, Packet, agent_of, join
 from pancakes.util.text import did_you_mean
@@ -114,7 +114,6 @@ class SharedOutbox:
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
         self._lock = threading.Lock()
-        self._encoder = Encoder()
         self._unsent: list[ToSend] = []  # in the order in which they were numbered
 
     @property
@@ -137,7 +136,7 @@ class SharedOutbox:
         task_id = receiver_of(packet)
         sender = packet.fence.task_id if packet.fence is not None else ""
         with self._lock:
-            data = self._encoder.packet(packet)
+            data = encode_packet(packet)
             if len(data) > MAX_MESSAGE_BYTES - ENVELOPE_BYTES:
                 raise LocalProtocolError(
                     f"the packet {packet.number} of the type {packet.type!r} from {packet.source} takes {len(data)}"

@@ -355,43 +355,41 @@ def unsendable(packet: Packet, error: Exception) -> LocalProtocolError:
     )
 
 
-class Encoder:
-    """Encodes packets and link messages."""
+def encode_packet(packet: Packet) -> bytes:
+    """Returns a packet that travels alone, as msgpack.
 
-    def packet(self, packet: Packet) -> bytes:
-        """Returns a packet as msgpack.
-
-        Raises:
-            LocalProtocolError: a part of it cannot travel, or it is larger than a frame. The sentence names the packet.
-        """
-        try:
-            body = encodable(packet.body)
-            message = codecs.encode(
-                (
-                    packet.channel,
-                    packet.type,
-                    packet.source,
-                    packet.destination,
-                    packet.stamp,
-                    packet.seq,
-                    packet.cause,
-                    body,
-                    packet.fence,
-                )
+    Raises:
+        LocalProtocolError: a part of it cannot travel, or it is larger than a frame. The sentence names the packet.
+    """
+    try:
+        body = encodable(packet.body)
+        message = codecs.encode(
+            (
+                packet.channel,
+                packet.type,
+                packet.source,
+                packet.destination,
+                packet.stamp,
+                packet.seq,
+                packet.cause,
+                body,
+                packet.fence,
             )
-            if len(message) > MAX_MESSAGE_BYTES:
-                raise LocalProtocolError(f"it takes {len(message)} bytes, and a frame has room for {MAX_MESSAGE_BYTES}")
-        except Exception as error:  # what is in a body may run code of its own where it is encoded
-            raise unsendable(packet, error) from None
-        return message
+        )
+        if len(message) > MAX_MESSAGE_BYTES:
+            raise LocalProtocolError(f"it takes {len(message)} bytes, and a frame has room for {MAX_MESSAGE_BYTES}")
+    except Exception as error:  # a body may run its own code when it is encoded
+        raise unsendable(packet, error) from None
+    return message
 
-    def link_message(self, message: LinkMessage) -> bytes:
-        """Returns a message of the link as one message of a frame."""
-        return codecs.encode_small(message)
+
+def encode_link_message(message: LinkMessage) -> bytes:
+    """Returns a message of the link as one message of a frame."""
+    return codecs.encode_small(message)
 
 
 def of_agent(packet: bytes, agent: str, restamped: Callable[[str, float], float]) -> bytes:
-    """Returns a packet, as `Encoder.packet` made it, of which the source has moved to another agent.
+    """Returns a packet, as `encode_packet` made it, of which the source has moved to another agent.
 
     What is no packet stays as it is.
 
@@ -412,7 +410,7 @@ def of_agent(packet: bytes, agent: str, restamped: Callable[[str, float], float]
 
 
 def rows_from_payload(payload: bytes) -> list[list[Any]]:
-    """Takes an array of packets, each of them as `Encoder.packet` made it, apart, within the limits of memory.
+    """Takes an array of packets, each of them as `encode_packet` made it, apart, within the limits of memory.
 
     What is in a packet is checked when it is made of its array.
 
@@ -553,7 +551,7 @@ class RowEncoder:
                 raise LocalProtocolError(
                     f"it takes {_ROOM - self.most + len(row)} bytes, and a frame has room for {_ROOM}"
                 )
-        except Exception as error:  # as in `codec.Encoder.packet`
+        except Exception as error:  # as in `encode_packet`
             raise unsendable(packet, error) from None
         return row
 

@@ -21,10 +21,10 @@ import msgspec
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.mesh.codec import (
-    Encoder,
     FrameReader,
     PacketRun,
     Unfit,
+    encode_link_message,
     foreign_version,
     messages_from_payload,
     packets_of,
@@ -207,7 +207,6 @@ class Link:
         self._patient_until_s = float("-inf")
         self._unanswered: dict[int, float] = {}
         self._reader = FrameReader()
-        self._encoder = Encoder()
 
     def open(self, now_s: float) -> list[Action]:
         """Begins: to be called once, when the connection stands."""
@@ -355,7 +354,7 @@ class Link:
 
     def _send(self, message: LinkMessage, now_s: float) -> SendMessage:
         self.sent_s = now_s
-        return SendMessage(self._encoder.link_message(message))
+        return SendMessage(encode_link_message(message))
 
     def _over(
         self,

@@ -24,7 +24,7 @@ import msgspec
 
 from pancakes.errors import MailboxFull
 from pancakes.mesh.admission import Bucket
-from pancakes.mesh.codec import Encoder, frame, run_of
+from pancakes.mesh.codec import encode_link_message, frame, run_of
 from pancakes.mesh.link import Link
 from pancakes.mesh.messages import Hello, RefuseLink
 from pancakes.mesh.transport import Connection, ConnectionHandler
@@ -459,7 +459,7 @@ class Session(ConnectionHandler):
 
     def last_words(self, fault: str) -> bytes:
         """See `ConnectionHandler`."""
-        return frame([Encoder().link_message(RefuseLink("name", fault[:1000]))])
+        return frame([encode_link_message(RefuseLink("name", fault[:1000]))])
 
     def drained(self) -> None:
         """The connection took all it was given: give it more."""

@@ -15,7 +15,7 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.errors import LocalProtocolError, RemoteProtocolError, describe
-from pancakes.mesh.codec import Encoder, packet_from_row, rows_from_payload
+from pancakes.mesh.codec import encode_packet, packet_from_row, rows_from_payload
 from pancakes.packet import Cause, Fence, Packet, body_class, body_from_plain, has_fields
 from pancakes.util import codecs
 from pancakes.util.arrays import as_list
@@ -167,7 +167,7 @@ def _decode_of(cls: type) -> Callable[[bytes], Any] | None:
 
 def _exact_data(row: _Row, packet: Packet) -> bytes:
     try:
-        row.exact = base64.b64encode(_WIRE.packet(packet)).decode("ascii")
+        row.exact = base64.b64encode(encode_packet(packet)).decode("ascii")
         return _LISTS(row)
     except Exception as error:  # as in `data_of`
         reason = describe(error)
@@ -184,7 +184,6 @@ def _exact_data(row: _Row, packet: Packet) -> bytes:
 
 _LISTS: Final = codecs.json_encoder(as_list)
 _READ: Final[Callable[[bytes], _Row]] = codecs.json_decoder(_Row)
-_WIRE: Final = Encoder()
 _ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 
 
@@ -210,7 +209,7 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
 
 
 def packet_from_bytes(data: bytes) -> Packet:
-    """Makes a packet of the bytes in which it travels alone, as `Encoder.packet` makes them.
+    """Makes a packet of the bytes in which it travels alone, as `encode_packet` makes them.
 
     Raises:
         RemoteProtocolError: it is no packet, or the body does not fit its type.

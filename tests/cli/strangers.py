@@ -11,7 +11,7 @@ from types import TracebackType
 from cli.processes import PATIENCE_S
 
 from pancakes.errors import RemoteProtocolError
-from pancakes.mesh.codec import Encoder, FrameReader, frame, messages_from_payload
+from pancakes.mesh.codec import FrameReader, encode_link_message, frame, messages_from_payload
 from pancakes.mesh.messages import VERSION, Hello, LinkMessage, Ping, Pong, RefuseLink, Role, Welcome
 
 
@@ -31,7 +31,6 @@ class Stranger:
         self.is_up = False
         self.closed = False
         self._reader = FrameReader()
-        self._encoder = Encoder()
         if hello is not None:
             self._say(hello)
 
@@ -56,7 +55,7 @@ class Stranger:
 
     def _say(self, message: LinkMessage) -> None:
         try:
-            self.sock.sendall(frame([self._encoder.link_message(message)]))
+            self.sock.sendall(frame([encode_link_message(message)]))
         except OSError:
             self.closed = True
 

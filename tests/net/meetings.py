@@ -1,6 +1,6 @@
 """Two agents that meet, and what a stranger sends."""
 
-from pancakes.mesh.codec import Encoder, RowEncoder, frame, head_of, run_of
+from pancakes.mesh.codec import RowEncoder, encode_link_message, frame, head_of, run_of
 from pancakes.mesh.messages import VERSION, Hello
 
 
@@ -25,4 +25,4 @@ def raw_hello(name="intruder", **more):
         "boot": 1,
         **more,
     }
-    return frame([Encoder().link_message(Hello(name=name, **values))])
+    return frame([encode_link_message(Hello(name=name, **values))])

@@ -12,7 +12,7 @@ from net.meetings import pair, raw_hello
 
 from pancakes.devices import Pose
 from pancakes.errors import LocalProtocolError, PeerLost
-from pancakes.mesh.codec import MAX_PAYLOAD_BYTES, Encoder, frame
+from pancakes.mesh.codec import MAX_PAYLOAD_BYTES, encode_link_message, frame
 from pancakes.mesh.link import LinkTimes
 from pancakes.mesh.memory_network import Quality
 from pancakes.mesh.sending import Sending
@@ -209,7 +209,7 @@ def test_a_second_connection_of_a_peer_is_refused_as_soon_as_the_first_shows_lif
     second = memory_rig.ear()
     memory_rig.transport("b").dial(a.address, second)
     memory_rig.until(lambda: second.connection)
-    second.connection.send(frame([Encoder().link_message(b.mesh.identity.hello([b.address]))]))
+    second.connection.send(frame([encode_link_message(b.mesh.identity.hello([b.address]))]))
     b.say("a/client", 1)
     said_s = memory_rig.clock.now()
     memory_rig.until(lambda: second.closed_for)

@@ -9,7 +9,7 @@ from net.meetings import message_of, pair, raw_hello
 
 from pancakes.control import Channels
 from pancakes.devices import Pose
-from pancakes.mesh.codec import MAX_PAYLOAD_BYTES, Encoder, frame
+from pancakes.mesh.codec import MAX_PAYLOAD_BYTES, encode_link_message, frame
 from pancakes.mesh.link import LinkTimes
 from pancakes.mesh.mesh import MAX_HANDSHAKES
 from pancakes.mesh.messages import Goodbye, RefuseLink, Welcome
@@ -56,7 +56,7 @@ def test_packets_under_another_name_are_dropped_and_logged(rig, agent, channel):
         order = Packet(channel, "words", source, "a", 0.0, 1, "stop")
         own = f"{peer}/c/T"
         sent = [message_of(order), message_of(replace(order, seq=2)), message_of(replace(order, source=own))]
-        ear.connection.send(raw_hello(peer) + frame([Encoder().link_message(Welcome()), *sent]))
+        ear.connection.send(raw_hello(peer) + frame([encode_link_message(Welcome()), *sent]))
         rig.until(lambda own=own: a.packets and a.packets[-1].source == own)
         said = f"{peer} (agent) sends packets of {source} on {channel!r}, and may speak for itself alone"
         assert said in a.log("warning")
@@ -74,7 +74,7 @@ def test_a_peer_asks_for_a_thousand_things_at_once_and_no_more(rig, agent, monke
     question = Packet("sysctrl", type_name(Channels), "0", "a", 0.0, 0, Channels())
     said = replace(question, channel="chat", type="words", body="said")
     sent = [message_of(replace(packet, seq=seq)) for packet in (question, said) for seq in range(1500)]
-    ear.connection.send(raw_hello("0") + frame([Encoder().link_message(Welcome()), *sent]))
+    ear.connection.send(raw_hello("0") + frame([encode_link_message(Welcome()), *sent]))
     rig.until(lambda: a.packets and (a.packets[-1].channel, a.packets[-1].seq) == ("chat", 1499))
     asked = [packet for packet in a.packets if packet.channel == "sysctrl"]
     assert rate <= len(asked) < 1500 and len(a.packets) == len(asked) + 1500
@@ -120,7 +120,7 @@ def test_what_is_said_before_any_hello_ends_no_agent_and_puts_off_no_dial(rig, a
     a = agent("a", [address])
     for attempt in (1, 2, 3):
         rig.until(lambda attempt=attempt: len(ears) == attempt and ears[-1].connection)
-        ears[-1].connection.send(frame([Encoder().link_message(words)]))
+        ears[-1].connection.send(frame([encode_link_message(words)]))
     rig.until(lambda: len(ears) == 4)
     said = "refused the link: the name a is taken" if isinstance(words, RefuseLink) else "left before it said hello"
     assert said in a.log("warning") + a.log("info")
@@ -133,7 +133,7 @@ def test_a_goodbye_under_the_name_of_an_agent_that_is_here_says_nothing_of_that_
     rig.transport("b").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello("b", journal=b.mesh.identity.journal, boot=1))
-    ear.connection.send(frame([Encoder().link_message(Goodbye("sleep", 3600.0))]))
+    ear.connection.send(frame([encode_link_message(Goodbye("sleep", 3600.0))]))
     rig.until(lambda: ear.closed_for)
     assert a.knows("b") and a.mesh.describe()["asleep"] == []
 
@@ -157,7 +157,7 @@ def test_an_impostor_gets_nothing_through_behind_its_hello(rig, agent, caplog):
     for ear, journal in zip(ears, ["the true one", "another"], strict=True):
         rig.transport("0").dial(a.address, ear)
         rig.until(lambda ear=ear: ear.connection)
-        rest = frame([Encoder().link_message(Welcome()), message_of(order)])
+        rest = frame([encode_link_message(Welcome()), message_of(order)])
         ear.connection.send(raw_hello("0", journal=journal) + rest)
         rig.until(lambda: len(a.packets) == 1)
     rig.until(lambda: ears[1].closed_for)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pancakes.mesh.codec import Encoder
+from pancakes.mesh.codec import encode_link_message
 from pancakes.mesh.messages import Identity, Pong
 from pancakes.mesh.session import MOST_UNSENT_BYTES, Gate, Message, Session, Train
 from pancakes.mesh.transport import Connection
@@ -47,7 +47,7 @@ def test_the_answers_to_endless_pings_that_nobody_takes_do_not_fill_the_memory()
     session = Session(Nobody(), 1, "", lambda: 0.0)
     connection = Slow()
     session.opened(connection)
-    pong = Encoder().link_message(Pong(1, 0.0)) * 1000
+    pong = encode_link_message(Pong(1, 0.0)) * 1000
     for _ in range(2 * MOST_UNSENT_BYTES // len(pong)):
         session.send_link(pong)
     assert MOST_UNSENT_BYTES < connection.waiting < MOST_UNSENT_BYTES + 2 * len(pong)

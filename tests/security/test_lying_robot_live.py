@@ -40,7 +40,7 @@ from pancakes.durable.messages import (
 )
 from pancakes.durable.record import Epoch, GuardianId, Guards, Phase, TaskId, forgotten_guards
 from pancakes.durable.snapshot import Snapshot, cut
-from pancakes.mesh.codec import Encoder
+from pancakes.mesh.codec import encode_packet
 from pancakes.packet import Packet, packet_type, task_address
 from pancakes.supervision.messages import GUARDIAN
 from pancakes.task import Task, every, on
@@ -213,7 +213,7 @@ def test_task_is_taken_over_by_none_while_its_owner_runs_it(robots, task_id):
 def test_packets_for_a_task_have_their_effect_once_whatever_a_third_writes(robots):
     """D writes far ahead in all streams of b that it can know or guess, and acknowledges what b sends."""
     forged = Packet("system", "lies.numbered", "d/client/Source", task_address("a/Sink"), 0.0, 1, Numbered(-1))
-    row, name = Encoder().packet(forged), robots.b.agent.outbox.name
+    row, name = encode_packet(forged), robots.b.agent.outbox.name
     for stream in (name, f"{name}#", f"{name}/1", f"{name}/1#"):
         robots.lie(robots.a, "kernel/Courier", Letter("a/Sink", stream, 1000, 1000, row, "d"))
         robots.lie(robots.b, "kernel/Courier", Receipt("a/Sink", stream, 1000, 1000))

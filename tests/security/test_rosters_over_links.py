@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from msgspec.structs import replace
 from net.conftest import Agent, BarePeer, TlsRig
 
-from pancakes.mesh.codec import Encoder
+from pancakes.mesh.codec import encode_link_message
 from pancakes.mesh.links import Links
 from pancakes.mesh.messages import RosterNumber, RosterText
 from pancakes.mesh.trust import MOST_CHECKS, keep
@@ -76,7 +76,7 @@ def test_an_agent_that_is_given_a_roster_tells_others_of_it_at_once(rig, monkeyp
     a, b = two(rig)
     peer = speaks(rig, a)
     new = newer(rig)
-    peer.send(Encoder().link_message(RosterText((rig.directory / "authority" / "roster.json").read_bytes())))
+    peer.send(encode_link_message(RosterText((rig.directory / "authority" / "roster.json").read_bytes())))
     rig.until(lambda: number_of(rig, b) == new.number)
 
 
@@ -96,7 +96,7 @@ def test_an_agent_that_hears_that_it_was_revoked_says_so(rig):
     a = rig.agent("a")
     peer = speaks(rig, a)
     number = newer(rig, "a").number
-    peer.send(Encoder().link_message(RosterText((rig.directory / "authority" / "roster.json").read_bytes())))
+    peer.send(encode_link_message(RosterText((rig.directory / "authority" / "roster.json").read_bytes())))
     rig.until(lambda: a.log("error"))
     why = f"its certificate was revoked (roster {number}): agent/a: lost"
     assert f"no agent of default believes this one any more: {why}" in a.log("error")
@@ -144,8 +144,8 @@ def test_of_each_peer_one_roster_is_checked_at_a_time_and_of_all_so_many(rig, mo
     peers = [speaks(rig, a, f"y{number}") for number in range(MOST_CHECKS + 1)]
     texts = [signed(rig.directory / "authority", number=number) for number in range(90, 99)]
     for peer, text in zip(peers, texts, strict=False):
-        given = [Encoder().link_message(RosterText(it)) for it in (text, texts[-1])]
-        peer.send(*given, Encoder().link_message(RosterNumber(1)))
+        given = [encode_link_message(RosterText(it)) for it in (text, texts[-1])]
+        peer.send(*given, encode_link_message(RosterNumber(1)))
         rig.until(lambda heard=peer.rosters: heard)  # so all that was given before was looked at
     rig.until(lambda: len(held.begun) >= MOST_CHECKS)
     assert len(held.begun) == MOST_CHECKS and set(held.begun) < set(texts[: MOST_CHECKS + 1])  # links have no order
@@ -161,7 +161,7 @@ def test_an_older_roster_and_the_same_change_nothing(rig):
     rig.until(lambda: number_of(rig, a) == number_of(rig, b) == new.number)
     z.mesh.stop()
     peer = speaks(rig, a)
-    peer.send(Encoder().link_message(RosterText(old)), Encoder().link_message(RosterNumber(1)))
+    peer.send(encode_link_message(RosterText(old)), encode_link_message(RosterNumber(1)))
     rig.until(lambda: peer.rosters)
     assert read_signed(peer.rosters[0])[1] == new, "the peer that says that it knows less is given it"
     assert number_of(rig, a) == new.number and peer.over is None
@@ -174,7 +174,7 @@ def test_an_older_roster_that_comes_is_not_even_checked(rig):
     new = rig.agent("n", [a.address])
     rig.until(lambda: number_of(rig, a) == number_of(rig, new) > read_signed(old)[1].number)
     peer = speaks(rig, a)
-    peer.send(Encoder().link_message(RosterText(old)), Encoder().link_message(RosterNumber(1)))
+    peer.send(encode_link_message(RosterText(old)), encode_link_message(RosterNumber(1)))
     rig.until(lambda: peer.rosters)
     assert a.log("warning") == "", "it is usual that another peer was faster"
 
@@ -232,7 +232,7 @@ def test_a_roster_that_another_authority_has_signed_ends_the_link(rig):
     before = number_of(rig, a)
     Authority.founded("default", rig.directory / "elsewhere")
     peer = speaks(rig, a)
-    peer.send(Encoder().link_message(RosterText(signed(rig.directory / "elsewhere"))))
+    peer.send(encode_link_message(RosterText(signed(rig.directory / "elsewhere"))))
     why_ended = reason_of(rig, peer)
     assert "the roster 90 was not signed by the authority of the fleet default" in why_ended
     assert number_of(rig, a) == before
@@ -247,7 +247,7 @@ def test_a_roster_that_was_changed_ends_the_link(rig, old, new):
     text = signed(rig.directory / "authority")
     assert old in text
     peer = speaks(rig, a)
-    peer.send(Encoder().link_message(RosterText(text.replace(old, new))))
+    peer.send(encode_link_message(RosterText(text.replace(old, new))))
     why_ended = reason_of(rig, peer)
     assert "was not signed by the authority" in why_ended and number_of(rig, a) < 90
 
@@ -264,7 +264,7 @@ def test_peers_are_told_the_number_again_and_again(rig, monkeypatch):
 def test_what_is_no_roster_ends_the_link(rig):
     a = rig.agent("a")
     peer = speaks(rig, a)
-    peer.send(Encoder().link_message(RosterText(b"{}")))
+    peer.send(encode_link_message(RosterText(b"{}")))
     why_ended = reason_of(rig, peer)
     assert "the roster that it gave cannot be read" in why_ended
 
@@ -273,18 +273,18 @@ def test_a_roster_of_a_far_day_is_taken_only_where_the_operator_says_so(rig):
     a = rig.agent("a")
     far_s = wall_ns() / 1e9 + LATEST_S + 86_400
     peer = speaks(rig, a)
-    peer.send(Encoder().link_message(RosterText(signed(rig.directory / "authority", signed_s=far_s))))
+    peer.send(encode_link_message(RosterText(signed(rig.directory / "authority", signed_s=far_s))))
     rig.until(lambda: "is dated 31 days after the last one and the own clock" in a.log("warning"))
     assert number_of(rig, a) < 90 and peer.over is None
     forced = signed(rig.directory / "authority", signed_s=far_s, forced=True)
-    peer.send(Encoder().link_message(RosterText(forced)))
+    peer.send(encode_link_message(RosterText(forced)))
     rig.until(lambda: number_of(rig, a) == 90)
 
 
 def test_a_roster_of_another_fleet_is_not_taken_whoever_has_signed_it(rig):
     a = rig.agent("a")
     peer = speaks(rig, a)
-    peer.send(Encoder().link_message(RosterText(signed(rig.directory / "authority", fleet="barn"))))
+    peer.send(encode_link_message(RosterText(signed(rig.directory / "authority", fleet="barn"))))
     rig.until(lambda: "the roster 90 is of the fleet barn, and this is default" in a.log("warning"))
     assert number_of(rig, a) < 90 and peer.over is None
 
@@ -307,7 +307,7 @@ def test_where_a_roster_cannot_be_checked_the_link_stays(rig, monkeypatch):
     a = rig.agent("a")
     peer = speaks(rig, a)
     monkeypatch.setattr("sys.executable", "/nonexistent/python")
-    peer.send(Encoder().link_message(RosterText(signed(rig.directory / "authority"))))
+    peer.send(encode_link_message(RosterText(signed(rig.directory / "authority"))))
     rig.until(lambda: "its signature cannot be checked" in a.log("warning"))
     assert number_of(rig, a) < 90 and peer.over is None
 

@@ -5,7 +5,7 @@ from msgspec.structs import replace
 from services.numbered import SINK, Numbered, Sink, numbers
 
 from pancakes.durable.delivery import ForwardTo, Letter, Receipt
-from pancakes.mesh.codec import Encoder
+from pancakes.mesh.codec import encode_packet
 from pancakes.packet import Packet
 from pancakes.testing import Fleet
 
@@ -14,7 +14,7 @@ FORGED = Packet("system", "test.numbered", "c/client/Source", SINK, 0.0, 1, Numb
 
 
 def letter(packet, sender):
-    return Letter("a/Sink", "a stream", 1, 1, Encoder().packet(packet), sender)
+    return Letter("a/Sink", "a stream", 1, 1, encode_packet(packet), sender)
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def stream_of(fleet, agent):
 
 def test_letters_in_another_agents_stream_take_no_effect_away(fleet):
     """C jumps far ahead in the stream of B: what B sends is then old, acknowledged, and without effect."""
-    packet = Encoder().packet(replace(FORGED, source="c/client/Source"))
+    packet = encode_packet(replace(FORGED, source="c/client/Source"))
     for stream in stream_of(fleet, "b"):
         fleet.agents["c"].publish("network", Letter("a/Sink", stream, 1000, 1000, packet, "c"), to=COURIER)
     fleet.run_for(0.1)

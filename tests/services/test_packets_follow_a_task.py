@@ -7,7 +7,7 @@ from pancakes.control import Describe, Migrate, Restart, Start, Stop
 from pancakes.durable.courier import COURIER, Say
 from pancakes.durable.delivery import Letter
 from pancakes.errors import LocalProtocolError, MailboxFull
-from pancakes.mesh.codec import Encoder
+from pancakes.mesh.codec import encode_packet
 from pancakes.mesh.memory_network import Quality
 from pancakes.testing import Fleet, threaded_agent
 
@@ -108,7 +108,7 @@ class TestOnOneAgent:
         (stream,) = agent.task("Sink").carry().heard
         if keep_state is not None:
             assert agent.ask(Restart("Sink", keep_state=keep_state)).ok
-        again = Letter("a/Sink", stream, 3, 3, Encoder().packet(last), "a")
+        again = Letter("a/Sink", stream, 3, 3, encode_packet(last), "a")
         agent.kernel.tell(COURIER, Say("a", again))
         fleet.run_for(0.1)
         assert numbers(fleet) == ([] if keep_state is False else upto(3))

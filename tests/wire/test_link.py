@@ -8,7 +8,7 @@ import msgpack
 import pytest
 from seeded import for_each
 
-from pancakes.mesh.codec import Encoder, RowEncoder, frame, head_of, run_of
+from pancakes.mesh.codec import RowEncoder, encode_link_message, frame, head_of, run_of
 from pancakes.mesh.link import (
     MOST_UNANSWERED,
     Greeted,
@@ -50,8 +50,7 @@ def received(*packets):
 
 
 def wire(*messages):
-    encoder = Encoder()
-    return frame([run(it) if isinstance(it, Packet) else encoder.link_message(it) for it in messages])
+    return frame([run(it) if isinstance(it, Packet) else encode_link_message(it) for it in messages])
 
 
 def sent(actions):
@@ -193,7 +192,7 @@ def test_the_side_that_was_dialled_answers_with_its_hello_and_sends_no_heartbeat
     assert link.open(0.0) == [] and link.due_s() == LinkTimes().hello_s
     assert link.tick(1.9) == []
     assert link.receive(wire(hello("b")), 1.9) == [Greeted(hello("b"))], "it is for the mesh to accept it"
-    assert link.answer(1.9) == [SendMessage(Encoder().link_message(hello("a")))]
+    assert link.answer(1.9) == [SendMessage(encode_link_message(hello("a")))]
     assert link.answer(1.9) == []
     assert link.due_s() == pytest.approx(1.9 + LinkTimes().heartbeat_s)
     assert [type(action) for action in link.tick(2.5)] == [SendMessage]

@@ -41,7 +41,7 @@ from pancakes.durable.ownership import TaskAt, WhereIs
 from pancakes.durable.record import Epoch, TaskId
 from pancakes.errors import RemoteProtocolError
 from pancakes.events import Event, LogLine
-from pancakes.mesh.codec import Encoder, PacketRun, frame, messages_from_payload, packets_of
+from pancakes.mesh.codec import PacketRun, encode_link_message, frame, messages_from_payload, packets_of
 from pancakes.mesh.messages import AgentSeen, Gossip, Ping, Pong, RosterNumber
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, SYSTEM, Packet, type_name
 
@@ -129,11 +129,11 @@ class Fuzzed:
 def pools(source: random.Random) -> tuple[list[bytes], list[bytes]]:
     """Returns frames that keep a link, and frames that end one: of most a part is not as it should be."""
     keeping = [
-        frame([Encoder().link_message(Gossip((AgentSeen(f"n{number}", f"tcp://10.0.0.{number}:9"),)))])
+        frame([encode_link_message(Gossip((AgentSeen(f"n{number}", f"tcp://10.0.0.{number}:9"),)))])
         for number in range(50)
     ]
     keeping += [
-        frame([Encoder().link_message(it)]) for it in (Ping(1), Pong(2**40, 0.0), RosterNumber(0), RosterNumber(9))
+        frame([encode_link_message(it)]) for it in (Ping(1), Pong(2**40, 0.0), RosterNumber(0), RosterNumber(9))
     ]
     ending = [b"\0\0\0\x02\xc1\xc1", b"\xff\xff\xff\xff", b"\0\0\0\x01\x05"]
     while len(keeping) < POOL:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pancakes.errors import LocalProtocolError
-from pancakes.mesh.codec import Encoder
+from pancakes.mesh.codec import encode_packet
 from pancakes.packet import NEIGHBOURS, TO_TASK, Packet, agent_of
 from pancakes.recording.task_statistics import OneLink, OneTask, TaskFigures, TimerFigures, quantile_s
 from pancakes.tools.report.time_series import Counts, TimeSeries
@@ -202,7 +202,6 @@ class Traffic:
     heard: set[str] = field(default_factory=set)
     _leaving: Flow = field(default_factory=Flow)
     _leaving_channels: dict[str, Flow] = field(default_factory=dict)
-    _encoder: Encoder = field(default_factory=Encoder)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
         """Takes a packet that was seen on an agent."""
@@ -221,7 +220,7 @@ class Traffic:
 
     def _size(self, packet: Packet) -> int:
         try:
-            return len(self._encoder.packet(packet))
+            return len(encode_packet(packet))
         except LocalProtocolError:  # a body whose class is not installed here may be of a kind that does not travel
             return 0
 

@@ -16,7 +16,7 @@ import click
 from msgspec.structs import replace
 
 from pancakes.control import Channels
-from pancakes.mesh.codec import Encoder
+from pancakes.mesh.codec import encode_packet
 from pancakes.packet import Packet, agent_of, body_class, body_to_plain, field_names
 from pancakes.tools.cli.agent_requests import ask_each, order
 from pancakes.tools.cli.listening import (
@@ -37,15 +37,13 @@ from pancakes.util.text import hint_of
 WINDOW: Final = 1000
 """So many of the newest packets of one source and type are looked at, where nothing else is said."""
 
-_ENCODER: Final = Encoder()
-
 
 def size_of(packet: Packet) -> int:
     """Returns how many bytes a packet takes on the wire, apart from the name of its follower.
 
     In the main thread only. A frame around one or several packets adds a few more.
     """
-    return len(_ENCODER.packet(replace(packet, destination="")))
+    return len(encode_packet(replace(packet, destination="")))
 
 
 class _Arrival(NamedTuple):
