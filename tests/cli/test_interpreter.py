@@ -15,12 +15,12 @@ def said(code):
 
 def test_interpreter_of_an_agent_is_prepared_for_many_threads():
     usual = said("pass")
-    prepared = said("from pancakes.tools.cli import agent_process; agent_process.prepare()")
+    prepared = said("from pancakes.tools.cli import agent_process; agent_process.tune_interpreter()")
     assert float(prepared[0]) < float(usual[0]) / 5
     assert int(prepared[1]) > int(usual[1])
 
     begin = "import resource as r; r.setrlimit(r.RLIMIT_NOFILE, (256, r.getrlimit(r.RLIMIT_NOFILE)[1]))"
-    prepare = "from pancakes.tools.cli import agent_process; agent_process.prepare()"
+    prepare = "from pancakes.tools.cli import agent_process; agent_process.tune_interpreter()"
     assert int(said(f"{begin}; {prepare}; print(r.getrlimit(r.RLIMIT_NOFILE)[0])")[0]) >= 1024, "of 256 files before"
 
     imported = "import pancakes.agent.agent, pancakes.testing, pancakes.tools.cli.agent_command"

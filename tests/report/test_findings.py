@@ -69,7 +69,7 @@ def move(book, at_s=10.0):
 
 def test_who_ran_what_follows_a_task_over_agents(book):
     move(book)
-    lanes = book.find().course.lanes
+    lanes = book.find().timeline.lanes
     (on_a,) = lanes["a", "client", "Scan"].spans
     (on_b,) = lanes["b", "client", "Scan"].spans
     assert (on_a.from_s, on_a.to_s, on_a.ended) == (1.0, pytest.approx(10.02), "handed over to b")
@@ -93,7 +93,7 @@ def test_an_agent_that_was_gone_for_a_while_ran_nothing_meanwhile(book):
     figures(12.0, 2.5, 25)
     figures(13.0, 3.5, 35)
     found = book.find()
-    spans = found.course.lanes["a", "client", "Scan"].spans
+    spans = found.timeline.lanes["a", "client", "Scan"].spans
     assert [(span.from_s, span.to_s, span.ended) for span in spans] == [(1.0, 3.0, "not recorded"), (9.5, 13.0, "")]
     timer = found.rates.timers["a", "client/Scan", "tick"]
     assert timer.ticks == 10 + 25 + 10
@@ -105,7 +105,7 @@ def test_all_is_told_in_mission_time(book):
     book.entries.sort(key=lambda entry: entry.time_ns)
     findings = Findings.of(book.entries, "", MissionTime(zero_ns=int(0.5 * S), speed=2.0))
     assert (findings.begin_s, findings.end_s) == (1.0, 40.0)
-    assert findings.course.lanes["a", "client", "Scan"].spans[0].to_s == pytest.approx(2 * 9.52)
+    assert findings.timeline.lanes["a", "client", "Scan"].spans[0].to_s == pytest.approx(2 * 9.52)
     assert findings.moves.moves[0].at_s == pytest.approx(2 * 9.55)
 
 
@@ -113,7 +113,7 @@ def test_a_task_that_ran_before_the_recording_is_known_by_what_it_publishes(book
     book.see(5.0, "a", "a/client/Share", Pose(0.0, 0.0, 0.0), "pose", fence=Fence("a/Share", (2, "b")))
     book.see(6.0, "a", "a/device/ir", Pose(0.0, 0.0, 0.0), "pose", fence=Fence("a/ir", (0, "a")))
     book.see(9.0, "a", "a/client/Share", Pose(0.0, 0.0, 0.0), "pose", fence=Fence("a/Share", (2, "b")))
-    (lane,) = book.find().course.lanes.values()
+    (lane,) = book.find().timeline.lanes.values()
     assert (lane.task_id, lane.spans[0].to_s, lane.spans[0].epoch) == ("a/Share", 9.0, 2)
 
 
@@ -248,7 +248,7 @@ def test_a_report_on_one_task_leaves_out_all_others(book):
     react(book, 30.0, 0.001)
     book.see(31.0, "a", "a/client/Other", Twist(0.0, 0.0), "motors", "ctrl", fence=Fence("a/Other", (0, "a")))
     found = book.find(SCAN)
-    assert {lane.task for lane in found.course.lanes.values()} == {"Scan"}
+    assert {lane.task for lane in found.timeline.lanes.values()} == {"Scan"}
     assert found.reactions.commands == 4
     assert len(found.moves.moves) == 1
     assert book.find("a/Other").moves.moves == []
@@ -260,7 +260,7 @@ def test_warnings_and_failures_are_told_once_each_with_how_often(book):
     book.see(1.5, "a", "a/client/T", LogLine("info", "nothing"), "line", "log")
     book.event(2.5, "a", "task_failed", task="T", error="ValueError: no")
     book.event(2.6, "a", "revolution", count=3)
-    said = book.find().happenings
+    said = book.find().events
     assert [(it.kind, it.text, it.count) for it in said.grave] == [
         ("warning", "slow", 3),
         ("task_failed", "task T, error ValueError: no", 1),

@@ -9,7 +9,7 @@ import pytest
 from pancakes.devices import Twist
 from pancakes.packet import Packet
 from pancakes.recording.causal_chains import ActuatorCommand, Chain, ChainStep
-from pancakes.tools.web.command_causes import FEW, Explaining
+from pancakes.tools.web.command_causes import FEW, CommandExplainer
 
 S = 1_000_000_000
 
@@ -29,20 +29,20 @@ def command(t: float, number: int, took_ms: float = 6.0, type_: str = "motors", 
 
 
 @pytest.fixture
-def explaining() -> Explaining:
+def explaining() -> CommandExplainer:
     """Ten commands, one a second from 11 s on; each takes 2 ms longer than the one before."""
-    explaining = Explaining()
+    explaining = CommandExplainer()
     explaining.add(command(10.0 + number, number, 4.0 + 2.0 * number) for number in range(1, 11))
     return explaining
 
 
-def found(explaining: Explaining, **asked: Any) -> dict[str, Any]:
+def found(explaining: CommandExplainer, **asked: Any) -> dict[str, Any]:
     explained = explaining.explain("a", **asked)
     assert explained is not None
     return explained
 
 
-def test_the_newest_command_is_led_back_to_its_first_cause(explaining: Explaining):
+def test_the_newest_command_is_led_back_to_its_first_cause(explaining: CommandExplainer):
     newest = found(explaining)
 
     assert (newest["type"], newest["source"], newest["seq"]) == ("motors", "a/client/T", 10)
@@ -54,14 +54,14 @@ def test_the_newest_command_is_led_back_to_its_first_cause(explaining: Explainin
     assert newest["steps"][-1]["body"] == "v_mps 0.1, omega_radps 0.2"
 
 
-def test_a_moment_means_the_command_that_was_in_force_then(explaining: Explaining):
+def test_a_moment_means_the_command_that_was_in_force_then(explaining: CommandExplainer):
     assert found(explaining, t=15.9)["seq"] == 5
     assert found(explaining, t=16.0)["seq"] == 6
     assert found(explaining, t=99.0)["seq"] == 10
     assert found(explaining, t=1.0)["seq"] == 1, "before all of them it is the first"
 
 
-def test_one_steps_from_a_command_to_the_ones_before_and_after_whatever_comes_meanwhile(explaining: Explaining):
+def test_one_steps_from_a_command_to_the_ones_before_and_after_whatever_comes_meanwhile(explaining: CommandExplainer):
     explaining.add([command(21.0, 11)])
 
     assert found(explaining, command=("a/client/T", 5), step=-1)["seq"] == 4
@@ -70,21 +70,21 @@ def test_one_steps_from_a_command_to_the_ones_before_and_after_whatever_comes_me
     assert found(explaining, command=("a/client/T", 11), step=1)["seq"] == 11
 
 
-def test_how_long_all_took_that_are_alike(explaining: Explaining):
+def test_how_long_all_took_that_are_alike(explaining: CommandExplainer):
     alike = found(explaining, t=11.0)["alike"]
 
     assert (alike["count"], alike["p50_ms"], alike["p90_ms"], alike["max_ms"]) == (10, 16.0, 24.0, 24.0)
     assert (alike["from_ms"], alike["to_ms"], sum(alike["bars"])) == (6.0, 24.0, 10)
 
 
-def test_a_command_of_a_timer_has_no_distribution(explaining: Explaining):
+def test_a_command_of_a_timer_has_no_distribution(explaining: CommandExplainer):
     explaining.add([command(30.0, 12, caused=False)])
 
     assert found(explaining)["alike"] is None
     assert len(found(explaining)["steps"]) == 1
 
 
-def test_each_actuator_has_its_own_commands(explaining: Explaining):
+def test_each_actuator_has_its_own_commands(explaining: CommandExplainer):
     assert explaining.add([command(15.5, 1, type_="gripper")]) == {"a"}
     assert explaining.add([command(16.5, 2, type_="gripper")]) == set()
 
@@ -94,20 +94,20 @@ def test_each_actuator_has_its_own_commands(explaining: Explaining):
     assert found(explaining)["actuators"] == ["gripper", "motors"]
 
 
-def test_commands_that_come_out_of_order_find_their_place(explaining: Explaining):
+def test_commands_that_come_out_of_order_find_their_place(explaining: CommandExplainer):
     explaining.add([command(15.5, 77)])
 
     assert found(explaining, t=15.6)["seq"] == 77
     assert found(explaining, command=("a/client/T", 77), step=1)["seq"] == 6
 
 
-def test_who_was_not_commanded_has_no_chain(explaining: Explaining):
+def test_who_was_not_commanded_has_no_chain(explaining: CommandExplainer):
     assert explaining.explain("b") is None
     assert explaining.explain("a", "gripper") is None
 
 
 def test_the_oldest_are_forgotten_at_the_limit():
-    explaining = Explaining(most=0)
+    explaining = CommandExplainer(most=0)
     explaining.add(command(float(number), number) for number in range(1, 1001))
 
     assert FEW <= found(explaining)["count"] <= 1.25 * FEW

@@ -31,7 +31,7 @@ from pancakes.kernel.actor import Component
 from pancakes.packet import Packet, packet_type
 from pancakes.task import Task, Tick, every, on
 from pancakes.testing import AgentHandle, threaded_agent
-from pancakes.tools.cli.agent_process import prepare
+from pancakes.tools.cli.agent_process import tune_interpreter
 
 LOOK_S: Final = 0.02
 GAP_S: Final = 0.15
@@ -262,7 +262,7 @@ def slow_disk(draws: random.Random) -> None:
 def main() -> None:
     """Runs the agent until the input ends, and tells what it saw."""
     told = json.loads(sys.argv[1])
-    prepare()
+    tune_interpreter()
     draws = random.Random(told["seed"])
     if told["record"]:
         slow_disk(draws)

@@ -2,7 +2,8 @@
 
 Here is all that an agent with a process of its own asks of its surroundings: settings of the Python interpreter and the
 system, the notifications of systemd (sd_notify), signals, and the entry by which `pancakes` finds it. A program that
-runs agents in its own process must call `prepare` and `keep` itself: they are settings of the whole process.
+runs agents in its own process must call `tune_interpreter` and `freeze_heap` itself, because both concern the whole
+process.
 Importing this module must stay cheap: configuration and agent are imported when it runs.
 """
 
@@ -48,8 +49,8 @@ FILES: Final = 4096
 mesh need more than the limit that some systems begin with; without a free file no operator can connect."""
 
 
-def prepare() -> None:
-    """Sets all of them, for this process."""
+def tune_interpreter() -> None:
+    """Set the switch interval, the garbage collector and the limit of open files of this process."""
     sys.setswitchinterval(SWITCH_S)
     gc.set_threshold(*COLLECT_EACH)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -58,8 +59,8 @@ def prepare() -> None:
             resource.setrlimit(resource.RLIMIT_NOFILE, (FILES if hard < 0 else min(FILES, hard), hard))
 
 
-def keep() -> None:
-    """Takes all present objects out of the garbage collector's sight. To be called when most modules are imported.
+def freeze_heap() -> None:
+    """Take all present objects out of the garbage collector's sight. Call it when most modules are imported.
 
     A full collection stops all threads, and most objects of an idle agent are modules, classes and functions.
     """
@@ -124,7 +125,7 @@ def run(path: str, sets: Sequence[str], check: bool, parent_pid: int | None, rea
     """
     orders = None if check else Orders()
     if orders is not None:
-        prepare()
+        tune_interpreter()
     if parent_pid is not None:
         from pancakes.tools.cli.parent_death import die_with_parent
 
@@ -243,7 +244,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     manager = NotifySocket.from_environment(os.environ)
     running = Agent(config, plugins)
     deafen = _listen_to_libraries(running)
-    keep()
+    freeze_heap()
     running.on_fatal(orders.give_up)
     running.on_shutdown(lambda: orders.give_up(""))
     orders.begin()

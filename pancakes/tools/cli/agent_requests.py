@@ -34,10 +34,10 @@ def survey(ask: Ask, *agents: str) -> list[dict[str, Any]]:
         Unreachable: no agent answers, or there is none of a name.
     """
     with ask.client() as client:
-        return surveyed(client, *agents)
+        return survey_with(client, *agents)
 
 
-def surveyed(client: Client, *agents: str) -> list[dict[str, Any]]:
+def survey_with(client: Client, *agents: str) -> list[dict[str, Any]]:
     """As `survey`, with a client that is there."""
     found = client.survey(*agents)
     for sentence in found.silent:
@@ -71,12 +71,12 @@ def ask_each(ask: Ask, body: Any, *agents: str) -> list[tuple[str, Any]]:
     return answers
 
 
-def order(client: Client, agent: str, body: Any) -> Any:
-    """Has an agent do something, and returns the result that it answers with; see `accepted`."""
-    return accepted(client, agent, body).result
+def request_result(client: Client, agent: str, body: Any) -> Any:
+    """Has an agent do something, and returns the result that it answers with; see `request`."""
+    return request(client, agent, body).result
 
 
-def accepted(client: Client, agent: str, body: Any) -> Reply:
+def request(client: Client, agent: str, body: Any) -> Reply:
     """Has an agent do something, and returns its reply once it has done it.
 
     Raises:
@@ -89,7 +89,7 @@ def accepted(client: Client, agent: str, body: Any) -> Reply:
     return reply
 
 
-def meant(client: Client, name: TaskName) -> TaskName:
+def resolve_fleet(client: Client, name: TaskName) -> TaskName:
     """Returns the task that is meant by a name, which may begin with a fleet where it has three parts.
 
     `A/B/C` is the task C of the service B of the agent A, where there is such an agent. Otherwise it is the task C of
@@ -101,7 +101,7 @@ def meant(client: Client, name: TaskName) -> TaskName:
     return TaskName(name.service, "", name.task)
 
 
-def placed(client: Client, name: TaskName) -> TaskName:
+def resolve_service(client: Client, name: TaskName) -> TaskName:
     """Returns the name of a task with its service, which the agent is asked for where it was not said.
 
     An agent would take the name of a service for that service, and stop it as a whole.
@@ -110,11 +110,11 @@ def placed(client: Client, name: TaskName) -> TaskName:
         ControlRefused: the agent has no such task, or two of them.
         Unreachable: it does not answer.
     """
-    name = meant(client, name)
+    name = resolve_fleet(client, name)
     if name.service:
         return name
     agent = name.agent
-    described = order(client, agent, Describe())
+    described = request_result(client, agent, Describe())
     services = [row["service"] for row in described["tasks"] if row["task"] == name.task]
     if len(services) == 1:
         return name._replace(service=services[0])
@@ -124,7 +124,8 @@ def placed(client: Client, name: TaskName) -> TaskName:
     if name.task in [row["service"] for row in described["services"]]:
         raise ControlRefused(f"{agent}/{name.task} is a service, not a task: see pancakes service --help")
     if any(row["state"] != "running" for row in described["services"]):
-        order(client, agent, Describe(name.task))  # it refuses, and says so where the task's service stands still
+        # It refuses, and names the task's service if that does not run.
+        request_result(client, agent, Describe(name.task))
     elsewhere = _agent_of(client, f"{agent}/{name.task}", name.task)
     if elsewhere:
         raise ControlRefused(f"{agent}/{name.task} is on {elsewhere}: say {elsewhere}/{name.task}")
@@ -153,7 +154,7 @@ def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str,
         body: the control packet's body.
         others: what is shown besides.
     """
-    reply = accepted(client, name.agent, body)
+    reply = request(client, name.agent, body)
     result = reply.result if isinstance(body, Reschedule) else {}
     row = {**name._asdict(), "done": DRY_RUN if body.dry_run else done, "number": reply.number, **result, **others}
     ask.printer.table([row], tuple(row))
@@ -163,7 +164,7 @@ force_option = click.option("--force", is_flag=True, help="Do it without asking.
 """The option `--force` of verbs that lose something; its parameter is `force`."""
 
 
-def must_be_meant(meaning: str, force: bool, dry_run: bool = False) -> None:
+def confirm(meaning: str, force: bool, dry_run: bool = False) -> None:
     """Goes on only if a person means it: with `--force`, or after they were asked on the terminal.
 
     Args:
@@ -182,7 +183,7 @@ def must_be_meant(meaning: str, force: bool, dry_run: bool = False) -> None:
         raise ControlRefused("nothing was done")
 
 
-def accepted_if_meant(
+def request_confirmed(
     client: Client, agent: str, body: Callable[[bool, bool], Any], force: bool, dry_run: bool
 ) -> Reply:
     """Has an agent do what it refuses without force; its refusal, which says what that would mean, is the question.
@@ -201,10 +202,10 @@ def accepted_if_meant(
     # only now: many a verb that asks needs no client
 
     if force or dry_run or not (sys.stdin.isatty() and sys.stderr.isatty()):
-        return accepted(client, agent, body(force, dry_run))
-    accepted(client, agent, body(True, True))
+        return request(client, agent, body(force, dry_run))
+    request(client, agent, body(True, True))
     unforced = client.request(agent, body(False, False))
     if unforced.ok:
         return unforced
-    must_be_meant(unforced.reason.removesuffix(". Nothing was done"), force)
-    return accepted(client, agent, body(True, False))
+    confirm(unforced.reason.removesuffix(". Nothing was done"), force)
+    return request(client, agent, body(True, False))

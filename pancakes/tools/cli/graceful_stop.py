@@ -35,7 +35,7 @@ class Target:
     gone: bool = False
 
 
-class Ending:
+class GracefulStop:
     """Ends agents of one fleet after the other.
 
     Args:

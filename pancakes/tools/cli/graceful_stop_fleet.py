@@ -9,7 +9,7 @@ from pathlib import Path
 from pancakes.client import Client, Where
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.tools.cli.exit_codes import REFUSED, UNREACHABLE
-from pancakes.tools.cli.graceful_stop import Ending, Target
+from pancakes.tools.cli.graceful_stop import GracefulStop, Target
 from pancakes.tools.cli.output import DRY_RUN, show_text
 from pancakes.tools.launch.fleet_file import Member, make_fleet
 from pancakes.tools.launch.remote_hosts import Host, open_hosts, tunnels
@@ -17,7 +17,7 @@ from pancakes.tools.launch.ssh import HostError
 from pancakes.util.runtime_dir import entries
 
 
-def end_fleet(ending: Ending, file: Path, names: Sequence[str]) -> None:
+def end_fleet(stop: GracefulStop, file: Path, names: Sequence[str]) -> None:
     """Ends those agents of a fleet file that run, or those of them that are named.
 
     Raises:
@@ -39,11 +39,11 @@ def end_fleet(ending: Ending, file: Path, names: Sequence[str]) -> None:
         if not running:
             show_text(f"nothing of {file} runs", err=True)
         clients = {
-            fleet: stack.enter_context(Client(Where(_reached(running, addresses, fleet), fleet), ending.timeout_s))
+            fleet: stack.enter_context(Client(Where(_reached(running, addresses, fleet), fleet), stop.timeout_s))
             for fleet in dict.fromkeys(member.config.agent.fleet for member in running)
         }
         for wave in waves(running):
-            _end(ending, wave, clients, hosts)
+            _end(stop, wave, clients, hosts)
 
 
 def waves(members: Sequence[Member]) -> list[list[Member]]:
@@ -61,7 +61,7 @@ def _reached(members: Sequence[Member], addresses: Mapping[str, str], fleet: str
     return tuple(addresses[it.name] for it in members if it.config.agent.fleet == fleet and addresses[it.name])
 
 
-def _end(ending: Ending, wave: Sequence[Member], clients: Mapping[str, Client], hosts: Mapping[str, Host]) -> None:
+def _end(stop: GracefulStop, wave: Sequence[Member], clients: Mapping[str, Client], hosts: Mapping[str, Host]) -> None:
     for fleet, client in clients.items():
         ours = {member.name: member for member in wave if member.config.agent.fleet == fleet}
         if not ours:
@@ -74,29 +74,29 @@ def _end(ending: Ending, wave: Sequence[Member], clients: Mapping[str, Client], 
         for sentence in silent:
             show_text(sentence, err=True)
         targets = [Target(it.name, fleet, it.config.agent.role, None, it.host) for it in ours.values()]
-        ending.end_some(client, [target for target in targets if target.name in described])
+        stop.end_some(client, [target for target in targets if target.name in described])
         for target in targets:
             if target.name not in described:
-                _end_process(ending, target, hosts)
+                _end_process(stop, target, hosts)
 
 
-def _end_process(ending: Ending, target: Target, hosts: Mapping[str, Host]) -> None:
+def _end_process(stop: GracefulStop, target: Target, hosts: Mapping[str, Host]) -> None:
     """Ends an agent that does not answer: by a signal to its process."""
     if not target.host:
-        ending.fail(f"{target.name} does not answer: pancakes down {target.name} ends its process", UNREACHABLE)
+        stop.fail(f"{target.name} does not answer: pancakes down {target.name} ends its process", UNREACHABLE)
         return
-    if ending.dry_run:
-        ending.done(target, DRY_RUN)
+    if stop.dry_run:
+        stop.done(target, DRY_RUN)
         return
     try:
         gone = hosts[target.host].link.obtain(
-            "end_process", fleet=target.fleet, name=target.name, within=ending.timeout_s
+            "end_process", fleet=target.fleet, name=target.name, within=stop.timeout_s
         )
     except HostError as error:
-        ending.fail(str(error), REFUSED)
+        stop.fail(str(error), REFUSED)
         return
     if gone:
-        ending.done(target, "ended")
+        stop.done(target, "ended")
     else:
-        sentence = f"{target.name} has not ended on {target.host} within {ending.timeout_s:g} s"
-        ending.fail(sentence, UNREACHABLE)
+        sentence = f"{target.name} has not ended on {target.host} within {stop.timeout_s:g} s"
+        stop.fail(sentence, UNREACHABLE)

@@ -1,6 +1,6 @@
 """`pancakes`: the command line that speaks to running agents and runs demos.
 
-A verb is imported only when it is used, so that the others start fast: `COMMANDS` names the modules. Other
+A verb is imported only when it is used, so that the others start fast: `HELP` names them. Other
 distributions add commands by entry point (`pancakes.commands`).
 """
 
@@ -27,7 +27,7 @@ GROUP: Final = "pancakes.commands"
 
 
 @dataclass(frozen=True, slots=True)
-class Later:
+class LazyCommand:
     """A command that is not imported yet.
 
     Attributes:
@@ -43,31 +43,31 @@ class LazyGroup(Guarded, click.Group):
     """A click group whose commands are imported late.
 
     Args:
-        later: its own commands, by name; no installed command takes the name of one.
+        lazy: its own commands, by name; no installed command takes the name of one.
         attributes: see `click.Group`.
     """
 
-    def __init__(self, *args: Any, later: Mapping[str, Later], **attributes: Any) -> None:
+    def __init__(self, *args: Any, lazy: Mapping[str, LazyCommand], **attributes: Any) -> None:
         super().__init__(*args, **attributes)
-        self._own = dict(later)
+        self._own = dict(lazy)
 
     @cached_property
-    def _later(self) -> dict[str, Later]:
+    def _commands(self) -> dict[str, LazyCommand]:
         """All commands: its own, and after them those of other distributions. Imports none."""
         installed = {
-            point.name: Later(point.value, f"From {point.dist.name}." if point.dist is not None else "")
+            point.name: LazyCommand(point.value, f"From {point.dist.name}." if point.dist is not None else "")
             for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)
         }
-        return {**self._own, **{name: later for name, later in installed.items() if name not in self._own}}
+        return {**self._own, **{name: command for name, command in installed.items() if name not in self._own}}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(self._later)
+        return list(self._commands)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        later = self._own.get(cmd_name)
-        if later is None:
-            return with_help(_installed(cmd_name)) if cmd_name in self._later else None
-        module, _, name = later.place.partition(":")
+        command = self._own.get(cmd_name)
+        if command is None:
+            return with_help(_installed(cmd_name)) if cmd_name in self._commands else None
+        module, _, name = command.place.partition(":")
         command = getattr(import_module(module), name)
         assert isinstance(command, click.Command)
         return with_help(command)
@@ -76,12 +76,12 @@ class LazyGroup(Guarded, click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
-        known = name in self._own or name in self._later
+        known = name in self._own or name in self._commands
         if not known and not name.startswith("-") and not ctx.resilient_parsing:
             from pancakes.util.plugins import to_install
 
-            meant = suggestion(name, self._later)
-            if command := to_install(GROUP, name, self._later):
+            meant = suggestion(name, self._commands)
+            if command := to_install(GROUP, name, self._commands):
                 ctx.fail(f"No such command {name!r}: {command}")
             ctx.fail(f"No such command {name!r}." + (f" Did you mean {meant!r}?" if meant else ""))
         return super().resolve_command(ctx, args)
@@ -89,13 +89,15 @@ class LazyGroup(Guarded, click.Group):
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Completes the names of the commands, without importing them."""
         names = [
-            CompletionItem(name, help=later.help) for name, later in self._later.items() if name.startswith(incomplete)
+            CompletionItem(name, help=command.help)
+            for name, command in self._commands.items()
+            if name.startswith(incomplete)
         ]
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, later.help) for name, later in self._later.items()])
+            formatter.write_dl([(name, command.help) for name, command in self._commands.items()])
 
 
 def _installed(name: str) -> click.Command:
@@ -115,37 +117,41 @@ def _installed(name: str) -> click.Command:
     return command
 
 
-COMMANDS = {
-    "agent": Later("pancakes.tools.cli.verbs.agent:agent", "Agents that run."),
-    "task": Later("pancakes.tools.cli.verbs.task:task", "Tasks that agents have."),
-    "service": Later("pancakes.tools.cli.verbs.service:service", "Services that agents have."),
-    "channel": Later("pancakes.tools.cli.verbs.channel:channel", "Channels, and the packets on them."),
-    "param": Later("pancakes.tools.cli.verbs.param:param", "Settings of tasks."),
-    "fleet": Later("pancakes.tools.cli.verbs.fleet:fleet", "Who belongs to a fleet, and what its members may do."),
-    "log": Later("pancakes.tools.cli.verbs.log:log", "What agents say and do."),
-    "record": Later("pancakes.tools.cli.verbs.record:record", "Recordings of what agents say."),
-    "replay": Later("pancakes.tools.cli.verbs.replay:replay", "Feed a recording into a fleet."),
-    "rerun": Later("pancakes.tools.cli.verbs.rerun:rerun", "Run a recorded task through its present code."),
-    "why": Later("pancakes.tools.cli.verbs.why:why", "What led to the commands of a recording's actuators."),
-    "view": Later("pancakes.tools.cli.verbs.view:view", "A page that shows what a fleet does."),
-    "report": Later("pancakes.tools.cli.verbs.report:report", "A recording as a page, and as pictures for a paper."),
-    "top": Later("pancakes.tools.cli.verbs.top:top", "Watch agents and tasks: rates, lateness, load."),
-    "what-if": Later("pancakes.tools.cli.verbs.what_if:what_if", "What a change would do, before it is done."),
-    "launch": Later("pancakes.tools.cli.verbs.launch:launch", "Run a fleet from its files."),
-    "deploy": Later("pancakes.tools.cli.verbs.deploy:deploy", "Bring a fleet to its hosts, and keep it running there."),
-    "down": Later("pancakes.tools.cli.verbs.down:down", "End agents in order."),
-    "demo": Later("pancakes.tools.cli.verbs.demo:demo", "Run a whole mission, and judge it."),
-    "new": Later("pancakes.tools.cli.verbs.new:new", "Begin a task, driver, service, cost or plug-in of one's own."),
-    "config": Later("pancakes.tools.cli.verbs.config:config", "Check and show configuration files."),
-    "plugin": Later("pancakes.tools.cli.verbs.plugin:plugin", "What is installed for agents to use."),
-    "doctor": Later(
-        "pancakes.tools.cli.verbs.doctor:doctor", "Look for what is wrong on this machine and with its agents."
-    ),
-    "completion": Later("pancakes.tools.cli.verbs.completion:completion", "Completion of names in the shell."),
+HELP: Final = {
+    "agent": "Agents that run.",
+    "task": "Tasks that agents have.",
+    "service": "Services that agents have.",
+    "channel": "Channels, and the packets on them.",
+    "param": "Settings of tasks.",
+    "fleet": "Who belongs to a fleet, and what its members may do.",
+    "log": "What agents say and do.",
+    "record": "Recordings of what agents say.",
+    "replay": "Feed a recording into a fleet.",
+    "rerun": "Run a recorded task through its present code.",
+    "why": "What led to the commands of a recording's actuators.",
+    "view": "A page that shows what a fleet does.",
+    "report": "A recording as a page, and as pictures for a paper.",
+    "top": "Watch agents and tasks: rates, lateness, load.",
+    "what-if": "What a change would do, before it is done.",
+    "launch": "Run a fleet from its files.",
+    "deploy": "Bring a fleet to its hosts, and keep it running there.",
+    "down": "End agents in order.",
+    "demo": "Run a whole mission, and judge it.",
+    "new": "Begin a task, driver, service, cost or plug-in of one's own.",
+    "config": "Check and show configuration files.",
+    "plugin": "What is installed for agents to use.",
+    "doctor": "Look for what is wrong on this machine and with its agents.",
+    "completion": "Completion of names in the shell.",
+}
+"""The verbs, each with its line in the help. The module of a verb is called as the verb is."""
+
+COMMANDS: Final = {
+    name: LazyCommand(f"pancakes.tools.cli.verbs.{(verb := name.replace('-', '_'))}:{verb}", help_)
+    for name, help_ in HELP.items()
 }
 
 
-@click.group(cls=LazyGroup, later=COMMANDS)
+@click.group(cls=LazyGroup, lazy=COMMANDS)
 @version_option("pancakes")
 def pancakes() -> None:
     """Robots and sensor nodes that work as one.

@@ -2,7 +2,7 @@
 
 An agent, task, service or channel is named `AGENT`, `AGENT/TASK`, `AGENT/SERVICE/TASK`, `AGENT/SERVICE` or
 `AGENT/CHANNEL`. The fleet may come first (`FLEET/AGENT/TASK`); then the verb speaks to that fleet. If a name can be
-read in two ways, `AGENT/SERVICE/TASK` wins if such an agent exists (`pancakes.tools.cli.agent_requests.meant`).
+read in two ways, `AGENT/SERVICE/TASK` wins if such an agent exists (`pancakes.tools.cli.agent_requests.resolve_fleet`).
 """
 
 from __future__ import annotations
@@ -85,13 +85,13 @@ _FLEET: Final = "pancakes.fleet"
 """Under this name a command keeps the fleet that stands before one of its names."""
 
 
-def say_fleet(type_: click.ParamType, fleet: str, param: click.Parameter | None, ctx: click.Context | None) -> None:
-    """Notes the fleet that stands before a name, for `the_fleet`; all names of a command must be of the same."""
+def note_fleet(type_: click.ParamType, fleet: str, param: click.Parameter | None, ctx: click.Context | None) -> None:
+    """Notes the fleet that stands before a name, for `fleet_of_command`; all names of a command must be of the same."""
     if ctx is not None and ctx.meta.setdefault(_FLEET, fleet) != fleet:
         type_.fail(f"a command speaks to one fleet, not to {ctx.meta[_FLEET]} and {fleet}", param, ctx)
 
 
-def the_fleet(option: str) -> str:
+def fleet_of_command(option: str) -> str:
     """Returns the fleet that a command is about: that of `--fleet`, or that before its names; empty: any."""
     said: str = click.get_current_context().meta.get(_FLEET, "")
     if option and said and option != said:
@@ -124,7 +124,7 @@ class NameType(click.ParamType):
         if len(parts) not in self._counts or (len(parts) > 1 and not all(parts)):
             self.fail(f"{value!r} names no {self.noun}: {self._how}", param, ctx)
         if len(parts) == max(self._counts):
-            say_fleet(self, parts.pop(0), param, ctx)
+            note_fleet(self, parts.pop(0), param, ctx)
         return self._made(*parts)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -306,7 +306,7 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
         def asking(at: tuple[str, ...], fleet: str, timeout: float, printer: Printer, **others: Any) -> Any:
             from pancakes.client import Where
 
-            return function(ask=Ask(Where(at, the_fleet(fleet)), timeout, printer), **others)
+            return function(ask=Ask(Where(at, fleet_of_command(fleet)), timeout, printer), **others)
 
         decorated: Any = asking
         for option in reversed(options):

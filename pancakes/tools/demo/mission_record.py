@@ -16,7 +16,7 @@ _ENDS = ("task_frozen", "task_stopped", "task_failed", "task_given_up")
 
 
 @dataclass(frozen=True, slots=True)
-class Occurrence:
+class MissionEvent:
     """Something that an agent said has happened: a line of `events.jsonl`.
 
     Attributes:
@@ -33,20 +33,20 @@ class Occurrence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Story:
+class MissionRecord:
     """All that the agents told in the course of a mission.
 
     Attributes:
         events: the events, in the order of time.
     """
 
-    events: list[Occurrence]
+    events: list[MissionEvent]
 
     def running_at_first(self, task: str) -> list[str]:
         """Returns the agents that ran a task already when the mission began: so the launcher's `roster` says."""
         return [event.agent for event in self.told("roster") if task in event.fields.get("tasks", ())]
 
-    def told(self, kind: str, agent: str = "", task: str = "") -> Iterator[Occurrence]:
+    def told(self, kind: str, agent: str = "", task: str = "") -> Iterator[MissionEvent]:
         """Yields the events of a kind, of one agent and about one task where these are given."""
         for event in self.events:
             if event.kind == kind and agent in ("", event.agent) and task in ("", event.fields.get("task")):
@@ -68,7 +68,7 @@ class Holder:
     end_s: float
 
 
-def read_events(out_dir: Path) -> list[Occurrence]:
+def read_events(out_dir: Path) -> list[MissionEvent]:
     """Reads the `events.jsonl` of a mission.
 
     Raises:
@@ -79,7 +79,7 @@ def read_events(out_dir: Path) -> list[Occurrence]:
     for number, text in read_lines(path, iter):
         try:
             fields = json.loads(text)
-            event = Occurrence(float(fields.pop("t_s")), str(fields.pop("agent")), str(fields.pop("kind")), fields)
+            event = MissionEvent(float(fields.pop("t_s")), str(fields.pop("agent")), str(fields.pop("kind")), fields)
             events.append(event)
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise PancakesError(f"{path}: line {number} is no event: {why_malformed(error)}") from None
@@ -99,7 +99,7 @@ def read_lines(path: Path, split: Callable[[TextIO], Iterable[_T]]) -> Iterator[
         raise PancakesError(f"the mission's {path.name} cannot be read: {error.strerror}") from None
 
 
-def holders(story: Story, task: str, end_s: float) -> list[Holder]:
+def holders(story: MissionRecord, task: str, end_s: float) -> list[Holder]:
     """Returns the agents that ran a task, in the order of time.
 
     A task that is frozen for a move runs no more, nor does any on an agent that was killed.

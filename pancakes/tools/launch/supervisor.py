@@ -1,6 +1,6 @@
 """Supervise a launched fleet: when each agent starts, restarts and ends, and the processes that do it.
 
-`Course` decides and is pure: events in, actions out. An agent starts once those it comes after are ready. If its
+`LaunchPlan` decides and is pure: events in, actions out. An agent starts once those it comes after are ready. If its
 process ends by itself, it is restarted as its policy says, or given up. On the way down an agent is told to end once
 those that come after it have ended. `Runner` carries the actions out in the main thread: processes, pipes, signals,
 other hosts.
@@ -110,8 +110,8 @@ class TellPerson:
 Action = SpawnProcess | Terminate | Kill | BeginMission | TellPerson
 
 
-class _Place:
-    """What the course knows of one agent.
+class _PlannedAgent:
+    """What the plan knows of one agent.
 
     Attributes:
         life: how far its process is.
@@ -148,8 +148,8 @@ class _Place:
         return self.life.state in (State.STOPPED, State.FAILED)
 
 
-class Course:
-    """The course of one fleet.
+class LaunchPlan:
+    """The plan of one fleet.
 
     Args:
         members: its agents, in the order in which they are to start.
@@ -158,7 +158,7 @@ class Course:
     """
 
     def __init__(self, members: Sequence[Member], begin: bool = True, source: random.Random | None = None) -> None:
-        self._places = {member.name: _Place(member) for member in members}
+        self._places = {member.name: _PlannedAgent(member) for member in members}
         self._begin = begin
         self._source = source or random.Random()
         self._begun = False
@@ -331,7 +331,7 @@ class Course:
                 self._actions.append(Terminate(name))
                 self._feed(place, StopAsked(), now_s)
 
-    def _kill(self, places: Iterable[_Place], now_s: float) -> None:
+    def _kill(self, places: Iterable[_PlannedAgent], now_s: float) -> None:
         for place in places:
             if not place.killed:
                 self._feed(place, StopAsked(), now_s)
@@ -339,7 +339,7 @@ class Course:
 
     # What a life asks for --------------------------------------------------------------------------------------
 
-    def _feed(self, place: _Place, event: Event, now_s: float) -> None:
+    def _feed(self, place: _PlannedAgent, event: Event, now_s: float) -> None:
         place.life, effects = handle(place.life, event, now_s, self._source.uniform)
         name = place.member.name
         for effect in effects:
@@ -351,13 +351,13 @@ class Course:
                     self._actions.append(Kill(name))
                 case Tell():
                     self._tell_life(place, effect, now_s)
-                # The course looks itself at what is due, and at what has ended (`tick`, `_admit`, `_stop_next`).
+                # The plan looks itself at what is due, and at what has ended (`tick`, `_admit`, `_stop_next`).
                 case AskLeave() | TellToEnd() | LetGo() | TryAt() | LookAgain() | Settle() | WriteRest() | Answer():
                     pass
                 case _:
                     assert_never(effect)
 
-    def _tell_life(self, place: _Place, effect: Tell, now_s: float) -> None:
+    def _tell_life(self, place: _PlannedAgent, effect: Tell, now_s: float) -> None:
         name, restart = place.member.name, place.member.restart
         match effect.news:
             case News.STARTED:
@@ -400,7 +400,7 @@ _ENDS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CHUNK: Final = 65_536
 
 
-class Voice(Protocol):
+class LaunchReporter(Protocol):
     """Takes what a fleet says; in the thread that runs it."""
 
     def line(self, agent: str, text: str) -> None:
@@ -479,8 +479,8 @@ class Runner:
 
     Args:
         members: its agents.
-        course: what decides.
-        voice: what is told to the person.
+        plan: what decides.
+        reporter: what is told to the person.
         let_begin: see `LetBegin`.
         elsewhere: see `Elsewhere`; it is asked for where a member has a host.
     """
@@ -488,14 +488,14 @@ class Runner:
     def __init__(
         self,
         members: Sequence[Member],
-        course: Course,
-        voice: Voice,
+        plan: LaunchPlan,
+        reporter: LaunchReporter,
         let_begin: LetBegin,
         elsewhere: Elsewhere | None = None,
     ) -> None:
         self._members = {member.name: member for member in members}
-        self._course = course
-        self._voice = voice
+        self._plan = plan
+        self._reporter = reporter
         self._let_begin = let_begin
         self._now = MonotonicClock().now
         self._selector = selectors.DefaultSelector()
@@ -520,21 +520,21 @@ class Runner:
         if self._elsewhere is not None:
             self._elsewhere.attend(self)
         try:
-            self._do(self._course.start(self._now()))
-            while not self._course.over:
+            self._do(self._plan.start(self._now()))
+            while not self._plan.over:
                 self._wait()
         finally:
             if self._elsewhere is not None:
                 self._elsewhere.close()
             self._local.close()
-        return self._course.exit_code
+        return self._plan.exit_code
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
         if number != signal.SIGCHLD:
-            self._posted.append(lambda: self._do(self._course.stop(self._now())))
+            self._posted.append(lambda: self._do(self._plan.stop(self._now())))
 
     def _wait(self) -> None:
-        times = [self._course.deadline_s, self._elsewhere.due_s if self._elsewhere is not None else None]
+        times = [self._plan.deadline_s, self._elsewhere.due_s if self._elsewhere is not None else None]
         deadline_s = min((it for it in times if it is not None), default=None)
         timeout_s = None if deadline_s is None else max(0.0, deadline_s - self._now())
         for key, _ in self._selector.select(timeout_s):
@@ -544,7 +544,7 @@ class Runner:
             self._posted.popleft()()
         if self._elsewhere is not None:
             self._elsewhere.tick()
-        self._do(self._course.tick(self._now()))
+        self._do(self._plan.tick(self._now()))
 
     def _woken(self) -> None:
         os.read(self._wake_reader, _CHUNK)
@@ -556,7 +556,7 @@ class Runner:
         with contextlib.suppress(BlockingIOError):  # it is full of reasons to wake up
             os.write(self._wake_writer, b"\0")
 
-    # What the course wants -------------------------------------------------------------------------------------
+    # What the plan wants -------------------------------------------------------------------------------------
 
     def _do(self, actions: Sequence[Action]) -> None:
         for action in actions:
@@ -570,7 +570,7 @@ class Runner:
                 case BeginMission(names):
                     self._begin(names)
                 case TellPerson(name, event, text):
-                    self._say(self._voice.told, name, event, text)
+                    self._say(self._reporter.told, name, event, text)
 
     def _spawn(self, name: str) -> None:
         self._rests[name] = {}
@@ -588,9 +588,9 @@ class Runner:
 
         def told(problems: list[str]) -> None:
             for problem in problems:
-                self._say(self._voice.told, "", "held", problem)
+                self._say(self._reporter.told, "", "held", problem)
             if not problems:
-                self._say(self._voice.told, "", "begun", f"the mission of {', '.join(names)} begins")
+                self._say(self._reporter.told, "", "begun", f"the mission of {', '.join(names)} begins")
 
         threading.Thread(target=let_begin, name="begin", daemon=True).start()
 
@@ -599,28 +599,28 @@ class Runner:
     def started(self, name: str, pid: int, host: str = "") -> None:
         """See `LaunchListener`."""
         self._pids[name] = pid
-        self._say(self._voice.told, name, "started", f"runs as process {pid}" + (f" on {host}" if host else ""))
+        self._say(self._reporter.told, name, "started", f"runs as process {pid}" + (f" on {host}" if host else ""))
 
     def printed(self, name: str, text: str) -> None:
         """See `LaunchListener`."""
-        self._say(self._voice.line, name, text)
+        self._say(self._reporter.line, name, text)
 
     def said(self, name: str, line: str) -> None:
         """See `LaunchListener`."""
         word, _, rest = line.partition(" ")
         if word == "ready":
-            self._do(self._course.ready(name, self._now(), self._rests[name]))
+            self._do(self._plan.ready(name, self._now(), self._rests[name]))
         elif word == "rests":
             task, _, why = rest.partition(" ")
             self._rests[name][task] = why
 
     def ended(self, name: str, code: int, how: str = "") -> None:
         """See `LaunchListener`."""
-        self._do(self._course.ended(name, code, self._now(), how))
+        self._do(self._plan.ended(name, code, self._now(), how))
 
     def failed(self, name: str, reason: str) -> None:
         """See `LaunchListener`."""
-        self._do(self._course.unstartable(name, reason, self._now()))
+        self._do(self._plan.unstartable(name, reason, self._now()))
 
     def _say(self, say: Callable[..., None], *what: Any) -> None:
         """Says something. Where the reader of the output has ended (`| head`), the fleet ends, in silence."""
@@ -630,4 +630,4 @@ class Runner:
             say(*what)
         except OSError:
             self._mute = True
-            self._posted.append(lambda: self._do(self._course.stop(self._now())))
+            self._posted.append(lambda: self._do(self._plan.stop(self._now())))

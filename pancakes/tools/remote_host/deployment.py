@@ -47,7 +47,7 @@ MOST_DAMAGED: Final = 5
 NO_ROOM: Final = "No space left on device"
 
 
-class Deploying:
+class HostDeployment:
     """What a deployment asks of a host.
 
     Attributes:

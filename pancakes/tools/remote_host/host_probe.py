@@ -29,7 +29,7 @@ from pancakes.tools.remote_host.host_folders import (
 from pancakes.tools.remote_host.service_managers import manager_of, runs_systemd
 
 
-def look(fleet_of: dict[str, str]) -> dict[str, Any]:
+def probe_host(fleet_of: dict[str, str]) -> dict[str, Any]:
     """Returns what this host is, and what of some agents is on it.
 
     Args:

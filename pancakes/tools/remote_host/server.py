@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 from pancakes.tools.remote_host.agent_processes import AgentProcesses
-from pancakes.tools.remote_host.deployment import Deploying
+from pancakes.tools.remote_host.deployment import HostDeployment
 from pancakes.tools.remote_host.host_folders import HostFault, end_process, interpreter_for, prepare_environment
-from pancakes.tools.remote_host.host_probe import look
+from pancakes.tools.remote_host.host_probe import probe_host
 
 END_S = 2.5
 """An agent that was told to end is killed after so long."""
@@ -166,7 +166,7 @@ MOST_WAITING = 1 << 20
 _CHUNK = 65_536
 
 
-class Serving:
+class HostServer:
     """Reads requests and carries them out, in one thread, until the standard input ends.
 
     Args:
@@ -181,10 +181,10 @@ class Serving:
         self._ends = False
         self._heard_s = time.monotonic()
         self._agents = LaunchedAgents(self._emit)
-        deploying = Deploying()
+        deploying = HostDeployment()
         self._calls: dict[str, Callable[..., Any]] = {
             "alive": lambda: None,
-            "look": look,
+            "look": probe_host,
             "end_process": end_process,
             "start": self._agents.start,
             "end": self._agents.end,
@@ -283,4 +283,4 @@ def main(marker: bytes) -> None:
         marker: see above.
     """
     prepare_environment()
-    Serving(marker).run()
+    HostServer(marker).run()

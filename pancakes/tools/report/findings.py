@@ -12,7 +12,7 @@ from pancakes.recording.clock_alignment import MissionTime
 from pancakes.recording.records import CHANNEL, RecordedPacket
 from pancakes.recording.task_statistics import TaskFigures
 from pancakes.tools.report.command_latency import PickedCommands, Reactions
-from pancakes.tools.report.mission import BodyPaths, Happenings, Moves, TaskTimeline
+from pancakes.tools.report.mission import BodyPaths, EventDigest, Moves, TaskTimeline
 from pancakes.tools.report.performance import Rates, Traffic
 
 MOST_TOPICS: Final = 2000
@@ -40,12 +40,12 @@ class Findings:
     strange: int = 0
     time: MissionTime = MissionTime()
     paths: BodyPaths = field(default_factory=BodyPaths)
-    course: TaskTimeline = field(default_factory=TaskTimeline)
+    timeline: TaskTimeline = field(default_factory=TaskTimeline)
     rates: Rates = field(default_factory=Rates)
     traffic: Traffic = field(default_factory=Traffic)
     moves: Moves = field(default_factory=Moves)
     reactions: Reactions = field(default_factory=Reactions)
-    happenings: Happenings = field(default_factory=Happenings)
+    events: EventDigest = field(default_factory=EventDigest)
 
     @classmethod
     def of(cls, entries: Iterable[RecordedPacket], task_id: str = "", time: MissionTime = MissionTime()) -> Findings:  # noqa: B008
@@ -59,11 +59,11 @@ class Findings:
         findings = cls(task_id, time=time, reactions=Reactions(task_id, picked=PickedCommands(time)))
         for entry in entries:
             findings._add(entry)
-        findings.course.close()
+        findings.timeline.close()
         findings.traffic.close()
         findings.reactions.close()
         if task_id:
-            findings.course.only(task_id)
+            findings.timeline.only(task_id)
             findings.rates.only(task_id)
             findings.moves.only(task_id)
         return findings
@@ -86,7 +86,7 @@ class Findings:
     @property
     def agents(self) -> list[str]:
         """The agents that were recorded, by name."""
-        return sorted(self.course.seen_s)
+        return sorted(self.timeline.seen_s)
 
     def _add(self, entry: RecordedPacket) -> None:
         packet = entry.packet
@@ -105,7 +105,7 @@ class Findings:
 
     def _look(self, entry: RecordedPacket, packet: Packet, t_s: float) -> None:
         agent = entry.agent
-        self.course.add(agent, packet, t_s)
+        self.timeline.add(agent, packet, t_s)
         if packet.channel == CHANNEL:
             if isinstance(packet.body, TaskFigures):
                 self.rates.add(agent, packet.body, t_s)
@@ -114,7 +114,7 @@ class Findings:
         if not self.task_id or (packet.fence is not None and packet.fence.task_id == self.task_id):
             self.traffic.add(agent, packet, t_s - self.begin_s)
         self.moves.add(agent, packet, t_s)
-        self.happenings.add(agent, packet, t_s)
+        self.events.add(agent, packet, t_s)
         self.reactions.add(entry)
 
     def _count(self, agent: str, packet: Packet) -> None:
@@ -132,7 +132,7 @@ class Findings:
             "begin_s": self.begin_s,
             "end_s": self.end_s,
             "duration_s": self.duration_s,
-            "tasks": [asdict(lane) for lane in self.course.lanes.values()],
+            "tasks": [asdict(lane) for lane in self.timeline.lanes.values()],
             "timers": [
                 {
                     "agent": timer.agent,

@@ -20,7 +20,7 @@ from pancakes.recording.clock_alignment import speed_of
 from pancakes.recording.records import NANOSECONDS, RecordingError, date_of
 from pancakes.tools.report.command_latency import PickedCommand, PickedCommands, Reaction, Reactions
 from pancakes.tools.report.findings import Findings
-from pancakes.tools.report.mission import Happening, TaskMove
+from pancakes.tools.report.mission import DigestEntry, TaskMove
 from pancakes.tools.report.plots import Palette, Picture
 
 
@@ -109,7 +109,7 @@ def make_page(
         ("drops", "Drops", _drops(findings, pictures)),
         ("traffic", "Traffic", _traffic(findings, pictures)),
         ("reactions", "Cause and effect", _reactions(findings, pictures)),
-        ("log", "What was said", _happenings(findings)),
+        ("log", "What was said", _event_digest(findings)),
     ]
     links = "".join(f'<a href="#{key}">{escape(name)}</a> ' for key, name, _ in sections)
     told = "".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in about.items())
@@ -308,15 +308,15 @@ def _reactions(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     return html + picker_html(found)
 
 
-def _happenings(findings: Findings) -> str:
-    said = findings.happenings
+def _event_digest(findings: Findings) -> str:
+    said = findings.events
     html = "<h3>Warnings, errors, failures</h3>" + (_said(said.grave) if said.grave else _faint("None."))
     if said.told:
         html += "<h3>Events</h3>" + _said(said.told)
     return html + (_faint(f"{said.left_out} more are left out.") if said.left_out else "")
 
 
-def _said(happenings: Sequence[Happening]) -> str:
+def _said(happenings: Sequence[DigestEntry]) -> str:
     rows = [(round(it.t_s, 2), it.agent, it.kind, it.text, it.count) for it in happenings]
     return _table(("time [s]", "agent", "what", "", "times"), rows)
 
@@ -359,7 +359,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
     findings = Findings.of(reader.entries(), task_id, reader.mission_time())
     if not findings.packets:
         raise RecordingError(f"{path} has no packets" + _because(reader.notes()))
-    if task_id and not findings.course.lanes:
+    if task_id and not findings.timeline.lanes:
         raise PancakesError(f"no task {task_id!r} is in {path}: `pancakes record info` lists those that are")
     notes = [f"{note}: the rest of it is not in this report" if "cut off" in note else note for note in reader.notes()]
     if findings.strange:
@@ -417,7 +417,7 @@ def draw_all(findings: Findings, out: Path) -> list[Picture]:
     traffic = findings.traffic
     draws: tuple[Callable[[], Picture | None], ...] = (
         lambda: plots.draw_paths(findings, palette, out),
-        lambda: plots.draw_course(findings, palette, out),
+        lambda: plots.draw_timeline(findings, palette, out),
         lambda: plots.draw_moves(findings, palette, out),
         lambda: plots.draw_batteries(findings, palette, out),
         lambda: plots.draw_rates(findings, palette, out),

@@ -371,7 +371,7 @@ USUAL: Final = (
 
 
 @dataclass
-class Happening:
+class DigestEntry:
     """Something that was said, once or several times in the same words.
 
     Attributes:
@@ -390,7 +390,7 @@ class Happening:
 
 
 @dataclass
-class Happenings:
+class EventDigest:
     """What was said on `log`.
 
     Attributes:
@@ -399,10 +399,10 @@ class Happenings:
         left_out: how many different ones there were beyond those that are kept.
     """
 
-    grave: list[Happening] = field(default_factory=list)
-    told: list[Happening] = field(default_factory=list)
+    grave: list[DigestEntry] = field(default_factory=list)
+    told: list[DigestEntry] = field(default_factory=list)
     left_out: int = 0
-    _known: dict[tuple[str, str, str], Happening] = field(default_factory=dict)
+    _known: dict[tuple[str, str, str], DigestEntry] = field(default_factory=dict)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
         """Takes a packet that was seen on an agent."""
@@ -416,7 +416,7 @@ class Happenings:
         elif isinstance(body, Event) and body.kind not in USUAL:
             self._note(self.told, t_s, agent, body.kind, _text(body.fields))
 
-    def _note(self, into: list[Happening], t_s: float, agent: str, kind: str, text: str) -> None:
+    def _note(self, into: list[DigestEntry], t_s: float, agent: str, kind: str, text: str) -> None:
         text = text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
         known = self._known.get((agent, kind, text))
         if known is not None:
@@ -424,7 +424,7 @@ class Happenings:
         elif len(into) >= MOST:
             self.left_out += 1
         else:
-            happening = self._known[agent, kind, text] = Happening(t_s, agent, kind, text)
+            happening = self._known[agent, kind, text] = DigestEntry(t_s, agent, kind, text)
             into.append(happening)
 
 

@@ -255,9 +255,9 @@ def _path_legend(bodies: Sequence[Body], tasks: Sequence[str], palette: Palette)
     return handles, labels
 
 
-def draw_course(findings: Findings, palette: Palette, out: Path) -> Picture | None:
+def draw_timeline(findings: Findings, palette: Palette, out: Path) -> Picture | None:
     """Draws which agent ran which task. None where no task of a mission ran."""
-    lanes = [lane for _, lane in sorted(findings.course.lanes.items()) if lane.spans][:MOST_LANES]
+    lanes = [lane for _, lane in sorted(findings.timeline.lanes.items()) if lane.spans][:MOST_LANES]
     if not lanes:
         return None
     shortest_s = 0.002 * findings.duration_s

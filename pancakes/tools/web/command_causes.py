@@ -167,7 +167,7 @@ class _TimedCommand:
     command: ActuatorCommand = field(compare=False)
 
 
-class Explaining:
+class CommandExplainer:
     """Keeps the commands of the last minutes, and explains any of them.
 
     Times `t` are seconds on the page's timeline.

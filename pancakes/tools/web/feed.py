@@ -155,7 +155,7 @@ class Shown:
 
     Attributes:
         feed: the fleet.
-        explain: returns why an agent's actuator was commanded; as `Explaining.explain`, from any thread.
+        explain: returns why an agent's actuator was commanded; as `CommandExplainer.explain`, from any thread.
         look: asks an agent what is to be known of a task, within a time limit; from any thread.
         order: asks an agent for something within a time limit; None: the page may only look.
         title: what the page is headed with; empty: the fleet's name.

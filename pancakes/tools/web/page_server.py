@@ -511,7 +511,7 @@ def _moment_of(asked: dict[str, Any]) -> float:
 
 
 def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | None, int]:
-    """Returns which command a page asks about, see `Explaining.explain`.
+    """Returns which command a page asks about, see `CommandExplainer.explain`.
 
     Raises:
         msgspec.ValidationError: it says so in another way.

@@ -10,17 +10,17 @@ from typing import Any, Final
 
 from pancakes.agent.agent import Agent
 from pancakes.client.rates import RateMeter
-from pancakes.control import Describe, Reply
+from pancakes.control import Describe, Refusal, Reply
 from pancakes.errors import ControlRefused, PancakesError, Unreachable
-from pancakes.simulation.fleet import Fleet
 from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
 from pancakes.recording.causal_chains import ActuatorCommand, CommandChains
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.service import Service
 from pancakes.services.root import Root
+from pancakes.simulation.fleet import Fleet
 from pancakes.supervision.lifecycle import State
 from pancakes.task import Task
-from pancakes.tools.web.command_causes import Explaining
+from pancakes.tools.web.command_causes import CommandExplainer
 from pancakes.tools.web.feed import Feed
 from pancakes.tools.web.watch import DETAIL_S, FOLLOWED, POSES
 from pancakes.util.clock import MonotonicClock
@@ -53,19 +53,19 @@ class VirtualWatch:
         self._time_s = 0.0
         self._began_s = HOST.now()
         self._over = False
-        self._looks = RateMeter()
+        self._rates = RateMeter()
         self._looked_s = -LOOK_S
         self._detailed_s: dict[tuple[str, str, str], float] = {}
         self._stale: set[tuple[str, str, str]] = set()
         self._questions: deque[tuple[str, Describe, Future[Reply]]] = deque()
         self._chains = CommandChains()
-        self._explaining = Explaining()
+        self._explainer = CommandExplainer()
 
     def begin(self, fleet: Fleet) -> None:
         """Takes the agents of a fleet that are there; to be called before anything runs."""
         self._fleet = fleet
-        for agent in (handle.agent for handle in fleet.agents.values()):
-            self.joined(agent)
+        for handle in fleet.agents.values():
+            self.joined(handle.agent)
 
     def joined(self, agent: Agent) -> None:
         """Takes an agent that was killed, and is started again; to be called before it runs."""
@@ -85,7 +85,7 @@ class VirtualWatch:
         self._stopping.wait(max(0.0, self._began_s + self._now() - HOST.now()))
 
     def end(self) -> None:
-        """Looks no more: that agents stop once a mission is over is no part of it."""
+        """Take no more descriptions: that agents stop once a mission is over is no part of it."""
         self._over = True
         self._answer()
         with self.feed.lock:
@@ -94,9 +94,9 @@ class VirtualWatch:
     def explain(
         self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
     ) -> dict[str, Any] | None:
-        """Returns why an agent's actuator was commanded, see `Explaining.explain`. Any thread."""
+        """Returns why an agent's actuator was commanded, see `CommandExplainer.explain`. Any thread."""
         with self.feed.lock:
-            return self._explaining.explain(agent, type_, t, command, step)
+            return self._explainer.explain(agent, type_, t, command, step)
 
     def look(self, agent: str, body: Describe, timeout_s: float) -> Future[Reply]:
         """Describes a task between two turns, see `Watch.order`. Any thread.
@@ -119,9 +119,9 @@ class VirtualWatch:
             except IndexError:
                 return
             try:
-                answer.set_result(Reply(True, "", self._described(agent, body)))
+                answer.set_result(Reply(None, self._described(agent, body)))
             except ControlRefused as error:
-                answer.set_result(Reply(False, str(error)))
+                answer.set_result(Reply(Refusal.of(error)))
             except PancakesError as error:
                 answer.set_exception(error)
 
@@ -184,9 +184,9 @@ class VirtualWatch:
         stream.tap_outgoing(leaves)
 
     def _explain(self, commands: Iterable[ActuatorCommand]) -> None:
-        new = self._explaining.add((it.time_ns / NANOSECONDS / self.speed, it) for it in commands)
+        new = self._explainer.add((it.time_ns / NANOSECONDS / self.speed, it) for it in commands)
         for agent in new:
-            self.feed.model.commanded(agent, self._explaining.actuators(agent))
+            self.feed.model.commanded(agent, self._explainer.actuators(agent))
 
     def _notice(self, packet: Packet) -> None:
         agent, service, task = (*packet.source.split("/"), "", "")[:3]
@@ -205,7 +205,7 @@ class VirtualWatch:
                 # As fast as mission time goes for the viewer.
                 described.append({**description, "speed": description["speed"] * self.speed})
         with self.feed.lock:
-            self.feed.model.describe(self._looks.update(described), described, self._now())
+            self.feed.model.describe(self._rates.update(described), described, self._now())
             running = self.feed.model.running()
         for key in running:
             if key in self._stale or self._time_s - self._detailed_s.get(key, -DETAIL_S) >= DETAIL_S:

@@ -15,7 +15,7 @@ from pancakes.client.subscriptions import Subscription, SubscriptionSpec
 from pancakes.control import Describe, History, Reply, Traces
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
 from pancakes.packet import LOG, SYSTEM, Cause
-from pancakes.tools.web.command_causes import Explaining, FleetTraces
+from pancakes.tools.web.command_causes import CommandExplainer, FleetTraces
 from pancakes.tools.web.feed import FRAMES_HZ, Feed
 
 TURN_S: Final = 0.04
@@ -115,7 +115,7 @@ class Watch:
         self._rates = RateMeter()
         self._silent: set[str] = set()
         self._traces = FleetTraces()
-        self._explaining = Explaining()
+        self._explainer = CommandExplainer()
         self._seen_s: float | None = None
         self._closed = False
 
@@ -150,9 +150,9 @@ class Watch:
     def explain(
         self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
     ) -> dict[str, Any] | None:
-        """Returns why an agent's actuator was commanded, see `Explaining.explain`; and `left_out`. Any thread."""
+        """Returns why an agent's actuator was commanded, see `CommandExplainer.explain`; and `left_out`. Any thread."""
         with self._feed.lock:
-            found = self._explaining.explain(agent, type_, t, command, step)
+            found = self._explainer.explain(agent, type_, t, command, step)
             return {**found, "left_out": self._traces.left_out(agent)} if found is not None else None
 
     # In its thread from here on --------------------------------------------------------------------------------
@@ -262,8 +262,8 @@ class Watch:
         if not settled:
             return
         with self._feed.lock:
-            for agent in self._explaining.add(settled):
-                self._feed.model.commanded(agent, self._explaining.actuators(agent))
+            for agent in self._explainer.add(settled):
+                self._feed.model.commanded(agent, self._explainer.actuators(agent))
 
     def _ask_details(self, fleet: FleetSession, agent: str, met: _MetAgent, now_s: float) -> None:
         with self._feed.lock:

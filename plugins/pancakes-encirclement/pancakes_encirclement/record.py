@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pancakes.errors import PancakesError
-from pancakes.tools.demo.mission_record import Story, read_events, read_lines
+from pancakes.tools.demo.mission_record import MissionRecord, read_events, read_lines
 
 
 class Row(NamedTuple):
@@ -26,7 +26,7 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Record(Story):
+class Record(MissionRecord):
     """A whole mission.
 
     Attributes:

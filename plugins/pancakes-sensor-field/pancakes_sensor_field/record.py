@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pancakes.errors import PancakesError
-from pancakes.tools.demo.mission_record import Story, read_events, read_lines
+from pancakes.tools.demo.mission_record import MissionRecord, read_events, read_lines
 
 Table = Mapping[str, Any]
 
@@ -27,7 +27,7 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Record(Story):
+class Record(MissionRecord):
     """A whole mission.
 
     Attributes:

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from pancakes.control import Channels
 from pancakes.mesh.codec import encode_packet
 from pancakes.packet import Packet, agent_of, body_class, body_to_plain, field_names
-from pancakes.tools.cli.agent_requests import ask_each, order
+from pancakes.tools.cli.agent_requests import ask_each, request_result
 from pancakes.tools.cli.listening import (
     MOST_WAITING,
     doubt_types,
@@ -500,7 +500,7 @@ def info(name: ChannelName, for_s: float, ask: Ask) -> None:
         pancakes channel info agent1/ctrl --for 10s --format json
     """
     with ask.client() as client:
-        (found,) = order(client, name.agent, Channels(name.channel))
+        (found,) = request_result(client, name.agent, Channels(name.channel))
         heard = Throughput(client.now())
         with client.subscribe(str(name), foreign=True, max_waiting=MOST_WAITING) as subscriber:
             for packet in listen(client, subscriber, for_s):

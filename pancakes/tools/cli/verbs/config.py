@@ -11,7 +11,7 @@ import click
 
 from pancakes.control import Describe
 from pancakes.errors import ConfigError, ControlRefused, Fault, NoAnswer, Unreachable
-from pancakes.tools.cli.agent_requests import order
+from pancakes.tools.cli.agent_requests import request_result
 from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
 from pancakes.tools.cli.options import AGENT_NAME, Ask, asks_agents, format_option, format_option_of
 from pancakes.tools.cli.output import Part, Printer, Rows, show_text
@@ -143,7 +143,7 @@ def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
 
     with ask.client() as client:
         try:
-            found = order(client, agent, Describe(config=True))
+            found = request_result(client, agent, Describe(config=True))
         except NoAnswer:
             raise
         except Unreachable as error:

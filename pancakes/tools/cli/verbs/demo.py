@@ -237,7 +237,7 @@ def demo(
             f"live, the demo {name!r} runs at {fastest:g} mission seconds a second at most, not at {speed:g}: what it"
             " shows takes its time on the machine's own clock"
         )
-    agent_process.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
+    agent_process.tune_interpreter()  # the launcher is an agent, and in virtual time all of them are in this process
     # The agents end with the launcher, also where a second signal ends that at once.
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)
     page = DemoPage(control, port, speed, interrupted) if view_ else None

@@ -100,7 +100,7 @@ def run_seeds(
 
 def _prepare(parent_pid: int) -> None:
     """Makes a process fit for agents, and lets it end with this one, however this one ends."""
-    agent_process.prepare()
+    agent_process.tune_interpreter()
     die_with_parent(parent_pid)
 
 

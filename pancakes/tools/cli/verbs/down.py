@@ -9,8 +9,8 @@ from pathlib import Path
 import click
 
 from pancakes.errors import ControlRefused
-from pancakes.tools.cli.agent_requests import force_option, must_be_meant
-from pancakes.tools.cli.graceful_stop import Ending
+from pancakes.tools.cli.agent_requests import confirm, force_option
+from pancakes.tools.cli.graceful_stop import GracefulStop
 from pancakes.tools.cli.options import Ask, agents, dry_run_option, orders_agents
 from pancakes.tools.cli.output import show_text
 from pancakes.util.runtime_dir import RunningAgent, entries, other_fleets, why_none
@@ -60,13 +60,13 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
         for entry in entries()
         if entry.role != "client" and ask.where.fleet in ("", entry.fleet)
     }
-    ending = Ending(ask.timeout_s, dry_run)
+    stop = GracefulStop(ask.timeout_s, dry_run)
     if file is not None:
         from pancakes.tools.cli.graceful_stop_fleet import end_fleet
 
-        end_fleet(ending, file, agents)
+        end_fleet(stop, file, agents)
     elif ask.where.addresses or agents:
-        ending.end(ask.where, agents, here)
+        stop.end(ask.where, agents, here)
     else:
         if not here:
             fleet = ask.where.fleet
@@ -77,13 +77,13 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
             fleets = sorted({entry.fleet for entry in here.values()})
             of_each = "; ".join(f"{', '.join(_names(here, fleet))} of the fleet {fleet}" for fleet in fleets)
             if len(fleets) > 1:
-                must_be_meant(f"this ends {of_each}: --fleet names one of them", force, dry_run)
+                confirm(f"this ends {of_each}: --fleet names one of them", force, dry_run)
             elif not dry_run:
                 show_text(f"ends {of_each}", err=True)
-        ending.end_all(here, ask.where.fleet)
-    if ending.rows or ask.printer.is_json:
-        ask.printer.table(ending.rows, COLUMNS)
-    sys.exit(ending.code)
+        stop.end_all(here, ask.where.fleet)
+    if stop.rows or ask.printer.is_json:
+        ask.printer.table(stop.rows, COLUMNS)
+    sys.exit(stop.code)
 
 
 def _names(here: Mapping[tuple[str, str], RunningAgent], fleet: str) -> list[str]:

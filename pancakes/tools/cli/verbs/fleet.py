@@ -15,7 +15,7 @@ from pancakes.errors import PancakesError, needing_extra
 from pancakes.security import key_store
 from pancakes.security.key_store import KeyFiles
 from pancakes.security.roster import EVERY, PEOPLE, RIGHTS, AccessRule, Bearer, CertifiedRole, Right, allows
-from pancakes.tools.cli.agent_requests import force_option, must_be_meant
+from pancakes.tools.cli.agent_requests import confirm, force_option
 from pancakes.tools.cli.options import Duration, format_option
 from pancakes.tools.cli.output import DRY_RUN, Printer
 from pancakes.tools.cli.verbs.fleet_authority import founded, opened, spread
@@ -302,7 +302,7 @@ def revoke(
     if dry_run:
         _show_entries(register.of(who), DRY_RUN, printer)
         return
-    must_be_meant(f"no agent of the fleet {folder.name} believes {bearer.role}/{bearer.name} any more, for good", force)
+    confirm(f"no agent of the fleet {folder.name} believes {bearer.role}/{bearer.name} any more, for good", force)
     authority = opened(fleet_name)
     _show_entries(authority.revoke(who, why, any_date), "revoked", printer)
     spread(authority, addresses, printer, must_be_heard=True)

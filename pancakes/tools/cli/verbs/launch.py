@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.tools.cli.agent_process import SHOW_TRACEBACKS
-from pancakes.tools.cli.agent_requests import force_option, must_be_meant
+from pancakes.tools.cli.agent_requests import confirm, force_option
 from pancakes.tools.cli.exit_codes import forget_output
 from pancakes.tools.cli.options import agent_sets_option, format_option
 from pancakes.tools.cli.output import Printer, show_text
@@ -112,7 +112,7 @@ def launch(
             check_alone(member.config for member in members)
             losing = [member.name for member in members if member.host or remembers(member.config)]
             if losing:
-                must_be_meant(f"what is kept of the tasks of {', '.join(losing)} is lost", force, dry_run)
+                confirm(f"what is kept of the tasks of {', '.join(losing)} is lost", force, dry_run)
         if dry_run:
             _show(members, printer)
         else:
@@ -167,17 +167,17 @@ def _show(members: Sequence[Member], printer: Printer) -> None:
 
 def _run(members: Sequence[Member], hosts: Mapping[str, Host], hold: bool, fresh: bool, printer: Printer) -> int:
     from pancakes.tools.launch.clear_state import empty_state
-    from pancakes.tools.launch.supervisor import Course, Runner
+    from pancakes.tools.launch.supervisor import LaunchPlan, Runner
     from pancakes.tools.launch.temporary_keys import keys_of_run, set_keys
 
-    voice = _Objects() if printer.is_json else _Prefixed([member.name for member in members])
+    reporter = _Objects() if printer.is_json else _Prefixed([member.name for member in members])
     away = [member for member in members if member.host]
     for member in members if fresh else ():
         if member.host:
             continue
         directory = empty_state(member.config)
         if directory is not None:
-            voice.told(member.name, "fresh", f"begins afresh: what it remembered in {directory} is removed")
+            reporter.told(member.name, "fresh", f"begins afresh: what it remembered in {directory} is removed")
     there = {member.name: bool(hosts[member.host].agent(member.name)["keys"]) for member in away}
     with keys_of_run({member.name: member.config for member in members}, there) as keys:
         starts = {member.name: _start(member, keys.get(member.name), fresh) for member in away}
@@ -187,7 +187,7 @@ def _run(members: Sequence[Member], hosts: Mapping[str, Host], hold: bool, fresh
         ]
         elsewhere = partial(_elsewhere, away, starts, hosts) if away else None
         begin = partial(let_begin, members=members, hosts=hosts)
-        code = Runner(members, Course(members, begin=not hold), voice, begin, elsewhere).run()
+        code = Runner(members, LaunchPlan(members, begin=not hold), reporter, begin, elsewhere).run()
     try:
         sys.stdout.flush()
     except OSError:
@@ -276,11 +276,11 @@ class _Prefixed:
         }
 
     def line(self, agent: str, text: str) -> None:
-        """See `Voice`."""
+        """See `LaunchReporter`."""
         show_text(text, head=self._heads[agent])
 
     def told(self, agent: str, event: str, text: str) -> None:
-        """See `Voice`."""
+        """See `LaunchReporter`."""
         show_text(f"{agent} {text}" if agent else text, err=True)
 
 
@@ -288,11 +288,11 @@ class _Objects:
     """Prints one JSON object a line: `{agent, line}`, or `{agent, event, text}`."""
 
     def line(self, agent: str, text: str) -> None:
-        """See `Voice`."""
+        """See `LaunchReporter`."""
         self._print({"agent": agent, "line": text})
 
     def told(self, agent: str, event: str, text: str) -> None:
-        """See `Voice`."""
+        """See `LaunchReporter`."""
         self._print({"agent": agent or None, "event": event, "text": text})
 
     def _print(self, value: dict[str, Any]) -> None:

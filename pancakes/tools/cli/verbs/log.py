@@ -16,7 +16,7 @@ from pancakes.errors import ControlRefused, PancakesError
 from pancakes.events import LEVELS, SAID_IN_A_LINE, line_of, record_of
 from pancakes.packet import LOG
 from pancakes.services.log import REMEMBERED
-from pancakes.tools.cli.agent_requests import order, surveyed
+from pancakes.tools.cli.agent_requests import request_result, survey_with
 from pancakes.tools.cli.listening import MOST_WAITING, from_any, from_option, listen, telling_losses
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
 from pancakes.tools.cli.options import agents as some_agents
@@ -139,7 +139,7 @@ def with_traceback(record: Record) -> str:
 
 def _history(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
     """Yields what was said until now, in its order."""
-    yield from (record for _, record in _merged(client, surveyed(client, *agents), since_s))
+    yield from (record for _, record in _merged(client, survey_with(client, *agents), since_s))
 
 
 def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: float | None) -> list[tuple[str, Record]]:
@@ -170,7 +170,7 @@ def _remembered(client: Client, agent: str, since_s: float | None) -> list[Recor
     """Returns all that the Log Service of an agent remembers, page by page."""
     records: list[Record] = []
     after = 0
-    while page := order(client, agent, History(since_s, after)):
+    while page := request_result(client, agent, History(since_s, after)):
         after = page[-1]["entry"]
         records.extend({key: value for key, value in record.items() if key != "entry"} for record in page)
     return records

@@ -11,7 +11,7 @@ import click
 from pancakes.client import Client
 from pancakes.control import Configure, Describe
 from pancakes.errors import ControlRefused
-from pancakes.tools.cli.agent_requests import accepted, meant, order, placed, surveyed
+from pancakes.tools.cli.agent_requests import request, request_result, resolve_fleet, resolve_service, survey_with
 from pancakes.tools.cli.exit_codes import OK, REFUSED
 from pancakes.tools.cli.options import Ask, TaskName, a_task, asks_agents, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, Rows, show_text
@@ -88,7 +88,7 @@ def set_(name: TaskName, changes: Changes, dry_run: bool, ask: Ask) -> None:
         before = described["settings"]
         wanted = param_file.changes_of(before, dict(changes))
         target = f"{described['service']}/{described['task']}"
-        reply = accepted(client, name.agent, Configure(target, wanted, dry_run))
+        reply = request(client, name.agent, Configure(target, wanted, dry_run))
     rows = [
         {
             **_place(described),
@@ -171,13 +171,13 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
         settings = {name.task: settings[name.task]}
     rows = []
     with ask.client() as client:
-        name = meant(client, name)
+        name = resolve_fleet(client, name)
         for task, values in settings.items():
             row = {"agent": name.agent, "service": name.service, "task": task, "params": list(values)}
             try:
-                there = placed(client, TaskName(name.agent, name.service, task))
+                there = resolve_service(client, TaskName(name.agent, name.service, task))
                 row["service"] = there.service
-                order(client, name.agent, Configure(there.target, values, dry_run))
+                request_result(client, name.agent, Configure(there.target, values, dry_run))
                 rows.append({**row, "done": DRY_RUN if dry_run else "set", "reason": ""})
             except ControlRefused as error:
                 rows.append({**row, "done": "refused", "reason": str(error)})
@@ -191,13 +191,13 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
 def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
     """Describes a task, all tasks of an agent, or those of all agents; names the agents that do not answer."""
     if name is not None and name.task:
-        name = placed(client, name)
-        return [order(client, name.agent, Describe(name.target))]
+        name = resolve_service(client, name)
+        return [request_result(client, name.agent, Describe(name.target))]
     described = []
-    for agent in surveyed(client, name.agent if name is not None else ""):
+    for agent in survey_with(client, name.agent if name is not None else ""):
         for task in agent["tasks"]:
             try:
-                described.append(order(client, agent["agent"], Describe(f"{task['service']}/{task['task']}")))
+                described.append(request_result(client, agent["agent"], Describe(f"{task['service']}/{task['task']}")))
             except ControlRefused as error:  # it may have moved on in the meantime
                 show_text(str(error), err=True)
     return described

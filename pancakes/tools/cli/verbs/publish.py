@@ -31,7 +31,7 @@ from pancakes.packet import (
     known_types,
     type_name,
 )
-from pancakes.tools.cli.agent_requests import order
+from pancakes.tools.cli.agent_requests import request_result
 from pancakes.tools.cli.exit_codes import REFUSED
 from pancakes.tools.cli.options import Ask, ChannelName, FiniteRange, a_channel, dry_run_option, orders_agents
 from pancakes.tools.cli.streaming import say, until_ended
@@ -229,14 +229,14 @@ class Sender:
 
     def _send_one(self) -> None:
         if self._name.channel == SYSCTRL and type(self._body) in CONTROLS:
-            order(self._client, self._name.agent, self._body)  # it is answered, and the answer is what counts
+            request_result(self._client, self._name.agent, self._body)  # it is answered, and the answer is what counts
             return
         to = self._destination if self._destination != self._name.agent else ""
         self._client.publish(str(self._name), self._body, to=to)
 
     def _look(self) -> list[str]:
         """Returns the addresses that would get the packets now."""
-        (found,) = order(self._client, self._name.agent, Channels(self._name.channel))
+        (found,) = request_result(self._client, self._name.agent, Channels(self._name.channel))
         kind = type_name(self._body)
         named = self._destination != self._name.agent
         return [

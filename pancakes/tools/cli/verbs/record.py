@@ -11,7 +11,7 @@ import click
 from pancakes.client import Client
 from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
-from pancakes.tools.cli.agent_requests import accepted, surveyed
+from pancakes.tools.cli.agent_requests import request, survey_with
 from pancakes.tools.cli.exit_codes import REFUSED
 from pancakes.tools.cli.listening import doubt_types
 from pancakes.tools.cli.options import (
@@ -68,12 +68,12 @@ def start(agents: tuple[str, ...], channels: tuple[str, ...], task: str, dry_run
     settings = {key: value for key, value in given.items() if value not in ("", (), None)}
     with ask.client() as client:
         rows = []
-        there = surveyed(client, *agents)
+        there = survey_with(client, *agents)
         _check_channels(channels, there)
         if task and not _runs(client, task, there):
             show_text(f"no task {task} runs there now: of it nothing is recorded before it comes", err=True)
         for agent in [described["agent"] for described in there]:
-            accepted(client, agent, Start(RECORDER, settings, dry_run))
+            request(client, agent, Start(RECORDER, settings, dry_run))
             done = DRY_RUN if dry_run else "recording"
             rows.append({"agent": agent, "done": done, "path": None if dry_run else _path(client, agent)})
     ask.printer.table(rows, COLUMNS)
@@ -93,11 +93,11 @@ def stop(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
     with ask.client() as client:
         rows = []
         for agent in _names(client, agents):
-            running = accepted(client, agent, Describe(RECORDER)).result["state"] == "running"
+            running = request(client, agent, Describe(RECORDER)).result["state"] == "running"
             if not running and not agents:
                 continue
             path = _path(client, agent)
-            accepted(client, agent, Stop(RECORDER, dry_run=dry_run))
+            request(client, agent, Stop(RECORDER, dry_run=dry_run))
             rows.append({"agent": agent, "done": DRY_RUN if dry_run else "complete", "path": path})
     if not rows:
         raise ControlRefused("no agent records")
@@ -117,7 +117,7 @@ def list_(agents: tuple[str, ...], ask: Ask) -> None:
     with ask.client() as client:
         rows = []
         for agent in _names(client, agents):
-            told = accepted(client, agent, Describe(RECORDER)).result
+            told = request(client, agent, Describe(RECORDER)).result
             done, path = told["reason"] or told["state"], None
             if told["state"] == "running":
                 done, path = "recording", _path(client, agent)
@@ -223,7 +223,7 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, printer: Pr
 
 
 def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
-    return [described["agent"] for described in surveyed(client, *agents)]
+    return [described["agent"] for described in survey_with(client, *agents)]
 
 
 def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> None:
@@ -259,7 +259,7 @@ def _path(client: Client, agent: str) -> str | None:
 def _last(client: Client, agent: str, kind: str) -> dict[str, Any] | None:
     """Returns the last event of a kind in an agent's log, as far back as it is remembered."""
     found, after = None, 0
-    while records := accepted(client, agent, History(after=after)).result:
+    while records := request(client, agent, History(after=after)).result:
         after = records[-1]["entry"]
         found = next((one for one in reversed(records) if one["kind"] == kind), found)
     return found

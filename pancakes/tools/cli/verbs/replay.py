@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.client import Where
-from pancakes.tools.cli.agent_requests import surveyed
+from pancakes.tools.cli.agent_requests import survey_with
 from pancakes.tools.cli.options import AGENT_NAME, Ask, Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, Printer
 from pancakes.tools.cli.streaming import load_packets, say, until_ended
@@ -151,7 +151,7 @@ def _feed_live(wanted: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
     from pancakes.tools.replay.replay import Feeder, Live
 
     with until_ended(), ask.client() as client:
-        agents = {told["agent"]: Live.of(told) for told in surveyed(client)}
+        agents = {told["agent"]: Live.of(told) for told in survey_with(client)}
         selection, tally = wanted.select(agents)
         if dry_run:
             ask.printer.table(_rows(tally, tally, True), COLUMNS)

@@ -9,7 +9,7 @@ import click
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.supervision.restart import tries
-from pancakes.tools.cli.agent_requests import accepted, force_option, must_be_meant, show_done, survey
+from pancakes.tools.cli.agent_requests import confirm, force_option, request, show_done, survey
 from pancakes.tools.cli.options import (
     Ask,
     Duration,
@@ -129,8 +129,8 @@ def restart(name: ServiceName, keep_state: bool, force: bool, dry_run: bool, ask
     """
     with ask.client() as client:
         if not (keep_state or force or dry_run):
-            accepted(client, name.agent, Restart(name.target, keep_state, dry_run=True))
-            must_be_meant(f"all tasks of {name} begin as their configuration says: their state is lost", force)
+            request(client, name.agent, Restart(name.target, keep_state, dry_run=True))
+            confirm(f"all tasks of {name} begin as their configuration says: their state is lost", force)
         show_done(ask, client, name, "restarted", Restart(name.target, keep_state, dry_run))
 
 

@@ -15,12 +15,12 @@ from pancakes.control import Create, Describe, Remove, Reschedule, Restart, Star
 from pancakes.errors import NoAnswer
 from pancakes.supervision.restart import tries
 from pancakes.tools.cli.agent_requests import (
-    accepted,
+    confirm,
     force_option,
-    meant,
-    must_be_meant,
-    order,
-    placed,
+    request,
+    request_result,
+    resolve_fleet,
+    resolve_service,
     show_done,
     survey,
 )
@@ -104,9 +104,9 @@ def create(
         if value is not None:
             table[key] = value
     with ask.client() as client:
-        name = meant(client, name)
+        name = resolve_fleet(client, name)
         body = Create(name.target, type_, changes_of({}, dict(sets)), rate_hz, table, dry_run)
-        reply = accepted(client, name.agent, body)
+        reply = request(client, name.agent, body)
     if reply.result["silent"]:
         show_text(f"not asked whether they know it: {', '.join(reply.result['silent'])}", err=True)
     if table.get("guard") and not dry_run:
@@ -133,10 +133,10 @@ def remove(name: TaskName, force: bool, dry_run: bool, ask: Ask) -> None:
         pancakes task remove agent1/ScanTarget --force
     """
     with ask.client() as client:
-        name = placed(client, name)
+        name = resolve_service(client, name)
         if not (force or dry_run):
-            accepted(client, name.agent, Remove(name.target, True))
-        must_be_meant(f"{name} ends for good, and its state is lost", force, dry_run)
+            request(client, name.agent, Remove(name.target, True))
+        confirm(f"{name} ends for good, and its state is lost", force, dry_run)
         show_done(ask, client, name, "removed", Remove(name.target, dry_run))
 
 
@@ -218,8 +218,8 @@ def info(name: TaskName, with_state: bool, ask: Ask) -> None:
         pancakes task info agent1/pose --format json
     """
     with ask.client() as client:
-        name = placed(client, name)
-        found = order(client, name.agent, Describe(name.target))
+        name = resolve_service(client, name)
+        found = request_result(client, name.agent, Describe(name.target))
         kept = _kept(client, name, ask.timeout_s) if with_state else {}
     sections = {**_sections(str(name), found), **(_state_section(kept) if kept else {})}
     ask.printer.emit([{**found, **kept}], sections)
@@ -279,10 +279,10 @@ def restart(name: TaskName, keep_state: bool, force: bool, dry_run: bool, ask: A
         pancakes task restart agent1/ScanTarget --drop-state --force
     """
     with ask.client() as client:
-        name = placed(client, name)
+        name = resolve_service(client, name)
         if not (keep_state or force or dry_run):
-            accepted(client, name.agent, Restart(name.target, keep_state, dry_run=True))
-            must_be_meant(f"{name} begins as its configuration says: its state is lost", force)
+            request(client, name.agent, Restart(name.target, keep_state, dry_run=True))
+            confirm(f"{name} begins as its configuration says: its state is lost", force)
         show_done(ask, client, name, "restarted", Restart(name.target, keep_state, dry_run))
 
 
@@ -312,7 +312,7 @@ def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, ask: Ask) ->
 def _order(ask: Ask, name: TaskName, done: str, body: Callable[[str], Start | Stop | Reschedule]) -> None:
     """Has an agent do something with a task, given what asks for it by the task's target; shows that it was done."""
     with ask.client() as client:
-        name = placed(client, name)
+        name = resolve_service(client, name)
         show_done(ask, client, name, done, body(name.target))
 
 

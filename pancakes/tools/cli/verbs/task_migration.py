@@ -10,7 +10,7 @@ import msgspec
 
 from pancakes.control import Adopt, Checkpoints, Forget, Migrate, Migrations, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError
-from pancakes.tools.cli.agent_requests import accepted, accepted_if_meant, ask_each, force_option, meant, must_be_meant
+from pancakes.tools.cli.agent_requests import ask_each, confirm, force_option, request, request_confirmed, resolve_fleet
 from pancakes.tools.cli.options import (
     AGENT_NAME,
     Ask,
@@ -81,7 +81,7 @@ def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: A
         pancakes task migrate agent1/ScanTarget --to agent2 --then GoHome
     """
     with ask.client() as client:
-        name = meant(client, name)
+        name = resolve_fleet(client, name)
         try:
             reply = client.request(name.agent, Migrate(name.target, to, then, cost, dry_run))
         except NoAnswer as error:
@@ -139,8 +139,8 @@ def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask)
         pancakes task adopt agent1/ScanTarget --force
     """
     with ask.client() as client:
-        name = meant(client, name)
-        reply = accepted_if_meant(
+        name = resolve_fleet(client, name)
+        reply = request_confirmed(
             client, name.agent, lambda forced, dry: Adopt(name.target, forced, birthplace, dry), force, dry_run
         )
     _show_decided(ask, name, reply, DRY_RUN if dry_run else "adopted", instead_of=reply.result["peer"])
@@ -172,9 +172,9 @@ def forget(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask
     with ask.client() as client:
         body = Forget(name.target, birthplace, force=force)
         if not (force or dry_run):
-            accepted(client, name.agent, msgspec.structs.replace(body, dry_run=True))
-        must_be_meant(f"{name} rests for good, and what {name.agent} has of its state is lost", force, dry_run)
-        reply = accepted(client, name.agent, msgspec.structs.replace(body, dry_run=dry_run))
+            request(client, name.agent, msgspec.structs.replace(body, dry_run=True))
+        confirm(f"{name} rests for good, and what {name.agent} has of its state is lost", force, dry_run)
+        reply = request(client, name.agent, msgspec.structs.replace(body, dry_run=dry_run))
     _show_decided(ask, name, reply, DRY_RUN if dry_run else "forgotten")
 
 
@@ -197,16 +197,16 @@ def forget_peer(agent: str, peer: str, force: bool, dry_run: bool, ask: Ask) -> 
         pancakes task forget-peer agent1 stolen --force
     """
     with ask.client() as client:
-        held = accepted(client, agent, Checkpoints("")).result
+        held = request(client, agent, Checkpoints("")).result
         left = sorted(row["task_id"] for row in held if row["held"] == "in doubt" and row["peer"] == peer)
         if not left:
             raise PancakesError(f"{agent} keeps no task that {peer} has brought and not handed over")
         what = f"{agent} would drop {', '.join(left)}. Each is nowhere else if {peer} had given it away"
-        must_be_meant(what, force, dry_run)
+        confirm(what, force, dry_run)
         rows = []
         for birthplace, name in (task_id.split("/") for task_id in left):
             body = Forget(name, birthplace, dry_run=dry_run, force=True)
-            reply = accepted(client, agent, body)
+            reply = request(client, agent, body)
             done = DRY_RUN if dry_run else "forgotten"
             rows.append({"agent": agent, "task_id": reply.result["task_id"], "done": done, "number": reply.number})
     ask.printer.table(rows, tuple(rows[0]))

@@ -30,14 +30,14 @@ from pancakes.durable.record import TaskId
 from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.packet import join
 from pancakes.tools.cli.agent_requests import (
-    accepted,
-    accepted_if_meant,
     ask_each,
+    confirm,
     force_option,
-    meant,
-    must_be_meant,
-    order,
-    placed,
+    request,
+    request_confirmed,
+    request_result,
+    resolve_fleet,
+    resolve_service,
 )
 from pancakes.tools.cli.options import (
     AGENT_NAME,
@@ -120,7 +120,7 @@ def take(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
         pancakes task take agent2/ScanTarget
     """
     with ask.client() as client:
-        result = accepted(client, name.agent, Take(name.task, birthplace, dry_run)).result
+        result = request(client, name.agent, Take(name.task, birthplace, dry_run)).result
     row = {"task_id": result["task_id"], "taker": result["winner"], "done": DRY_RUN if dry_run else "taken over"}
     row |= {key: result[key] for key in ("checkpoint", "age_s", "silent_s")}
     ask.printer.table([row], tuple(row))
@@ -172,7 +172,7 @@ def revive(
     if sets and not path:
         raise click.UsageError("--set changes what FILE has: say --config FILE too")
     with ask.client() as client:
-        name = meant(client, name)
+        name = resolve_fleet(client, name)
         body, rate_hz = _configured(path, sets, name, birthplace) if path else (None, None)
         birthplace = body.task_id.partition("/")[0] if body is not None else birthplace
         held = _held(client, Checkpoints(name.task, birthplace))
@@ -181,7 +181,7 @@ def revive(
         body = body or (Revive(here) if here and not held else _from_newest(client, name, held))
         seen = max((row["seen"] for row in held), default=0)
         made = msgspec.structs.replace(body, seen=seen)
-        reply = accepted_if_meant(
+        reply = request_confirmed(
             client,
             name.agent,
             lambda forced, dry: msgspec.structs.replace(made, force=forced or dry, dry_run=dry),
@@ -189,7 +189,7 @@ def revive(
             dry_run,
         )
         if rate_hz is not None and not dry_run:
-            accepted(client, name.agent, Reschedule(f"{body.service}/{name.task}", rate_hz))
+            request(client, name.agent, Reschedule(f"{body.service}/{name.task}", rate_hz))
     done = {"task_id": reply.result["task_id"], "done": DRY_RUN if dry_run else "revived", "number": reply.number}
     goes_on_from = name_of(newest(held)) if body.checkpoint is not None else ""
     ask.printer.table([{"agent": name.agent, **done, "from": goes_on_from}], ("agent", *done, "from"))
@@ -302,7 +302,7 @@ def _from_newest(client: Client, name: TaskName, held: Sequence[dict[str, Any]])
         raise ControlRefused(f"checkpoints of {' and '.join(ids)} are held: say which --birthplace is meant")
     row = newest(held)
     asked = Checkpoints(name.task, row["task_id"].partition("/")[0], body=True)
-    bodies = accepted(client, row["agent"], asked).result
+    bodies = request(client, row["agent"], asked).result
     body = next((it for it in bodies if (it["epoch"], it["no"]) == (row["epoch"], row["no"])), None)
     if body is None:
         raise ControlRefused(f"{row['agent']} holds another checkpoint of {row['task_id']} by now: ask again")
@@ -335,7 +335,7 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
         pancakes task resolve agent1/ScanTarget --force
     """
     with ask.client() as client:
-        name = placed(client, name)
+        name = resolve_service(client, name)
         agents = client.survey().agents
         here = next((_task(agent, name) for agent in agents if agent["agent"] == name.agent), None)
         if here is None:
@@ -354,15 +354,15 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
             )
         given_up = ", ".join(f"{owner['task_id']} on {owner['agent']}" for owner in owners)
         if owners:
-            must_be_meant(f"{given_up} is given up, and its state is lost; {name} lives", force, dry_run)
+            confirm(f"{given_up} is given up, and its state is lost; {name} lives", force, dry_run)
         rows = [_row(owner, "given up") for owner in owners]
         for owner in owners if not dry_run else ():
             if owner["runs"]:
-                accepted(client, owner["agent"], Stop(name.target))
-            accepted(client, owner["agent"], Forget(name.target, birthplace, name.agent))
+                request(client, owner["agent"], Stop(name.target))
+            request(client, owner["agent"], Forget(name.target, birthplace, name.agent))
         living = {"agent": name.agent, "task_id": rows[0]["task_id"] if rows else "", "epoch": ""}
         if rests:
-            reply = accepted(client, name.agent, Adopt(name.target, True, birthplace, dry_run))
+            reply = request(client, name.agent, Adopt(name.target, True, birthplace, dry_run))
             living["task_id"] = reply.result["task_id"]
     was = "at rest" if rests else here["state"]
     rows.append({**living, "was": was, "becomes": "running" if rests else was})
@@ -433,12 +433,12 @@ def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) ->
         except MigrationError as error:
             raise click.BadParameter(str(error), param_hint="--set") from None
     with ask.client() as client:
-        name = placed(client, name)
+        name = resolve_service(client, name)
         if task_id:
             if not (force or dry_run):
-                accepted(client, name.agent, SetFence(name.target, task_id, dry_run=True))
-                must_be_meant(f"{name} goes to its safe hold, and forgets which epoch of {task_id} it has seen", force)
-            reply = accepted(client, name.agent, SetFence(name.target, task_id, dry_run))
+                request(client, name.agent, SetFence(name.target, task_id, dry_run=True))
+                confirm(f"{name} goes to its safe hold, and forgets which epoch of {task_id} it has seen", force)
+            reply = request(client, name.agent, SetFence(name.target, task_id, dry_run))
             row = {**reply.result, "done": DRY_RUN if dry_run else "set", "number": reply.number}
             ask.printer.table([row], tuple(row))
             return
@@ -459,7 +459,7 @@ def fences_of(client: Client, agent: str, target: str) -> list[dict[str, Any]]:
         Unreachable: the agent does not answer.
     """
     rows: list[dict[str, Any]] = []
-    for mark in order(client, agent, Describe(target)).get("fences", []):
+    for mark in request_result(client, agent, Describe(target)).get("fences", []):
         tried = client.request(agent, SetFence(target, mark["task_id"], dry_run=True))
         seen = f"{mark['epoch']}@{mark['minter']}"
         found = tried.result if tried.ok else {"owner": "", "now": ""}

@@ -11,7 +11,7 @@ import click
 
 from pancakes.client import Client, RateMeter
 from pancakes.errors import Unreachable
-from pancakes.tools.cli.agent_requests import surveyed
+from pancakes.tools.cli.agent_requests import survey_with
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
 from pancakes.tools.cli.options import agents as some_agents
 from pancakes.tools.cli.output import one_line, show_drawn, show_text
@@ -110,7 +110,7 @@ def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask
 def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) -> Iterator[list[dict[str, Any]]]:
     """Yields what is to be shown: at each look, or once after the second."""
     meter = RateMeter()
-    found = surveyed(client, *agents)
+    found = survey_with(client, *agents)
     due_s = client.now()
     rows = meter.update(found)
     while True:

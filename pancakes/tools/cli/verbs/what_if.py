@@ -11,7 +11,7 @@ import msgspec
 
 from pancakes.control import LONGEST_S, SHORTEST_S, Describe, Measure, Migrate, Reschedule
 from pancakes.errors import ControlRefused, RemoteProtocolError
-from pancakes.tools.cli.agent_requests import accepted, order, placed
+from pancakes.tools.cli.agent_requests import request, request_result, resolve_service
 from pancakes.tools.cli.options import (
     AGENT_NAME,
     Ask,
@@ -85,7 +85,7 @@ def move(name: TaskName, to: str, cost: str, for_s: float, ask: Ask) -> None:
     from pancakes.tools.forecast import forecast_move
 
     with ask.client() as client:
-        name = placed(client, name)
+        name = resolve_service(client, name)
         ledger = _bids(client, name.agent, name.target, to, cost)
         fleet = _measured(client, ask, for_s)
     winner = str(ledger["winner"])
@@ -109,8 +109,8 @@ def rate(name: TaskName, rate_hz: float, timer: str, for_s: float, ask: Ask) -> 
     from pancakes.tools.forecast import forecast_rate
 
     with ask.client() as client:
-        name = placed(client, name)
-        accepted(client, name.agent, Reschedule(name.target, rate_hz, timer, dry_run=True))
+        name = resolve_service(client, name)
+        request(client, name.agent, Reschedule(name.target, rate_hz, timer, dry_run=True))
         fleet = _measured(client, ask, for_s)
     forecast = forecast_rate(fleet, name.agent, name.task, rate_hz, timer, name.service)
     _show(f"{name} ticks at {rate_hz:g} Hz", forecast, ask.printer, {})
@@ -134,7 +134,7 @@ def without(agent: str, cost: str, for_s: float, ask: Ask) -> None:
     from pancakes.tools.forecast import forecast_without
 
     with ask.client() as client:
-        described = order(client, agent, Describe())
+        described = request_result(client, agent, Describe())
         running = [
             f"{row['service']}/{row['task']}"
             for row in described["tasks"]
@@ -160,7 +160,7 @@ def _bids(client: Client, agent: str, target: str, to: str, cost: str) -> Mappin
     Raises:
         ControlRefused: no agent would take the task; the message says why.
     """
-    ledger: Mapping[str, Any] = accepted(client, agent, Migrate(target, to, "", cost, dry_run=True)).result
+    ledger: Mapping[str, Any] = request(client, agent, Migrate(target, to, "", cost, dry_run=True)).result
     return ledger
 
 
