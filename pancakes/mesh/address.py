@@ -1,7 +1,7 @@
 """Parse addresses of agents, and say from how far each can be dialled.
 
 An address is `tcp://127.0.0.1:7401`, `tcp://[::1]:7401`, or `local://robot1` for this machine only. `Address` has its
-parts, each number in one spelling. `WayFacts` is what a transport reports of the way to an address: its reach,
+parts, each number in one spelling. `TransportFacts` is what a transport reports of the way to an address: its reach,
 whether it is encrypted, its cost. An agent names to a peer only addresses that the peer can dial. Pure.
 """
 
@@ -217,7 +217,7 @@ class Reach(IntEnum):
     """From each network out of which a router is reached."""
 
 
-class WayFacts(msgspec.Struct, frozen=True):
+class TransportFacts(msgspec.Struct, frozen=True):
     """What is known of a way.
 
     Attributes:

@@ -1,7 +1,7 @@
 """Admission control: limit rates, unfinished handshakes, and the places for clients. Pure.
 
 `Bucket` is a token bucket. `Handshakes` bounds how many strangers an agent talks to before it knows their
-certificates, because each handshake costs a signature. `who_makes_room` chooses the client that loses its place if
+certificates, because each handshake costs a signature. `client_to_end` chooses the client that loses its place if
 all are taken: first a client that only answers pings, then one from the machine with the most clients. Some places
 are reserved for clients on the agent's own machine.
 """
@@ -112,7 +112,7 @@ def machine_of(remote: str) -> str:
     return there.host
 
 
-def who_makes_room(machine: str, places: Sequence[ClientPlace]) -> int | None:
+def client_to_end(machine: str, places: Sequence[ClientPlace]) -> int | None:
     """Returns the link of the client whose place a new client gets.
 
     Args:

@@ -68,7 +68,7 @@ class Gossiper:
         agents = [*([(own.name, own.listen, 0.0)] if own.listen else ()), *others]
         self._links.announced(sum([self._tell(session, agents) for session in hearers]))
 
-    def stood_up(self, session: Session, peers: Peers, now_s: float) -> None:
+    def on_link_up(self, session: Session, peers: Peers, now_s: float) -> None:
         """Tells a new peer of all agents, and the others of it, unless it is known."""
         hello, is_news = session.hello, peers.is_news(session.number)
         if self._few is None:

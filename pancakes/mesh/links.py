@@ -15,7 +15,7 @@ from pancakes.errors import PancakesError
 from pancakes.mesh.address import is_local
 from pancakes.mesh.link import Over
 from pancakes.mesh.messages import Hello
-from pancakes.mesh.session import CountersOfAll, Session
+from pancakes.mesh.session import PeerCounters, Session
 from pancakes.mesh.transport import UNSAID, Scheduled, Transport
 
 
@@ -31,7 +31,7 @@ class Links:
         self._change = change
         self._up: dict[str, Session] = {}  # both are replaced, never changed: all threads read them
         self._said: dict[str, Hello] = {}
-        self._counters = CountersOfAll()
+        self._counters = PeerCounters()
         self._lock = threading.Lock()
         self._mission_packets = 0  # over links that have ended, and announcements
 
@@ -44,7 +44,7 @@ class Links:
 
     def add(self, session: Session, hello: Hello) -> None:
         """A link stands, to the agent that said `hello`."""
-        session.stood_up(hello, self._counters.of(hello.name, self._up))
+        session.on_link_up(hello, self._counters.of(hello.name, self._up))
         up = {**self._up, hello.name: session}
         self._change(up, _neighbours(up))
         self._up = up
@@ -124,12 +124,12 @@ class LinkLog:
         # by how loud that was.
         self._last_reason: dict[tuple[str, str], tuple[str, float, int]] = {}
 
-    def stood_up(self, session: Session, hello: Hello) -> None:
+    def on_link_up(self, session: Session, hello: Hello) -> None:
         """A link stands."""
         level = "debug" if hello.role == "client" else "info"
         self._say(level, f"{hello.name} ({hello.role}, {session.remote}) is connected")
 
-    def ended(self, session: Session, over: Over) -> None:
+    def on_link_ended(self, session: Session, over: Over) -> None:
         """A link that stood has ended."""
         is_client = session.role == "client"
         why = over.refused or over.refusing

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.address import DEFAULT_FLEET, LOCAL, Reach, WayFacts, parse_address
+from pancakes.mesh.address import DEFAULT_FLEET, LOCAL, Reach, TransportFacts, parse_address
 from pancakes.mesh.event_loop import Loop
 from pancakes.mesh.sockets import NOT_SENT_BYTES, Place
 from pancakes.mesh.stream import Bound, StreamTransport
@@ -63,8 +63,8 @@ class LocalTransport(StreamTransport):
         self._base = Path(settings.directory) if settings.directory else runtime_dir()
 
     @classmethod
-    def facts(cls, address: str, keyed: bool) -> WayFacts:
-        return WayFacts(Reach.USER, cost=0.9)
+    def facts(cls, address: str, keyed: bool) -> TransportFacts:
+        return TransportFacts(Reach.USER, cost=0.9)
 
     def bind(self, address: str) -> Bound:
         path = self._path(address)

@@ -33,7 +33,7 @@ from pancakes.mesh.link import (
 from pancakes.mesh.links import Alarm, LinkLog, Links
 from pancakes.mesh.messages import Goodbye, Gossip, Hello, Identity, LinkNews, Refusal
 from pancakes.mesh.partial_mesh import DropWaiting, FewLinks
-from pancakes.mesh.peer_clocks import Timekeeping
+from pancakes.mesh.peer_clocks import PeerClocks
 from pancakes.mesh.peers import RESTS_S, Admit, Decision, Dial, Peers, Rest, is_namesake
 from pancakes.mesh.sending import Sending
 from pancakes.mesh.session import OPEN, Gate, Session, Unwanted
@@ -78,7 +78,7 @@ MAX_HANDSHAKES: Final = 256
 """Most connections from others that are no links yet. One more takes the place of the oldest that said no hello."""
 
 
-def makes_room(sessions: Iterable[Session]) -> Session | None:
+def handshake_to_end(sessions: Iterable[Session]) -> Session | None:
     """Returns the connection that has to go for a new one, because it is the least likely to become a link.
 
     It is the oldest that has not said hello, or else the oldest of all. None: there is room.
@@ -177,7 +177,7 @@ class Mesh:
         self._gossip = Gossiper(identity.role, self._links, self._tell, transport, self._few)
         later, now = transport.call_later, host_clock.now
         self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
-        self.clocks = Timekeeping(timebase, now, self._links, self._tell)
+        self.clocks = PeerClocks(timebase, now, self._links, self._tell)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._tick_links, TOGETHER * self._times.heartbeat_s)
 
@@ -233,7 +233,7 @@ class Mesh:
 
     def mission_changed(self) -> None:
         """Tells all peers that the mission of this agent has begun."""
-        self._post(self.clocks.changed)
+        self._post(self.clocks.on_mission_changed)
 
     def learn(self, addresses: Sequence[str]) -> None:
         """Dials these addresses as well, as if a peer had named them."""
@@ -333,7 +333,7 @@ class Mesh:
 
     def _learn(self, addresses: tuple[str, ...]) -> None:
         if self._peers is not None and self._state == "running":
-            self._carry_out(self._peers.learnt(addresses, self._now()))
+            self._carry_out(self._peers.on_addresses(addresses, self._now()))
 
     def _seek(self, agent: str) -> None:
         if self._peers is not None and self._state == "running":
@@ -385,7 +385,7 @@ class Mesh:
     def _accept(self) -> ConnectionHandler:
         if self._peers is None or self._state == "stopped":
             return Unwanted()
-        if (oldest := makes_room(self._sessions.values())) is not None:
+        if (oldest := handshake_to_end(self._sessions.values())) is not None:
             full = f"is full: {MAX_HANDSHAKES} connections have not become links, and this is the oldest"
             self._refuse(oldest, "full", f"{self.identity.name} {full}", f"it {full}")
         session = Session(self, self._peers.new_link(), "", self._now, self._gate)
@@ -421,7 +421,7 @@ class Mesh:
         actions = session.link.receive(data, now_s)
         # Where all sessions are up, as most of the time, there is none that this link could make needless.
         if was_up and self._peers is not None and len(self._sessions) > len(self._links):
-            rivals = self._peers.heard(session.number)
+            rivals = self._peers.on_bytes(session.number)
             if rivals:
                 self._carry_out(rivals)
         self._act(session, actions)
@@ -444,14 +444,14 @@ class Mesh:
             elif isinstance(action, Unfit):
                 self._deliver_unfit(session, action)
             elif isinstance(action, Measured):
-                self.clocks.heard(session, action)
+                self.clocks.on_answer(session, action)
                 self._watch(session)
             elif isinstance(action, Heard):
-                self._heard(session, action.message, self._peers)
+                self._on_news(session, action.message, self._peers)
             elif isinstance(action, Greeted):
-                self._met(session, action.hello)
+                self._on_hello(session, action.hello)
             elif isinstance(action, Up):
-                self._stood_up(session)
+                self._on_link_up(session)
             else:
                 self._over(session, action)
 
@@ -485,23 +485,23 @@ class Mesh:
         if self._draining.pop(session.number, None) is not None:
             session.end(reason)
 
-    def _heard(self, session: Session, news: LinkNews, peers: Peers) -> None:
+    def _on_news(self, session: Session, news: LinkNews, peers: Peers) -> None:
         """Takes what a peer tells about the fleet."""
         if isinstance(news, Gossip):
-            self._carry_out(peers.heard_of(news.agents, self._now(), session.peer, session.remote))
+            self._carry_out(peers.on_gossip(news.agents, self._now(), session.peer, session.remote))
         elif isinstance(news, Timebase):
-            self.clocks.heard(session, news)
+            self.clocks.on_answer(session, news)
             self._watch(session)
         else:
-            self._trust.heard_roster(session, news)
+            self._trust.on_roster(session, news)
 
-    def _met(self, session: Session, hello: Hello) -> None:
+    def _on_hello(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
         now_s = self._now()
         if fault := self._trust.fault_of_hello(session, hello):
             self._refuse(session, "name", fault)
             return
-        decisions = self._peers.met(session.number, hello, session.remote, now_s)
+        decisions = self._peers.on_hello(session.number, hello, session.remote, now_s)
         if not is_namesake(session.number, decisions):
             self._act(session, session.link.answer(now_s))
         if self._state == "running":
@@ -517,19 +517,19 @@ class Mesh:
         elif session.number in self._sessions:
             self._act(session, session.link.refuse(code, reason, self._now(), told))
 
-    def _stood_up(self, session: Session) -> None:
+    def _on_link_up(self, session: Session) -> None:
         assert session.link is not None and session.link.peer is not None and self._peers is not None
-        self._carry_out(self._peers.up(session.number, self._now()))
+        self._carry_out(self._peers.on_link_up(session.number, self._now()))
         if session.number not in self._sessions:
             return
         hello = next(peer for peer in self._peers.connected() if peer.name == session.link.peer.name)
         self._links.add(session, hello)
-        self.clocks.stood_up(session)
+        self.clocks.on_link_up(session)
         self._watch(session)
-        self._log.stood_up(session, hello)
+        self._log.on_link_up(session, hello)
         self._log.attempt(self._on_peer_up, hello)
-        self._gossip.stood_up(session, self._peers, self._now())
-        self._trust.link_up(session)
+        self._gossip.on_link_up(session, self._peers, self._now())
+        self._trust.on_link_up(session)
 
     def _over(self, session: Session, over: Over) -> None:
         assert self._peers is not None
@@ -538,14 +538,14 @@ class Mesh:
             session.end(over.reason)
         why = over.refused or over.refusing
         refusal = over.reason if over.refused is not None or over.turned_away else ""
-        decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken, refusal)
+        decisions = self._peers.on_link_over(session.number, self._now(), why, over.goodbye, over.broken, refusal)
         if session.is_up:
             self._links.remove(session)
             asleep_s = None
             if over.goodbye is not None and over.goodbye.why == "sleep":
                 asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
-            self.clocks.ended(session)
-            self._log.ended(session, over)
+            self.clocks.on_link_ended(session)
+            self._log.on_link_ended(session, over)
             self._log.attempt(self._on_peer_down, session.peer, over.reason, asleep_s)
         elif self._state == "running":
             self._log.not_made(session, over, self._now())

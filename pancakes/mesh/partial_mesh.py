@@ -113,7 +113,7 @@ class FewLinks:
         """Returns how many links it keeps, and how many agents it knows. Any thread."""
         return {"links": self._most, "known": len(self._known)}
 
-    def heard(self, name: str, listen: Sequence[str], age_s: float, now_s: float, by: str = "") -> None:
+    def on_sighting(self, name: str, listen: Sequence[str], age_s: float, now_s: float, by: str = "") -> None:
         """An agent was heard of.
 
         Args:
@@ -161,7 +161,7 @@ class FewLinks:
             return [DropWaiting(name, ())]
         return [self._make(name, now_s)] if name not in self._wanted else []
 
-    def stood_up(self, name: str) -> None:
+    def on_link_up(self, name: str) -> None:
         """A link to an agent stands. Where it ends soon, another one is made for what comes then."""
         self._wanted.pop(name, None)
 

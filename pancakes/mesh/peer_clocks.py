@@ -37,7 +37,7 @@ class _PeerKnown(msgspec.Struct):
     timebase: Timebase | None = None
 
 
-class Timekeeping:
+class PeerClocks:
     """The clocks of one agent's peers. In the transport's thread, but for what is said to be for any.
 
     What is known of a peer outlasts its link, and gets worse with time; of one that comes back in the same life it is
@@ -104,7 +104,7 @@ class Timekeeping:
                 found.append(PeerMission(session.peer, zero_s, clock.offset.bound_at(now_s), speed))
         return tuple(found), unknown
 
-    def stood_up(self, session: Session) -> None:
+    def on_link_up(self, session: Session) -> None:
         """A link stands."""
         hello = session.hello
         assert hello is not None
@@ -118,19 +118,19 @@ class Timekeeping:
             self._forget(next(iter(self._known)))
         self._tell_own(session)
 
-    def ended(self, session: Session) -> None:
+    def on_link_ended(self, session: Session) -> None:
         """A link has ended."""
         if session.role == "client":  # they come under ever new names
             self._forget(session.peer)
         elif (known := self._known.get(session.peer)) is not None:
             known.estimate.rest()
 
-    def changed(self) -> None:
+    def on_mission_changed(self) -> None:
         """The agent's own mission has begun."""
         for session in self._links:
             self._tell_own(session)
 
-    def heard(self, session: Session, what: Measured | Timebase) -> None:
+    def on_answer(self, session: Session, what: Measured | Timebase) -> None:
         """A peer has answered a ping, or tells of its clocks."""
         known = self._known.get(session.peer)
         if known is None or not session.is_up:  # before the link stands it is not known whose clock that is

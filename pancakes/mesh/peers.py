@@ -20,7 +20,7 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.mesh.address import ReachOf, is_local, nameable_from, parse_address, reach_of, spelt
-from pancakes.mesh.admission import THIS_MACHINE, ClientPlace, machine_of, who_makes_room
+from pancakes.mesh.admission import THIS_MACHINE, ClientPlace, client_to_end, machine_of
 from pancakes.mesh.link import LinkTimes
 from pancakes.mesh.messages import AgentSeen, Goodbye, Hello, Refusal, fault_of_address
 from pancakes.mesh.partial_mesh import DropWaiting, EndLink, FewDecision, FewLinks, LinkUse, MakeLink, Sighting
@@ -359,7 +359,7 @@ class Peers:
             known = self._book.get(it.address)
             may_end = known is not None and not known.static
             linked[it.hello.name] = LinkUse(may_end, self._unused_s(it, now_s))
-            few.heard(it.hello.name, it.hello.listen, 0.0, now_s)
+            few.on_sighting(it.hello.name, it.hello.listen, 0.0, now_s)
         return self._carry_out(few.tick(now_s, linked), now_s)
 
     def are_awaited(self) -> bool:
@@ -402,7 +402,7 @@ class Peers:
                 decisions.append(Dial(address, it.link))
         return decisions
 
-    def met(self, link: int, hello: Hello, remote: str, now_s: float) -> list[Decision]:
+    def on_hello(self, link: int, hello: Hello, remote: str, now_s: float) -> list[Decision]:
         """A peer has said its hello.
 
         Args:
@@ -452,7 +452,7 @@ class Peers:
         self._freed(address, now_s)
         return decisions
 
-    def heard(self, link: int) -> list[Decision]:
+    def on_bytes(self, link: int) -> list[Decision]:
         """Bytes came in on a link that is up, so newer connections to the same peer are not needed."""
         mine = self._candidates.get(link)
         if mine is None or mine.up_s is None or len(self._candidates) == len(self._up):
@@ -463,7 +463,7 @@ class Peers:
             if other.hello.name == mine.hello.name and other.up_s is None and self._own.name < other.hello.name
         ]
 
-    def up(self, link: int, now_s: float) -> list[Decision]:
+    def on_link_up(self, link: int, now_s: float) -> list[Decision]:
         """A link stands on both sides, or will when the peer has our welcome. Older ones to that peer end."""
         candidate = self._candidates[link]
         name = candidate.hello.name
@@ -474,7 +474,7 @@ class Peers:
         candidate.until_s = math.inf
         self._up[name] = candidate
         if self._few is not None:
-            self._few.stood_up(name)
+            self._few.on_link_up(name)
         known_address = self._book.get(candidate.address)
         if known_address is not None:
             known_address.refused, known_address.rests = "", False
@@ -482,10 +482,10 @@ class Peers:
         if known is not None:
             decisions.append(TurnDown(known.link, "duplicate", f"{name} chose another link"))
         if self._own.name < name:  # it is alive now, so what waited beside it is not needed
-            decisions.extend(self.heard(link))
+            decisions.extend(self.on_bytes(link))
         return decisions
 
-    def over(
+    def on_link_over(
         self,
         link: int,
         now_s: float,
@@ -552,7 +552,7 @@ class Peers:
             return self._admit_if_free(heirs[-1])
         return []
 
-    def heard_of(self, agents: Sequence[AgentSeen], now_s: float, peer: str, remote: str) -> list[Decision]:
+    def on_gossip(self, agents: Sequence[AgentSeen], now_s: float, peer: str, remote: str) -> list[Decision]:
         """A peer has named agents.
 
         Args:
@@ -567,10 +567,10 @@ class Peers:
             if there and nameable_from(remote, (there,), self._reach) and seen.name != self._own.name:
                 named.append(there)
                 if self._few is not None and self._may_be_named(there):
-                    self._few.heard(seen.name, (there,), seen.age_s, now_s, peer)
-        return self.learnt(named, now_s, peer) if self._few is None else []
+                    self._few.on_sighting(seen.name, (there,), seen.age_s, now_s, peer)
+        return self.on_addresses(named, now_s, peer) if self._few is None else []
 
-    def learnt(self, addresses: Sequence[str], now_s: float, peer: str = "") -> list[Decision]:
+    def on_addresses(self, addresses: Sequence[str], now_s: float, peer: str = "") -> list[Decision]:
         """Addresses of agents were named.
 
         Args:
@@ -656,7 +656,7 @@ class Peers:
             for it in self._up.values()
             if it.hello.role == "client"
         ]
-        link = who_makes_room(newcomer.machine, places)
+        link = client_to_end(newcomer.machine, places)
         if link is None:
             return []
         reason = f"{self._own.name} is full: it has {len(places)} clients, and this one gave its place to another"

@@ -86,7 +86,7 @@ class Counters(msgspec.Struct):
             self.dropped[channel] = self.dropped.get(channel, 0) + packets
 
 
-class CountersOfAll:
+class PeerCounters:
     """The counters of all peers. One that comes back goes on with its own, unless too many have come and gone since."""
 
     def __init__(self) -> None:
@@ -429,7 +429,7 @@ class Session(ConnectionHandler):
             "waiting": self.waiting(),
         }
 
-    def stood_up(self, hello: Hello, counters: Counters) -> None:
+    def on_link_up(self, hello: Hello, counters: Counters) -> None:
         """The link to the agent that said `hello` is up: from now on packets may be offered."""
         self.hello, self.peer = hello, hello.name
         with self._lock:

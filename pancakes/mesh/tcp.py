@@ -7,7 +7,7 @@ import socket
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from pancakes.mesh.address import WayFacts, is_loopback, parse_address, reach_of, spelt
+from pancakes.mesh.address import TransportFacts, is_loopback, parse_address, reach_of, spelt
 from pancakes.mesh.admission import Handshakes
 from pancakes.mesh.event_loop import Loop
 from pancakes.mesh.sockets import Place, bound_buffers, keep_alive
@@ -52,8 +52,8 @@ class TcpTransport(StreamTransport):
             self._tls = TlsConnection
 
     @classmethod
-    def facts(cls, address: str, keyed: bool) -> WayFacts:
-        return WayFacts(reach_of(address), encrypted=keyed)
+    def facts(cls, address: str, keyed: bool) -> TransportFacts:
+        return TransportFacts(reach_of(address), encrypted=keyed)
 
     def connection(
         self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool

@@ -18,7 +18,7 @@ import msgspec
 
 from pancakes.errors import PancakesError, PluginError
 from pancakes.kernel.dispatchers import Guest
-from pancakes.mesh.address import Reach, WayFacts, reach_of
+from pancakes.mesh.address import Reach, TransportFacts, reach_of
 from pancakes.mesh.event_loop import Loop
 from pancakes.security.roster import Certified
 from pancakes.settings import make_settings
@@ -132,14 +132,14 @@ class SchemeTransport(ABC):
         """See `Transport.dial`."""
 
     @classmethod
-    def facts(cls, address: str, keyed: bool) -> WayFacts:
+    def facts(cls, address: str, keyed: bool) -> TransportFacts:
         """Returns what is known of the way to an address of this scheme.
 
         Args:
             address: the address.
             keyed: whether the agent has keys.
         """
-        return WayFacts(reach_of(address))
+        return TransportFacts(reach_of(address))
 
     def may_be_named(self, address: str) -> bool:
         """See `Transport.may_be_named`."""
@@ -184,9 +184,9 @@ class Transport(ABC):
         """Returns whether a peer may name an address: it can be dialled, and no name must be looked up for that."""
         return True
 
-    def facts(self, address: str) -> WayFacts:
+    def facts(self, address: str) -> TransportFacts:
         """Returns what is known of the way to an address; of one whose scheme is unknown here, what it looks like."""
-        return WayFacts(reach_of(address))
+        return TransportFacts(reach_of(address))
 
     def reach(self, address: str) -> Reach:
         """Returns from how far an address can be dialled."""
@@ -266,7 +266,7 @@ class SocketTransport(Transport):
         except PluginError:
             return False
 
-    def facts(self, address: str) -> WayFacts:
+    def facts(self, address: str) -> TransportFacts:
         return facts_of(address, self._keys is not None, self._plugins)
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
@@ -301,7 +301,7 @@ class SocketTransport(Transport):
         return made
 
 
-def facts_of(address: str, keyed: bool, plugins: Plugins) -> WayFacts:
+def facts_of(address: str, keyed: bool, plugins: Plugins) -> TransportFacts:
     """Returns what is known of the way to an address; of one whose scheme is unknown here, what it looks like.
 
     Args:
@@ -312,5 +312,5 @@ def facts_of(address: str, keyed: bool, plugins: Plugins) -> WayFacts:
     try:
         cls: type[SchemeTransport] = plugins.get("pancakes.transports", address.partition("://")[0])
     except PluginError:
-        return WayFacts(reach_of(address))
+        return TransportFacts(reach_of(address))
     return cls.facts(address, keyed)

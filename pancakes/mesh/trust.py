@@ -112,7 +112,7 @@ class Trust:
             self._call_later(LOOK_S, self._look_at_roster)
             self._call_later(KEY_RELOAD_S, self._look_for_key)
 
-    def link_up(self, session: Session) -> None:
+    def on_link_up(self, session: Session) -> None:
         """A link is up: tells the peer which roster is known here."""
         if self._keys is not None and self._keys.roster is not None:
             self._tell(session, RosterNumber(self._keys.roster.number))
@@ -157,7 +157,7 @@ class Trust:
 
     # The roster
 
-    def heard_roster(self, session: Session, message: RosterNumber | RosterText) -> None:
+    def on_roster(self, session: Session, message: RosterNumber | RosterText) -> None:
         """A peer tells the number of its roster, or gives the roster."""
         keys = self._keys
         if keys is None:
@@ -240,7 +240,7 @@ class Trust:
 
     def _tell_all(self) -> None:
         for session in self._links:
-            self.link_up(session)
+            self.on_link_up(session)
 
     def _end_those_revoked(self, keys: Keys) -> None:
         for session in self._links:

@@ -9,7 +9,7 @@ from typing import Any
 from cli.processes import Rig, Running
 
 from pancakes import __version__
-from pancakes.mesh.address import Reach, WayFacts
+from pancakes.mesh.address import Reach, TransportFacts
 from pancakes.tools.cli.verbs import agent_checks
 from pancakes.tools.cli.verbs.agent_checks import check_agents, check_entries
 from pancakes.tools.cli.verbs.checks import Facts, Finding
@@ -104,9 +104,9 @@ PEER = {
     "remote": "tcp://192.0.2.7:40000",
     "refused": 0,
     "clock": None,
-    **WayFacts(Reach.NETWORK, encrypted=True).plain(),
+    **TransportFacts(Reach.NETWORK, encrypted=True).plain(),
 }
-ROUTED = {**PEER, "remote": "zenoh://1f:0", "dropped": {}, **WayFacts(Reach.ROUTERS, encrypted=True).plain()}
+ROUTED = {**PEER, "remote": "zenoh://1f:0", "dropped": {}, **TransportFacts(Reach.ROUTERS, encrypted=True).plain()}
 
 
 def service(**other: Any) -> dict[str, Any]:

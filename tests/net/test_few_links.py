@@ -38,7 +38,7 @@ IN_USE, IDLE, STATIC = LinkUse(True, 0.0), LinkUse(True, REST_S), LinkUse(False,
 def few(*known, most=3, seed=1):
     made = FewLinks(most, random.Random(seed), 0.0)
     for name in known:
-        made.heard(name, (f"tcp://{name}:1",), 0.0, 0.0)
+        made.on_sighting(name, (f"tcp://{name}:1",), 0.0, 0.0)
     return made
 
 
@@ -64,20 +64,20 @@ def test_it_makes_links_until_they_are_enough_and_draws_the_agents():
 def test_a_newcomer_looks_again_soon_after_it_hears_of_the_first_agents_and_others_do_not():
     it = few()
     it.tick(0.0, {})
-    it.heard("a", ("tcp://a:1",), 0.0, 1.0)
-    it.heard("b", ("tcp://b:1",), 0.0, 1.1)
+    it.on_sighting("a", ("tcp://a:1",), 0.0, 1.0)
+    it.on_sighting("b", ("tcp://b:1",), 0.0, 1.1)
     assert it.due_s == 1.0 + SOON_S < LOOK_S
     assert made(it.tick(it.due_s, {})) == ["a", "b"], "of three that it is to have"
-    it.heard("a", ("tcp://a:1",), 0.0, 1.3)
+    it.on_sighting("a", ("tcp://a:1",), 0.0, 1.3)
     assert it.due_s == 1.0 + SOON_S + LOOK_S, "nothing new"
-    it.heard("c", ("tcp://c:1",), 0.0, 1.4)
+    it.on_sighting("c", ("tcp://c:1",), 0.0, 1.4)
     assert made(it.tick(it.due_s, {"a": IN_USE, "b": IN_USE})) == ["c"] and it.due_s == 1.4 + SOON_S + LOOK_S
-    it.heard("d", ("tcp://d:1",), 0.0, 1.7)
+    it.on_sighting("d", ("tcp://d:1",), 0.0, 1.7)
     assert it.due_s == 1.4 + SOON_S + LOOK_S, "it has enough"
     it = few()
     it.tick(0.0, {})
     assert it.tick(1.0, dict.fromkeys("xyz", IN_USE)) == []
-    it.heard("a", ("tcp://a:1",), 0.0, 1.1)
+    it.on_sighting("a", ("tcp://a:1",), 0.0, 1.1)
     assert it.due_s == 1.0 + LOOK_S, "others have dialled it"
 
 
@@ -101,7 +101,7 @@ def test_an_agent_for_which_there_is_something_gets_a_link_where_it_is_known():
     assert it.seek("d", 0.0) == [MakeLink("d", ("tcp://d:1",))] and it.seek("d", 0.5) == []
     assert it.tick(1.0, {**linked, "d": IN_USE}) == []
     assert it.seek("d", 2.0) != [], "its link may end"
-    it.stood_up("d")
+    it.on_link_up("d")
     assert it.seek("d", 2.1) != [], "at once, too"
 
 
@@ -137,12 +137,12 @@ def test_now_and_then_it_meets_an_agent_unasked():
 
 def test_what_is_old_is_told_to_no_peer_and_forgotten():
     it = few("a", "b")
-    it.heard("b", ("tcp://b:2",), 10.0, 50.0)
-    it.heard("b", ("tcp://b:3",), 60.0, 50.0)  # older than what it knows
+    it.on_sighting("b", ("tcp://b:2",), 10.0, 50.0)
+    it.on_sighting("b", ("tcp://b:3",), 60.0, 50.0)  # older than what it knows
     assert it.fresh(100.0) == [("a", ("tcp://a:1",), 100.0), ("b", ("tcp://b:2",), 60.0)]
     assert it.fresh(FRESH_S) == [("b", ("tcp://b:2",), 80.0)]
     assert made(few("a").tick(FRESH_S, {})) == []
-    it.heard("old", ("tcp://old:1",), FRESH_S, 100.0)
+    it.on_sighting("old", ("tcp://old:1",), FRESH_S, 100.0)
     assert not it.knows("old") and it.knows("a")
     it.tick(FORGOTTEN_S, {})
     assert not it.knows("a") and it.knows("b")
@@ -158,7 +158,7 @@ def test_each_agent_is_told_of_in_its_turn():
 def test_so_many_agents_are_known_at_most():
     it = few(*(f"n{number}" for number in range(MOST_KNOWN + 5)))
     assert len(it.fresh(0.0)) == MOST_KNOWN and not it.knows(f"n{MOST_KNOWN}")
-    it.heard("n0", ("tcp://new:1",), 0.0, 1.0)
+    it.on_sighting("n0", ("tcp://new:1",), 0.0, 1.0)
     assert it.fresh(1.0)[0][1] == ("tcp://new:1",)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.mesh.address import Reach, WayFacts, nameable_from, reach_of, reachable_from
+from pancakes.mesh.address import Reach, TransportFacts, nameable_from, reach_of, reachable_from
 from pancakes.mesh.gossip import Gossiper
 from pancakes.mesh.messages import AgentSeen, Gossip, Identity
 
@@ -117,7 +117,11 @@ class RoutedWays:
     """What a transport says of addresses, of which some go through routers."""
 
     def facts(self, address):
-        return WayFacts(Reach.ROUTERS, cost=14.0) if address.startswith("zenoh://") else WayFacts(reach_of(address))
+        return (
+            TransportFacts(Reach.ROUTERS, cost=14.0)
+            if address.startswith("zenoh://")
+            else TransportFacts(reach_of(address))
+        )
 
     def reach(self, address):
         return self.facts(address).reach
@@ -142,5 +146,5 @@ def test_a_gateway_tells_each_side_what_that_side_can_dial(remote, listens, told
     both = ("zenoh://both:1", "tcp://10.0.0.3:1")  # in any order: the cheapest way is told
     agents = [("both", both, 0.0), ("far", ("zenoh://far:1",), 0.0)]
     peers: Any = types.SimpleNamespace(gossip=lambda: agents, is_news=lambda number: False)
-    gossiper.stood_up(session, peers, 0.0)
+    gossiper.on_link_up(session, peers, 0.0)
     assert tuple(it.address for it in said[0]) == told

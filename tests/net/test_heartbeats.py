@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pancakes.mesh.address import Reach, WayFacts
+from pancakes.mesh.address import Reach, TransportFacts
 from pancakes.mesh.codec import RowEncoder, frame, head_of, run_of
 from pancakes.mesh.link import LinkTimes
 from pancakes.packet import Packet
@@ -23,7 +23,7 @@ def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
 def test_where_the_transport_tells_deaths_heartbeats_rest(memory_rig):
     """A peer that says nothing at all is a second look's, after eighty seconds."""
     a = memory_rig.agent("a")
-    a.transport.facts = lambda address: WayFacts(Reach.NETWORK, tells_deaths=True)
+    a.transport.facts = lambda address: TransportFacts(Reach.NETWORK, tells_deaths=True)
     silent = memory_rig.bare_peer("n", a)
     memory_rig.until(lambda: silent.is_up)
     silent.act = lambda actions: None

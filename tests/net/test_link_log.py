@@ -44,7 +44,7 @@ def session(**others: Any) -> Any:
 def test_the_end_of_a_link_is_as_loud_as_it_is_unusual(
     log: LinkLog, said: list[tuple[str, str]], role: str, over: Over, level: str
 ) -> None:
-    log.ended(session(role=role), over)
+    log.on_link_ended(session(role=role), over)
     assert said == [(level, f"the link to b has ended: {over.reason}")]
 
 

@@ -37,8 +37,8 @@ def peers(*static, own="m", seed=1):
 def connect(it, name, now_s=0.0, **more):
     """A connection from `name` comes in and comes to stand."""
     link = it.new_link()
-    it.met(link, hello(name, **more), "tcp://there:9", now_s)
-    it.up(link, now_s)
+    it.on_hello(link, hello(name, **more), "tcp://there:9", now_s)
+    it.on_link_up(link, now_s)
     return link
 
 
@@ -61,12 +61,12 @@ def test_an_agent_is_awaited_until_a_dial_to_it_has_failed_or_it_is_there():
     it = peers("tcp://a:1")
     assert it.are_awaited()
     (dial,) = it.tick(0.0)
-    it.over(dial.link, 0.0)
+    it.on_link_over(dial.link, 0.0)
     assert not it.are_awaited()
     it = peers("tcp://a:1")
     (dial,) = it.tick(0.0)
-    it.met(dial.link, hello("a"), "tcp://a:1", 0.0)
-    it.up(dial.link, 0.0)
+    it.on_hello(dial.link, hello("a"), "tcp://a:1", 0.0)
+    it.on_link_up(dial.link, 0.0)
     assert not it.are_awaited()
     assert not peers().are_awaited()
 
@@ -78,7 +78,7 @@ def test_waits_double_from_a_tenth_of_a_second_to_ten_seconds_with_full_jitter()
         it, now_s = peers("tcp://a:1", seed=seed), 0.0
         for wait in waits:
             (dial,) = it.tick(now_s)
-            it.over(dial.link, now_s)
+            it.on_link_over(dial.link, now_s)
             wait.append(it.due_s() - now_s)
             now_s = it.due_s()
     for bound, wait in zip(bounds, waits, strict=True):
@@ -89,28 +89,28 @@ def test_waits_double_from_a_tenth_of_a_second_to_ten_seconds_with_full_jitter()
 def test_a_connected_agent_is_not_dialled_under_any_of_its_addresses():
     it = peers("tcp://a:1", "tcp://alias:1")
     one, two = it.tick(0.0)
-    assert it.met(one.link, hello("z", "tcp://a:1"), "tcp://a:1", 0.0) == [Admit(one.link)]
-    it.up(one.link, 0.0)
-    it.met(two.link, hello("z", "tcp://a:1"), "tcp://alias:1", 0.0)
-    it.over(two.link, 0.0, refused="duplicate")
+    assert it.on_hello(one.link, hello("z", "tcp://a:1"), "tcp://a:1", 0.0) == [Admit(one.link)]
+    it.on_link_up(one.link, 0.0)
+    it.on_hello(two.link, hello("z", "tcp://a:1"), "tcp://alias:1", 0.0)
+    it.on_link_over(two.link, 0.0, refused="duplicate")
     assert it.tick(100.0) == []
-    it.over(one.link, 100.0)
+    it.on_link_over(one.link, 100.0)
     assert sorted(dials(it.tick(101.0))) == ["tcp://a:1", "tcp://alias:1"]
 
 
 def test_the_lower_name_admits_and_the_higher_waits():
     it = peers(own="m")
-    assert it.met(it.new_link(), hello("z"), "", 0.0) == [Admit(1)]
-    assert it.met(it.new_link(), hello("a"), "", 0.0) == []
+    assert it.on_hello(it.new_link(), hello("z"), "", 0.0) == [Admit(1)]
+    assert it.on_hello(it.new_link(), hello("a"), "", 0.0) == []
 
 
 def test_our_own_dial_goes_before_the_others():
     it = peers("tcp://z:1")
     (mine,) = it.tick(0.0)
     theirs = it.new_link()
-    assert it.met(theirs, hello("z"), "", 0.1) == [], "it waits"
-    assert it.met(mine.link, hello("z"), "tcp://z:1", 0.2) == [Admit(mine.link)]
-    (turned,) = it.up(mine.link, 0.2)
+    assert it.on_hello(theirs, hello("z"), "", 0.1) == [], "it waits"
+    assert it.on_hello(mine.link, hello("z"), "tcp://z:1", 0.2) == [Admit(mine.link)]
+    (turned,) = it.on_link_up(mine.link, 0.2)
     assert isinstance(turned, TurnDown) and (turned.link, turned.code) == (theirs, "duplicate")
 
 
@@ -118,8 +118,8 @@ def test_the_others_dial_is_taken_where_ours_fails():
     it = peers("tcp://z:1")
     (mine,) = it.tick(0.0)
     theirs = it.new_link()
-    it.met(theirs, hello("z"), "", 0.1)
-    it.over(mine.link, 0.2)
+    it.on_hello(theirs, hello("z"), "", 0.1)
+    it.on_link_over(mine.link, 0.2)
     assert it.due_s() <= 0.2
     assert Admit(theirs) in it.tick(0.2)
 
@@ -128,7 +128,7 @@ def test_the_others_dial_is_taken_where_ours_takes_too_long():
     it = peers("tcp://z:1")
     it.tick(0.0)
     theirs = it.new_link()
-    it.met(theirs, hello("z"), "", 0.1)
+    it.on_hello(theirs, hello("z"), "", 0.1)
     assert it.tick(0.5) == [] and it.due_s() == 0.6
     assert it.tick(0.6) == [Admit(theirs)]
 
@@ -137,8 +137,8 @@ def test_a_second_connection_waits_until_the_first_shows_life():
     it = peers()
     first = connect(it, "z")
     second = it.new_link()
-    assert it.met(second, hello("z"), "", 1.0) == []
-    (turned,) = it.heard(first)
+    assert it.on_hello(second, hello("z"), "", 1.0) == []
+    (turned,) = it.on_bytes(first)
     assert (turned.link, turned.code) == (second, "duplicate")
 
 
@@ -146,23 +146,23 @@ def test_a_second_connection_is_taken_when_the_first_dies():
     it = peers()
     first = connect(it, "z")
     second = it.new_link()
-    it.met(second, hello("z"), "", 1.0)
-    assert it.over(first, 2.0) == [Admit(second)]
+    it.on_hello(second, hello("z"), "", 1.0)
+    assert it.on_link_over(first, 2.0) == [Admit(second)]
 
 
 def test_of_two_connections_that_wait_the_newest_is_taken():
     it = peers()
     first, second, third = connect(it, "z"), it.new_link(), it.new_link()
-    it.met(second, hello("z"), "", 1.0)
-    it.met(third, hello("z"), "", 1.1)
-    assert it.over(first, 2.0) == [Admit(third)]
+    it.on_hello(second, hello("z"), "", 1.0)
+    it.on_hello(third, hello("z"), "", 1.1)
+    assert it.on_link_over(first, 2.0) == [Admit(third)]
 
 
 def test_no_dial_is_due_before_the_last_one_failed():
     for seed in range(20):
         it = peers("tcp://a:1", seed=seed)
         (dial,) = it.tick(0.0)
-        it.over(dial.link, 7.0)
+        it.on_link_over(dial.link, 7.0)
         assert 7.0 <= it.due_s() <= 7.1
 
 
@@ -170,7 +170,7 @@ def test_a_dial_of_our_own_beside_a_link_is_needless():
     it = peers("tcp://alias:1")
     (dial,) = it.tick(0.0)
     connect(it, "z")
-    (turned,) = it.met(dial.link, hello("z"), "tcp://alias:1", 0.1)
+    (turned,) = it.on_hello(dial.link, hello("z"), "tcp://alias:1", 0.1)
     assert (turned.link, turned.code) == (dial.link, "duplicate")
 
 
@@ -178,21 +178,21 @@ def test_a_later_boot_replaces_the_old_link_and_an_earlier_one_is_refused():
     it = peers()
     old = connect(it, "z", boot=2)
     new = it.new_link()
-    turned, admitted = it.met(new, hello("z", boot=3), "", 1.0)
+    turned, admitted = it.on_hello(new, hello("z", boot=3), "", 1.0)
     assert (turned.link, turned.code) == (old, "old") and admitted == Admit(new)
-    (late,) = it.met(it.new_link(), hello("z", boot=1), "", 1.0)
+    (late,) = it.on_hello(it.new_link(), hello("z", boot=1), "", 1.0)
     assert late.code == "old"
 
 
 def test_the_higher_name_follows_the_choice_of_the_lower():
     it = peers(own="m")
     first, second = it.new_link(), it.new_link()
-    it.met(first, hello("a"), "", 0.0)
-    it.up(first, 0.0)
-    it.met(second, hello("a"), "", 1.0)
-    (turned,) = it.up(second, 1.0)
+    it.on_hello(first, hello("a"), "", 0.0)
+    it.on_link_up(first, 0.0)
+    it.on_hello(second, hello("a"), "", 1.0)
+    (turned,) = it.on_link_up(second, 1.0)
     assert (turned.link, turned.code) == (first, "duplicate")
-    assert it.over(first, 1.0, refused="duplicate") == []
+    assert it.on_link_over(first, 1.0, refused="duplicate") == []
     assert [peer.name for peer in it.connected()] == ["a"]
 
 
@@ -200,7 +200,7 @@ def test_another_journal_under_a_connected_name_is_refused_by_either_side():
     for own in ("a", "z"):
         it = peers(own=own)
         connect(it, "m")
-        (turned,) = it.met(it.new_link(), hello("m", journal="another"), "", 1.0)
+        (turned,) = it.on_hello(it.new_link(), hello("m", journal="another"), "", 1.0)
         assert turned.code == "name" and "name m" in turned.reason
 
 
@@ -208,39 +208,39 @@ def test_another_journal_under_a_connected_name_is_refused_by_either_side():
 def test_another_journal_is_refused_also_where_both_connections_met_before_one_stood(journal):
     it = peers(own="z")
     first, second = it.new_link(), it.new_link()
-    it.met(first, hello("m"), "", 0.0)
-    it.met(second, hello("m", journal=journal), "", 0.0)
-    assert it.up(first, 0.1) == []
-    (turned,) = it.up(second, 0.2)
+    it.on_hello(first, hello("m"), "", 0.0)
+    it.on_hello(second, hello("m", journal=journal), "", 0.0)
+    assert it.on_link_up(first, 0.1) == []
+    (turned,) = it.on_link_up(second, 0.2)
     assert (turned.link, turned.code) == (second, "name")
 
 
 def test_a_new_journal_is_taken_once_the_old_one_has_gone():
     it = peers()
-    it.over(connect(it, "z"), 1.0)
-    assert it.met(it.new_link(), hello("z", journal="a new disk"), "", 2.0) == [Admit(2)]
+    it.on_link_over(connect(it, "z"), 1.0)
+    assert it.on_hello(it.new_link(), hello("z", journal="a new disk"), "", 2.0) == [Admit(2)]
 
 
 def test_we_notice_when_we_dial_ourselves_and_look_again_now_and_then():
     it = peers("tcp://alias:1")
     (dial,) = it.tick(0.0)
-    (turned,) = it.met(it.new_link(), hello("m"), "tcp://there:9", 0.0)  # at its other end
+    (turned,) = it.on_hello(it.new_link(), hello("m"), "tcp://there:9", 0.0)  # at its other end
     assert turned.code == "self"
-    (turned,) = it.met(dial.link, hello("m"), "tcp://alias:1", 0.0)
+    (turned,) = it.on_hello(dial.link, hello("m"), "tcp://alias:1", 0.0)
     assert turned.code == "self"
-    it.over(dial.link, 0.0, refused="self")
+    it.on_link_over(dial.link, 0.0, refused="self")
     assert addresses(it) == [] and it.tick(9.9) == []
     (dial,) = it.tick(10.0)
-    it.met(dial.link, hello("z", listen="tcp://alias:1"), "tcp://alias:1", 10.0)
+    it.on_hello(dial.link, hello("z", listen="tcp://alias:1"), "tcp://alias:1", 10.0)
     assert addresses(it) == ["tcp://alias:1"], "another agent is there now"
 
 
 def test_an_address_at_which_a_program_repeats_our_hello_is_not_ours():
     it = peers("tcp://squatter:1")
     (dial,) = it.tick(0.0)
-    (turned,) = it.met(dial.link, hello("m"), "tcp://squatter:1", 0.0)
+    (turned,) = it.on_hello(dial.link, hello("m"), "tcp://squatter:1", 0.0)
     assert (turned.code, turned.reason) == ("name", "what listens there repeats what m says")
-    it.over(dial.link, 0.0, refused="name")
+    it.on_link_over(dial.link, 0.0, refused="name")
     assert [(known["address"], known["refused"]) for known in it.describe()] == [("tcp://squatter:1", turned.reason)]
     assert dials(it.tick(10.0)) == ["tcp://squatter:1"]
 
@@ -248,21 +248,21 @@ def test_an_address_at_which_a_program_repeats_our_hello_is_not_ours():
 def test_a_newcomer_that_finds_its_name_taken_waits_to_be_told():
     it = peers("tcp://rival:1")
     (dial,) = it.tick(0.0)
-    assert it.met(dial.link, hello("m", journal="another journal"), "tcp://rival:1", 0.0) == []
+    assert it.on_hello(dial.link, hello("m", journal="another journal"), "tcp://rival:1", 0.0) == []
     assert "the name m is already borne by another agent" in it.describe()[0]["refused"]
 
 
 def test_who_says_that_it_listens_at_a_static_address_keeps_nobody_from_dialling_it():
     it = peers("tcp://true:1")
     (dial,) = it.tick(0.0)
-    it.over(dial.link, 0.0)
+    it.on_link_over(dial.link, 0.0)
     connect(it, "z", listen="tcp://true:1")
     assert dials(it.tick(10.0)) == ["tcp://true:1"]
 
 
 def test_addresses_are_learnt_dialled_and_spread_but_never_those_of_clients():
     it = peers()
-    assert dials(it.learnt(["tcp://c:1", "tcp://m:1", ""], 0.0)) == ["tcp://c:1"]
+    assert dials(it.on_addresses(["tcp://c:1", "tcp://m:1", ""], 0.0)) == ["tcp://c:1"]
     connect(it, "z")
     connect(it, "y", role="client")
     connect(it, "x", role="environment")
@@ -273,50 +273,50 @@ def test_addresses_are_learnt_dialled_and_spread_but_never_those_of_clients():
 
 def test_the_book_of_learnt_addresses_is_bounded():
     it = peers("tcp://a:1")
-    it.learnt([f"tcp://x:{number}" for number in range(10_000)], 0.0)
+    it.on_addresses([f"tcp://x:{number}" for number in range(10_000)], 0.0)
     assert len(addresses(it)) == MAX_LEARNT + 1
 
 
 def test_of_each_peer_so_many_addresses_are_kept_at_which_no_agent_is_connected():
     it = peers()
     named = [f"tcp://x:{number}" for number in range(1, 40)]
-    it.learnt(named, 0.0, "a")
+    it.on_addresses(named, 0.0, "a")
     assert addresses(it) == named[:MOST_OF_PEER]
-    it.learnt(named, 0.0, "b")
+    it.on_addresses(named, 0.0, "b")
     assert addresses(it) == named[: 2 * MOST_OF_PEER], "each peer has a count of its own"
     connect(it, "z", listen=named[0])
-    it.learnt(named[35:37], 0.0, "a")
+    it.on_addresses(named[35:37], 0.0, "a")
     assert addresses(it) == [*named[: 2 * MOST_OF_PEER], named[35]], "z is there, so a may name one more"
 
 
 def test_so_many_learnt_addresses_are_dialled_at_a_time_and_each_static_one_at_once():
     it = peers("tcp://s:1")
-    first = dials(it.learnt([f"tcp://x:{number}" for number in range(1, 17)], 0.0, "a"))
+    first = dials(it.on_addresses([f"tcp://x:{number}" for number in range(1, 17)], 0.0, "a"))
     assert first == ["tcp://s:1", *(f"tcp://x:{number}" for number in range(1, MOST_DIALS + 1))]
     assert it.tick(0.0) == [] and it.due_s() == math.inf
-    it.over(2, 0.0)
+    it.on_link_over(2, 0.0)
     assert it.due_s() <= 0.0
     assert dials(it.tick(0.0)) == [f"tcp://x:{MOST_DIALS + 1}"]
 
 
 def test_a_peer_may_name_no_address_that_must_be_looked_up_and_a_person_may():
     it = Peers(hello("m"), (), random.Random(1), LinkTimes(), 0.0, may_be_named=lambda address: "name" not in address)
-    it.learnt(["tcp://name:1", "tcp://192.0.2.1:1"], 0.0, "a")
+    it.on_addresses(["tcp://name:1", "tcp://192.0.2.1:1"], 0.0, "a")
     assert addresses(it) == ["tcp://192.0.2.1:1"]
-    it.met(it.new_link(), hello("z", listen="tcp://name:2"), "tcp://there:9", 0.0)
+    it.on_hello(it.new_link(), hello("z", listen="tcp://name:2"), "tcp://there:9", 0.0)
     assert addresses(it) == ["tcp://192.0.2.1:1"]
-    it.learnt(["tcp://name:1"], 0.0)
+    it.on_addresses(["tcp://name:1"], 0.0)
     assert addresses(it) == ["tcp://192.0.2.1:1", "tcp://name:1"]
 
 
 def test_a_learnt_address_that_always_fails_is_forgotten_a_static_one_never():
     it, now_s = peers("tcp://static:1"), 0.0
-    it.learnt(["tcp://learnt:1"], now_s)
+    it.on_addresses(["tcp://learnt:1"], now_s)
     for _ in range(FORGET_AFTER * 2):
         for it_dial in it.tick(now_s):
-            it.over(it_dial.link, now_s)
-        it.over(1, now_s)
-        it.over(2, now_s)
+            it.on_link_over(it_dial.link, now_s)
+        it.on_link_over(1, now_s)
+        it.on_link_over(2, now_s)
         now_s += 11.0
     assert addresses(it) == ["tcp://static:1"]
 
@@ -325,16 +325,16 @@ def test_a_learnt_address_that_always_fails_is_forgotten_a_static_one_never():
 def test_who_refuses_us_for_good_is_asked_at_the_longest_interval(refused):
     it = peers("tcp://a:1")
     (dial,) = it.tick(0.0)
-    it.over(dial.link, 0.0, refused=refused)
+    it.on_link_over(dial.link, 0.0, refused=refused)
     assert it.due_s() == 10.0
 
 
 def test_who_breaks_the_protocol_is_not_dialled_again_at_once():
     it = peers("tcp://a:1")
     (dial,) = it.tick(0.0)
-    it.met(dial.link, hello("a"), "", 0.0)
-    it.up(dial.link, 0.0)
-    it.over(dial.link, 100.0, broken=True)
+    it.on_hello(dial.link, hello("a"), "", 0.0)
+    it.on_link_up(dial.link, 0.0)
+    it.on_link_over(dial.link, 100.0, broken=True)
     assert it.due_s() == 110.0
 
 
@@ -345,10 +345,10 @@ def test_a_link_that_flaps_waits_longer_each_time_one_that_lasted_begins_anew():
         nonlocal now_s
         now_s = it.due_s()
         (dial,) = it.tick(now_s)
-        it.met(dial.link, hello("a"), "", now_s)
-        it.up(dial.link, now_s)
+        it.on_hello(dial.link, hello("a"), "", now_s)
+        it.on_link_up(dial.link, now_s)
         now_s += seconds
-        it.over(dial.link, now_s)
+        it.on_link_over(dial.link, now_s)
         (known,) = it.describe()
         return known["failures"]
 
@@ -358,9 +358,9 @@ def test_a_link_that_flaps_waits_longer_each_time_one_that_lasted_begins_anew():
 def test_a_sleeper_is_left_alone_until_it_should_be_back():
     it = peers("tcp://z:1")
     (dial,) = it.tick(0.0)
-    it.met(dial.link, hello("z"), "", 0.0)
-    it.up(dial.link, 0.0)
-    it.over(dial.link, 5.0, goodbye=Goodbye("sleep", 30.0))
+    it.on_hello(dial.link, hello("z"), "", 0.0)
+    it.on_link_up(dial.link, 0.0)
+    it.on_link_over(dial.link, 5.0, goodbye=Goodbye("sleep", 30.0))
     assert it.asleep(6.0) == {"z": 29.0}
     assert it.due_s() == 35.0
     assert it.asleep(35.0) == {}
@@ -371,7 +371,7 @@ def test_a_sleeper_is_left_alone_until_it_should_be_back():
 def test_of_those_that_sleep_for_ever_so_many_are_remembered():
     it = peers()
     for number in range(MAX_LEARNT + 5):
-        it.over(connect(it, f"z{number}"), 1.0, goodbye=Goodbye("sleep"))
+        it.on_link_over(connect(it, f"z{number}"), 1.0, goodbye=Goodbye("sleep"))
     asleep = it.asleep(2.0)
     assert len(asleep) == MAX_LEARNT
     assert "z4" not in asleep and "z5" in asleep
@@ -380,9 +380,9 @@ def test_of_those_that_sleep_for_ever_so_many_are_remembered():
 def test_who_has_been_met_is_not_dialled_again_before_it_says_whether_it_sleeps():
     it = peers("tcp://a:1")
     (dial,) = it.tick(0.0)
-    assert it.met(dial.link, hello("a"), "", 0.0) == [], "the lower name has the say"
+    assert it.on_hello(dial.link, hello("a"), "", 0.0) == [], "the lower name has the say"
     assert it.tick(0.1) == [] and it.due_s() == math.inf
-    it.over(dial.link, 0.2, goodbye=Goodbye("sleep", 30.0))
+    it.on_link_over(dial.link, 0.2, goodbye=Goodbye("sleep", 30.0))
     assert it.tick(30.1) == []
     assert dials(it.tick(30.2)) == ["tcp://a:1"]
 
@@ -391,9 +391,9 @@ def test_who_sleeps_without_an_end_or_stops_is_asked_seldom():
     for goodbye in (Goodbye("sleep"), Goodbye("stop")):
         it = peers("tcp://z:1")
         (dial,) = it.tick(0.0)
-        it.met(dial.link, hello("z"), "", 0.0)
-        it.up(dial.link, 0.0)
-        it.over(dial.link, 5.0, goodbye=goodbye)
+        it.on_hello(dial.link, hello("z"), "", 0.0)
+        it.on_link_up(dial.link, 0.0)
+        it.on_link_over(dial.link, 5.0, goodbye=goodbye)
         assert it.due_s() == 15.0
         assert it.asleep(1e6) == ({"z": math.inf} if goodbye.why == "sleep" else {})
 
@@ -402,7 +402,7 @@ def test_after_waking_up_all_are_dialled_at_once():
     it, now_s = peers("tcp://a:1", "tcp://b:1"), 0.0
     for _ in range(10):
         for dial in it.tick(now_s):
-            it.over(dial.link, now_s)
+            it.on_link_over(dial.link, now_s)
         now_s += 10.0
     it.redial(now_s)
     assert len(dials(it.tick(now_s))) == 2
@@ -412,16 +412,16 @@ def test_a_mesh_has_its_bounds():
     it = peers(own="a")
     for number in range(MAX_AGENTS - 1):
         assert connect(it, f"b{number}")
-    (turned,) = it.met(it.new_link(), hello("c"), "", 0.0)
+    (turned,) = it.on_hello(it.new_link(), hello("c"), "", 0.0)
     assert turned.code == "full"
-    assert it.met(it.new_link(), hello("d", role="client"), "", 0.0) == [Admit(MAX_AGENTS + 1)]
+    assert it.on_hello(it.new_link(), hello("d", role="client"), "", 0.0) == [Admit(MAX_AGENTS + 1)]
 
 
 def test_a_terminal_links_to_more_agents_than_an_agent_does():
     it = Peers(hello("0", role="client"), (), random.Random(1), LinkTimes(), 0.0)
     for number in range(MAX_AGENTS + 10):
         connect(it, f"n{number}")
-    assert it.met(it.new_link(), hello("z"), "", 0.0) == [Admit(MAX_AGENTS + 11)]
+    assert it.on_hello(it.new_link(), hello("z"), "", 0.0) == [Admit(MAX_AGENTS + 11)]
 
 
 def full_of_clients(quiet_s):
@@ -431,37 +431,37 @@ def full_of_clients(quiet_s):
     for number in range(MAX_CLIENTS):
         link = it.new_link()
         quiet[link] = quiet_s
-        it.met(link, hello(f"cli{number:02}", "", role="client"), f"tcp://10.0.0.{number}:9", 0.0)
-        it.up(link, 0.0)
+        it.on_hello(link, hello(f"cli{number:02}", "", role="client"), f"tcp://10.0.0.{number}:9", 0.0)
+        it.on_link_up(link, 0.0)
     return it
 
 
 def test_a_client_that_only_answers_pings_gives_its_place_to_the_next():
     it = full_of_clients(math.inf)
     link = it.new_link()
-    turned, admitted = it.met(link, hello("d", "", role="client"), "tcp://10.0.1.1:9", 0.0)
+    turned, admitted = it.on_hello(link, hello("d", "", role="client"), "tcp://10.0.1.1:9", 0.0)
     assert isinstance(turned, TurnDown) and (turned.link, turned.code) == (1, "full") and "full" in turned.reason
     assert admitted == Admit(link)
 
 
 def test_where_all_clients_are_busy_the_next_is_told_so_unless_it_is_at_the_agents_own_machine():
     it = full_of_clients(0.1)
-    (turned,) = it.met(it.new_link(), hello("d", "", role="client"), "tcp://10.0.1.1:9", 0.0)
+    (turned,) = it.on_hello(it.new_link(), hello("d", "", role="client"), "tcp://10.0.1.1:9", 0.0)
     assert (turned.link, turned.code) == (MAX_CLIENTS + 1, "full") and "64 clients" in turned.reason
     link = it.new_link()
-    made_room, admitted = it.met(link, hello("e", "", role="client"), "tcp://127.0.0.1:9", 0.0)
+    made_room, admitted = it.on_hello(link, hello("e", "", role="client"), "tcp://127.0.0.1:9", 0.0)
     assert (made_room.link, admitted) == (1, Admit(link))
 
 
 def test_the_sentence_with_which_an_agent_refuses_us_is_kept_until_it_takes_us():
     it = peers("tcp://z:1")
     (dial,) = it.tick(0.0)
-    it.met(dial.link, hello("z"), "", 0.0)
-    it.over(dial.link, 0.0, refused="full", refusal="z is full")
+    it.on_hello(dial.link, hello("z"), "", 0.0)
+    it.on_link_over(dial.link, 0.0, refused="full", refusal="z is full")
     assert [(known["name"], known["refused"]) for known in it.describe()] == [("z", "z is full")]
     (dial,) = it.tick(10.0)
-    it.met(dial.link, hello("z"), "", 10.0)
-    it.up(dial.link, 10.0)
+    it.on_hello(dial.link, hello("z"), "", 10.0)
+    it.on_link_up(dial.link, 10.0)
     assert [known["refused"] for known in it.describe()] == [""]
 
 
@@ -489,20 +489,20 @@ def test_who_listens_everywhere_is_dialled_where_it_was_seen(listen, remote, add
 def test_the_end_of_one_link_leaves_the_dials_to_other_agents_alone():
     it = peers("tcp://a:1", "tcp://b:1")
     first, second = it.tick(0.0)
-    it.met(first.link, hello("a"), "", 0.0)
-    it.up(first.link, 0.0)
-    it.over(first.link, 5.0, goodbye=Goodbye("stop"))
+    it.on_hello(first.link, hello("a"), "", 0.0)
+    it.on_link_up(first.link, 0.0)
+    it.on_link_over(first.link, 5.0, goodbye=Goodbye("stop"))
     assert it.tick(5.0) == [], "b is being dialled still, and a is left alone for a while"
-    it.over(second.link, 6.0)
+    it.on_link_over(second.link, 6.0)
     assert it.due_s() < 7.0
 
 
 def test_a_link_that_breaks_soon_is_dialled_again_at_once():
     it = peers("tcp://a:1")
     (dial,) = it.tick(0.0)
-    it.met(dial.link, hello("a"), "", 0.0)
-    it.up(dial.link, 0.0)
-    it.over(dial.link, 0.5)
+    it.on_hello(dial.link, hello("a"), "", 0.0)
+    it.on_link_up(dial.link, 0.0)
+    it.on_link_over(dial.link, 0.5)
     assert 0.5 <= it.due_s() <= 0.6
 
 

@@ -15,9 +15,9 @@ from pancakes.mesh.session import (
     MAX_PACKETS,
     MOST_GONE,
     Counters,
-    CountersOfAll,
     Message,
     PeerBusy,
+    PeerCounters,
     SendBuffer,
 )
 
@@ -181,7 +181,7 @@ def test_whatever_waits_leaves_in_the_order_of_its_source(data):
 
 
 def test_a_peer_that_comes_back_goes_on_with_its_counters_unless_too_many_have_come_since():
-    counters = CountersOfAll()
+    counters = PeerCounters()
     stays, goes = counters.of("stays", ["stays"]), counters.of("goes", ["stays"])
     assert counters.of("goes", ["stays"]) is goes
     for number in range(MOST_GONE):
@@ -196,7 +196,7 @@ def test_a_peer_that_comes_back_goes_on_with_its_counters_unless_too_many_have_c
 
 
 def test_so_many_peers_that_have_gone_are_counted_and_no_more():
-    counters = CountersOfAll()
+    counters = PeerCounters()
     for number in range(3 * MOST_GONE):
         counters.of(f"guest{number}", []).packets_out = 1
     known = [number for number in range(3 * MOST_GONE) if f"guest{number}" in counters]

@@ -164,12 +164,12 @@ def test_an_actuator_keeps_room_for_the_tasks_of_others():
 def test_agents_that_one_peer_makes_up_leave_room_for_those_of_others():
     few = FewLinks(4, random.Random(1), 0.0)
     for number in range(MOST_KNOWN):
-        few.heard(f"x{number}", (f"tcp://x{number}:1",), 1.0, 10.0, "liar")
+        few.on_sighting(f"x{number}", (f"tcp://x{number}:1",), 1.0, 10.0, "liar")
     assert few.describe()["known"] == MOST_OF_PEER
-    few.heard("honest", ("tcp://honest:1",), 1.0, 10.0, "b")
+    few.on_sighting("honest", ("tcp://honest:1",), 1.0, 10.0, "b")
     assert few.knows("honest")
-    few.heard("x1", ("tcp://x1:1",), 0.0, 11.0)
-    few.heard("more", ("tcp://more:1",), 1.0, 11.0, "liar")
+    few.on_sighting("x1", ("tcp://x1:1",), 0.0, 11.0)
+    few.on_sighting("more", ("tcp://more:1",), 1.0, 11.0, "liar")
     assert few.knows("more"), "one that is linked is not made up"
 
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import msgspec
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.address import DEFAULT_FLEET, Reach, WayFacts, parse_address
+from pancakes.mesh.address import DEFAULT_FLEET, Reach, TransportFacts, parse_address
 from pancakes.mesh.admission import Handshakes
 from pancakes.mesh.event_loop import Loop
 from pancakes.mesh.stream import Disposable
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 SCHEME: Final = "zenoh"
 COST: Final = 5.0
-"""See `WayFacts`; through one router on the same machine, as docs/zenoh.md has it."""
+"""See `TransportFacts`; through one router on the same machine, as docs/zenoh.md has it."""
 MOST_CUT: Final = 512
 """So many sessions that have ended are kept in mind at most, in case they come back."""
 ROUTERS: Final = "PANCAKES_ZENOH"
@@ -94,8 +94,8 @@ class ZenohTransport(SchemeTransport):
         self._made: tuple[RouterSession, Inbox] | None = None
 
     @classmethod
-    def facts(cls, address: str, keyed: bool) -> WayFacts:
-        return WayFacts(Reach.ROUTERS, encrypted=keyed, cost=COST, tells_deaths=True)
+    def facts(cls, address: str, keyed: bool) -> TransportFacts:
+        return TransportFacts(Reach.ROUTERS, encrypted=keyed, cost=COST, tells_deaths=True)
 
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
         try:
