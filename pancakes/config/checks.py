@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def faults_of_rule(rule: MigrationRule, task: str, tasks: Mapping[str, TaskConfig]) -> Iterator[tuple[str, str, str]]:
-    """Yields (key, problem, suggestion) for each mistake in the rule of a task.
+    """Yield (key, problem, suggestion) for each mistake in the rule of a task.
 
     An empty key means the rule as a whole; `cost.NAME` is a key of the table `cost`.
 
@@ -73,7 +73,7 @@ TRANSPORTS = "pancakes.transports"
 def check_plugins(
     config: Config, plugins: Plugins, must_load: bool = False, missing: set[str] | None = None
 ) -> list[Fault]:
-    """Returns all that a configuration gets wrong about drivers, services, tasks, costs and transports.
+    """Return all that a configuration gets wrong about drivers, services, tasks, costs and transports.
 
     What could only be judged with a plug-in that cannot be imported is not judged.
 
@@ -91,7 +91,7 @@ def check_plugins(
 
 
 def check_task(config: Config, task: TaskConfig, plugins: Plugins) -> list[Fault]:
-    """Returns all that one task of a configuration gets wrong about its class, costs and devices.
+    """Return all that one task of a configuration gets wrong about its class, costs and devices.
 
     Args:
         config: the configuration that it is in.
@@ -137,7 +137,7 @@ class _Check:
                 self._check_rule(task.migrate, ("task", task.name, "migrate"))
 
     def task(self, task: TaskConfig) -> None:
-        """Checks one task, wherever the rest of the configuration stands."""
+        """Check one task, wherever the rest of the configuration stands."""
         cls = self._check_part(TASKS, task.type, task.settings, ("task", task.name), "type")
         self._check_requires(task, cls, self._device_types())
         if task.migrate:
@@ -154,7 +154,7 @@ class _Check:
         self.faults.append(self._places.fault(key, problem, near))
 
     def _get(self, group: str, name: str, key: KeyPath) -> Any | None:
-        """Returns a plug-in; None where there is none to be had, which is noted."""
+        """Return a plug-in; None where there is none to be had, which is noted."""
         try:
             return self._plugins.get(group, name)
         except UnknownPlugin as error:
@@ -170,7 +170,7 @@ class _Check:
         return None
 
     def _check_part(self, group: str, name: str, settings: Mapping[str, Any], table: KeyPath, key: str) -> Any | None:
-        """Checks that a class exists and that its settings fit; returns it where it can be used."""
+        """Check that a class exists and that its settings fit; return it where it can be used."""
         if not name:
             return None  # its absence has been reported
         found = self._get(group, name, (*table, key))
@@ -185,7 +185,7 @@ class _Check:
         return found
 
     def _check_transports(self) -> None:
-        """Looks only for the transport of each address: faults in its form have been reported."""
+        """Look only for the transport of each address: faults in its form have been reported."""
         agent = self._config.agent
         addresses: list[tuple[KeyPath, str]] = [(("agent", "listen"), it) for it in agent.listen]
         addresses += [(("agent", "peers", index), peer) for index, peer in enumerate(agent.peers)]
@@ -206,7 +206,7 @@ class _Check:
         self._check_transport_settings()
 
     def _check_transport_settings(self) -> None:
-        """Checks what the network's settings say of transports, by their schemes."""
+        """Check what the network's settings say of transports, by their schemes."""
         network = self._config.services.get("network")
         given = network.settings.get("transports") if network is not None else None
         for scheme, settings in given.items() if isinstance(given, dict) else ():
@@ -232,7 +232,7 @@ class _Check:
                 self._fault(("device", device.name, "service"), f"{device.service!r} is no service for devices")
 
     def _check_devices(self) -> list[str] | None:
-        """Checks the devices and returns their types; None where not all of them can be known."""
+        """Check the devices and return their types; None where not all of them can be known."""
         from pancakes.devices.driver import Actuator
 
         device_types: list[str] | None = []
@@ -340,7 +340,7 @@ def _strings(value: Any) -> list[str]:
 
 
 def doubts_of(config: Config) -> list[Fault]:
-    """Returns sentences on a configuration that an agent of this machine would run, each with its place in the file.
+    """Return sentences on a configuration that an agent of this machine would run, each with its place in the file.
 
     Names of hosts are looked up, which may take some seconds.
     """

@@ -18,7 +18,7 @@ from pancakes.util.plugins import Plugins
 
 
 def created_tables(agent: str, records: Iterable[Record]) -> dict[str, dict[str, Any]]:
-    """Returns the tables `[task.NAME]` of the tasks that were born on an agent and are there, by name.
+    """Return the tables `[task.NAME]` of the tasks that were born on an agent and are there, by name.
 
     Those that its file names are among them where there are records of them.
 
@@ -39,7 +39,7 @@ def created_tables(agent: str, records: Iterable[Record]) -> dict[str, dict[str,
 
 
 def table_of(snapshot: Snapshot, start: bool) -> dict[str, Any]:
-    """Returns the table `[task.NAME]` of a task as it is; `start`: whether it is to run from the start.
+    """Return the table `[task.NAME]` of a task as it is; `start`: whether it is to run from the start.
 
     Its settings are those that it has now, and so is its rate. What has no value is None.
     """
@@ -58,7 +58,7 @@ def table_of(snapshot: Snapshot, start: bool) -> dict[str, Any]:
 
 
 def _rate_hz(snapshot: Snapshot) -> float | None:
-    """Returns the rate of its first timer; None: as its class says."""
+    """Return the rate of its first timer; None: as its class says."""
     period_s = next(iter(snapshot.periods_s.values()), None)
     if period_s is None or not period_s > 0.0:
         return snapshot.rate_hz
@@ -70,7 +70,7 @@ DEFAULT: Final = "default"
 
 
 def effective(config: Config, plugins: Plugins) -> dict[str, Any]:
-    """Returns all keys of a configuration as plain values, as its file could have them.
+    """Return all keys of a configuration as plain values, as its file could have them.
 
     What has no value, as TOML has none for it, is None. Of a plug-in that cannot be imported, only those settings are
     there that were given.
@@ -99,7 +99,7 @@ def effective(config: Config, plugins: Plugins) -> dict[str, Any]:
 
 
 def origin(config: Config, keys: tuple[str, ...]) -> str:
-    """Returns where the value of a key comes from: `agent1.toml:12`, `--set ...`, or `DEFAULT`."""
+    """Return where the value of a key comes from: `agent1.toml:12`, `--set ...`, or `DEFAULT`."""
     return config.places.where(*keys) if config.places.has(*keys) else DEFAULT
 
 

@@ -186,11 +186,11 @@ class KeyPlaces:
         return key in self._sets
 
     def fault(self, key: KeyPath, problem: str, suggestion: str = "") -> Fault:
-        """Returns a fault at a key."""
+        """Return a fault at a key."""
         return Fault(self.where(*key), key_text(key, self._named), problem, suggestion)
 
     def in_order(self, faults: list[Fault]) -> list[Fault]:
-        """Returns faults in the order of the file, those of `--set` last; where a place has several, as they are."""
+        """Return faults in the order of the file, those of `--set` last; where a place has several, as they are."""
 
         def line(fault: Fault) -> float:
             number = fault.where.removeprefix(f"{self._path}:")
@@ -202,12 +202,12 @@ class KeyPlaces:
 
 
 def set_text(text: str) -> str:
-    """Returns an override as messages name it."""
+    """Return an override as messages name it."""
     return f"--set {text if len(text) <= 60 else text[:57] + '...'}"
 
 
 def _paths(value: Any, key: KeyPath) -> Iterator[KeyPath]:
-    """Yields the paths of all that is inside a plain value."""
+    """Yield the paths of all that is inside a plain value."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for part, inner in items:
         yield (*key, part)
@@ -215,7 +215,7 @@ def _paths(value: Any, key: KeyPath) -> Iterator[KeyPath]:
 
 
 def key_text(key: KeyPath, named: Sequence[str] = NAMED_TABLES) -> str:
-    """Returns a key as messages name it: `[task.ScanTarget] restart.policy`, `[agent] name`, `schema`."""
+    """Return a key as messages name it: `[task.ScanTarget] restart.policy`, `[agent] name`, `schema`."""
     if key == ("schema",) or not key:
         return dotted(key)
     depth = 2 if key[0] in named and len(key) > 1 else 1

@@ -46,7 +46,7 @@ def load(
     must_load: bool = False,
     missing: set[str] | None = None,
 ) -> Config:
-    """Reads a configuration file.
+    """Read a configuration file.
 
     Args:
         path: the file.
@@ -73,7 +73,7 @@ def parse(
     must_load: bool = False,
     missing: set[str] | None = None,
 ) -> Config:
-    """Reads a configuration from its text; see `load`.
+    """Read a configuration from its text; see `load`.
 
     Args:
         text: the TOML text.
@@ -101,7 +101,7 @@ def parse(
 
 
 def read_task(name: str, table: Mapping[str, Any], config: Config, plugins: Plugins) -> TaskConfig:
-    """Reads the table of a task that the file of an agent does not name, as if that had it.
+    """Read the table of a task that the file of an agent does not name, as if that had it.
 
     Args:
         name: the task's name.
@@ -124,7 +124,7 @@ def read_task(name: str, table: Mapping[str, Any], config: Config, plugins: Plug
 
 
 class _ConfigReader:
-    """Makes a `Config` and collects faults. What is at fault is left at its default, so that the rest is checked."""
+    """Make a `Config` and collect faults. What is at fault is left at its default, so that the rest is checked."""
 
     def __init__(self, values: dict[str, Any], places: KeyPlaces) -> None:
         self._values = values
@@ -165,7 +165,7 @@ class _ConfigReader:
         return config
 
     def task(self, name: str, config: Config) -> TaskConfig:
-        """Makes one task beside those of a configuration."""
+        """Make one task beside those of a configuration."""
         task = self._tables("task", TaskConfig)[name]
         self._check_restart(("task", name, "restart"), task.restart)
         self._check_task(task, replace(config, tasks={**config.tasks, name: task}))
@@ -237,7 +237,7 @@ class _ConfigReader:
         return codecs.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)
 
     def _other_name(self, table: str, name: str) -> str:
-        """Returns the table of the file that a `--set` probably meant which has made one of its own; empty: none."""
+        """Return the table of the file that a `--set` probably meant which has made one of its own; empty: none."""
         others = {*self._values.get(table, ()), *(DEFAULT_SERVICES if table == "service" else ())} - {name}
         return suggestion(name, others)
 

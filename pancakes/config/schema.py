@@ -33,7 +33,7 @@ _PLUGINS: Final = {
 
 
 def config_schema(plugins: Plugins | None = None) -> dict[str, Any]:
-    """Returns the JSON Schema (draft 2020-12) of an agent's configuration file.
+    """Return the JSON Schema (draft 2020-12) of an agent's configuration file.
 
     What it cannot say is checked when the file is read: whether a task's service is there, whether an address is one.
 
@@ -60,7 +60,7 @@ def config_schema(plugins: Plugins | None = None) -> dict[str, Any]:
 def schema_document(
     title: str, properties: Mapping[str, Any], required: Sequence[str], definitions: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Returns the JSON Schema of a file, given the schemas of its tables."""
+    """Return the JSON Schema of a file, given the schemas of its tables."""
     return {
         "$schema": DRAFT,
         "title": title,
@@ -73,12 +73,12 @@ def schema_document(
 
 
 def named_tables(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the schema of tables `[table.NAME]`, given that of one."""
+    """Return the schema of tables `[table.NAME]`, given that of one."""
     return {"type": "object", "propertyNames": {"pattern": NAME}, "additionalProperties": entry}
 
 
 def closed(schema: Any) -> Any:
-    """Returns a schema whose objects have no other keys than those that they name."""
+    """Return a schema whose objects have no other keys than those that they name."""
     if isinstance(schema, list):
         return [closed(part) for part in schema]
     if not isinstance(schema, Mapping):
@@ -96,7 +96,7 @@ def _table(cls: type, definitions: dict[str, Any]) -> dict[str, Any]:
 
 
 def _name_plugins(entry: dict[str, Any], key: str, group: str, plugins: Plugins) -> None:
-    """Lets an entry be of an installed type, and its settings fit that."""
+    """Let an entry be of an installed type, and its settings fit that."""
     names = plugins.names(group)
     entry["properties"][key] = {**entry["properties"][key], "enum": names}
     rules = []

@@ -10,7 +10,7 @@ from pancakes.util.files import at_home, user_folder
 
 
 def default_state_dir(fleet: str, name: str) -> Path:
-    """Returns the state directory of an agent whose configuration does not name one.
+    """Return the state directory of an agent whose configuration does not name one.
 
     A service of the system has the one that systemd made for it (`StateDirectory=`).
 
@@ -25,7 +25,7 @@ def default_state_dir(fleet: str, name: str) -> Path:
 
 
 def state_dir_of(config: Config) -> Path | None:
-    """Returns the state directory of an agent; None where its role has none.
+    """Return the state directory of an agent; None where its role has none.
 
     A world or a terminal owns no task that could move, so nothing of it has to outlive the process.
 

@@ -23,7 +23,7 @@ EXAMPLE = "write it as table.key=value, such as clock.speed=5"
 
 
 def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | None:
-    """Puts one override into the values of a configuration.
+    """Put one override into the values of a configuration.
 
     A value that reads as TOML is taken as such (`5`, `true`, `["a"]`, `{ x = 1 }`), anything else as a string.
     Parts of the key that have dots in them are quoted, as in TOML.
@@ -54,13 +54,13 @@ def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | N
 
 
 def change_of(text: str) -> tuple[tuple[str, ...], Any] | None:
-    """Reads `table.key=value`; returns the keys and the value, None where it is no such text."""
+    """Read `table.key=value`; return the keys and the value, None where it is no such text."""
     pair = split_pair(text)
     return (pair[0], _value_of(pair[2])) if pair else None
 
 
 def _value_of(text: str) -> Any:
-    """Returns the value that a person has typed: text that is TOML is taken as such, anything else as a string."""
+    """Return the value that a person has typed: text that is TOML is taken as such, anything else as a string."""
     try:
         parsed = toml_values(f"value = {text}")
     except ValueError:
@@ -88,13 +88,13 @@ class Tables(NamedTuple):
     faults: list[Fault]
 
     def with_faults(self, found: Sequence[Fault]) -> list[Fault]:
-        """Returns these faults and those that were found in the values, without what only follows from these."""
+        """Return these faults and those that were found in the values, without what only follows from these."""
         broken = {fault.where for fault in self.faults}
         return self.faults + [fault for fault in found if fault.where not in broken]
 
 
 def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tuple[dict[str, Any], KeyPlaces]:
-    """Reads TOML that must be sound; see `read_tables`.
+    """Read TOML that must be sound; see `read_tables`.
 
     Raises:
         ConfigError: it is not; it carries each fault.
@@ -106,7 +106,7 @@ def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tup
 
 
 def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> Tables:
-    """Reads TOML. A line that cannot be read is a fault, and what follows is read all the same.
+    """Read TOML. A line that cannot be read is a fault, and what follows is read all the same.
 
     Args:
         text: the TOML text.
@@ -162,7 +162,7 @@ class _Broken(NamedTuple):
 
 
 def text_of(path: str) -> str:
-    """Returns the text of a file.
+    """Return the text of a file.
 
     Raises:
         ConfigError: it is not there, or cannot be read.
@@ -194,7 +194,7 @@ def _neighbour(path: str) -> str:
 
 
 def _broken_line(error: tomllib.TOMLDecodeError, lines: Sequence[str]) -> tuple[int, _Broken]:
-    """Returns the number of the line of which TOML's parser says what is wrong, from 1, and what it is."""
+    """Return the number of the line of which TOML's parser says what is wrong, from 1, and what it is."""
     message, number = str(error), max(1, len(lines))
     if found := re.search(_POSITION, message):
         number = int(found["line"]) if found["line"] else number
@@ -218,7 +218,7 @@ def _broken_line(error: tomllib.TOMLDecodeError, lines: Sequence[str]) -> tuple[
 
 
 def _problem_of_value(key: str, value: str) -> str:
-    """Says what a value that is no TOML may be meant for, and how to write that; empty: nothing is known."""
+    """Say what a value that is no TOML may be meant for, and how to write that; empty: nothing is known."""
     if not any(mark in value for mark in "\"'[{"):
         value = value.partition("#")[0].strip()
     word = value.lower()
@@ -238,7 +238,7 @@ def _problem_of_value(key: str, value: str) -> str:
 
 
 def fault_of_schema(values: Mapping[str, Any]) -> str:
-    """Says what is wrong with the format that a file states, as a phrase; empty: nothing."""
+    """Say what is wrong with the format that a file states, as a phrase; empty: nothing."""
     schema = values.get("schema")
     if schema is None:
         return f"is missing: the file states its format as schema = {SCHEMA}"

@@ -18,17 +18,17 @@ Comment = Callable[[tuple[str, ...]], str]
 
 
 def key_text(keys: Sequence[str]) -> str:
-    """Returns keys as TOML writes them: `task."a.b".rate_hz`."""
+    """Return keys as TOML writes them: `task."a.b".rate_hz`."""
     return ".".join(SingleKey(key).as_string() for key in keys)
 
 
 def value_text(value: Any) -> str:
-    """Returns a plain value as TOML writes it on one line."""
+    """Return a plain value as TOML writes it on one line."""
     return _inline(value).as_string()
 
 
 def leaves(value: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yields all values in nested tables that are no tables with something in them, with the keys that lead to them."""
+    """Yield all values in nested tables that are no tables with something in them, with the keys that lead to them."""
     if _is_table(value):
         for key, inner in value.items():
             yield from leaves(inner, (*keys, key))
@@ -37,7 +37,7 @@ def leaves(value: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, 
 
 
 def document_text(tables: Mapping[str, Any], comment: Comment = lambda keys: "") -> str:
-    """Returns plain values as a TOML document. TOML knows no `None`: a key that has it is left out.
+    """Return plain values as a TOML document. TOML knows no `None`: a key that has it is left out.
 
     Args:
         tables: the document's keys and tables.
@@ -49,7 +49,7 @@ def document_text(tables: Mapping[str, Any], comment: Comment = lambda keys: "")
 
 
 def _fill(container: Any, values: Mapping[str, Any], keys: tuple[str, ...], comment: Comment) -> None:
-    """Puts values into a table; plain ones first, because whatever follows a table's head belongs to it."""
+    """Put values into a table; plain ones first, because whatever follows a table's head belongs to it."""
     plain = {key: value for key, value in values.items() if value is not None and not _is_table(value)}
     for key, value in plain.items():
         item = _inline(value)

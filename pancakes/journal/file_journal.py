@@ -72,7 +72,7 @@ _DECODE: Final = codecs.decoder(Batch)
 
 
 def seal_batch(journal: str, entries: Sequence[JournalEntry]) -> bytes:
-    """Returns a batch as it is appended to the file.
+    """Return a batch as it is appended to the file.
 
     Raises:
         JournalError: there is no memory for it.
@@ -85,7 +85,7 @@ def seal_batch(journal: str, entries: Sequence[JournalEntry]) -> bytes:
 
 
 def read_ahead(data: bytes) -> WrittenAhead:
-    """Reads a write-ahead file."""
+    """Read a write-ahead file."""
     batches, at = [], 0
     while found := _batch_at(data, at):
         batch, at = found
@@ -94,7 +94,7 @@ def read_ahead(data: bytes) -> WrittenAhead:
 
 
 def _batch_at(data: bytes, at: int) -> tuple[Batch, int] | None:
-    """Returns the batch that begins at a byte, and where the next one would; None: no whole one begins there."""
+    """Return the batch that begins at a byte, and where the next one would; None: no whole one begins there."""
     head = data[at : at + _HEAD_BYTES]
     if not head.startswith(_MAGIC) or len(head) < _HEAD_BYTES:
         return None
@@ -110,7 +110,7 @@ def _batch_at(data: bytes, at: int) -> tuple[Batch, int] | None:
 
 
 def _marks(data: bytes, at: int) -> Iterator[int]:
-    """Returns where batches may begin, from a byte on."""
+    """Return where batches may begin, from a byte on."""
     while (at := data.find(_MAGIC, at)) >= 0:
         yield at
         at += 1
@@ -153,7 +153,7 @@ class StateDirectory:
             raise JournalError(fault)
 
     def check(self, lock: str, locked: int) -> None:
-        """Looks whether another process could open the directory of this name beside us.
+        """Look whether another process could open the directory of this name beside us.
 
         Args:
             lock: name of the lock file in it.
@@ -168,12 +168,12 @@ class StateDirectory:
             raise JournalLost(f"the file {lock} of the state directory {self.path} was removed while the agent ran")
 
     def close(self) -> None:
-        """Lets go of it. Called once."""
+        """Let go of it. Called once."""
         os.close(self.handle)
 
 
 def fault_of(path: Path, found: os.stat_result) -> str:
-    """Says why a state directory must not be used, and how to mend that; empty: it may.
+    """Say why a state directory must not be used, and how to mend that; empty: it may.
 
     Args:
         path: where it lies.
@@ -201,7 +201,7 @@ def _user(number: int) -> str:
 
 
 def _same(path: Path | str, within: int | None, handle: int) -> bool:
-    """Returns whether a path leads to what is open as `handle`; also where the operating system cannot say."""
+    """Return whether a path leads to what is open as `handle`; also where the operating system cannot say."""
     try:
         found = os.stat(path, dir_fd=within)
     except OSError as error:
@@ -211,7 +211,7 @@ def _same(path: Path | str, within: int | None, handle: int) -> bool:
 
 
 def _make(path: Path) -> None:
-    """Makes the directory for its owner alone, and sees to it that its name survives a crash as well."""
+    """Make the directory for its owner alone, and see to it that its name survives a crash as well."""
     if path.is_dir():
         return
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -317,12 +317,12 @@ class FileJournal(Journal):
             self._opened = None
 
     def _clear_up(self) -> None:
-        """Removes temporary files: each is what a write had got to when the agent died, never an entry."""
+        """Remove temporary files: each is what a write had got to when the agent died, never an entry."""
         for name in self._names(SUFFIX + _TEMPORARY):
             os.unlink(name, dir_fd=self._handle)
 
     def _recover(self) -> str:
-        """Gives files to what was written ahead before; returns why the journal cannot be believed, if it cannot."""
+        """Give files to what was written ahead before; return why the journal cannot be believed, if it cannot."""
         try:
             batches, damaged = read_ahead(self._load(WRITE_AHEAD))
         except FileNotFoundError:
@@ -365,7 +365,7 @@ class FileJournal(Journal):
         self.check()
 
     def _append(self, data: bytes) -> int:
-        """Appends to the write-ahead file; returns how long that is."""
+        """Append to the write-ahead file; return how long that is."""
         with os.fdopen(self._open_file(WRITE_AHEAD, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "wb") as file:
             file.write(data)
             file.flush()
@@ -376,7 +376,7 @@ class FileJournal(Journal):
         return length
 
     def _cut_back(self) -> None:
-        """Takes what could not be written whole off the end of the write-ahead file, so that its room is free again."""
+        """Take what could not be written whole off the end of the write-ahead file, so that its room is free again."""
         with suppress(OSError), os.fdopen(self._open_file(WRITE_AHEAD, os.O_WRONLY), "wb") as file:
             os.ftruncate(file.fileno(), self._ahead_bytes)
             self._ahead_torn = False
@@ -388,13 +388,13 @@ class FileJournal(Journal):
         return needed < self._ahead_bytes and _room(self._handle) < 2 * needed
 
     def _reserve(self) -> None:
-        """Keeps some room, as far as there is any."""
+        """Keep some room, as far as there is any."""
         with suppress(OSError), os.fdopen(self._open_file(_RESERVE, os.O_RDWR | os.O_CREAT), "wb") as file:
             os.posix_fallocate(file.fileno(), 0, RESERVE_BYTES)
             self._reserved = True
 
     def _with_reserve(self, write: Callable[[], None]) -> None:
-        """Writes what must be on disk; if that is full, in the room that is kept for this."""
+        """Write what must be on disk; if that is full, in the room that is kept for this."""
         try:
             write()
         except OSError as error:
@@ -406,7 +406,7 @@ class FileJournal(Journal):
             write()
 
     def _put_in_place(self) -> None:
-        """Gives each entry that is written ahead a file of its own."""
+        """Give each entry that is written ahead a file of its own."""
         contents = {name: seal(self.uuid, entry) for name, entry in self._ahead.items()}
         try:
             self._with_reserve(lambda: self._replace(contents))
@@ -495,7 +495,7 @@ def _room(handle: int) -> int:
 
 
 def empty(directory: Path) -> bool:
-    """Removes the journal in a state directory, and nothing else that lies there.
+    """Remove the journal in a state directory, and nothing else that lies there.
 
     Returns:
         Whether there was one.
@@ -526,7 +526,7 @@ def empty(directory: Path) -> bool:
 
 
 def _locked(opened: StateDirectory) -> int:
-    """Locks a state directory for this process; returns the handle that keeps the lock until it is closed."""
+    """Lock a state directory for this process; return the handle that keeps the lock until it is closed."""
     handle = os.open(_LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600, dir_fd=opened.handle)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

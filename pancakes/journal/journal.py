@@ -86,7 +86,7 @@ _DECODE: Final = codecs.decoder(_Sealed)
 
 
 def seal(journal: str, entry: JournalEntry) -> bytes:
-    """Returns an entry as it is stored by the journal with the id `journal`: marked, and with its checksum.
+    """Return an entry as it is stored by the journal with the id `journal`: marked, and with its checksum.
 
     Raises:
         JournalError: there is no memory for it.
@@ -101,7 +101,7 @@ def seal(journal: str, entry: JournalEntry) -> bytes:
 
 
 def unseal(journal: str, sealed: bytes) -> JournalEntry:
-    """Returns the entry that was stored.
+    """Return the entry that was stored.
 
     Args:
         journal: id of the journal that must have stored it; empty where any will do.
@@ -188,15 +188,15 @@ class Journal(ABC):
     use: DiskUse = DiskUse()
 
     def entries(self, kind: str) -> list[JournalEntry]:
-        """Returns all entries of a kind, in the order of their keys."""
+        """Return all entries of a kind, in the order of their keys."""
         return [entry for (has, _), entry in sorted(self._entries.items()) if has == kind]
 
     def read(self, kind: str, key: str) -> JournalEntry | None:
-        """Returns one entry, or None where there is none."""
+        """Return one entry, or None where there is none."""
         return self._entries.get((kind, key))
 
     def write(self, batch: Sequence[JournalEntry]) -> None:
-        """Makes entries durable, all of them at the price of little more than one.
+        """Make entries durable, all of them at the price of little more than one.
 
         When it returns they are on disk for good. When it raises, or when the machine dies in it, each of
         them is either wholly there or not at all.
@@ -214,7 +214,7 @@ class Journal(ABC):
         self._entries.update(((entry.kind, entry.key), entry) for entry in newest.values())
 
     def check(self) -> None:
-        """Looks whether the journal still is what was opened.
+        """Look whether the journal still is what was opened.
 
         Raises:
             JournalLost: it is not; the message says what has happened.
@@ -223,14 +223,14 @@ class Journal(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Lets go of the journal, so that another process may open it. A second call does nothing."""
+        """Let go of the journal, so that another process may open it. A second call does nothing."""
 
     def _store(self, newest: Mapping[str, JournalEntry]) -> None:
-        """Makes entries durable, by the names under which each is stored."""
+        """Make entries durable, by the names under which each is stored."""
         self._replace({name: seal(self.uuid, entry) for name, entry in newest.items()})
 
     def _open(self, new_uuid: Callable[[], str], agent: str, doubt: str = "") -> None:
-        """Reads everything there is, puts aside what cannot be believed, and counts the boot.
+        """Read everything there is, put aside what cannot be believed, and count the boot.
 
         Args:
             new_uuid: makes the id of a new journal.
@@ -283,7 +283,7 @@ class Journal(ABC):
         self._replace({identity: seal(self.uuid, JournalEntry(_IDENTITY, _IDENTITY, contents))})
 
     def _is_of(self, journal: str) -> bool:
-        """Returns whether the identity that is stored is that of the journal with this id."""
+        """Return whether the identity that is stored is that of the journal with this id."""
         name = name_of(_IDENTITY, _IDENTITY)
         try:
             return name in self._names(SUFFIX) and bool(unseal(journal, self._load(name)))
@@ -299,7 +299,7 @@ class Journal(ABC):
         return SetAside(self._place(name), self._place(bad), reason, kind, key)
 
     def _missing(self) -> tuple[SetAside, ...]:
-        """Returns what lies aside and has no entry in its place; of several of one name the newest."""
+        """Return what lies aside and has no entry in its place; of several of one name the newest."""
         newest: dict[str, tuple[int, str]] = {}
         for bad in self._names(BAD):
             match = _BAD_NAME.fullmatch(bad)
@@ -323,27 +323,27 @@ class Journal(ABC):
 
     @abstractmethod
     def _mark(self) -> str:
-        """Returns what a copy of the place does not have in common with it, and what it keeps for life."""
+        """Return what a copy of the place does not have in common with it, and what it keeps for life."""
 
     @abstractmethod
     def _names(self, ending: str) -> list[str]:
-        """Returns the names of all that is stored and ends with `ending`, sorted."""
+        """Return the names of all that is stored and ends with `ending`, sorted."""
 
     @abstractmethod
     def _place(self, name: str) -> str:
-        """Returns where `name` lies, for people."""
+        """Return where `name` lies, for people."""
 
     @abstractmethod
     def _load(self, name: str) -> bytes:
-        """Returns what is stored under `name`."""
+        """Return what is stored under `name`."""
 
     @abstractmethod
     def _replace(self, contents: dict[str, bytes]) -> None:
-        """Stores each value under its name for good, each atomically."""
+        """Store each value under its name for good, each atomically."""
 
     @abstractmethod
     def _rename(self, name: str, new: str) -> None:
-        """Gives what lies at `name` another name, which is free."""
+        """Give what lies at `name` another name, which is free."""
 
 
 class _JournalIdentity(NamedTuple):
@@ -378,7 +378,7 @@ def _readable(sealed: bytes, name: str) -> JournalEntry | None:
 
 
 def name_of(kind: str, key: str) -> str:
-    """Returns the name under which an entry is stored.
+    """Return the name under which an entry is stored.
 
     Raises:
         JournalError: it would be too long.

@@ -64,7 +64,7 @@ class RecordTable(Generic[_T]):
         self.newest = self._newest
 
     def write(self, key: str, record: _T, then: Persisted, failed: Failed, may: May | None = None) -> None:
-        """Begins to write a record in the place of the one of this key. Never waits.
+        """Begin to write a record in the place of the one of this key. Never waits.
 
         Args:
             key: the record's key.
@@ -87,12 +87,12 @@ class RecordTable(Generic[_T]):
         self._store.persist(JournalEntry(self._kind, key, data), written, failed, may)
 
     def trouble(self, key: str) -> str:
-        """Says what keeps a record from being written; empty: nothing that is known of."""
+        """Say what keeps a record from being written; empty: nothing that is known of."""
         return self._store.trouble(self._kind, key)
 
 
 def _of_another(version: str) -> str:
-    """Returns what else is to be said of a record that cannot be read."""
+    """Return what else is to be said of a record that cannot be read."""
     if version == __version__:
         return ""
     written_by = f"Pancakes {version}" if version else "a version of Pancakes before 0.1.0"

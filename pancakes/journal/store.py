@@ -41,7 +41,7 @@ class _Trouble(msgspec.Struct):
 
 
 class Troubles:
-    """Counts what fails, and says when it may be tried again. Pure; all times are in seconds of one clock."""
+    """Count what fails, and say when it may be tried again. Pure; all times are in seconds of one clock."""
 
     def __init__(self) -> None:
         self._troubles: dict[Key, _Trouble] = {}
@@ -51,17 +51,17 @@ class Troubles:
         self._said_s = -SAID_EVERY_S
 
     def due_s(self, key: Key) -> float:
-        """Returns when an entry may be written; 0 where it did not fail of late."""
+        """Return when an entry may be written; 0 where it did not fail of late."""
         trouble = self._troubles.get(key)
         return trouble.due_s if trouble is not None else 0.0
 
     def reason(self, key: Key) -> str:
-        """Returns why an entry could not be written when that was tried last; empty where it could."""
+        """Return why an entry could not be written when that was tried last; empty where it could."""
         trouble = self._troubles.get(key)
         return trouble.reason if trouble is not None else ""
 
     def newest(self) -> str:
-        """Returns why an entry could not be written, of all that could not the newest; empty: all could."""
+        """Return why an entry could not be written, of all that could not the newest; empty: all could."""
         return next((it.reason for it in reversed(list(self._troubles.values()))), "")
 
     def worked(self, key: Key) -> None:
@@ -78,7 +78,7 @@ class Troubles:
         self._failures += 1
 
     def saying(self, now_s: float) -> Saying | None:
-        """Returns what is to be said after a round of writing; None: nothing, or nothing new."""
+        """Return what is to be said after a round of writing; None: nothing, or nothing new."""
         # One that was not tried again when it might have been has been given up by the code that asked for it.
         for key in [key for key, trouble in self._troubles.items() if trouble.due_s + LONGEST_PAUSE_S < now_s]:
             del self._troubles[key]
@@ -130,7 +130,7 @@ class _Job(msgspec.Struct, eq=False):
         return self.entry.kind, self.entry.key
 
     def tell(self, reason: str) -> None:
-        """Makes the call that is due, once; an empty reason means that the entry is on disk."""
+        """Make the call that is due, once; an empty reason means that the entry is on disk."""
         if self.told:
             return
         self.told = True
@@ -160,7 +160,7 @@ class RecordStore(ABC):
 
     @abstractmethod
     def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed, may: May | None = None) -> None:
-        """Begins to write an entry. Never waits; from any thread.
+        """Begin to write an entry. Never waits; from any thread.
 
         Args:
             entry: what to write.
@@ -171,18 +171,18 @@ class RecordStore(ABC):
 
     @abstractmethod
     def trouble(self, kind: str, key: str) -> str:
-        """Says what keeps an entry from being written; empty: nothing that is known of. From any thread."""
+        """Say what keeps an entry from being written; empty: nothing that is known of. From any thread."""
 
     def fault(self) -> str:
-        """Says why the journal cannot write now; empty: it can, as far as is known. From any thread."""
+        """Say why the journal cannot write now; empty: it can, as far as is known. From any thread."""
         return self._troubles.newest()
 
     @abstractmethod
     def close(self) -> None:
-        """Writes what waits, makes the calls that are due, and closes the journal. Waits for that."""
+        """Write what waits, make the calls that are due, and close the journal. Waits for that."""
 
     def _write(self, batch: Sequence[_Job]) -> None:
-        """Writes a batch, and makes its calls; one entry at fault does not fail those that happened to wait with it.
+        """Write a batch, and make its calls; one entry at fault does not fail those that happened to wait with it.
 
         Raises:
             JournalLost: nothing can be written any more; the calls of those that were not written are still to make.
@@ -217,7 +217,7 @@ class RecordStore(ABC):
 
 
 class ThreadedStore(RecordStore):
-    """Writes to a journal in a thread of its own, with group commit.
+    """Write to a journal in a thread of its own, with group commit.
 
     While one round of writing is under way others come in; they are written together in the next round, so
     that twenty tasks that checkpoint at once cost two rounds and not twenty. The callbacks are made in the
@@ -321,7 +321,7 @@ class ThreadedStore(RecordStore):
         self._journal.close()
 
     def _next_batch(self) -> list[_Job] | None:
-        """Waits for jobs and returns those that are due; none when the journal is to be looked at; None: it closes."""
+        """Wait for jobs and return those that are due; none when the journal is to be looked at; None: it closes."""
         look_s = self._journal.check_s
         with self._news:
             while True:
@@ -351,7 +351,7 @@ class ThreadedStore(RecordStore):
 
 
 class VirtualStore(RecordStore):
-    """Writes to a journal in virtual time: without a thread, after a modelled delay.
+    """Write to a journal in virtual time: without a thread, after a modelled delay.
 
     Args:
         journal: the journal, which says how long a write takes; it is closed with the store.
@@ -394,7 +394,7 @@ class VirtualStore(RecordStore):
         self._journal.close()
 
     def crash(self) -> None:
-        """Ends as a power cut does: what waits is never written, and no caller is told."""
+        """End as a power cut does: what waits is never written, and no caller is told."""
         self._jobs.clear()
         self._closed = True
         self._journal.close()

@@ -64,7 +64,7 @@ class Chain(msgspec.Struct, frozen=True):
 
 
 class Causes:
-    """Remembers packets, and finds the chain that a packet stands at the end of.
+    """Remember packets, and find the chain that a packet stands at the end of.
 
     Args:
         limit: so many packets are remembered; the oldest is forgotten.
@@ -76,7 +76,7 @@ class Causes:
         self._seen_ns: dict[Cause, dict[str, int]] = {}
 
     def add(self, entry: RecordedPacket) -> None:
-        """Remembers a packet and where it was seen; in the order of time."""
+        """Remember a packet and where it was seen; in the order of time."""
         packet = entry.packet
         key = (packet.source, packet.seq)
         if key not in self._packets:
@@ -88,7 +88,7 @@ class Causes:
         self._seen_ns[key].setdefault(entry.agent, entry.time_ns)
 
     def chain(self, source: str, seq: int) -> Chain | None:
-        """Returns the chain that ends with a packet; None where the packet is not known."""
+        """Return the chain that ends with a packet; None where the packet is not known."""
         keys: list[Cause] = []
         key: Cause | None = (source, seq)
         while key is not None and key in self._packets and key not in keys and len(keys) < LONGEST:
@@ -147,7 +147,7 @@ def _ms(seconds: float) -> float:
 
 
 def is_command(agent: str, packet: Packet) -> bool:
-    """Returns whether a packet that was seen on an agent's channel commands an actuator of that agent."""
+    """Return whether a packet that was seen on an agent's channel commands an actuator of that agent."""
     return packet.channel == CTRL and not isinstance(packet.body, Hold) and agent_of(packet.source) == agent
 
 
@@ -176,7 +176,7 @@ class ActuatorCommand(msgspec.Struct, frozen=True):
 
 
 class CommandChains:
-    """Takes packets, and gives the commands among them with their chains.
+    """Take packets, and give the commands among them with their chains.
 
     Args:
         bodies: whether the packets of a chain bear what they said; that of the command always does. Without, less
@@ -190,7 +190,7 @@ class CommandChains:
         self._waiting: deque[tuple[int, Packet]] = deque()
 
     def add(self, entry: RecordedPacket) -> list[ActuatorCommand]:
-        """Takes a packet, in the order of time; returns the commands of which all is known now, oldest first."""
+        """Take a packet, in the order of time; return the commands of which all is known now, oldest first."""
         packet = entry.packet
         kept = packet if self._bodies else msgspec.structs.replace(packet, body=None)
         self._causes.add(RecordedPacket(entry.time_ns, entry.agent, kept))
@@ -199,7 +199,7 @@ class CommandChains:
         return self._followed(entry.time_ns - HELD_NS)
 
     def close(self) -> list[ActuatorCommand]:
-        """Returns the rest, now that no more packets come."""
+        """Return the rest, now that no more packets come."""
         return self._followed(None)
 
     def _followed(self, until_ns: int | None) -> list[ActuatorCommand]:
@@ -213,14 +213,14 @@ class CommandChains:
 
 
 def body_text(body: Any, longest: int = BODY_CHARACTERS) -> str:
-    """Returns what a packet says in one short line."""
+    """Return what a packet says in one short line."""
     items = _items(body)
     text = _value(body) if items is None else ", ".join(f"{name} {_value(value)}" for name, value in items)
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
 def _items(value: Any) -> Iterable[tuple[Any, Any]] | None:
-    """Returns the fields of a body, or of what is in one; None where it has none.
+    """Return the fields of a body, or of what is in one; None where it has none.
 
     It reads the fields themselves: making plain values of a body first is slower, and agents do this for each command
     while a page is open.

@@ -63,7 +63,7 @@ class ClockLife(msgspec.Struct):
 
     @classmethod
     def of(cls, about: Mapping[str, str]) -> ClockLife | None:
-        """Makes one of what a recorder wrote about its recording; None: that is older, and says nothing of clocks."""
+        """Make one of what a recorder wrote about its recording; None: that is older, and has no word about clocks."""
         try:
             return cls(about["life"], about["agent"], int(about["epoch_ns"]), int(about.get("host_ns", "0")))
         except (KeyError, ValueError):
@@ -80,7 +80,7 @@ class ClockLife(msgspec.Struct):
         return self.epoch_ns + self.host_ns >= SET_SINCE_S * NANOSECONDS
 
     def take(self, row: Mapping[str, str]) -> None:
-        """Takes a metadata record that `row_of` has made; what is no such thing is left out."""
+        """Take a metadata record that `row_of` has made; what is no such thing is left out."""
         try:
             host_ns = int(row[HOST])
             for life, told in row.items():
@@ -92,7 +92,7 @@ class ClockLife(msgspec.Struct):
 
 
 def row_of(host_s: float, links: Iterable[Mapping[str, object]]) -> dict[str, str]:
-    """Returns a metadata record of how clocks stand; empty where nothing is known.
+    """Return a metadata record of how clocks stand; empty where nothing is known.
 
     Args:
         host_s: the host time.
@@ -137,7 +137,7 @@ class Alignment:
             self._date(life, newest[life.life])
 
     def _date(self, life: ClockLife, newest: ClockLife) -> None:
-        """Moves what was recorded before the machine learnt the time of day."""
+        """Move what was recorded before the machine learnt the time of day."""
         moved_ns = newest.epoch_ns - life.epoch_ns
         if not moved_ns:
             return
@@ -149,7 +149,7 @@ class Alignment:
             self.remarks.append(f"the times of {life.agent} before its clock was set were moved by {far}")
 
     def _spread(self, first: ClockLife, left: list[ClockLife]) -> None:
-        """Aligns all that are known to the first one, or to one that is, the best known first."""
+        """Align all that are known to the first one, or to one that is, the best known first."""
         reached = [first]
         while True:
             pairs = [(bound, one, other) for one in reached for other in left if (bound := _bound_ns(one, other))]
@@ -178,13 +178,13 @@ def _stay(time_ns: int) -> int:
 
 
 def _bound_ns(one: ClockLife, other: ClockLife) -> int:
-    """Returns how well two lives know each other's clock at best; 0: they do not."""
+    """Return how well two lives know each other's clock at best; 0: they do not."""
     notes = [*one.notes.get(other.life, ()), *other.notes.get(one.life, ())]
     return max(1, min(note.bound_ns for note in notes)) if notes else 0
 
 
 def _shift(one: ClockLife, other: ClockLife) -> tuple[Shift, int]:
-    """Returns what turns times of `other` into those of `one`, and by how much that moves them at most."""
+    """Return what turns times of `other` into those of `one`, and by how much that moves them at most."""
     own, theirs = one.notes.get(other.life, []), other.notes.get(one.life, [])
     if theirs and (not own or min(it.bound_ns for it in theirs) <= min(it.bound_ns for it in own)):
         notes = [(note.host_ns, note.offset_ns, note.drift) for note in theirs]
@@ -215,7 +215,7 @@ MOST: Final = 20_000
 
 
 def speed_of(about: Mapping[str, str]) -> float:
-    """Returns the mission seconds for each second of host time, as a recorder wrote it; 1 where that is no number."""
+    """Return the mission seconds for each second of host time, as a recorder wrote it; 1 where that is no number."""
     try:
         speed = float(about["speed"])
     except (KeyError, ValueError):
@@ -239,7 +239,7 @@ class MissionTime:
     known: bool = True
 
     def at(self, time_ns: int) -> float:
-        """Returns the mission time in seconds; 0 while the mission was held."""
+        """Return the mission time in seconds; 0 while the mission was held."""
         return max(0.0, (time_ns - self.zero_ns) / NANOSECONDS * self.speed)
 
     @property
@@ -249,7 +249,7 @@ class MissionTime:
 
     @classmethod
     def of(cls, files: Iterable[tuple[Mapping[str, str], Iterable[RecordedPacket]]]) -> MissionTime:
-        """Finds the mission time of a recording.
+        """Find the mission time of a recording.
 
         Where an agent was started again its clock began anew; what counts is its first life.
 
@@ -282,7 +282,7 @@ def _zero_ns(entries: Iterable[RecordedPacket], speed: float) -> int | None:
 
 
 def _agreed(begun: list[tuple[int, float]]) -> tuple[int, float] | None:
-    """Returns the beginning that more than half of the agents agree on, and the speed."""
+    """Return the beginning that more than half of the agents agree on, and the speed."""
     for zero_ns, speed in sorted(begun):
         together = [other for other in begun if other[1] == speed and 0 <= other[0] - zero_ns <= AGREE_NS]
         if 2 * len(together) > len(begun):

@@ -52,7 +52,7 @@ class ViewerMessage(NamedTuple):
 
 
 class Viewer:
-    """Makes viewer messages of packets, see the table of this module; in one thread."""
+    """Make viewer messages of packets, see the table of this module; in one thread."""
 
     def __init__(self) -> None:
         self._trails: dict[str, deque[dict[str, Any]]] = {}
@@ -60,7 +60,7 @@ class Viewer:
         self._shown_ns: dict[str, int] = {}
 
     def messages(self, entry: RecordedPacket) -> Iterator[ViewerMessage]:
-        """Gives what a viewer shows of a packet."""
+        """Give what a viewer shows of a packet."""
         packet = entry.packet
         if isinstance(packet.body, Mapping) or packet.type not in SHOWN:
             return  # of a type that is not known here, or not shown
@@ -175,7 +175,7 @@ def _scan(entry: RecordedPacket) -> ViewerMessage:
 def scan(
     bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float
 ) -> tuple[int, list[float], list[float]]:
-    """Puts the readings of a ring of sensors on a grid of equal angles, as a `LaserScan` has them.
+    """Put the readings of a ring of sensors on a grid of equal angles, as a `LaserScan` has them.
 
     Args:
         bearings_rad: the direction of each sensor, in the frame of the body.
@@ -206,7 +206,7 @@ def _message(topic: str, name: str, time_ns: int, plain: Mapping[str, Any]) -> V
 
 @cache
 def _schemas() -> dict[str, dict[str, Any]]:
-    """Returns the schemas by the names under which Foxglove finds them: https://docs.foxglove.dev/docs/sdk/schemas.
+    """Return the schemas by the names under which Foxglove finds them: https://docs.foxglove.dev/docs/sdk/schemas.
 
     They are published in https://github.com/foxglove/foxglove-sdk, schemas/jsonschema. Of what is always empty here
     the file has the name alone.

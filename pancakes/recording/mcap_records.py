@@ -1,4 +1,4 @@
-"""Reads the records of an MCAP file, also of one that was cut off or damaged."""
+"""Read the records of an MCAP file, also of one that was cut off or damaged."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Damage:
 
 
 def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
-    """Gives the records of a file, those in chunks as well. A chunk that is damaged is left out and counted.
+    """Give the records of a file, those in chunks as well. A chunk that is damaged is left out and counted.
 
     Raises:
         READ_ERRORS: here it ends, whole or not.
@@ -56,7 +56,7 @@ def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
 
 
 def _unpacked(chunk: Chunk) -> Chunk:
-    """Returns a chunk without compression, whatever it says of its own size: a few bytes may stand for gigabytes.
+    """Return a chunk without compression, whatever it says of its own size: a few bytes may stand for gigabytes.
 
     Raises:
         ValueError: it is larger than any chunk that is written.
@@ -81,7 +81,7 @@ def _unpacked(chunk: Chunk) -> Chunk:
 
 
 def metadata_of(file: BinaryIO) -> Iterator[Metadata]:
-    """Gives the metadata records of a file as far as it is whole; what is between them is not looked at."""
+    """Give the metadata records of a file as far as it is whole; what is between them is not looked at."""
     with suppress(*READ_ERRORS):
         for record in StreamReader(file, emit_chunks=True, record_size_limit=MOST_BYTES).records:
             if isinstance(record, Metadata):
@@ -89,7 +89,7 @@ def metadata_of(file: BinaryIO) -> Iterator[Metadata]:
 
 
 def opened(path: Path) -> BinaryIO:
-    """Opens a file of a recording.
+    """Open a file of a recording.
 
     Raises:
         RecordingError: it cannot be read.
@@ -102,7 +102,7 @@ def opened(path: Path) -> BinaryIO:
 
 
 def is_being_written(file: BinaryIO) -> bool:
-    """Returns whether a recorder has this file open: it locks what it writes, for as long as it lives."""
+    """Return whether a recorder has this file open: it locks what it writes, for as long as it lives."""
     with suppress(OSError):  # this file system knows no locks
         return is_locked(file)
     return False

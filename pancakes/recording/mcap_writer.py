@@ -71,7 +71,7 @@ class RecordingWriter:
         self._schemas: dict[str, int] = {}
 
     def write(self, entry: RecordedPacket) -> None:
-        """Adds a packet.
+        """Add a packet.
 
         Raises:
             LocalProtocolError: it cannot be recorded; the file is as it was.
@@ -84,7 +84,7 @@ class RecordingWriter:
         self._add_message(channel, entry.time_ns, data, packet.seq & 0xFFFFFFFF)
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
-        """Adds a message that is no packet, such as a pose in the schema of a viewer.
+        """Add a message that is no packet, such as a pose in the schema of a viewer.
 
         Raises:
             OSError: the disk is full, ...
@@ -96,7 +96,7 @@ class RecordingWriter:
         self._add_message(self._channels[key], time_ns, data, 0)
 
     def note(self, name: str, row: Mapping[str, str]) -> None:
-        """Adds a metadata record.
+        """Add a metadata record.
 
         Raises:
             OSError: the disk is full, ...
@@ -104,11 +104,11 @@ class RecordingWriter:
         self._mcap.add_metadata(name, dict(row))
 
     def is_there(self) -> bool:
-        """Returns whether what is written still is the file of its name."""
+        """Return whether what is written still is the file of its name."""
         return is_still_at(self._file.fileno(), self.path)
 
     def is_truncated(self) -> bool:
-        """Returns whether another program has made the file shorter. Nothing is written to it from then on."""
+        """Return whether another program has made the file shorter. Nothing is written to it from then on."""
         if self._left_bytes is None:
             size = os.fstat(self._file.fileno()).st_size
             if size < self._flushed_bytes:
@@ -116,11 +116,11 @@ class RecordingWriter:
         return self._left_bytes is not None
 
     def size_bytes(self) -> int:
-        """Returns how large the file was after the last `flush`."""
+        """Return how large the file was after the last `flush`."""
         return self._file.tell()
 
     def flush(self) -> None:
-        """Gives all that was written to the operating system: that is not lost where this process is killed.
+        """Give all that was written to the operating system: that is not lost where this process is killed.
 
         Raises:
             OSError: the disk is full, ...
@@ -136,7 +136,7 @@ class RecordingWriter:
             raise
 
     def sync(self) -> None:
-        """Brings what was flushed to the disk: that is not lost where the power goes. It may take long.
+        """Bring what was flushed to the disk: that is not lost where the power goes. It may take long.
 
         Raises:
             OSError: the disk is full, ...
@@ -144,7 +144,7 @@ class RecordingWriter:
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Writes the index and closes the file, where that is not done yet."""
+        """Write the index and close the file, if that was not done yet."""
         if self._file.closed:
             return  # the next file could not be begun
         try:
@@ -182,7 +182,7 @@ SUFFIX: Final = ".mcap"
 
 
 class RecordingParts:
-    """Writes a recording into one file after the other: `NAME.mcap`, `NAME.002.mcap`, ...
+    """Write a recording into one file after the other: `NAME.mcap`, `NAME.002.mcap`, ...
 
     Args:
         path: the first file. Where it is there already, a number is added to the name: nothing is overwritten.
@@ -235,19 +235,19 @@ class RecordingParts:
             raise RecordingError(f"the recording {self.first} does not begin: {lacking}")
 
     def write(self, entry: RecordedPacket) -> None:
-        """Adds a packet; see `RecordingWriter.write`."""
+        """Add a packet; see `RecordingWriter.write`."""
         self._writer.write(entry)
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
-        """Adds a message that is no packet; see `RecordingWriter.add`."""
+        """Add a message that is no packet; see `RecordingWriter.add`."""
         self._writer.add(topic, schema_name, schema, time_ns, data)
 
     def note(self, name: str, row: Mapping[str, str]) -> None:
-        """Adds a metadata record; see `RecordingWriter.note`."""
+        """Add a metadata record; see `RecordingWriter.note`."""
         self._writer.note(name, row)
 
     def flush(self) -> str:
-        """Gives everything to the operating system, and begins a new file where it is time to.
+        """Give everything to the operating system, and begin a new file where it is time to.
 
         Returns:
             Why the recording must end; empty where it may go on.
@@ -271,7 +271,7 @@ class RecordingParts:
         return ""
 
     def begin_again(self, about: Mapping[str, str]) -> Path:
-        """Goes on in a new file, of which something else is to be known; returns that file.
+        """Go on in a new file, of which something else is to be known; return that file.
 
         Raises:
             OSError: the disk is full, ...
@@ -282,7 +282,7 @@ class RecordingParts:
         return self._writer.path
 
     def sync(self) -> str:
-        """Brings what was flushed to the disk, and looks how much room is left there. It may take long.
+        """Bring what was flushed to the disk, and look how much room is left there. It may take long.
 
         Returns:
             Why the recording must end; empty where it may go on.
@@ -295,7 +295,7 @@ class RecordingParts:
         return self._lacking()
 
     def close(self) -> None:
-        """Closes the last file.
+        """Close the last file.
 
         Raises:
             OSError: the disk is full, ...
@@ -303,7 +303,7 @@ class RecordingParts:
         self._writer.close()
 
     def _lacking(self) -> str:
-        """Says what the disk lacks; empty: nothing."""
+        """Say what the disk lacks; empty: nothing."""
         disk = os.statvfs(self.first.parent)
         free_bytes = disk.f_bavail * disk.f_frsize
         if free_bytes >= self._free_bytes:
@@ -332,23 +332,23 @@ class RecordingParts:
 
 
 def part_path(first: Path, number: int) -> Path:
-    """Returns the path of a part of a recording, from 1."""
+    """Return the path of a part of a recording, from 1."""
     return first if number == 1 else first.with_name(f"{first.name.removesuffix(SUFFIX)}.{number:03d}{SUFFIX}")
 
 
 def part_number(path: Path) -> int:
-    """Returns which part a file is, from 1."""
+    """Return which part a file is, from 1."""
     found = re.search(r"\.(\d{3,})\.mcap$", path.name)
     return int(found[1]) if found else 1
 
 
 def first_name(path: Path) -> str:
-    """Returns the name of the first file of the recording that a file is a part of."""
+    """Return the name of the first file of the recording that a file is a part of."""
     return re.sub(r"\.\d{3,}\.mcap$", SUFFIX, path.name)
 
 
 def parts_of(first: Path) -> list[Path]:
-    """Returns the parts of a recording that are there, in their order, given the path of the first."""
+    """Return the parts of a recording that are there, in their order, given the path of the first."""
     stem = re.escape(first.name.removesuffix(SUFFIX))
     pattern = re.compile(rf"{stem}\.\d{{3,}}\.mcap")
     later = [path for path in first.parent.glob(f"*{SUFFIX}") if pattern.fullmatch(path.name)]
@@ -356,7 +356,7 @@ def parts_of(first: Path) -> list[Path]:
 
 
 def _unused(path: Path) -> Path:
-    """Returns a path beside this one at which nothing is, nor a later part of a recording whose first is gone.
+    """Return a path beside this one at which nothing is, nor a later part of a recording whose first is gone.
 
     Raises:
         OSError: it is no path, or nothing may be looked up there.

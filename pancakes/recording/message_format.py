@@ -29,7 +29,7 @@ _KEPT: Final = ("title", "description", "default")
 
 
 def schema_for(type_name: str) -> dict[str, Any]:
-    """Returns the JSON Schema of the messages of one packet type; of a type that is unknown here, of any body."""
+    """Return the JSON Schema of the messages of one packet type; of a type that is unknown here, of any body."""
     cls = body_class(type_name)
     try:
         told: dict[str, Any] = schema_of(cls) if cls is not None else {}
@@ -60,7 +60,7 @@ def schema_for(type_name: str) -> dict[str, Any]:
 def viewable(
     schema: Mapping[str, Any], definitions: Mapping[str, Any], inside: tuple[str, ...] = ()
 ) -> dict[str, Any] | None:
-    """Returns a schema in the words that viewers understand; None where it cannot be said in them.
+    """Return a schema in the words that viewers understand; None where it cannot be said in them.
 
     What may be missing (null) is described as what it is where it is there.
 
@@ -100,12 +100,12 @@ def _kept(schema: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _kind_of(values: Any) -> str:
-    """Returns the type of all values that a field may have; empty where they have several."""
+    """Return the type of all values that a field may have; empty where they have several."""
     return next((kind for kind, cls in _SIMPLE.items() if values and all(type(it) is cls for it in values)), "")
 
 
 def _item_of(schema: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Returns the schema of each item of an array; an empty one where they differ."""
+    """Return the schema of each item of an array; an empty one where they differ."""
     first, *others = schema.get("prefixItems") or [schema.get("items") or {}]
     found: Mapping[str, Any] = first if all(other == first for other in others) else {}
     return found
@@ -125,7 +125,7 @@ class _Row(msgspec.Struct, omit_defaults=True, gc=False):
 
 
 def data_of(packet: Packet) -> bytes:
-    """Returns a packet as JSON, the data of a message.
+    """Return a packet as JSON, the data of a message.
 
     What JSON cannot express (arrays, infinity and NaN, bytes where the class does not say so) is written as well as it
     goes, and the packet is added as it travels between agents, in the field `exact`. What does not travel either, such
@@ -143,7 +143,7 @@ def data_of(packet: Packet) -> bytes:
 
 
 def _holds_body(data: bytes, body: Any) -> bool:
-    """Returns whether the data of a message says all about the body of its packet."""
+    """Return whether the data of a message says all about the body of its packet."""
     cls: type = type(body)
     decode = _decode_of(cls)
     if decode is None:
@@ -156,7 +156,7 @@ def _holds_body(data: bytes, body: Any) -> bool:
 
 @cache
 def _decode_of(cls: type) -> Callable[[bytes], Any] | None:
-    """Returns what makes something with the body of a class of a message's data; None where that cannot be."""
+    """Return what makes something with the body of a class of a message's data; None where that cannot be."""
     try:
         alone: Any = msgspec.defstruct("_BodyAlone", [("body", cls if has_fields(cls) else Any)])
         decode: Callable[[bytes], Any] = codecs.json_decoder(alone)
@@ -188,7 +188,7 @@ _ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 
 
 def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
-    """Makes a packet of the data of a message; its body becomes the registered dataclass, where there is one.
+    """Make a packet of the data of a message; its body becomes the registered dataclass, where there is one.
 
     Raises:
         RemoteProtocolError: it is no packet, or the body does not fit its type.
@@ -209,7 +209,7 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
 
 
 def packet_from_bytes(data: bytes) -> Packet:
-    """Makes a packet of the bytes in which it travels alone, as `encode_packet` makes them.
+    """Make a packet of the bytes in which it travels alone, as `encode_packet` makes them.
 
     Raises:
         RemoteProtocolError: it is no packet, or the body does not fit its type.

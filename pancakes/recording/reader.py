@@ -89,7 +89,7 @@ class RecordingReader:
         self._aligned: Alignment | None = None
 
     def entries(self) -> Iterator[RecordedPacket]:
-        """Gives all packets, in the order in which they were recorded, over all files.
+        """Give all packets, in the order in which they were recorded, over all files.
 
         Their times are those of one clock, where the agents knew how their clocks stand to each other.
 
@@ -101,7 +101,7 @@ class RecordingReader:
         yield from heapq.merge(*parts, key=lambda entry: entry.time_ns)
 
     def mission_time(self) -> MissionTime:
-        """Returns what turns this recording's time into mission time; reads the beginning of each file.
+        """Return what turns this recording's time into mission time; read the beginning of each file.
 
         Raises:
             RecordingError: a file is no recording at all.
@@ -116,7 +116,7 @@ class RecordingReader:
         return self._aligned
 
     def notes(self) -> Sequence[str]:
-        """Returns sentences on all that could not be read so far."""
+        """Return sentences on all that could not be read so far."""
         notes = [f"{reading.path} is cut off: {reading.cut}" for reading in self.readings if reading.cut]
         notes += [
             f"{reading.path} is damaged: {reading.damage.chunks} of its chunks cannot be read"
@@ -141,7 +141,7 @@ class RecordingReader:
 
 
 def files_of(path: Path) -> list[Path]:
-    """Returns the files of a recording, in their order.
+    """Return the files of a recording, in their order.
 
     Raises:
         RecordingError: there is none, or nothing may be looked up there.
@@ -158,7 +158,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def _lives(files: Sequence[Path]) -> list[ClockLife]:
-    """Returns what recordings tell of the clocks of their agents; the times of older recordings stay as they are."""
+    """Return what recordings tell of the clocks of their agents; the times of older recordings stay as they are."""
     lives: dict[str, ClockLife] = {}
     if len(files) < 2:  # there is nothing to align
         return []
@@ -184,7 +184,7 @@ def _entries(reading: FileReading, shifts: Mapping[str, Shift]) -> Iterator[Reco
 
 
 def _moved(entry: RecordedPacket, shift: Shift) -> RecordedPacket:
-    """Returns a packet with its times as another clock counts them."""
+    """Return a packet with its times as another clock counts them."""
     packet, body = entry.packet, entry.packet.body
     if isinstance(body, TaskDescription):
         began = body.began
@@ -214,7 +214,7 @@ def _recorded(reading: FileReading) -> Iterator[RecordedPacket]:
 
 
 def _check_format(reading: FileReading) -> None:
-    """Raises `RecordingError` if a later version of Pancakes has written the recording in another way."""
+    """Raise `RecordingError` if a later version of Pancakes has written the recording in another way."""
     told = reading.about.get("format", "1")
     if told.isdecimal() and int(told[:9]) > FORMAT:
         version = reading.about.get("version", "")
@@ -225,7 +225,7 @@ def _check_format(reading: FileReading) -> None:
 
 
 def messages(reading: FileReading, file: BinaryIO) -> Iterator[tuple[str, Channel, Message]]:
-    """Gives all messages of a file as far as it is whole, each with the name of its schema and its channel.
+    """Give all messages of a file as far as it is whole, each with the name of its schema and its channel.
 
     Raises:
         RecordingError: it is no recording at all.
@@ -260,7 +260,7 @@ def messages(reading: FileReading, file: BinaryIO) -> Iterator[tuple[str, Channe
 
 
 def _was_begun(file: BinaryIO) -> bool:
-    """Returns whether a recorder may have been killed the moment after it made the file."""
+    """Return whether a recorder may have been killed the moment after it made the file."""
     file.seek(0)
     return MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC)))
 
@@ -283,7 +283,7 @@ class Repaired:
 
 
 def repair(path: Path, into: Path | None = None) -> Repaired:
-    """Writes all that can be read of a file into a new one.
+    """Write all that can be read of a file into a new one.
 
     Args:
         path: the file.
@@ -317,7 +317,7 @@ def repair(path: Path, into: Path | None = None) -> Repaired:
 
 
 def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
-    """Copies what is whole; returns how many bytes of the old file that took."""
+    """Copy what is whole; return how many bytes of the old file that took."""
     damage = Damage()
     writer = Writer(out, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, index_types=IndexType.ALL)
     writer.start(profile="", library=LIBRARY)
@@ -352,7 +352,7 @@ def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
 
 
 def _readable(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
-    """Gives what can be read. Apart from the writing, whose errors do not say that the file ends here."""
+    """Give what can be read. Apart from the writing, whose errors do not say that the file ends here."""
     try:
         yield from records_of(file, damage)
     except READ_ERRORS:
@@ -375,7 +375,7 @@ class TopicCount:
     last_ns: int = 0
 
     def row(self) -> dict[str, Any]:
-        """Returns it as plain values."""
+        """Return it as plain values."""
         span_s = (self.last_ns - self.first_ns) / NANOSECONDS
         # Packets that came at once, and never again, have no rate.
         rate_hz = (self.packets - 1) / span_s if self.packets > 1 and span_s >= LEAST_SPAN_S else None
@@ -427,7 +427,7 @@ class Summary:
 
     @classmethod
     def of(cls, entries: Iterable[RecordedPacket]) -> Summary:
-        """Makes it from packets in the order of time."""
+        """Make it from packets in the order of time."""
         summary = cls()
         for entry in entries:
             summary._add(entry)

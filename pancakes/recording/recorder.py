@@ -63,7 +63,7 @@ class RecordingBegan(msgspec.Struct, frozen=True):
 
 
 class Recorder(Task):
-    """Writes all packets that are seen on some channels of its agent, and what its tasks were.
+    """Write all packets that are seen on some channels of its agent, and what its tasks were.
 
     Where the disk is full or slow it is the recording that suffers: never the robot.
     """
@@ -106,7 +106,7 @@ class Recorder(Task):
         self.after_host(DRAIN_S, self._write)
 
     def _write(self) -> None:
-        """Writes what has come since the last time."""
+        """Write what has come since the last time."""
         assert self._recording is not None
         host = self.kernel.host
         now_s = host.now()

@@ -147,7 +147,7 @@ class Recording:
                 stream.tap(channel, self._take)
 
     def _note(self, body: Any) -> None:
-        """Adds a packet that the recording itself makes."""
+        """Add a packet that the recording itself makes."""
         self._note_at(self._now(), body)
 
     def _note_at(self, host_s: float, body: Any) -> None:
@@ -156,7 +156,7 @@ class Recording:
         self._waiting.put(packet, _Seen(host_s, packet))
 
     def _note_ticks(self, host_s: float) -> None:
-        """Adds which ticks ran that were just taken, as of a moment before that; in virtual time all of them do."""
+        """Add which ticks ran that were just taken, as of a moment before that; in virtual time all of them do."""
         if self._kernel.virtual is None:
             self._ticks_number += 1 + self._latenesses.overflowed
             self._note_at(host_s, ticks_of(self._ticks_number, self._latenesses.runs, self._settings.task))
@@ -164,7 +164,7 @@ class Recording:
     # What the tasks are ----------------------------------------------------------------------------------------
 
     def describe(self, told: Mapping[str, Any], seen: bool) -> None:
-        """Takes what a task is.
+        """Take what a task is.
 
         Args:
             told: what its agent answers to `Describe(target, state=True, began=seen)`.
@@ -182,7 +182,7 @@ class Recording:
     # Writing ---------------------------------------------------------------------------------------------------
 
     def write(self) -> str:
-        """Writes what has come since the last time.
+        """Write what has come since the last time.
 
         Returns:
             Why the recording must end; empty where it may go on.
@@ -218,11 +218,11 @@ class Recording:
         return reason
 
     def waits(self) -> int:
-        """Returns how many packets wait to be written."""
+        """Return how many packets wait to be written."""
         return len(self._waiting)
 
     def end(self) -> None:
-        """Takes nothing any more, writes what has come, and closes the file."""
+        """Take nothing any more, write what has come, and close the file."""
         self._kernel.unhear_ticks(self._latenesses.heard)
         for channel, tap in self._taps.items():
             self._kernel.stream.untap(channel, tap)
@@ -247,7 +247,7 @@ class Recording:
                 self._put(RecordedPacket(self._time_ns(seen.host_s), self._agent, seen.packet))
 
     def _look_at_the_day(self) -> None:
-        """Goes on in a new file where the machine has learnt the time of day: that of this file was wrong.
+        """Go on in a new file where the machine has learnt the time of day: that of this file was wrong.
 
         Who reads both moves the times of the first. A board without a battery for its clock begins in 1970, or when it
         was last switched off.
@@ -265,7 +265,7 @@ class Recording:
         self._say("warning", f"the clock of this machine was set: the recording goes on in {path} with the right time")
 
     def _note_clocks(self) -> None:
-        """Writes how the clocks of peers stand to this one, so that their recordings come in order with it."""
+        """Write how the clocks of peers stand to this one, so that their recordings come in order with it."""
         row = row_of(self._kernel.host.now(), self._kernel.links())
         if row:
             self._parts.note(CLOCKS, row)

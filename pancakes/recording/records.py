@@ -19,7 +19,7 @@ NANOSECONDS: Final = 1_000_000_000
 
 
 def date_of(time_ns: int, timespec: str = "seconds", sep: str = " ") -> str:
-    """Returns a time of a recording as a date for people, in UTC."""
+    """Return a time of a recording as a date for people, in UTC."""
     if time_ns < SET_SINCE_S * NANOSECONDS:
         return "not known: the clock of the machine was not set"
     return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(sep, timespec)
@@ -97,7 +97,7 @@ class TaskDescription(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, told: Mapping[str, Any], time_ns: Callable[[float], int], seed: int, seen: bool) -> TaskDescription:
-        """Makes it of what an agent answers to `Describe(target, state=True, began=seen)`.
+        """Make it of what an agent answers to `Describe(target, state=True, began=seen)`.
 
         Args:
             told: the answer.
@@ -126,7 +126,7 @@ class TaskDescription(msgspec.Struct, frozen=True):
         )
 
     def reads_packet(self, channel: str, type_name: str) -> bool:
-        """Returns whether it subscribed to packets of a type on a channel."""
+        """Return whether it subscribed to packets of a type on a channel."""
         return any(
             reads["channel"] == channel and (reads["types"] is None or type_name in reads["types"])
             for reads in self.reads
@@ -139,5 +139,5 @@ def _began(told: Mapping[str, Any], time_ns: Callable[[float], int]) -> dict[str
 
 
 def is_described(target: str) -> bool:
-    """Returns whether a recording has what a task is, given as `service/task`: not of an agent's own ones."""
+    """Return whether a recording has what a task is, given as `service/task`: not of an agent's own ones."""
     return not target.startswith(("log/", "network/", "device/"))

@@ -36,12 +36,12 @@ LATE_S: Final = 0.25
 
 
 def bucket_of(lateness_s: float) -> int:
-    """Returns the number of the bucket that a lateness belongs to."""
+    """Return the number of the bucket that a lateness belongs to."""
     return max(0, math.ceil(4.0 * math.log2(lateness_s / LEAST_S))) if lateness_s > LEAST_S else 0
 
 
 def quantile_s(counts: Mapping[int, int], share: float) -> float | None:
-    """Returns the lateness that this share of all ticks stayed below.
+    """Return the lateness that this share of all ticks stayed below.
 
     Args:
         counts: how many ticks there were in each bucket.
@@ -77,11 +77,11 @@ class TickRun(Struct, gc=False):
 
     @classmethod
     def begun_by(cls, tick: Tick, period_s: float) -> TickRun:
-        """Returns a run of one tick."""
+        """Return a run of one tick."""
         return cls(tick.time_s, period_s, 1, tick.missed, tick.lateness_s if _is_late(tick, period_s) else 0.0)
 
     def goes_on_with(self, tick: Tick, period_s: float) -> bool:
-        """Returns whether a tick is the next one of the run."""
+        """Return whether a tick is the next one of the run."""
         next_s = self.first_s + self.count * self.period_s
         near = period_s == self.period_s and abs(next_s - tick.time_s) < NEAR_S
         return near and not tick.missed and not _is_late(tick, period_s)
@@ -92,7 +92,7 @@ def _is_late(tick: Tick, period_s: float) -> bool:
 
 
 class Latenesses:
-    """Counts ticks by their lateness, and notes their deadlines, in the recorder's thread.
+    """Count ticks by their lateness, and note their deadlines, in the recorder's thread.
 
     Attributes:
         heard: takes a tick, in the task's turn. It is the append of a list: each further call would delay the tick.
@@ -107,7 +107,7 @@ class Latenesses:
         self.overflowed = False
 
     def take(self) -> Mapping[TaskTimer, Mapping[int, int]]:
-        """Returns how many ticks there were in each bucket since the last time, by timer."""
+        """Return how many ticks there were in each bucket since the last time, by timer."""
         counts: dict[TaskTimer, Counter[int]] = {}
         runs = self.runs = {}
         waiting = len(self._heard)
@@ -241,7 +241,7 @@ class TaskTicks(msgspec.Struct, frozen=True):
 
 
 def ticks_of(number: int, runs: Mapping[TaskTimer, Sequence[TickRun]], task_id: str = "") -> TaskTicks:
-    """Returns the ticks that ran.
+    """Return the ticks that ran.
 
     Args:
         number: see `TaskTicks`.
@@ -258,7 +258,7 @@ def ticks_of(number: int, runs: Mapping[TaskTimer, Sequence[TickRun]], task_id: 
 
 
 def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]) -> TaskFigures:
-    """Returns the figures of an agent as they stand. Any thread: it reads them, and waits for no actor.
+    """Return the figures of an agent as they stand. Any thread: it reads them, and waits for no actor.
 
     Args:
         kernel: the agent's kernel.

@@ -54,7 +54,7 @@ class VirtualRecorder:
         self._write_later()
 
     def end(self) -> None:
-        """Writes what has come, and closes the file. A second call does nothing."""
+        """Write what has come, and close the file. A second call does nothing."""
         if not self._over:
             self._over = True
             self._kernel.stream.untap(LOG, self._hear)

@@ -104,7 +104,7 @@ class MeasuredAgent(msgspec.Struct, frozen=True):
         return max(0.0, self.processor_s - self.turn_s) / self.turns if self.turns else 0.0
 
     def task(self, name: str, service: str = "") -> MeasuredTask:
-        """Returns one of its tasks.
+        """Return one of its tasks.
 
         Raises:
             NotKnown: it has none of this name, or several.
@@ -129,12 +129,12 @@ class Expected:
         return Expected(self.value + other.value, self.low + other.low, self.high + other.high)
 
     def times(self, factor: float) -> Expected:
-        """Returns a multiple of it; a negative one exchanges the bounds."""
+        """Return a multiple of it; a negative one exchanges the bounds."""
         low, high = sorted((self.low * factor, self.high * factor))
         return Expected(self.value * factor, low, high)
 
     def within(self, least: float, most: float) -> Expected:
-        """Returns it with no part below `least` or above `most`."""
+        """Return it with no part below `least` or above `most`."""
         return Expected(*(min(max(it, least), most) for it in (self.value, self.low, self.high)))
 
     @property
@@ -186,7 +186,7 @@ class Forecast:
     notes: tuple[str, ...]
 
     def of(self, agent: str) -> AgentForecast:
-        """Returns what it would do to an agent."""
+        """Return what it would do to an agent."""
         return next(it for it in self.agents if it.agent == agent)
 
 
@@ -211,7 +211,7 @@ class _Change:
 
 
 def forecast_move(fleet: Sequence[MeasuredAgent], source: str, task: str, to: str, service: str = "") -> Forecast:
-    """Returns what the move of a task would do.
+    """Return what the move of a task would do.
 
     Raises:
         NotKnown: there is no such agent or task, it does not run, or it is there already.
@@ -228,7 +228,7 @@ def forecast_move(fleet: Sequence[MeasuredAgent], source: str, task: str, to: st
 def forecast_rate(
     fleet: Sequence[MeasuredAgent], agent: str, task: str, rate_hz: float, timer: str = "", service: str = ""
 ) -> Forecast:
-    """Returns what another rate of a task's timer would do; without a name its first.
+    """Return what another rate of a task's timer would do; without a name its first.
 
     Args:
         rate_hz: ticks for each second of mission time.
@@ -268,7 +268,7 @@ def forecast_rate(
 
 
 def forecast_without(fleet: Sequence[MeasuredAgent], agent: str, places: Mapping[str, str]) -> Forecast:
-    """Returns what it would do if an agent went, and its tasks that can move went to others before.
+    """Return what it would do if an agent went, and its tasks that can move went to others before.
 
     Args:
         fleet: what was measured.
@@ -307,7 +307,7 @@ def _move(
     target: MeasuredAgent,
     notes: list[str],
 ) -> None:
-    """Adds the move of a task to what changes."""
+    """Add the move of a task to what changes."""
     if moved.state != "running":
         raise NotKnown(f"{source.agent}/{moved.task} is {moved.state}: a task that does not run takes nothing along")
     off_s = sum(_standard_errors(timer) for timer in moved.timers)
@@ -389,7 +389,7 @@ def _agent(figures: MeasuredAgent, change: _Change, host_change: Expected, notes
 
 
 def _missed(figures: MeasuredAgent, change: _Change, wanted: Expected) -> Expected:
-    """Returns the ticks that would be missed: those of the timers that stay, and by how much the model changes."""
+    """Return the ticks that would be missed: those of the timers that stay, and by how much the model changes."""
     if change.gone:
         return Expected(0.0, 0.0, 0.0)
     ticks: dict[tuple[str, str], _Ticks] = {}
@@ -412,7 +412,7 @@ def _ticks(timer: MeasuredTimer, speed: float) -> _Ticks:
 
 
 def _late_hz(timers: Iterable[_Ticks], load: float, turn_s: float) -> float:
-    """Returns the ticks a second that would wait longer than their period for the turns of others."""
+    """Return the ticks a second that would wait longer than their period for the turns of others."""
     missed_hz = 0.0
     for ticks in timers:
         others = load - ticks.hz * ticks.each_s - ROUNDING
@@ -441,12 +441,12 @@ def _of(fleet: Sequence[MeasuredAgent], agent: str) -> MeasuredAgent:
 
 
 def _uncertain(value: float, off: float, besides: float) -> Expected:
-    """Returns what is measured and may be off, with half of what may go with it or not."""
+    """Return what is measured and may be off, with half of what may go with it or not."""
     return Expected(value + 0.5 * besides, max(0.0, value - off), value + off + besides)
 
 
 def _standard_errors(timer: MeasuredTimer) -> float:
-    """Returns twice the standard error of the sum of a timer's ticks."""
+    """Return twice the standard error of the sum of a timer's ticks."""
     if timer.ticks < 2:
         return timer.tick_s
     spread = max(0.0, timer.tick_s2 - timer.tick_s * timer.tick_s / timer.ticks) / (timer.ticks - 1)

@@ -14,5 +14,5 @@ _NAMES: Final = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?", re.IG
 
 
 def names_loopback(hosts: Sequence[str]) -> bool:
-    """Returns whether the values of a request's `Host` headers are one, and a name of the loopback interface."""
+    """Return whether the values of a request's `Host` headers are one, and a name of the loopback interface."""
     return len(hosts) == 1 and _NAMES.fullmatch(hosts[0]) is not None

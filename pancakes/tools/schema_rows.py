@@ -57,7 +57,7 @@ _BOUNDS: Final = (
 def rows_of(
     schema: Mapping[str, Any], keys: tuple[str, ...] = (), definitions: Mapping[str, Any] | None = None
 ) -> Iterator[dict[str, Any]]:
-    """Yields a row for each key of an object, with those of the tables inside it after it.
+    """Yield a row for each key of an object, with those of the tables inside it after it.
 
     A row has `param` (a key as TOML writes it; `NAME` stands for a name of one's own), `type`, `default` (None where
     there is none), `required`, `bounds`, `unit` and `description`.
@@ -84,7 +84,7 @@ def rows_of(
 
 
 def unit_of(name: str) -> str:
-    """Returns the unit that the name of a quantity ends with: `radius_m` is in metres; empty where it says none."""
+    """Return the unit that the name of a quantity ends with: `radius_m` is in metres; empty where it says none."""
     return next((unit for ending, unit in _UNITS.items() if name.endswith(f"_{ending}") or name == ending), "")
 
 
@@ -100,7 +100,7 @@ def _inside(part: Mapping[str, Any], path: tuple[str, ...], definitions: Mapping
 
 
 def resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Follows a reference; what stands beside it goes before what it leads to."""
+    """Follow a reference; what stands beside it goes before what it leads to."""
     reference = part.get("$ref")
     if not isinstance(reference, str) or not reference.startswith(_REF):
         return part
@@ -109,13 +109,13 @@ def resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mapping
 
 
 def arms_of(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Returns the schemas of which a value has to fit one."""
+    """Return the schemas of which a value has to fit one."""
     arms = part.get("anyOf") or part.get("oneOf")
     return [resolved(arm, definitions) for arm in arms] if arms else [part]
 
 
 def type_of(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """Returns the type of a value, in words."""
+    """Return the type of a value, in words."""
     words = dict.fromkeys(_word(arm, definitions) for arm in arms_of(resolved(part, definitions), definitions))
     # What may be left out is said by its having no default; TOML has no word for it.
     return " or ".join(word for word in words if word != "nothing" or len(words) == 1)
@@ -135,7 +135,7 @@ def _word(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def bounds_of(part: Mapping[str, Any]) -> str:
-    """Returns within what a value has to lie, in words; `part` is resolved."""
+    """Return within what a value has to lie, in words; `part` is resolved."""
     arms = part.get("anyOf") or [part]
     found = []
     for arm in arms:

@@ -31,12 +31,12 @@ class ShortState(msgspec.Struct, frozen=True):
     cut: bool
 
     def size(self) -> int:
-        """Returns about how much memory it takes."""
+        """Return about how much memory it takes."""
         return sum(len(name) + len(text) for name, text in self.rows)
 
 
 def shortened(state: Mapping[str, Any], most_chars: int = MOST_CHARS, most_bytes: int = MOST_BYTES) -> ShortState:
-    """Shortens a state; it takes no longer where the state is large.
+    """Shorten a state; it takes no longer where the state is large.
 
     Args:
         state: plain values, and numpy arrays among them.
@@ -68,7 +68,7 @@ def _leaves(value: Mapping[Any, Any], keys: tuple[str, ...]) -> Iterator[tuple[t
 
 
 def _text(value: Any, most: int) -> tuple[str, bool]:
-    """Returns a value as a text, and whether that is all of it."""
+    """Return a value as a text, and whether that is all of it."""
     if isinstance(value, str):  # alone it needs no quotes
         head = printable(value[:most])
         return (head, True) if len(value) <= most else (f"{head}… ({len(value)} characters)", False)
@@ -82,14 +82,14 @@ def _text(value: Any, most: int) -> tuple[str, bool]:
 
 
 def _note(value: Any, whole: bool) -> str:
-    """Returns what there is to be said of a value besides: the kind of an array, the length of what is cut."""
+    """Return what there is to be said of a value besides: the kind of an array, the length of what is cut."""
     if is_array(value):
         return f" ({value.dtype}, {' x '.join(map(str, value.shape)) or 'one number'})"
     return f" ({len(value)} items)" if not whole and isinstance(value, (list, tuple, Mapping)) else ""
 
 
 def _pieces(value: Any) -> Iterator[str]:
-    """Yields the text of a value, piece by piece: of a large one the rest need not be made."""
+    """Yield the text of a value, piece by piece: of a large one the rest need not be made."""
     if is_array(value):
         if value.ndim == 0:
             yield from _pieces(value.item())

@@ -89,7 +89,7 @@ class NotifySocket:
 
     @classmethod
     def from_environment(cls, variables: MutableMapping[str, str]) -> NotifySocket | None:
-        """Returns the socket that the environment names; None: no service manager has started this process.
+        """Return the socket that the environment names; None: no service manager has started this process.
 
         It takes the variables out, because a process that this one starts must not speak in its name.
         """
@@ -100,7 +100,7 @@ class NotifySocket:
         return cls(address, int(watchdog) / 1e6 if watched else None)
 
     def say(self, **facts: str | int) -> None:
-        """Says something, such as `READY=1`. A manager that does not listen any more need not know."""
+        """Say something, such as `READY=1`. A manager that does not listen any more need not know."""
         with suppress(OSError):
             self._socket.sendto("\n".join(f"{key}={value}" for key, value in facts.items()).encode(), self._address)
 
@@ -114,7 +114,7 @@ SHOW_TRACEBACKS: Final = "service.log.settings.traceback=true"
 
 
 def run(path: str, sets: Sequence[str], check: bool, parent_pid: int | None, ready_fd: int | None) -> None:
-    """Runs an agent until it is told to stop, or checks its configuration. Ends the process where it has run.
+    """Run an agent until it is told to stop, or check its configuration. Ends the process where it has run.
 
     Args:
         path: the configuration file.
@@ -142,7 +142,7 @@ def run(path: str, sets: Sequence[str], check: bool, parent_pid: int | None, rea
 
 
 class Orders:
-    """Waits for a signal, or for a reason why the agent cannot go on. Made before the agent, so that none is missed.
+    """Wait for a signal, or for a reason why the agent cannot go on. Made before the agent, so that none is missed.
 
     From then on it has `STOP_S` to end: one that a stuck task or driver delays is ended all the same. Before it has
     begun there is nothing to end in order, and the process ends at once.
@@ -176,17 +176,17 @@ class Orders:
         self._begun = True
 
     def end(self, code: int) -> NoReturn:
-        """Ends the process, which has stopped in good order."""
+        """End the process, which has stopped in good order."""
         self._code = code
         sys.exit(code)
 
     def give_up(self, reason: str) -> None:
-        """Ends the wait with a reason, which is empty where the agent was asked to end. From any thread."""
+        """End the wait with a reason, which is empty where the agent was asked to end. From any thread."""
         self._reasons.append(reason)
         os.write(self._wake_writer, b"\0")
 
     def wait(self, every_s: float, meanwhile: Callable[[], None], at_hangup: Callable[[], None]) -> str:
-        """Waits until the agent is to stop; returns why it cannot go on, empty where it was told to.
+        """Wait until the agent is to stop; return why it cannot go on, empty where it was told to.
 
         Args:
             every_s: how often `meanwhile` is called.
@@ -269,7 +269,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
 
 
 def _must_be_alone(config: Config) -> None:
-    """Sees to it that no other agent of this name and fleet runs on this machine.
+    """See to it that no other agent of this name and fleet runs on this machine.
 
     Raises:
         PancakesError: one does.
@@ -290,7 +290,7 @@ def _must_be_alone(config: Config) -> None:
 
 
 def _check(config: Config, plugins: Plugins) -> None:
-    """Says that a configuration is sound, and which plug-ins of this environment are not."""
+    """Say that a configuration is sound, and which plug-ins of this environment are not."""
     from pancakes.errors import PluginError
     from pancakes.tools.cli.start_checks import machine_doubts
     from pancakes.util.plugins import GROUPS
@@ -309,7 +309,7 @@ def _check(config: Config, plugins: Plugins) -> None:
 
 
 def _register(running: Agent) -> Registration | None:
-    """Lets `pancakes` find the agent. One that cannot be found runs all the same."""
+    """Let `pancakes` find the agent. One that cannot be found runs all the same."""
     from pancakes.errors import PancakesError
     from pancakes.mesh.peers import reachable
     from pancakes.util.runtime_dir import Registration, RunningAgent
@@ -324,7 +324,7 @@ def _register(running: Agent) -> Registration | None:
 
 
 def _renew(registration: Registration | None, running: Agent) -> None:
-    """Lets `pancakes` find the agent again where its entry is gone."""
+    """Let `pancakes` find the agent again where its entry is gone."""
     if registration is not None and registration.renew():
         running.kernel.log(
             "info", f"`pancakes` finds {running.name} again: its entry in the runtime directory was gone"
@@ -332,7 +332,7 @@ def _renew(registration: Registration | None, running: Agent) -> None:
 
 
 def _tell_of_hangup(running: Agent) -> None:
-    """Says that a SIGHUP came: the log file and the recording look with each line whether they were moved."""
+    """Say that a SIGHUP came: the log file and the recording look with each line whether they were moved."""
     running.kernel.log("info", "SIGHUP: the log file and the recording begin again if another program has moved them")
 
 
@@ -347,7 +347,7 @@ def _when_ready(running: Agent, tell: Callable[[], None]) -> None:
 
 
 def _tell_launcher(running: Agent, ready_fd: int) -> None:
-    """Lets the launcher know that the agent is ready, and before that which of its tasks do not start.
+    """Let the launcher know that the agent is ready, and before that which of its tasks do not start.
 
     Each is a line: `rests SERVICE/TASK WHY`, and at the end `ready`. A launcher that has gone need not know.
     """
@@ -359,7 +359,7 @@ def _tell_launcher(running: Agent, ready_fd: int) -> None:
 
 
 def _feed_watchdog(running: Agent, manager: NotifySocket) -> None:
-    """Has the timer's thread say that the agent lives, twice as often as it must: no tick comes where it hangs."""
+    """Have the timer's thread say that the agent lives, twice as often as it must: no tick comes where it hangs."""
     if manager.watchdog_s is None:
         return
     period_s = manager.watchdog_s / 2
@@ -372,7 +372,7 @@ def _feed_watchdog(running: Agent, manager: NotifySocket) -> None:
 
 
 def _listen_to_libraries(running: Agent) -> Callable[[], None]:
-    """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, each with its traceback
+    """Send what libraries log, and how threads die, to the agent's `log`: as sentences, each with its traceback
     where the settings ask for it.
 
     Returns:

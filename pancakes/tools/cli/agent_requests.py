@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def survey(ask: Ask, *agents: str) -> list[dict[str, Any]]:
-    """Returns what the agents say of themselves; names on standard error those that said nothing.
+    """Return what the agents say of themselves; name on standard error those that said nothing.
 
     Args:
         ask: how to ask.
@@ -46,7 +46,7 @@ def survey_with(client: Client, *agents: str) -> list[dict[str, Any]]:
 
 
 def ask_each(ask: Ask, body: Any, *agents: str) -> list[tuple[str, Any]]:
-    """Asks all agents, or those named, the same, all at once; names on standard error those that gave no answer.
+    """Ask all agents, or those named, the same, all at once; name on standard error those that gave no answer.
 
     Args:
         ask: how to ask.
@@ -72,12 +72,12 @@ def ask_each(ask: Ask, body: Any, *agents: str) -> list[tuple[str, Any]]:
 
 
 def request_result(client: Client, agent: str, body: Any) -> Any:
-    """Has an agent do something, and returns the result that it answers with; see `request`."""
+    """Have an agent do something, and return the result that it answers with; see `request`."""
     return request(client, agent, body).result
 
 
 def request(client: Client, agent: str, body: Any) -> Reply:
-    """Has an agent do something, and returns its reply once it has done it.
+    """Have an agent do something, and return its reply once it has done it.
 
     Raises:
         ControlRefused: it refuses; the message is its reason.
@@ -90,7 +90,7 @@ def request(client: Client, agent: str, body: Any) -> Reply:
 
 
 def resolve_fleet(client: Client, name: TaskName) -> TaskName:
-    """Returns the task that is meant by a name, which may begin with a fleet where it has three parts.
+    """Return the task that is meant by a name, which may begin with a fleet where it has three parts.
 
     `A/B/C` is the task C of the service B of the agent A, where there is such an agent. Otherwise it is the task C of
     the agent B of the fleet A, and from then on the client speaks to that fleet alone.
@@ -102,7 +102,7 @@ def resolve_fleet(client: Client, name: TaskName) -> TaskName:
 
 
 def resolve_service(client: Client, name: TaskName) -> TaskName:
-    """Returns the name of a task with its service, which the agent is asked for where it was not said.
+    """Return the name of a task with its service, which the agent is asked for where it was not said.
 
     An agent would take the name of a service for that service, and stop it as a whole.
 
@@ -134,7 +134,7 @@ def resolve_service(client: Client, name: TaskName) -> TaskName:
 
 
 def _agent_of(client: Client, task_id: str, task: str) -> str:
-    """Returns the agent that has a task, given its identity and name; empty: none that answers."""
+    """Return the agent that has a task, given its identity and name; empty: none that answers."""
     for row in client.tasks():
         if row.task == task:
             told = client.request(row.agent, Describe(f"{row.service}/{row.task}"))
@@ -144,7 +144,7 @@ def _agent_of(client: Client, task_id: str, task: str) -> str:
 
 
 def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str, body: Any, **others: Any) -> None:
-    """Has an agent do something with a task or a service, and shows that it was done.
+    """Have an agent do something with a task or a service, and show that it was done.
 
     Args:
         ask: how to print it.
@@ -165,7 +165,7 @@ force_option = click.option("--force", is_flag=True, help="Do it without asking.
 
 
 def confirm(meaning: str, force: bool, dry_run: bool = False) -> None:
-    """Goes on only if a person means it: with `--force`, or after they were asked on the terminal.
+    """Go on only if a person means it: with `--force`, or after they were asked on the terminal.
 
     Args:
         meaning: what is lost, as a sentence without its full stop.
@@ -186,7 +186,7 @@ def confirm(meaning: str, force: bool, dry_run: bool = False) -> None:
 def request_confirmed(
     client: Client, agent: str, body: Callable[[bool, bool], Any], force: bool, dry_run: bool
 ) -> Reply:
-    """Has an agent do what it refuses without force; its refusal, which says what that would mean, is the question.
+    """Have an agent do what it refuses without force; its refusal, which says what that would mean, is the question.
 
     Args:
         client: asks the agent.

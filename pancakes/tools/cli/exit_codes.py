@@ -38,7 +38,7 @@ UNWRITABLE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.E
 
 
 def exit_code(error: PancakesError) -> int:
-    """Returns the exit code that an error stands for."""
+    """Return the exit code that an error stands for."""
     if isinstance(error, ConfigError):
         return BAD_CONFIGURATION
     if isinstance(error, Unreachable):
@@ -47,7 +47,7 @@ def exit_code(error: PancakesError) -> int:
 
 
 def fail(error: Exception) -> NoReturn:
-    """Says what is wrong on standard error, and exits."""
+    """Say what is wrong on standard error, and exit."""
     from pancakes.tools.cli.output import show_text  # only now: help needs no msgspec
 
     if isinstance(error, PancakesError):
@@ -73,19 +73,19 @@ def fail(error: Exception) -> NoReturn:
 
 
 def end_unread() -> NoReturn:
-    """Exits without a message: the reader of the output, such as `head`, has ended."""
+    """Exit without a message: the reader of the output, such as `head`, has ended."""
     forget_output()
     sys.exit(UNREAD)
 
 
 def forget_output() -> None:
-    """Discards the text that Python still has for standard output: its end would else report an error."""
+    """Discard the text that Python still has for standard output: its end would else report an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 @contextmanager
 def sentences() -> Iterator[None]:
-    """Makes sentences of the errors that leave its block: the user of a command sees no traceback."""
+    """Make sentences of the errors that leave its block: the user of a command sees no traceback."""
     try:
         yield
     except (click.ClickException, click.exceptions.Exit, click.Abort):
@@ -97,7 +97,7 @@ def sentences() -> Iterator[None]:
 
 
 def with_help(command: click.Command) -> click.Command:
-    """Gives a command, and those of a group, the help that click takes from docstrings: `python -OO` has none."""
+    """Give a command, and those of a group, the help that click takes from docstrings: `python -OO` has none."""
     if sys.flags.optimize >= 2:
         if not command.help and command.callback is not None:
             command.help = docstring_of(inspect.unwrap(command.callback)) or None

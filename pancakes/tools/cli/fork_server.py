@@ -31,7 +31,7 @@ STANDARD_STREAMS: Final = (1, 2)
 
 
 def main() -> None:
-    """Loads what agents need, forks them as it is asked to, and is each of them."""
+    """Load what agents need, and fork them as it is asked to."""
     channel = connected()
     load(LOADED)
     child = serve(channel)
@@ -43,14 +43,14 @@ def main() -> None:
 
 
 def connected() -> socket.socket:
-    """Returns the socket that the program's arguments name. From here on the program ends with its launcher."""
+    """Return the socket that the program's arguments name. From here on the program ends with its launcher."""
     channel, launcher_pid = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])
     die_with_parent(launcher_pid)
     return channel
 
 
 def load(packages: Sequence[str]) -> None:
-    """Imports all modules of some packages, into memory that what is forked shares."""
+    """Import all modules of some packages, into memory that what is forked shares."""
     gc.disable()
     for name in packages:
         package = importlib.import_module(name)
@@ -62,7 +62,7 @@ def load(packages: Sequence[str]) -> None:
 
 
 def serve(channel: socket.socket) -> tuple[bytes, list[int]] | None:
-    """Forks a child for each message, until the launcher ends.
+    """Fork a child for each message, until the launcher ends.
 
     Returns:
         None at that end; in each child its message, and the file descriptors that came with it.
@@ -85,7 +85,7 @@ def serve(channel: socket.socket) -> tuple[bytes, list[int]] | None:
 
 
 def _fork(channel: socket.socket) -> bool:
-    """Forks a child, and tells the launcher its process; returns whether this is the child.
+    """Fork a child, and tell the launcher its process; return whether this is the child.
 
     A process between the two ends at once: the system gives its child to the launcher, which asks for that. The child
     waits until then, because it may ask the system to end it with its parent.
@@ -127,7 +127,7 @@ def _fork(channel: socket.socket) -> bool:
 
 
 def _take_place(arguments: Sequence[str], files: Sequence[int]) -> list[str]:
-    """Gives an agent a session and its output; returns its arguments, with the descriptor that learns of its start."""
+    """Give an agent a session and its output; return its arguments, with the descriptor that learns of its start."""
     # An interrupt at the terminal reaches the launcher, which stops its agents in order.
     os.setsid()
     output, *ready = files

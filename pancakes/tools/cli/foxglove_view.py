@@ -24,7 +24,7 @@ from pancakes.util.clock import wall_ns
 
 
 class FleetChannels:
-    """Subscribes to all channels of the agents of a fleet.
+    """Subscribe to all channels of the agents of a fleet.
 
     Args:
         client: reaches the agents; of one fleet.
@@ -45,7 +45,7 @@ class FleetChannels:
         self._refused: set[str] = set()
 
     def look(self, described: Iterable[Mapping[str, Any]]) -> None:
-        """Subscribes to what is there and was not before.
+        """Subscribe to what is there and was not before.
 
         Args:
             described: what the agents say of themselves (`Client.survey`).
@@ -64,7 +64,7 @@ class FleetChannels:
             self._subscribers[channel] = heard
 
     def close(self) -> None:
-        """Ends all subscribers."""
+        """End all subscribers."""
         for heard in self._subscribers.values():
             heard.close()
         self._subscribers.clear()
@@ -75,7 +75,7 @@ LOOK_S: Final = 2.0
 
 
 def show_in_foxglove(port: int | None, ask: Ask) -> None:
-    """Serves the packets of a fleet to Foxglove until the program is interrupted.
+    """Serve the packets of a fleet to Foxglove until the program is interrupted.
 
     Args:
         port: the port on this machine; None: the usual one, or a free one where that is taken.

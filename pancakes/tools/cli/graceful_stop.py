@@ -36,7 +36,7 @@ class Target:
 
 
 class GracefulStop:
-    """Ends agents of one fleet after the other.
+    """End agents of one fleet after the other.
 
     Args:
         timeout_s: how long an agent may take to answer, and to end.
@@ -55,7 +55,7 @@ class GracefulStop:
         self.code = OK
 
     def end_all(self, here: dict[tuple[str, str], RunningAgent], fleet: str) -> None:
-        """Ends the agents of this machine, or of one fleet on it; those on other machines are left alone."""
+        """End the agents of this machine, or of one fleet on it; those on other machines are left alone."""
         reached = list(here.values())
         names = [entry.name for entry in reached]
         if len(set(names)) < len(names):
@@ -66,7 +66,7 @@ class GracefulStop:
             self.end(Where(fleet=fleet), names, here)
 
     def end(self, at: Where, names: Sequence[str], here: dict[tuple[str, str], RunningAgent]) -> None:
-        """Ends agents that are found from some addresses (none: on this machine)."""
+        """End agents that are found from some addresses (none: on this machine)."""
         with Client(at, self.timeout_s) as client:
             described, silent = _described(client, names)
             answered = {(told["fleet"], told["agent"]) for told in described}
@@ -83,7 +83,7 @@ class GracefulStop:
                 self.end_some(client, group)
 
     def _end_processes(self, client: Client, mute: Sequence[RunningAgent]) -> None:
-        """Ends agents of this machine that do not answer, such as those whose network sleeps: by their processes."""
+        """End agents of this machine that do not answer, such as those whose network sleeps: by their processes."""
         import psutil
 
         targets = []
@@ -105,11 +105,11 @@ class GracefulStop:
         self._await(client, targets)
 
     def end_some(self, client: Client, targets: Sequence[Target]) -> None:
-        """Ends agents that a client reaches, and waits until they are gone."""
+        """End agents that a client reaches, and wait until they are gone."""
         self._await(client, [target for target in targets if self._ask(client, target)])
 
     def _ask(self, client: Client, target: Target) -> bool:
-        """Asks an agent to end; returns whether it does."""
+        """Ask an agent to end; return whether it does."""
         try:
             reply = client.request(target.name, Shutdown(self.dry_run))
         except NoAnswer as error:
@@ -149,7 +149,7 @@ class GracefulStop:
 
 
 def _described(client: Client, names: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Returns what agents say of themselves, and a sentence for each that says nothing; one hides no other."""
+    """Return what agents say of themselves, and a sentence for each that says nothing; one hides no other."""
     try:
         found = client.survey(*names)
     except Unreachable as error:

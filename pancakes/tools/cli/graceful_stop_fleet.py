@@ -18,7 +18,7 @@ from pancakes.util.runtime_dir import entries
 
 
 def end_fleet(stop: GracefulStop, file: Path, names: Sequence[str]) -> None:
-    """Ends those agents of a fleet file that run, or those of them that are named.
+    """End those agents of a fleet file that run, or those of them that are named.
 
     Raises:
         PancakesError: the file is not sound, it has no agent of a name, or a host cannot be reached.
@@ -47,7 +47,7 @@ def end_fleet(stop: GracefulStop, file: Path, names: Sequence[str]) -> None:
 
 
 def waves(members: Sequence[Member]) -> list[list[Member]]:
-    """Returns agents in the order in which they end: each once those that come after it have ended."""
+    """Return agents in the order in which they end: each once those that come after it have ended."""
     left, found = list(members), []
     while left:
         needed = {other for member in left for other in member.after}
@@ -81,7 +81,7 @@ def _end(stop: GracefulStop, wave: Sequence[Member], clients: Mapping[str, Clien
 
 
 def _end_process(stop: GracefulStop, target: Target, hosts: Mapping[str, Host]) -> None:
-    """Ends an agent that does not answer: by a signal to its process."""
+    """End an agent that does not answer: by a signal to its process."""
     if not target.host:
         stop.fail(f"{target.name} does not answer: pancakes down {target.name} ends its process", UNREACHABLE)
         return

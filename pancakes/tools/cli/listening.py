@@ -1,4 +1,4 @@
-"""Listens to channels for as long as a verb is to go on, and says what was missed meanwhile."""
+"""Listen to channels for as long as a verb is to go on, and say what was missed meanwhile."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from_option = click.option(
 
 @contextmanager
 def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[tuple[Client, Heard]]:
-    """Listens to a channel of an agent, until Ctrl-C at the latest.
+    """Listen to a channel of an agent, until Ctrl-C at the latest.
 
     Args:
         name: the channel.
@@ -56,7 +56,7 @@ def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[
 def listen(
     client: Client, subscriber: Heard, for_s: float | None = None, bounded: bool = False
 ) -> Iterator[ReceivedPacket[Any] | None]:
-    """Yields the packets as they come, and None now and then where none comes.
+    """Yield the packets as they come, and None now and then where none comes.
 
     Args:
         client: reaches the agents.
@@ -84,7 +84,7 @@ def listen(
 
 @contextmanager
 def telling_losses(client: Client, subscriber: Heard, channel: str) -> Iterator[None]:
-    """Says at the end how many packets were published and did not come to be seen."""
+    """Say at the end how many packets were published and did not come to be seen."""
     try:
         yield
     except KeyboardInterrupt:
@@ -107,12 +107,12 @@ def _tell_losses(client: Client, subscriber: Heard, channel: str) -> None:
 
 
 def from_any(source: str, addresses: Sequence[str]) -> bool:
-    """Returns whether a packet comes from one of these addresses, or one below; no addresses: from anywhere."""
+    """Return whether a packet comes from one of these addresses, or one below; no addresses: from anywhere."""
     return not addresses or any(covers(address.rstrip("/"), source) for address in addresses)
 
 
 def doubt_types(types: Sequence[str]) -> None:
-    """Names the types that are not installed here. The agents may know them; perhaps the user meant another one."""
+    """Name the types that are not installed here. The agents may know them; perhaps the user meant another one."""
     from pancakes.packet import known_types
     from pancakes.util.plugins import Plugins
 

@@ -87,7 +87,7 @@ class LazyGroup(Guarded, click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Completes the names of the commands, without importing them."""
+        """Complete the names of the commands, without importing them."""
         names = [
             CompletionItem(name, help=command.help)
             for name, command in self._commands.items()
@@ -101,7 +101,7 @@ class LazyGroup(Guarded, click.Group):
 
 
 def _installed(name: str) -> click.Command:
-    """Imports a command of another distribution.
+    """Import a command of another distribution.
 
     Raises:
         PluginError: it cannot be imported, two distributions offer it, or it is no click command.

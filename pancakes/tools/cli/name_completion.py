@@ -26,12 +26,12 @@ Choices = Iterable[tuple[str, str]]
 
 
 def names(noun: str, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes the name of an agent, or of what an agent has: `task`, `service` or `channel`."""
+    """Complete the name of an agent, or of what an agent has: `task`, `service` or `channel`."""
     return agents(ctx, param, incomplete) if noun == "agent" else _below(ctx, incomplete, _BELOW[noun])
 
 
 def agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes `AGENT`; those that stand on the line already are not offered again."""
+    """Complete `AGENT`; those that stand on the line already are not offered again."""
     named = ctx.params.get(param.name or "")
     taken = named if isinstance(named, (list, tuple)) else ()
     fleet, slash, begun = incomplete.rpartition("/")
@@ -43,7 +43,7 @@ def agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 
 def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
-    """Returns what the agents (or only those named) say of themselves; nothing where none answers in time."""
+    """Return what the agents (or only those named) say of themselves; nothing where none answers in time."""
     from pancakes.client import Client
 
     try:
@@ -54,7 +54,7 @@ def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
 
 
 def answer(ctx: click.Context, agent: str, body: Any) -> Any:
-    """Returns the result that an agent answers a control packet with; None where it gives none in time."""
+    """Return the result that an agent answers a control packet with; None where it gives none in time."""
     from pancakes.client import Client
 
     try:
@@ -65,7 +65,7 @@ def answer(ctx: click.Context, agent: str, body: Any) -> Any:
 
 
 def _printable(value: Any) -> Any:
-    """Returns what an agent says with the control characters of its texts escaped: a shell shows what it completes."""
+    """Return what an agent says with the control characters of its texts escaped: a shell shows what it completes."""
     if isinstance(value, dict):
         return {key: _printable(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -83,7 +83,7 @@ def _at(ctx: click.Context) -> Where:
 def _below(
     ctx: click.Context, incomplete: str, choices: Callable[[dict[str, Any], str], Choices]
 ) -> list[CompletionItem]:
-    """Completes what is named below an agent.
+    """Complete what is named below an agent.
 
     Args:
         choices: given an agent's description and what is written after `AGENT/`, returns what it has.
@@ -100,7 +100,7 @@ def _below(
 def _among(
     found: Sequence[dict[str, Any]], incomplete: str, choices: Callable[[dict[str, Any], str], Choices]
 ) -> list[CompletionItem]:
-    """Completes what is named below one of some agents; see `_below`."""
+    """Complete what is named below one of some agents; see `_below`."""
     agent, slash, begun = incomplete.partition("/")
     there = {description["agent"]: description for description in found if description["agent"].startswith(agent)}
     if not slash and len(there) > 1:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class TaskName(NamedTuple):
-    """Names a task.
+    """Name a task.
 
     Attributes:
         agent: the agent that it is on.
@@ -47,7 +47,7 @@ class TaskName(NamedTuple):
 
 
 class ServiceName(NamedTuple):
-    """Names a service.
+    """Name a service.
 
     Attributes:
         agent: the agent that it is on.
@@ -67,7 +67,7 @@ class ServiceName(NamedTuple):
 
 
 class ChannelName(NamedTuple):
-    """Names a channel.
+    """Name a channel.
 
     Attributes:
         agent: the agent whose channel it is.
@@ -86,13 +86,13 @@ _FLEET: Final = "pancakes.fleet"
 
 
 def note_fleet(type_: click.ParamType, fleet: str, param: click.Parameter | None, ctx: click.Context | None) -> None:
-    """Notes the fleet that stands before a name, for `fleet_of_command`; all names of a command must be of the same."""
+    """Note the fleet that stands before a name, for `fleet_of_command`; all names of a command must be of the same."""
     if ctx is not None and ctx.meta.setdefault(_FLEET, fleet) != fleet:
         type_.fail(f"a command speaks to one fleet, not to {ctx.meta[_FLEET]} and {fleet}", param, ctx)
 
 
 def fleet_of_command(option: str) -> str:
-    """Returns the fleet that a command is about: that of `--fleet`, or that before its names; empty: any."""
+    """Return the fleet that a command is about: that of `--fleet`, or that before its names; empty: any."""
     said: str = click.get_current_context().meta.get(_FLEET, "")
     if option and said and option != said:
         raise click.UsageError(f"a command speaks to one fleet, not to {option} (--fleet) and {said}")
@@ -100,7 +100,7 @@ def fleet_of_command(option: str) -> str:
 
 
 class NameType(click.ParamType):
-    """Reads a name, with its fleet before it or without; also good as the type of an option.
+    """Read a name, with its fleet before it or without; also good as the type of an option.
 
     Args:
         noun: what bears such a name: `agent`, `task`, `service` or `channel`.
@@ -267,14 +267,14 @@ class Ask:
     printer: Printer
 
     def client(self) -> Client:
-        """Returns a new client."""
+        """Return a new client."""
         from pancakes.client import Client
 
         return Client(self.where, self.timeout_s, partial(show_text, err=True))
 
 
 def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
-    """Gives a verb the options `--at`, `--fleet`, `--timeout` and `--format`.
+    """Give a verb the options `--at`, `--fleet`, `--timeout` and `--format`.
 
     Its parameter is `ask`.
 
@@ -326,7 +326,7 @@ dry_run_option = click.option("--dry-run", is_flag=True, help="Only ask whether 
 
 
 def keep_state_option(help_: str) -> Callable[[_F], _F]:
-    """Returns the option `--keep-state/--drop-state`; its parameter is `keep_state`."""
+    """Return the option `--keep-state/--drop-state`; its parameter is `keep_state`."""
     return click.option("--keep-state/--drop-state", default=True, show_default=True, help=help_)
 
 

@@ -17,7 +17,7 @@ _PR_SET_PDEATHSIG: Final = 1  # from <linux/prctl.h>
 
 
 def die_with_parent(expected_pid: int) -> None:
-    """Asks the kernel to send SIGTERM to this process when its parent ends.
+    """Ask the kernel to send SIGTERM to this process when its parent ends.
 
     Linux counts the thread that launched us as the parent, so a launcher does it from one that stays.
 

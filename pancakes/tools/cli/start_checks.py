@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def start_doubts(config: Config) -> Iterator[tuple[KeyPath, str]]:
-    """Yields why an agent would not start here, each a phrase behind the key that it is about.
+    """Yield why an agent would not start here, each a phrase behind the key that it is about.
 
     Nothing is made or changed. Names of hosts are looked up, which may take some seconds.
     """
@@ -66,7 +66,7 @@ def _of_local(address: str) -> str:
 
 
 def _why_not_made(path: Path) -> str:
-    """Returns why a directory is none and cannot be made; empty: it is one, or can."""
+    """Return why a directory is none and cannot be made; empty: it is one, or can."""
     there = next((it for it in (path, *path.absolute().parents) if os.path.lexists(it)), Path("/"))
     if not there.is_dir():
         return f"{there} is no directory"
@@ -77,7 +77,7 @@ NOT_HERE: Final = "on this machine it does not start"
 
 
 def machine_doubts(config: Config, plugins: Plugins) -> list[Fault]:
-    """Returns what `pancakes config check` and `pancakes-agent --check` warn of: both say the same.
+    """Return what `pancakes config check` and `pancakes-agent --check` warn of: both say the same.
 
     The configuration may be for another machine, so none of it is a fault.
 

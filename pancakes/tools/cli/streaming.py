@@ -41,7 +41,7 @@ class Interrupted(threading.Event):
 
 
 def event_at(*signals: signal.Signals, again: int | None = None) -> Interrupted:
-    """Returns an event that is set when one of these signals comes. Main thread, and once in a process.
+    """Return an event that is set when one of these signals comes. Main thread, and once in a process.
 
     It is set by a thread that reads what Python writes for each signal at once, and not by a handler. That runs in the
     main thread between any two of its steps, also within the event's own `wait`, which has the lock that `set` needs.
@@ -84,7 +84,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 @contextmanager
 def until_ended() -> Iterator[None]:
-    """Ends its block in good order and without a message at Ctrl-C, or where the reader of the output ends."""
+    """End its block in good order and without a message at Ctrl-C, or where the reader of the output ends."""
     quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.tools.cli.quiet_interrupt`
     try:
         if quiet:
@@ -107,12 +107,12 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def say(text: str) -> None:
-    """Says something about the stream on standard error, where it does not mix with it."""
+    """Say something about the stream on standard error, where it does not mix with it."""
     show_text(text, err=True)
 
 
 def load_packets(plugins: Plugins | None = None) -> None:
-    """Registers the packet types of all distributions; names on standard error those that cannot be loaded."""
+    """Register the packet types of all distributions; name on standard error those that cannot be loaded."""
     from pancakes.util.plugins import Plugins
 
     for fault in (plugins or Plugins()).load_packets():
@@ -120,7 +120,7 @@ def load_packets(plugins: Plugins | None = None) -> None:
 
 
 def count_option(what: str) -> Callable[[_F], _F]:
-    """Returns the option `--count`; its parameter is `count`, None where it is not given."""
+    """Return the option `--count`; its parameter is `count`, None where it is not given."""
     return click.option("--count", metavar="N", type=click.IntRange(min=1), help=f"End after N {what}.")
 
 

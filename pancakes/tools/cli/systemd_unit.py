@@ -82,7 +82,7 @@ class UnitFacts(msgspec.Struct, frozen=True):
 
 
 def facts_of(config: Config, plugins: Plugins, user: str = "") -> UnitFacts:
-    """Returns what the unit of a configuration's agent rests on.
+    """Return what the unit of a configuration's agent rests on.
 
     Args:
         config: the configuration.
@@ -124,7 +124,7 @@ def _hardware(config: Config, plugins: Plugins) -> Iterable[Hardware]:
 
 
 def unit_of(facts: UnitFacts, user: str = USER) -> str:
-    """Returns the unit of a service of the system, which runs under a user of its own.
+    """Return the unit of a service of the system, which runs under a user of its own.
 
     Raises:
         PancakesError: that is no name for a user.
@@ -152,7 +152,7 @@ def unit_of(facts: UnitFacts, user: str = USER) -> str:
 
 
 def user_unit_of(facts: UnitFacts, folder: str, environment: Mapping[str, str]) -> str:
-    """Returns the unit of a service of one person, which keeps its state where the agent has it at a terminal.
+    """Return the unit of a service of one person, which keeps its state where the agent has it at a terminal.
 
     Args:
         facts: what the unit rests on.
@@ -207,7 +207,7 @@ def _devices(facts: UnitFacts) -> list[str]:
 
 
 def _quoted(text: str) -> str:
-    """Returns one word of a line of a unit."""
+    """Return one word of a line of a unit."""
     text = text.replace("%", "%%")
     if _PLAIN.fullmatch(re.sub(r"%%|\$", "", text) or "-"):
         return text

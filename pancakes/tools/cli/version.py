@@ -22,7 +22,7 @@ WRITTEN: Final = "commit.txt"
 
 
 def version_text(package: Path = _PACKAGE) -> str:
-    """Returns the version, with the commit where the package is none of a release.
+    """Return the version, with the commit where the package is none of a release.
 
     Args:
         package: the folder of the package.
@@ -35,7 +35,7 @@ def version_text(package: Path = _PACKAGE) -> str:
 
 
 def _commit_of_clone(root: Path) -> str:
-    """Returns the commit of a clone, and whether it has changes; empty: it is a release, or no clone."""
+    """Return the commit of a clone, and whether it has changes; empty: it is a release, or no clone."""
     if not (root / ".git").exists():
         return ""
     commit = _git(root, "rev-parse", "--short=12", "HEAD")
@@ -56,7 +56,7 @@ def _git(root: Path, *arguments: str) -> str:
 
 
 def version_option(program: str) -> Callable[[_Command], _Command]:
-    """Gives a command the option `--version`."""
+    """Give a command the option `--version`."""
 
     def show(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
         if wanted and not context.resilient_parsing:

@@ -48,12 +48,12 @@ class Ticks:
     late_max_s: float
 
     def was_late(self) -> bool:
-        """Returns whether so many were missed, or one was so late, that it may have changed the mission."""
+        """Return whether so many were missed, or one was so late, that it may have changed the mission."""
         return self.missed > max(1.0, MISSED_SHARE * (self.ticks + self.missed)) or self.late_max_s > BEHIND_S
 
 
 def ticks_of(agent: str, description: Mapping[str, Any]) -> list[Ticks]:
-    """Returns how the ticks of an agent's tasks came, from its answer to `Describe`."""
+    """Return how the ticks of an agent's tasks came, from its answer to `Describe`."""
     return [
         Ticks(f"{agent}/{it['service']}/{it['task']}", it["ticks"], it["missed"], it["lateness_max_s"])
         for it in description["tasks"]
@@ -62,13 +62,13 @@ def ticks_of(agent: str, description: Mapping[str, Any]) -> list[Ticks]:
 
 
 def late_ones(ticks: Iterable[Ticks]) -> list[dict[str, Any]]:
-    """Returns the tasks that were late, as plain values, the worst first."""
+    """Return the tasks that were late, as plain values, the worst first."""
     late = [it for it in ticks if it.was_late()]
     return [asdict(it) for it in sorted(late, key=lambda it: (-it.missed, -it.late_max_s, it.task))]
 
 
 def how_slow(timing: Mapping[str, Any]) -> str:
-    """Returns where the machine fell behind, as it stands in `timing.json`; empty where it kept up."""
+    """Return where the machine fell behind, as it stands in `timing.json`; empty where it kept up."""
     parts = []
     if timing.get("behind_max_s", 0.0) > BEHIND_S:
         parts.append(f"the world fell behind the clock by up to {timing['behind_max_s']:.2f} s of mission time")
@@ -82,14 +82,14 @@ def how_slow(timing: Mapping[str, Any]) -> str:
 
 
 def verdict_line(verdict: str, slow: str) -> str:
-    """Returns a mission's verdict, and where the machine was too slow for it, in one line."""
+    """Return a mission's verdict, and where the machine was too slow for it, in one line."""
     if not slow:
         return verdict
     return f"{verdict}, {'though' if verdict == 'PASS' else 'and'} this machine was too slow: {slow}"
 
 
 def hint_of(verdict: str, timings: Iterable[Mapping[str, Any]]) -> str:
-    """Returns what the machine has to do with a mission that has failed in real time; empty: nothing.
+    """Return what the machine has to do with a mission that has failed in real time; empty: nothing.
 
     Where ticks were in time a mission may fail of the machine all the same: a message between two agents that comes
     late is no late tick.
@@ -154,11 +154,11 @@ class Losses:
             self._steps.append((LossStep(loss.agent, "agent_returned", at_s + loss.away_s), start))
 
     def wait_s(self) -> float:
-        """Returns how long it is until something is to be done, in mission seconds; infinity: nothing ever is."""
+        """Return how long it is until something is to be done, in mission seconds; infinity: nothing ever is."""
         return max(0.0, self._steps[0][0].t_s - self._now()) if self._steps else math.inf
 
     def look(self) -> None:
-        """Does what is due."""
+        """Do what is due."""
         while self.wait_s() <= HAIR_S:
             step, act = self._steps.pop(0)
             now_s = self._now()  # before it is done: what follows from it comes later
@@ -235,7 +235,7 @@ class Mission:
 
 
 class Conductor(Task):
-    """Conducts one mission from the launcher's agent.
+    """Conduct one mission from the launcher's agent.
 
     It talks to the agents only by packets that any agent may send: `Describe`, `Follow`, `Begin`.
 
@@ -349,7 +349,7 @@ class Conductor(Task):
 
     @every(hz=10)
     def look(self, tick: Tick) -> None:
-        """Sees how far the world lies behind the clock."""
+        """See how far the world lies behind the clock."""
         mission = self._mission
         if mission.phase != "running":
             return
@@ -371,12 +371,12 @@ class Conductor(Task):
 
     @on(SYSTEM, "battery", keep=queue(64))
     def on_battery(self, packet: Packet) -> None:
-        """Remembers the newest battery reading of each agent."""
+        """Remember the newest battery reading of each agent."""
         self._mission.batteries[agent_of(packet.source)] = packet.body
 
     @on(SYSTEM, "world_state", keep="latest")
     def on_world(self, packet: Packet) -> None:
-        """Remembers where everything is."""
+        """Remember where everything is."""
         state = packet.body
         self._mission.world_s = state.time_s
         for body in state.bodies:
@@ -384,7 +384,7 @@ class Conductor(Task):
 
     @on(LOG, None, keep=queue(8192))
     def on_log(self, packet: Packet) -> None:
-        """Keeps what happens."""
+        """Keep what happens."""
         agent = agent_of(packet.source)
         if agent == self.agent:
             self._on_own_log(packet)
@@ -410,7 +410,7 @@ class Conductor(Task):
             self.publish(SYSCTRL, History(self.now() - self._lost_s.pop(peer) + OVERLAP_S), to=peer)
 
     def _catch_up(self, agent: str, records: Sequence[Mapping[str, Any]]) -> None:
-        """Takes what an agent said while it could not be heard, as far as that was not heard after all."""
+        """Take what an agent said while it could not be heard, as far as that was not heard after all."""
         heard = [record for record in self._mission.events[-RECENT:] if record["agent"] == agent]
         for entry in records:
             record = self._in_mission_time({key: value for key, value in entry.items() if key != "entry"})
@@ -445,12 +445,12 @@ class Conductor(Task):
         self.publish(SYSCTRL, History(), to=agent)
 
     def _in_mission_time(self, record: dict[str, Any]) -> dict[str, Any]:
-        """Returns a record of an agent, whose clock may have begun later than the mission."""
+        """Return a record of an agent, whose clock may have begun later than the mission."""
         zero_s = self._zero_s.get(record["agent"], 0.0)
         return {**record, "t_s": round(record["t_s"] + zero_s, 6)} if zero_s else record
 
     def _note(self, record: dict[str, Any]) -> None:
-        """Keeps a record, and what follows from it."""
+        """Keep a record, and what follows from it."""
         if record["kind"] == "line" and record["level"] == "debug":
             return
         running = self._mission.running.setdefault(record["agent"], [])
@@ -478,7 +478,7 @@ class Conductor(Task):
         return None
 
     def end(self, reason: str) -> None:
-        """Ends the mission; the launcher then stops all agents."""
+        """End the mission; the launcher then stops all agents."""
         mission = self._mission
         if mission.ended:
             return
@@ -490,6 +490,6 @@ class Conductor(Task):
 
 
 def _running(description: Mapping[str, Any]) -> list[str]:
-    """Returns the user's tasks that run on an agent, from its answer to `Describe`."""
+    """Return the user's tasks that run on an agent, from its answer to `Describe`."""
     tasks = [task for task in description["tasks"] if task["service"] not in ("device", "network", "log")]
     return [task["task"] for task in tasks if task["state"] == "running"]

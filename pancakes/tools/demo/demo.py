@@ -48,7 +48,7 @@ class Loss:
     away_s: float
 
     def at_s(self, seed: int) -> float:
-        """Returns when the agent is killed in the run with this seed."""
+        """Return when the agent is killed in the run with this seed."""
         return random.Random(f"loss/{seed}").uniform(self.earliest_s, self.latest_s)
 
 

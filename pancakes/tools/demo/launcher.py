@@ -69,11 +69,11 @@ class DemoPlan:
     claim: Claim | None
 
     def peers(self, within_machine: bool) -> tuple[str, ...]:
-        """Returns an address of each agent: the one within its machine, or else another."""
+        """Return an address of each agent: the one within its machine, or else another."""
         return tuple(config.agent.addresses[0 if within_machine else -1] for config in self.configs.values())
 
     def buses(self) -> tuple[str, ...]:
-        """Returns the addresses of the hardware buses, which no fault of the network concerns."""
+        """Return the addresses of the hardware buses, which no fault of the network concerns."""
         found = {
             str(device.settings["world"]): None
             for config in self.configs.values()
@@ -95,7 +95,7 @@ def make_plan(
     plugins: Plugins | None = None,
     local: bool = False,
 ) -> DemoPlan:
-    """Works out one run.
+    """Work out one run.
 
     Args:
         demo: the demo.
@@ -153,7 +153,7 @@ def make_plan(
 
 
 def _places(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim | None, Mapping[str, list[str]]]:
-    """Returns what keeps other demos from the ports of a live one, and what is to be set where it has others."""
+    """Return what keeps other demos from the ports of a live one, and what is to be set where it has others."""
     try:
         tables = {agent: toml_values(path.read_text(encoding="utf-8")) for agent, path in files.items()}
     except (OSError, ValueError):
@@ -166,7 +166,7 @@ def _places(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim |
 
 
 def find_configs(demo: Demo, given: Path | None = None) -> Path:
-    """Returns the folder with the configurations of a demo.
+    """Return the folder with the configurations of a demo.
 
     Args:
         demo: the demo.
@@ -230,12 +230,12 @@ class Launcher(Agent):
         super().__init__(parse(text, where="the launcher"), plugins, virtual, arguments)
 
     def end(self, reason: str) -> None:
-        """Ends the mission before its time. Any thread."""
+        """End the mission before its time. Any thread."""
         tell_conductor(self, EndMission(reason))
 
 
 def tell_conductor(launcher: Agent, message: EndMission | LossStep) -> None:
-    """Tells the launcher's task something. Any thread."""
+    """Tell the launcher's task something. Any thread."""
     conductor = launcher.kernel.registry.get(f"{LAUNCHER}/client/Conductor")
     if conductor is not None:
         tell(conductor, message)
@@ -254,7 +254,7 @@ class Processes:
         self._processes: dict[str, AgentProcess] = {}
 
     def start(self, keys: Mapping[str, Path]) -> None:
-        """Starts them all.
+        """Start them all.
 
         Args:
             keys: the folders with the keys of the agents that get some.
@@ -265,20 +265,20 @@ class Processes:
             self.start_one(agent)
 
     def start_one(self, agent: str) -> None:
-        """Starts one of them, as it was configured for this run; to be called in the thread that started them all."""
+        """Start one of them, as it was configured for this run; to be called in the thread that started them all."""
         plan = self._plan
         sets = (*plan.sets[agent], *set_keys(self._keys.get(agent)))
         with (plan.out / "logs" / f"{agent}.txt").open("ab") as output:
             self._processes[agent] = self._starter.start(plan.files[agent], sets, output.fileno())
 
     def kill(self, agent: str) -> None:
-        """Ends one of them at once: it gets no word in. From then on it is none of those that should run."""
+        """End one of them at once: it gets no word in. From then on it is none of those that should run."""
         process = self._processes.pop(agent)
         process.kill()
         process.wait()
 
     def gone(self) -> str:
-        """Returns a sentence about an agent that has ended by itself; empty where all run."""
+        """Return a sentence about an agent that has ended by itself; empty where all run."""
         for agent, process in self._processes.items():
             if process.poll() is not None:
                 said = (self._plan.out / "logs" / f"{agent}.txt").read_text(encoding="utf-8", errors="replace").strip()
@@ -287,13 +287,13 @@ class Processes:
         return ""
 
     def stop(self) -> None:
-        """Stops them all: in good order where they can, by force where they do not in time."""
+        """Stop them all: in good order where they can, by force where they do not in time."""
         end_all(self._processes.values(), STOP_S)
         self._starter.close()
 
 
 def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> dict[str, Any]:
-    """Runs the agents as processes until the mission is over, or `interrupted` is set.
+    """Run the agents as processes until the mission is over, or `interrupted` is set.
 
     Returns:
         What is the wall's, for `timing.json`.
@@ -357,28 +357,28 @@ def _cannot_begin(mission: Mission) -> PancakesError:
 
 
 def _settle(mission: Mission) -> None:
-    """Marks a mission that was not left to its end, before its agents go: that they go is no part of it."""
+    """Mark a mission that was not left to its end, before its agents go: that they go is no part of it."""
     if not mission.ended:
         mission.phase = "interrupted"
 
 
 class Onlooker(Protocol):
-    """Watches a fleet in virtual time, and keeps it from going faster than it can be watched. It changes nothing."""
+    """Watch a fleet in virtual time, and keep it from going faster than it can be watched. It changes nothing."""
 
     def begin(self, fleet: Fleet) -> None:
-        """Takes the fleet, before anything runs."""
+        """Take the fleet, before anything runs."""
 
     def joined(self, agent: Agent) -> None:
-        """Takes an agent that was killed, and is started again."""
+        """Take an agent that was killed, and is started again."""
 
     def slice_s(self) -> float:
-        """Returns how much virtual time may pass until the next `pace`."""
+        """Return how much virtual time may pass until the next `pace`."""
 
     def pace(self) -> None:
-        """Looks at what happened, and waits until it is time to go on."""
+        """Look at what happened, and wait until it is time to go on."""
 
     def end(self) -> None:
-        """Looks no more: the agents are about to stop."""
+        """Look no more: the agents are about to stop."""
 
 
 def run_virtual(
@@ -389,7 +389,7 @@ def run_virtual(
     onlooker: Onlooker | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Runs the same agents in virtual time, on this thread, until the mission is over or `interrupted` is set.
+    """Run the same agents in virtual time, on this thread, until the mission is over or `interrupted` is set.
 
     Agents that are to be recorded are so from outside, so that the mission is the same as without.
 
@@ -473,7 +473,7 @@ def _run_while(
     onlooker: Onlooker | None,
     losses: Losses,
 ) -> bool:
-    """Runs while a condition holds, for at most some virtual time.
+    """Run while a condition holds, for at most some virtual time.
 
     Returns:
         Whether it ceased to hold, or it was interrupted.
@@ -508,7 +508,7 @@ class NetworkFaults:
         self.quality = Quality(latency_s=latency_s, jitter_s=jitter_s)
 
     def arrange(self, fleet: Fleet, launcher: Agent) -> None:
-        """Draws the breaks of one mission."""
+        """Draw the breaks of one mission."""
         names = [name for name in fleet.agents if name != launcher.name]
         for _ in range(self._breaks):
             at_s = fleet.now() + self._random.uniform(5.0, 290.0)
@@ -517,25 +517,25 @@ class NetworkFaults:
 
 
 def run_of(plan: DemoPlan, mission: Mission) -> Run:
-    """Returns what a mission that is over was, for its judge."""
+    """Return what a mission that is over was, for its judge."""
     return Run(plan.out, plan.seed, plan.duration_s, mission.now_s, mission.ended_because, configs_of(plan))
 
 
 def judge(plan: DemoPlan, run: Run, timing: Mapping[str, Any]) -> dict[str, Any]:
-    """Judges a run, and writes `summary.json` and `timing.json`. Returns the summary."""
+    """Judge a run, and write `summary.json` and `timing.json`. Returns the summary."""
     summary = plan.demo.judge(run)
     write_results(plan.out, summary, timing)
     return summary
 
 
 def write_results(out: Path, summary: Mapping[str, Any], timing: Mapping[str, Any]) -> None:
-    """Writes `summary.json` and `timing.json`."""
+    """Write `summary.json` and `timing.json`."""
     for name, content in (("summary.json", summary), ("timing.json", timing)):
         (out / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def configs_of(plan: DemoPlan) -> Mapping[str, Mapping[str, Any]]:
-    """Returns the agents' configurations as plain mappings, for a demo's judge."""
+    """Return the agents' configurations as plain mappings, for a demo's judge."""
 
     def plain(config: Config) -> dict[str, Any]:
         return {
@@ -550,7 +550,7 @@ def configs_of(plan: DemoPlan) -> Mapping[str, Mapping[str, Any]]:
 
 
 def fresh(out: Path, results: Sequence[str] = ("trajectory.csv", "paths.png")) -> None:
-    """Makes the output folder, without the state and the results of an earlier run.
+    """Make the output folder, without the state and the results of an earlier run.
 
     Args:
         out: the folder.

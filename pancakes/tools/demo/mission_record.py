@@ -43,11 +43,11 @@ class MissionRecord:
     events: list[MissionEvent]
 
     def running_at_first(self, task: str) -> list[str]:
-        """Returns the agents that ran a task already when the mission began: so the launcher's `roster` says."""
+        """Return the agents that ran a task already when the mission began: so the launcher's `roster` says."""
         return [event.agent for event in self.told("roster") if task in event.fields.get("tasks", ())]
 
     def told(self, kind: str, agent: str = "", task: str = "") -> Iterator[MissionEvent]:
-        """Yields the events of a kind, of one agent and about one task where these are given."""
+        """Yield the events of a kind, of one agent and about one task where these are given."""
         for event in self.events:
             if event.kind == kind and agent in ("", event.agent) and task in ("", event.fields.get("task")):
                 yield event
@@ -69,7 +69,7 @@ class Holder:
 
 
 def read_events(out_dir: Path) -> list[MissionEvent]:
-    """Reads the `events.jsonl` of a mission.
+    """Read the `events.jsonl` of a mission.
 
     Raises:
         PancakesError: it is missing, or is not what it should be; it names the line.
@@ -87,7 +87,7 @@ def read_events(out_dir: Path) -> list[MissionEvent]:
 
 
 def read_lines(path: Path, split: Callable[[TextIO], Iterable[_T]]) -> Iterator[tuple[int, _T]]:
-    """Yields what `split` makes of a mission's file, numbered from 1.
+    """Yield what `split` makes of a mission's file, numbered from 1.
 
     Raises:
         PancakesError: it cannot be read.
@@ -100,7 +100,7 @@ def read_lines(path: Path, split: Callable[[TextIO], Iterable[_T]]) -> Iterator[
 
 
 def holders(story: MissionRecord, task: str, end_s: float) -> list[Holder]:
-    """Returns the agents that ran a task, in the order of time.
+    """Return the agents that ran a task, in the order of time.
 
     A task that is frozen for a move runs no more, nor does any on an agent that was killed.
     """
@@ -120,7 +120,7 @@ def holders(story: MissionRecord, task: str, end_s: float) -> list[Holder]:
 
 
 def _joined(found: list[Holder]) -> list[Holder]:
-    """Makes one of what a restart, or a move that was called off, broke in two."""
+    """Make one of what a restart, or a move that was called off, broke in two."""
     joined: list[Holder] = []
     for holder in sorted(found, key=lambda holder: (holder.start_s, holder.end_s)):
         last = joined[-1] if joined else None

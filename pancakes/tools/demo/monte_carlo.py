@@ -57,7 +57,7 @@ class MissionWishes:
 
 
 def plan_of(found: Demo, out: Path, seed: int, wishes: MissionWishes, plugins: Plugins) -> DemoPlan:
-    """Works out a mission.
+    """Work out a mission.
 
     Raises:
         PancakesError: a file is missing or wrong.
@@ -69,7 +69,7 @@ def plan_of(found: Demo, out: Path, seed: int, wishes: MissionWishes, plugins: P
 
 
 def fly_unattended(seed: int, out: Path, wishes: MissionWishes, said: list[str]) -> Mapping[str, Any]:
-    """Runs a mission, or all of a comparison, and judges it. The same seed writes the same bytes as `pancakes demo`.
+    """Run a mission, or all of a comparison, and judge it. The same seed writes the same bytes as `pancakes demo`.
 
     Args:
         seed: its seed.
@@ -162,7 +162,7 @@ def fly_many(
     interrupted: Callable[[], bool],
     prepare: Callable[[], None],
 ) -> Iterator[MissionOutcome]:
-    """Runs a mission for each seed, and yields what became of each, in the order in which they end.
+    """Run a mission for each seed, and yield what became of each, in the order in which they end.
 
     A process that ends in a mission takes nothing else with it: another one goes on with the next seed.
 
@@ -220,7 +220,7 @@ def _give(worker: _MissionProcess, seed: int, folder: Path) -> None:
 
 
 def _take(worker: _MissionProcess) -> MissionOutcome:
-    """Takes what a process tells of its mission, or sees that it has ended."""
+    """Take what a process tells of its mission, or see that it has ended."""
     try:
         outcome = worker.pipe.recv()
         assert isinstance(outcome, MissionOutcome)
@@ -251,7 +251,7 @@ def _end(worker: _MissionProcess) -> None:
 
 
 def _serve(pipe: connection.Connection, wishes: MissionWishes, prepare: Callable[[], None]) -> None:
-    """Runs missions in a process of its own, until none is asked for any more."""
+    """Run missions in a process of its own, until none is asked for any more."""
     os.dup2(2, 1)  # what a plug-in prints is no part of the results
     prepare()
     while True:

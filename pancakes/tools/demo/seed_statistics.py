@@ -14,7 +14,7 @@ _HOW: Final = "write seeds as 1-200, or as 3,17,20-29"
 
 
 def seeds_of(text: str) -> tuple[int, ...]:
-    """Returns the seeds that a text names, in ascending order and each once.
+    """Return the seeds that a text names, in ascending order and each once.
 
     Raises:
         ValueError: it names none; the message is a sentence without its beginning, which is the text.
@@ -36,7 +36,7 @@ def seeds_of(text: str) -> tuple[int, ...]:
 
 
 def text_of_seeds(seeds: Iterable[int]) -> str:
-    """Returns seeds as `seeds_of` takes them, neighbours as ranges."""
+    """Return seeds as `seeds_of` takes them, neighbours as ranges."""
     parts: list[list[int]] = []
     for seed in sorted(set(seeds)):
         if parts and parts[-1][1] == seed - 1:
@@ -75,7 +75,7 @@ class Spread:
 
 
 def spreads_of(summaries: Iterable[Mapping[str, Any]]) -> list[Spread]:
-    """Returns the spread of each figure that stands in summaries, in the order in which they first come."""
+    """Return the spread of each figure that stands in summaries, in the order in which they first come."""
     found: dict[str, list[float]] = {}
     for summary in summaries:
         for figure, value in figures_of({key: value for key, value in summary.items() if key not in _GIVEN}):
@@ -87,7 +87,7 @@ def spreads_of(summaries: Iterable[Mapping[str, Any]]) -> list[Spread]:
 
 
 def figures_of(summary: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, float]]:
-    """Yields the numbers of a summary with where they stand, those in tables too; what is in lists is left out."""
+    """Yield the numbers of a summary with where they stand, those in tables too; what is in lists is left out."""
     for key, value in summary.items():
         if isinstance(value, Mapping):
             yield from figures_of(value, f"{before}{key}.")

@@ -39,7 +39,7 @@ class PlainView:
         self._mission.changed = lambda: None
 
     def tell(self, record: Mapping[str, Any]) -> None:
-        """Writes one event."""
+        """Write one event."""
         if not is_quiet(record):
             self._say(f"{record['t_s']:8.2f} s  {sentence_of(record)}")
 

@@ -32,7 +32,7 @@ Need = Literal["has", "needs", "none"]
 
 
 def keys_needed(members: Sequence[Member], hosts: Mapping[str, Host]) -> dict[str, Need]:
-    """Returns which agents have keys on their hosts, which need some, and which need none, by name."""
+    """Return which agents have keys on their hosts, which need some, and which need none, by name."""
     plugins = Plugins()
     found: dict[str, Need] = {}
     for member in members:
@@ -47,7 +47,7 @@ def keys_needed(members: Sequence[Member], hosts: Mapping[str, Host]) -> dict[st
 
 
 def check_keys(members: Sequence[Member], needed: Mapping[str, Need]) -> None:
-    """Sees to it that no agent lacks keys.
+    """See to it that no agent lacks keys.
 
     Raises:
         PancakesError: some do; the sentences say which, and what to do.
@@ -69,7 +69,7 @@ def enrol(
     authorities: Mapping[str, Authority],
     tell: Callable[[str, str], None],
 ) -> None:
-    """Gives keys to the agents that need some.
+    """Give keys to the agents that need some.
 
     Args:
         members: the agents.
@@ -148,7 +148,7 @@ class Deployment:
         self._anew: list[HostLink] = []
 
     def prepare(self) -> None:
-        """Brings everything to all hosts and checks it there; nothing that runs is touched.
+        """Bring everything to all hosts and check it there; nothing that runs is touched.
 
         Raises:
             PancakesError: a host cannot be prepared. What was brought is taken away again, everywhere.
@@ -163,7 +163,7 @@ class Deployment:
             raise
 
     def switch(self) -> None:
-        """Switches one agent after the other.
+        """Switch one agent after the other.
 
         Raises:
             PancakesError: one of them does not run as it should. All are as they were before.
@@ -189,20 +189,20 @@ class Deployment:
                 link.close()
 
     def clean(self) -> None:
-        """Removes from all hosts what no version needs."""
+        """Remove from all hosts what no version needs."""
         for link in self._links.values():
             with suppress(PancakesError):  # a host that is gone keeps what it has
                 link.obtain("clean")
 
     def _go_on(self) -> None:
-        """Ends the deployment where a person wants that."""
+        """End the deployment where a person wants that."""
         if self._called_off():
             raise PancakesError("the deployment is called off")
 
     # A host ----------------------------------------------------------------------------------------------------
 
     def _everywhere(self, act: Callable[[Supply], None]) -> None:
-        """Does something at all hosts at once; raises what has failed."""
+        """Do something at all hosts at once; raise what has failed."""
 
         def tried(supply: Supply) -> str:
             try:
@@ -279,7 +279,7 @@ class Deployment:
         self._tell(change.name, f"runs the version {change.version} on {change.host}{changed}")
 
     def _restart(self, change: AgentChange) -> None:
-        """Stops an agent, has it use a version, and starts it."""
+        """Stop an agent, have it use a version, and start it."""
         self._ask(change, "stop_service")
         self._use(change, change.version, change.last if change.what == "start" else change.was)
         self._ask(change, "install_service")
@@ -289,7 +289,7 @@ class Deployment:
         self._links[change.host].obtain("switch", fleet=change.fleet, name=change.name, version=version, last=last)
 
     def _undo(self, done: Iterable[_Done]) -> list[str]:
-        """Takes agents back to where they were, the last one first; returns a sentence for each that could not be."""
+        """Take agents back to where they were, the last one first; return a sentence for each that could not be."""
         problems = []
         for it in reversed(list(done)):
             change = it.change
@@ -316,7 +316,7 @@ class Deployment:
             moves.all_back()
 
     def _reach_again(self, host: str) -> None:
-        """Makes a connection anew that was lost; what was asked for over the old one is finished there first."""
+        """Make a connection anew that was lost; what was asked for over the old one is finished there first."""
         if not self._links[host].lost:
             return
         self._links[host] = HostLink(host)

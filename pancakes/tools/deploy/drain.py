@@ -23,7 +23,7 @@ GIVEN_UP: Final = "failed"
 
 @dataclass
 class Steadiness:
-    """Looks at an agent's tasks until they have run for a while.
+    """Look at an agent's tasks until they have run for a while.
 
     Args:
         before: the states of its tasks before, by name; what did not run then need not now.
@@ -36,7 +36,7 @@ class Steadiness:
     _since_s: float | None = None
 
     def look(self, tasks: Sequence[TaskRow], now_s: float) -> bool:
-        """Takes how they are; returns whether they have run for long enough."""
+        """Take how they are; return whether they have run for long enough."""
         seen = {str(row): row.incarnation for row in tasks}
         if self.faults(tasks) or seen != self._seen:
             self._since_s = None if self.faults(tasks) else now_s
@@ -46,7 +46,7 @@ class Steadiness:
         return now_s - self._since_s >= self.calm_s
 
     def faults(self, tasks: Sequence[TaskRow]) -> list[str]:
-        """Returns a clause for each task that does not run, and did before, or is new."""
+        """Return a clause for each task that does not run, and did before, or is new."""
         return [
             f"{row.service}/{row.task} is {_state(row)}" + (f": {row.reason}" if row.reason else "")
             for row in tasks
@@ -54,7 +54,7 @@ class Steadiness:
         ]
 
     def is_hopeless(self, tasks: Sequence[TaskRow]) -> bool:
-        """Returns whether one of them has been given up."""
+        """Return whether one of them has been given up."""
         return any(_state(row) in HOPELESS and self._ran(row) for row in tasks)
 
     def _ran(self, row: TaskRow) -> bool:
@@ -62,7 +62,7 @@ class Steadiness:
 
 
 def is_given_up(row: TaskRow) -> bool:
-    """Returns whether a task was given up, now or in an earlier life of its agent."""
+    """Return whether a task was given up, now or in an earlier life of its agent."""
     return _state(row) == GIVEN_UP
 
 
@@ -114,12 +114,12 @@ class AgentBefore:
     recorder: Mapping[str, Any] | None = None
 
     def ran(self, row: TaskRow) -> bool:
-        """Returns whether a task ran, or was about to."""
+        """Return whether a task ran, or was about to."""
         return self.states.get(_name(row)) in RUNNING
 
 
 class TaskMoves:
-    """Moves tasks, and looks how they are.
+    """Move tasks, and look how they are.
 
     Args:
         ways: the address of each agent of the fleet that can be reached from here, by name.
@@ -135,7 +135,7 @@ class TaskMoves:
         self._now = MonotonicClock().now
 
     def tasks(self, agent: str) -> list[TaskRow]:
-        """Returns the tasks of an agent.
+        """Return the tasks of an agent.
 
         Raises:
             PancakesError: it does not answer.
@@ -144,7 +144,7 @@ class TaskMoves:
             return client.tasks(agent)
 
     def look(self, agent: str) -> AgentBefore:
-        """Returns how an agent is, so that `run_again` can make it so once more; empty if it does not answer."""
+        """Return how an agent is, so that `run_again` can make it so once more; empty if it does not answer."""
         try:
             with self._client(agent) as client:
                 states = {_name(row): row.state for row in client.tasks(agent)}
@@ -155,7 +155,7 @@ class TaskMoves:
         return AgentBefore(states, told.result["settings"] if told is not None and told.ok else None)
 
     def given_up(self, agent: str) -> list[str]:
-        """Returns a clause for each task of an agent that was given up; none if it does not answer."""
+        """Return a clause for each task of an agent that was given up; none if it does not answer."""
         try:
             rows = self.tasks(agent)
         except PancakesError:
@@ -166,7 +166,7 @@ class TaskMoves:
         ]
 
     def run_again(self, agent: str, before: AgentBefore, only_those: bool) -> None:
-        """Starts tasks that an agent does not start by itself; says which do not start.
+        """Start tasks that an agent does not start by itself; say which do not start.
 
         Args:
             agent: the agent, which has been restarted.
@@ -192,7 +192,7 @@ class TaskMoves:
                 self._tell(agent, f"does not start {row.task}: {reply.reason}")
 
     def _answering(self, agent: str) -> list[TaskRow]:
-        """Returns the tasks of an agent that has just been started, as soon as it answers."""
+        """Return the tasks of an agent that has just been started, as soon as it answers."""
         until_s = self._now() + ANSWER_S
         with self._client(agent) as client:
             while True:
@@ -205,7 +205,7 @@ class TaskMoves:
                 client.wait(lambda: False, LOOK_S)
 
     def movable(self, agent: str) -> list[tuple[str, str]]:
-        """Returns the running tasks that could move, each with the agent that would take it now; empty: none would."""
+        """Return the running tasks that could move, each with the agent that would take it now; empty: none would."""
         found = []
         for row in self._hosted(agent):
             with self._client(agent) as client:
@@ -216,7 +216,7 @@ class TaskMoves:
         return found
 
     def away(self, agent: str) -> None:
-        """Moves the running tasks of an agent to its neighbours, where these can take them; says which stay.
+        """Move the running tasks of an agent to its neighbours, where these can take them; say which stay.
 
         Those of others that wait there move on, and go home from where they are then.
         """
@@ -236,7 +236,7 @@ class TaskMoves:
                 self._moved.append(MovedTask(row.task, home, ledger.winner))
 
     def back(self, agent: str, within_s: float = SOON_S) -> None:
-        """Moves tasks back to an agent that runs again.
+        """Move tasks back to an agent that runs again.
 
         One that is refused waits where it is: tasks move between equal versions alone.
         """
@@ -253,14 +253,14 @@ class TaskMoves:
                 self._tell(agent, f"does not get {it.task} back from {it.at}: {fault}")
 
     def all_back(self) -> None:
-        """Moves all tasks back that are still away, once all agents run; says which stay away."""
+        """Move all tasks back that are still away, once all agents run; say which stay away."""
         for agent in dict.fromkeys(it.home for it in self._moved):
             self.back(agent, BACK_S)
 
     def settle(
         self, agent: str, before: Mapping[str, str], calm_s: float, called_off: Callable[[], bool] = lambda: False
     ) -> str:
-        """Waits until the tasks of an agent run; returns what is wrong, empty: nothing.
+        """Wait until the tasks of an agent run; return what is wrong, empty: nothing.
 
         Args:
             agent: the agent.
@@ -293,7 +293,7 @@ class TaskMoves:
             return []
 
     def _back(self, it: MovedTask, until_s: float) -> str:
-        """Moves a task home; returns why not, empty: it is there."""
+        """Move a task home; return why not, empty: it is there."""
         with self._client(it.at) as client:
             while True:
                 try:

@@ -77,7 +77,7 @@ class Supply:
         return sum(wheel.path.stat().st_size for wheel in self.missing)
 
     def shortage(self) -> str:
-        """Returns a sentence if the disk over there has too little room; empty: it has enough."""
+        """Return a sentence if the disk over there has too little room; empty: it has enough."""
         unpacked = 0
         if self.environment not in self.host.is_["environments"]:
             unpacked += sum(wheel.unpacked_bytes for wheel in self.own)
@@ -92,7 +92,7 @@ class Supply:
 
 
 def needed_extras(config: Config, has_keys: bool, plugins: Plugins) -> list[str]:
-    """Returns the extras without which an agent would lack something that its configuration asks for.
+    """Return the extras without which an agent would lack something that its configuration asks for.
 
     Args:
         config: its configuration.
@@ -148,7 +148,7 @@ class AgentChange:
 
 
 def change_of(member: Member, told: HostedAgent, supply: Supply) -> AgentChange:
-    """Returns what is to be changed of an agent.
+    """Return what is to be changed of an agent.
 
     Args:
         member: the agent.
@@ -181,12 +181,12 @@ def change_of(member: Member, told: HostedAgent, supply: Supply) -> AgentChange:
 
 
 def digest_of(*texts: str) -> str:
-    """Returns a digest of texts, as hosts make it of a file."""
+    """Return a digest of texts, as hosts make it of a file."""
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
 def series(base: str, used: Collection[str]) -> list[str]:
-    """Returns the names that something may have: its own, and others, until one is not in use."""
+    """Return the names that something may have: its own, and others, until one is not in use."""
     names = [base]
     while names[-1] in used or len(names) < 1 + sum(it.startswith(f"{base}.") for it in used):
         names.append(f"{base}.{len(names) + 1}")
@@ -194,7 +194,7 @@ def series(base: str, used: Collection[str]) -> list[str]:
 
 
 def _edited(told: HostedAgent) -> str:
-    """Returns a clause if the configuration over there is not the one that was brought; empty: it is."""
+    """Return a clause if the configuration over there is not the one that was brought; empty: it is."""
     brought = told["about"].get("config", "")
     if not told["version"] or not brought or brought == told["config"]:
         return ""
@@ -203,7 +203,7 @@ def _edited(told: HostedAgent) -> str:
 
 
 def _changed(told: HostedAgent, supply: Supply, digest: str) -> Iterator[str]:
-    """Yields what is another than in the version over there, for people."""
+    """Yield what is another than in the version over there, for people."""
     before = {distribution_of_file(it): (it, seal) for it, seal in dict(told["about"].get("wheels") or {}).items()}
     after = {distribution_of_file(it): (it, seal) for it, seal in digests(supply.own).items()}
     for name in sorted({*before, *after} - {PIP} if before else ()):
@@ -223,7 +223,7 @@ def _changed(told: HostedAgent, supply: Supply, digest: str) -> Iterator[str]:
 
 
 def effective_config(path: Path, sets: tuple[str, ...]) -> str:
-    """Returns an agent's file as TOML, with what a fleet file and the command line change of it.
+    """Return an agent's file as TOML, with what a fleet file and the command line change of it.
 
     Raises:
         ConfigError: it cannot be read.
@@ -253,7 +253,7 @@ print(json.dumps(faults))
 
 
 def check_configs(members: Sequence[Member], own: Sequence[Wheel]) -> str:
-    """Checks the configurations of agents as the Pancakes and the plug-ins in some wheels read them.
+    """Check the configurations of agents as the Pancakes and the plug-ins in some wheels read them.
 
     Args:
         members: the agents.
@@ -299,7 +299,7 @@ class DeploymentPlan:
 def plan_of(
     members: Sequence[Member], hosts: Mapping[str, Host], own: Sequence[Wheel], extras: Sequence[str], anew: bool
 ) -> DeploymentPlan:
-    """Returns what is to be done; nothing is changed on a host.
+    """Return what is to be done; nothing is changed on a host.
 
     Args:
         members: the agents that have a host.
@@ -331,7 +331,7 @@ def plan_of(
 
 
 def has_keys(member: Member, hosts: Mapping[str, Host]) -> bool:
-    """Returns whether there are keys of an agent on its host."""
+    """Return whether there are keys of an agent on its host."""
     return bool(hosts[member.host].agent(member.name)["keys"])
 
 
@@ -342,7 +342,7 @@ def _supply(host: Host, own: Sequence[Wheel], others: Sequence[Wheel], platform:
     made, folders, damaged = host.is_["environments"], host.is_["libraries"], []
 
     def intact(kind: str, base: str, there: Collection[str]) -> str:
-        """Returns the name of what is there and as it was made, or else one that is free."""
+        """Return the name of what is there and as it was made, or else one that is free."""
         names = series(base, there)
         for name in names:
             if name in there:

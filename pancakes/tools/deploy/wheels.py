@@ -83,7 +83,7 @@ class Platform:
 
     @classmethod
     def of(cls, python: Sequence[int], platform: str, libc: Sequence[str]) -> Platform:
-        """Returns that of a host.
+        """Return that of a host.
 
         Args:
             python: its version.
@@ -97,7 +97,7 @@ class Platform:
 
 
 def wheel_at(path: Path) -> Wheel:
-    """Returns a wheel.
+    """Return a wheel.
 
     Raises:
         PancakesError: the file is none.
@@ -118,7 +118,7 @@ def wheel_at(path: Path) -> Wheel:
 
 
 def given_wheels(paths: Iterable[Path]) -> list[Wheel]:
-    """Returns the wheels that a person has named, or that lie in a folder which that person has named.
+    """Return the wheels that a person has named, or that lie in a folder which that person has named.
 
     Raises:
         PancakesError: there are none, or none of Pancakes is among them, or two of one distribution.
@@ -142,7 +142,7 @@ def given_wheels(paths: Iterable[Path]) -> list[Wheel]:
 
 
 def installed_wheels(folder: Path) -> list[Wheel]:
-    """Makes wheels of the Pancakes that is installed here, and of the plug-ins beside it.
+    """Make wheels of the Pancakes that is installed here, and of the plug-ins beside it.
 
     A clone or a folder that is installed as such is built as it is now; what came from an index is fetched from there.
     What was built or fetched before is taken again.
@@ -176,7 +176,7 @@ def installed_wheels(folder: Path) -> list[Wheel]:
 
 
 def libraries_for(own: Sequence[Wheel], extras: Sequence[str], platform: Platform, anew: bool = False) -> list[Wheel]:
-    """Returns the wheels that some wheels need on a platform, with that of pip, which installs them there.
+    """Return the wheels that some wheels need on a platform, with that of pip, which installs them there.
 
     They are fetched once and kept, so that a fleet keeps the libraries that it has as long as it needs the same.
 
@@ -198,7 +198,7 @@ def libraries_for(own: Sequence[Wheel], extras: Sequence[str], platform: Platfor
 
 
 def _kept(kind: str, told: str, command: Sequence[str], about: str, anew: bool = False) -> Path:
-    """Returns a folder with wheels that `pip` has put there, now or before.
+    """Return a folder with wheels that `pip` has put there, now or before.
 
     Args:
         kind: the folder that is for this kind of wheels.
@@ -231,7 +231,7 @@ def _digest_of_tree(folder: Path) -> str:
 
 
 def _download(own: Sequence[Wheel], extras: Sequence[str], platform: Platform) -> list[str]:
-    """Returns the command that fetches what some wheels need; the folder for it comes last."""
+    """Return the command that fetches what some wheels need; the folder for it comes last."""
     major, minor = platform.python.split(".")
     options = ["--only-binary=:all:", "--python-version", platform.python]
     options += ["--implementation", "cp", "--abi", f"cp{major}{minor}", "--abi", "abi3", "--abi", "none"]
@@ -249,7 +249,7 @@ def _cache() -> Path:
 
 
 def build_of(own: Sequence[Wheel]) -> str:
-    """Returns a name for some wheels of Pancakes and plug-ins: the version, and a digest of all that is in them."""
+    """Return a name for some wheels of Pancakes and plug-ins: the version, and a digest of all that is in them."""
     whole = hashlib.sha256()
     version = ""
     for wheel in sorted(own, key=lambda it: it.name):
@@ -262,33 +262,33 @@ def build_of(own: Sequence[Wheel]) -> str:
 
 
 def digests(wheels: Iterable[Wheel]) -> dict[str, str]:
-    """Returns the digests of wheels, by file."""
+    """Return the digests of wheels, by file."""
     return {wheel.name: wheel.digest for wheel in wheels}
 
 
 def name_of(prefix: str, *parts: str, wheels: Iterable[Wheel]) -> str:
-    """Returns a name for what is made of wheels: another one where one of them, or one of `parts`, is another."""
+    """Return a name for what is made of wheels: another one where one of them, or one of `parts`, is another."""
     told = [*parts, *(f"{name} {digest}" for name, digest in sorted(digests(wheels).items()))]
     return f"{prefix}-{hashlib.sha256(chr(10).join(told).encode()).hexdigest()[:12]}"
 
 
 def distribution_of(wheel: Wheel) -> str:
-    """Returns the name of the distribution that a wheel is of."""
+    """Return the name of the distribution that a wheel is of."""
     return distribution_of_file(wheel.name)
 
 
 def distribution_of_file(name: str) -> str:
-    """Returns the name of the distribution that a wheel is of, by its file."""
+    """Return the name of the distribution that a wheel is of, by its file."""
     return str(canonicalize_name(name.split("-")[0]))
 
 
 def version_of_file(name: str) -> str:
-    """Returns the version of a wheel, by its file."""
+    """Return the version of a wheel, by its file."""
     return name.split("-")[1]
 
 
 def extras_of(wheel: Wheel) -> list[str]:
-    """Returns the extras that a wheel has."""
+    """Return the extras that a wheel has."""
     return list(_metadata(wheel).get_all("Provides-Extra", []))
 
 
@@ -299,7 +299,7 @@ def _metadata(wheel: Wheel) -> Message:
 
 
 def _own_distributions() -> list[Distribution]:
-    """Returns Pancakes, and what brings plug-ins for it, each once."""
+    """Return Pancakes, and what brings plug-ins for it, each once."""
     found: dict[str, Distribution] = {}
     for it in distributions():
         name = str(canonicalize_name(it.metadata["Name"] or ""))
@@ -311,7 +311,7 @@ def _own_distributions() -> list[Distribution]:
 
 
 def _source_of(installed: Distribution) -> Path | None:
-    """Returns the folder, or the wheel, from which a distribution was installed; None: it came from an index."""
+    """Return the folder, or the wheel, from which a distribution was installed; None: it came from an index."""
     told = installed.read_text(ORIGIN)
     if told is None:
         # It lies beside its sources then, as `setup.py develop` leaves it.
@@ -322,7 +322,7 @@ def _source_of(installed: Distribution) -> Path | None:
 
 
 def _is_built_with_what_is_here(source: Path) -> bool:
-    """Returns whether all is installed here that builds a source, so that nothing has to be fetched for that."""
+    """Return whether all is installed here that builds a source, so that nothing has to be fetched for that."""
     try:
         table = toml_values((source / "pyproject.toml").read_text())["build-system"]
         wanted = [Requirement(text) for text in table["requires"]]

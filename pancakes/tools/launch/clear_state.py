@@ -21,7 +21,7 @@ ASK_S: Final = 2.0
 
 
 def check_alone(configs: Iterable[Config]) -> None:
-    """Sees to it that no other agent of a fleet runs, as far as can be seen from here.
+    """See to it that no other agent of a fleet runs, as far as can be seen from here.
 
     A task may have moved there. Its agent of old would start it a second time, once that has forgotten it.
 
@@ -54,13 +54,13 @@ def check_alone(configs: Iterable[Config]) -> None:
 
 
 def remembers(config: Config) -> bool:
-    """Returns whether an agent has something in its state directory."""
+    """Return whether an agent has something in its state directory."""
     directory = state_dir_of(config)
     return directory is not None and directory.is_dir() and any(directory.iterdir())
 
 
 def empty_state(config: Config) -> Path | None:
-    """Removes what an agent that does not run remembers.
+    """Remove what an agent that does not run remembers.
 
     Returns:
         Its state directory; None where there was nothing in it, or it has none.
@@ -73,7 +73,7 @@ def empty_state(config: Config) -> Path | None:
 
 
 def _at(fleet: str, addresses: Sequence[str]) -> list[tuple[str, str]]:
-    """Returns name and address of the agents of a fleet that answer at addresses, and of those that these know."""
+    """Return name and address of the agents of a fleet that answer at addresses, and of those that these know."""
     if not addresses:
         return []
     try:

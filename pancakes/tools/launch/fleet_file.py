@@ -85,13 +85,13 @@ class Member:
 
 
 def overrides(table: Mapping[str, Any]) -> Iterator[str]:
-    """Yields `table.key=value` for each value in nested tables, so that keys beside it stay as the file has them."""
+    """Yield `table.key=value` for each value in nested tables, so that keys beside it stay as the file has them."""
     for keys, value in leaves(table) if table else ():
         yield f"{key_text(keys)}={value_text(value)}"
 
 
 def whose(change: str, agents: Sequence[str]) -> tuple[Sequence[str], str]:
-    """Returns the agents that a change from the command line concerns, and what is left of it for them.
+    """Return the agents that a change from the command line concerns, and what is left of it for them.
 
     Args:
         change: `AGENT:table.key=value`, or `table.key=value` for all agents.
@@ -166,12 +166,12 @@ class FleetFile:
 
 
 def is_fleet(values: Mapping[str, Any]) -> bool:
-    """Returns whether a file's values are those of a fleet file, and not an agent's configuration."""
+    """Return whether a file's values are those of a fleet file, and not an agent's configuration."""
     return "fleet" in values
 
 
 def load_fleet(path: str) -> FleetFile:
-    """Reads a fleet file.
+    """Read a fleet file.
 
     Raises:
         ConfigError: it cannot be read, or is not sound; it carries every fault.
@@ -185,7 +185,7 @@ def load_fleet(path: str) -> FleetFile:
 
 
 def fleet_schema() -> dict[str, Any]:
-    """Returns the JSON Schema (draft 2020-12) of a fleet file."""
+    """Return the JSON Schema (draft 2020-12) of a fleet file."""
     fleet, agent = closed(schema_of(FleetTable)), closed(schema_of(MemberTable))
     definitions = {**fleet.pop("$defs", {}), **agent.pop("$defs", {})}
     properties = {"fleet": fleet, "agent": named_tables(agent)}
@@ -193,7 +193,7 @@ def fleet_schema() -> dict[str, Any]:
 
 
 class _FleetReader:
-    """Makes a `FleetFile` and collects faults."""
+    """Make a `FleetFile` and collect faults."""
 
     def __init__(self, values: dict[str, Any], places: KeyPlaces) -> None:
         self._values = values
@@ -252,7 +252,7 @@ class _FleetReader:
                 self._fault(key, f"there is no agent {other!r} in this fleet", suggestion(other, agents))
 
     def _check_circles(self, agents: Mapping[str, MemberTable]) -> None:
-        """Takes away the agents that wait for none, over and over; those that are left wait in a circle."""
+        """Take away the agents that wait for none, over and over; those that are left wait in a circle."""
         waiting = {name: list(table.after) for name, table in agents.items()}
         while free := [name for name, after in waiting.items() if not after]:
             waiting = {
@@ -298,7 +298,7 @@ def make_fleet(
     local: bool = False,
     check_hosts: bool = False,
 ) -> list[Member]:
-    """Reads a fleet; nothing is started, and what runs already is not looked at.
+    """Read a fleet; nothing is started, and what runs already is not looked at.
 
     Args:
         paths: configuration files of agents, fleet files, and folders: of a folder its `fleet.toml` is read, or else
@@ -354,7 +354,7 @@ def make_fleet(
 
 
 def check_free(members: Sequence[Member]) -> Claim:
-    """Sees to it that on this machine no other agent has the name of a member, and no other program its port.
+    """See to it that on this machine no other agent has the name of a member, and no other program its port.
 
     Returns:
         What keeps other launchers from these ports.
@@ -395,7 +395,7 @@ def _elsewhere(drafts: Sequence[_Draft]) -> Iterator[Fault]:
 
 
 def _stay_within(drafts: Sequence[_Draft], sets: Mapping[str, list[str]]) -> None:
-    """Changes what is set of the members' files so that they need no port. What is wrong in a file is said later."""
+    """Change what is set of the members' files so that they need no port. What is wrong in a file is said later."""
     tables: dict[str, Any] = {}
     for draft in drafts:
         try:
@@ -444,7 +444,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
-    """Yields the agents of a file; a fault of one of them goes to `faults`, and hides no other."""
+    """Yield the agents of a file; a fault of one of them goes to `faults`, and hides no other."""
     values = read_tables(text_of(str(path)), str(path)).values  # its faults are told when it is read as a whole
     if path.name != FLEET_FILE and not is_fleet(values):
         yield _Draft(_name_in(values) or path.stem, path)
@@ -482,7 +482,7 @@ def _name_in(values: Mapping[str, Any]) -> str:
 
 
 def _in_order(members: Sequence[Member], free: Sequence[str]) -> list[Member]:
-    """Lets agents of which nothing else is said come after the environments: what acts ends before its world does."""
+    """Let agents of which nothing else is said come after the environments: what acts ends before its world does."""
 
     def acts(member: Member) -> bool:
         return member.config.agent.role != "environment"
@@ -493,7 +493,7 @@ def _in_order(members: Sequence[Member], free: Sequence[str]) -> list[Member]:
 
 
 def _by(address: Address, running: Iterable[RunningAgent]) -> str:
-    """Returns which agent has the port of an address, as the end of a sentence; empty: that is not known."""
+    """Return which agent has the port of an address, as the end of a sentence; empty: that is not known."""
     for entry in running:
         if any(parse_address(listen).port == address.port for listen in entry.listen):
             return f", by {entry.name} of the fleet {entry.fleet} (process {entry.pid})"
@@ -518,7 +518,7 @@ def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
 
 
 def _state_dir(member: Member) -> Path | None:
-    """Returns the state directory of a member; None: it has none, or says when it starts that it knows of none."""
+    """Return the state directory of a member; None: it has none, or says when it starts that it knows of none."""
     try:
         return state_dir_of(member.config)
     except NoHome:

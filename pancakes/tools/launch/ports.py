@@ -20,7 +20,7 @@ from pancakes.mesh.address import LOCAL, Address, local_address, parse_address
 
 
 def addresses_in(value: Any) -> list[Address]:
-    """Returns the addresses with a port in a table, or in what stands in one, each once."""
+    """Return the addresses with a port in a table, or in what stands in one, each once."""
     if isinstance(value, str):
         address = _address(value)
         return [address] if address is not None else []
@@ -29,7 +29,7 @@ def addresses_in(value: Any) -> list[Address]:
 
 
 def moved(table: Mapping[str, Any], others: Mapping[Address, str]) -> list[str]:
-    """Returns what is to be set in an agent's file so that it has other addresses, as `--set` takes it.
+    """Return what is to be set in an agent's file so that it has other addresses, as `--set` takes it.
 
     Args:
         table: what the file says.
@@ -47,7 +47,7 @@ def _with(value: Any, others: Mapping[Address, str]) -> Any:
 
 
 def _address(text: str) -> Address | None:
-    """Returns the address that a text is; None where it is none with a port."""
+    """Return the address that a text is; None where it is none with a port."""
     try:
         found = parse_address(text)
     except ValueError:
@@ -56,7 +56,7 @@ def _address(text: str) -> Address | None:
 
 
 def within_machine(tables: Mapping[str, Mapping[str, Any]], fleets: Mapping[str, str]) -> dict[str, list[str]]:
-    """Returns what is to be set in each agent's file, as `--set` takes it.
+    """Return what is to be set in each agent's file, as `--set` takes it.
 
     An agent is found by its name; another place where something listens, such as a hardware bus, has its port as its
     name.
@@ -89,7 +89,7 @@ NOT_LENT: Final = range(15_000, 32_000)
 
 
 class Claim:
-    """Keeps other launchers on this machine from some ports, also while no agent listens there yet.
+    """Keep other launchers on this machine from some ports, also while no agent listens there yet.
 
     Two fleets that are started at once would else both find them free. It ends with the process at the latest. A claim
     is a socket in Linux's abstract namespace, which all users of a network namespace share, as they share its ports.
@@ -100,7 +100,7 @@ class Claim:
 
     @classmethod
     def to(cls, ports: Iterable[int]) -> Claim | None:
-        """Claims ports; returns None where another launcher has claimed one of them."""
+        """Claim ports; return None where another launcher has claimed one of them."""
         claim = cls([])
         if sys.platform != "linux":
             return claim  # which claims nothing: two launchers may find the ports free
@@ -115,7 +115,7 @@ class Claim:
         return claim
 
     def release(self) -> None:
-        """Gives the ports up. A second call does nothing."""
+        """Give the ports up. A second call does nothing."""
         held, self._held = self._held, []
         for it in held:
             it.close()
@@ -124,7 +124,7 @@ class Claim:
 def claim_ports(
     tables: Mapping[str, Mapping[str, Any]], schemes: Sequence[str] = ("tcp", "udp")
 ) -> tuple[Claim | None, dict[str, list[str]]]:
-    """Sees to it that the agents of a fleet can listen, at other ports if need be.
+    """See to it that the agents of a fleet can listen, at other ports if need be.
 
     Args:
         tables: what the agents' files say, by agent.
@@ -148,7 +148,7 @@ def claim_ports(
 
 
 def listening_fault(host: str, port: int, scheme: str = "tcp") -> str:
-    """Returns why no program could listen there now, as a phrase; empty where one could."""
+    """Return why no program could listen there now, as a phrase; empty where one could."""
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, _kind(scheme)) as probe:
         if scheme == "tcp":  # over UDP this would let two programs have one port
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -164,7 +164,7 @@ def _kind(scheme: str) -> socket.SocketKind:
 
 
 def _take_free_port(host: str, scheme: str) -> tuple[socket.socket, int]:
-    """Takes a free port; the socket keeps it until it is closed, so that no two calls return the same."""
+    """Take a free port; the socket keeps it until it is closed, so that no two calls return the same."""
     held = socket.socket(type=_kind(scheme))
     for port in random.SystemRandom().sample(NOT_LENT, len(NOT_LENT)):
         with contextlib.suppress(OSError):

@@ -40,13 +40,13 @@ class ForkedProcess:
         self._process = psutil.Process(pid)
 
     def poll(self) -> int | None:
-        """Returns its exit code; None: it runs."""
+        """Return its exit code; None: it runs."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.wait(0.0)
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Waits until it has ended; returns its exit code.
+        """Wait until it has ended; return its exit code.
 
         Raises:
             subprocess.TimeoutExpired: it has not within `timeout` seconds.
@@ -59,11 +59,11 @@ class ForkedProcess:
         return self.returncode
 
     def terminate(self) -> None:
-        """Sends it SIGTERM, where it runs."""
+        """Send it SIGTERM, where it runs."""
         self._send(signal.SIGTERM)
 
     def kill(self) -> None:
-        """Sends it SIGKILL, where it runs."""
+        """Send it SIGKILL, where it runs."""
         self._send(signal.SIGKILL)
 
     def _send(self, number: signal.Signals) -> None:
@@ -100,7 +100,7 @@ class ForkServer:
         self._channel: socket.socket | None = None
 
     def fork(self, arguments: Sequence[str], output: int, ready_fd: int | None) -> ForkedProcess:
-        """Forks an agent.
+        """Fork an agent.
 
         Args:
             arguments: those of `pancakes-agent`, without `--ready-fd`.
@@ -114,7 +114,7 @@ class ForkServer:
         return ForkedProcess(self.fork_for(msgpack.packb(list(arguments)), files))
 
     def fork_for(self, message: bytes, files: Sequence[int]) -> int:
-        """Forks a child for a message to the program; returns its process number.
+        """Fork a child for a message to the program; return its process number.
 
         Args:
             message: what the child is to do.
@@ -138,7 +138,7 @@ class ForkServer:
         raise OSError(errno.ECHILD, f"the fork server, {self._program}, ends as it begins")
 
     def close(self) -> None:
-        """Ends the fork server. Its agents go on."""
+        """End the fork server. Its agents go on."""
         if self._channel is not None:
             self._channel.close()
             self._channel = None
@@ -176,7 +176,7 @@ class ForkServer:
 
 
 def _adopt_orphans(adopts: bool) -> None:
-    """Has the children of this process's children come to it where their parents end, or no longer."""
+    """Have the children of this process's children come to it where their parents end, or no longer."""
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopts), 0, 0, 0)
 
 
@@ -185,13 +185,13 @@ HOST = MonotonicClock()
 
 
 class Starter:
-    """Starts agents, each a process of its own. In one thread that stays: the agents end with it."""
+    """Start agents, each a process of its own. In one thread that stays: the agents end with it."""
 
     def __init__(self) -> None:
         self._server = ForkServer() if sys.platform.startswith("linux") else None
 
     def start(self, config: Path, sets: Sequence[str], output: int, ready_fd: int | None = None) -> AgentProcess:
-        """Starts `pancakes-agent`.
+        """Start `pancakes-agent`.
 
         Args:
             config: its configuration file.
@@ -220,13 +220,13 @@ class Starter:
         )
 
     def close(self) -> None:
-        """Starts no more agents; those that it has started go on."""
+        """Start no more agents; those that it has started go on."""
         if self._server is not None:
             self._server.close()
 
 
 def end_all(processes: Iterable[AgentProcess], within_s: float) -> None:
-    """Ends processes, and waits for that: in good order where they can, by force where they do not in time."""
+    """End processes, and wait for that: in good order where they can, by force where they do not in time."""
     running = [process for process in processes if process.poll() is None]
     for process in running:
         process.terminate()

@@ -103,11 +103,11 @@ class Host:
     is_: HostLook
 
     def agent(self, name: str) -> HostedAgent:
-        """Returns what is there of an agent."""
+        """Return what is there of an agent."""
         return self.is_["agents"][name]
 
     def runs(self, member: Member) -> int:
-        """Returns the process of an agent there; 0: it does not run."""
+        """Return the process of an agent there; 0: it does not run."""
         agent = member.config.agent
         entries = self.is_["running"]
         return next((it["pid"] for it in entries if (it["fleet"], it["name"]) == (agent.fleet, agent.name)), 0)
@@ -115,7 +115,7 @@ class Host:
 
 @contextmanager
 def open_hosts(members: Sequence[Member]) -> Iterator[dict[str, Host]]:
-    """Reaches the hosts of agents, all at once, and lets them go at the end.
+    """Reach the hosts of agents, all at once, and let them go at the end.
 
     Yields:
         The hosts by name; none where all agents run on this machine.
@@ -166,7 +166,7 @@ _NOW: Final = MonotonicClock().now
 
 @contextmanager
 def tunnels(hosts: Iterable[Host]) -> Iterator[dict[str, str]]:
-    """Makes a way to each agent of some hosts, whether it runs or not, and takes them away at the end. It may wait.
+    """Make a way to each agent of some hosts, whether it runs or not, and take them away at the end. It may wait.
 
     Yields:
         The address of each agent, by its name.
@@ -270,7 +270,7 @@ class HostStart:
 
 
 class HostAgents:
-    """Starts and ends agents on hosts.
+    """Start and end agents on hosts.
 
     Args:
         members: the agents that have a host.
@@ -299,7 +299,7 @@ class HostAgents:
         self._alive_s = now() + ALIVE_S
 
     def attend(self, listener: LaunchListener) -> None:
-        """Begins to listen to the hosts."""
+        """Begin to listen to the hosts."""
         self._listener = listener
         for host in self._links:
             self._register(host)
@@ -310,7 +310,7 @@ class HostAgents:
         return min([self._alive_s, *self._kill_s.values()])
 
     def start(self, name: str) -> None:
-        """Starts an agent; the connection to its host is made anew where it was lost."""
+        """Start an agent; the connection to its host is made anew where it was lost."""
         member, start = self._members[name], self._starts[name]
         link = self._links.get(member.host)
         if link is None or link.lost:
@@ -335,11 +335,11 @@ class HostAgents:
         self._watch_writes(link)
 
     def end(self, name: str) -> None:
-        """Tells an agent to end."""
+        """Tell an agent to end."""
         self._order(name, "end")
 
     def kill(self, name: str) -> None:
-        """Ends an agent by force."""
+        """End an agent by force."""
         self._kill_s[name] = self._now() + KILL_S
         self._order(name, "kill")
 
@@ -363,7 +363,7 @@ class HostAgents:
                     self._lose(host, within_s=0.0)
 
     def close(self) -> None:
-        """Ends all connections, and with them all agents."""
+        """End all connections, and with them all agents."""
         for link in self._links.values():
             link.close()
 
@@ -379,7 +379,7 @@ class HostAgents:
         self._watch_writes(link)
 
     def _watch_writes(self, link: HostLink) -> None:
-        """Waits until the connection takes more, where requests wait."""
+        """Wait until the connection takes more, where requests wait."""
         registered = link.writes in self._selector.get_map()
         if link.has_more and not registered:
             self._selector.register(link.writes, selectors.EVENT_WRITE, lambda: self._write(link))

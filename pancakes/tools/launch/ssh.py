@@ -87,17 +87,17 @@ _MEANINGS: Final = (
 
 
 def fault_of_host(host: str) -> str:
-    """Returns why a text is none that `ssh` could be given as a host, as a phrase; empty: it is one."""
+    """Return why a text is none that `ssh` could be given as a host, as a phrase; empty: it is one."""
     return "" if _HOST.fullmatch(host) else "is no host: write it as pi@robot1, or as a name of ~/.ssh/config"
 
 
 def ssh_command(host: str, *options: str) -> list[str]:
-    """Returns the beginning of a command that reaches a host."""
+    """Return the beginning of a command that reaches a host."""
     return [*shlex.split(os.environ.get(VARIABLE) or "ssh"), *OPTIONS, *options, host]
 
 
 def start_ssh(command: Sequence[str], output: int, errors: int) -> subprocess.Popen[bytes]:
-    """Starts a command of `ssh`. It ends with this program, however that ends: also one to a host that says nothing.
+    """Start a command of `ssh`. It ends with this program, however that ends: also one to a host that says nothing.
 
     Args:
         command: the command.
@@ -120,7 +120,7 @@ def start_ssh(command: Sequence[str], output: int, errors: int) -> subprocess.Po
 
 
 def open_host(host: str, errors: int) -> tuple[subprocess.Popen[bytes], bytes]:
-    """Starts a Python on a host, which runs the line that is sent to it (`source`).
+    """Start a Python on a host, which runs the line that is sent to it (`source`).
 
     Args:
         host: the host.
@@ -151,7 +151,7 @@ def open_host(host: str, errors: int) -> tuple[subprocess.Popen[bytes], bytes]:
 
 
 def source(marker: bytes) -> bytes:
-    """Returns the source of what runs on a host, as one line of Python.
+    """Return the source of what runs on a host, as one line of Python.
 
     Args:
         marker: what stands before each of its answers.
@@ -176,7 +176,7 @@ def source(marker: bytes) -> bytes:
 
 
 def silent(host: str, within_s: float, said: str) -> str:
-    """Returns a sentence about a host that lets `ssh` in, or takes its connection, and says nothing.
+    """Return a sentence about a host that lets `ssh` in, or takes its connection, and is silent.
 
     Args:
         host: the host.
@@ -189,7 +189,7 @@ def silent(host: str, within_s: float, said: str) -> str:
 
 
 def sentence_of(host: str, code: int, said: str) -> str:
-    """Returns what the end of a connection means, and what to do, as a sentence.
+    """Return what the end of a connection means, and what to do, as a sentence.
 
     Args:
         host: the host.
@@ -209,14 +209,14 @@ def sentence_of(host: str, code: int, said: str) -> str:
 
 
 def no_ssh(error: OSError) -> str:
-    """Returns a sentence to say where there is no `ssh` on this machine."""
+    """Return a sentence to say where there is no `ssh` on this machine."""
     command = shlex.split(os.environ.get(VARIABLE) or "ssh")[0]
     why = (error.strerror or str(error)).lower()
     return f"{command} cannot be run ({why}): apt install openssh-client, or set {VARIABLE} to the command to use"
 
 
 def scratch_file() -> int:
-    """Returns an open file without a name."""
+    """Return an open file without a name."""
     with tempfile.TemporaryFile() as file:
         return os.dup(file.fileno())
 
@@ -308,14 +308,14 @@ class HostLink:
         return self.begun and bool(self._waiting)
 
     def send(self, do: str, **arguments: Any) -> int:
-        """Asks for something; returns the number that its answer bears."""
+        """Ask for something; return the number that its answer bears."""
         self._number += 1
         self._waiting += json.dumps({"id": self._number, "do": do, **arguments}).encode() + b"\n"
         self.flush()
         return self._number
 
     def flush(self) -> None:
-        """Writes as much of what waits as the connection takes now; nothing before the host has begun to answer."""
+        """Write as much of what waits as the connection takes now; nothing before the host has begun to answer."""
         try:
             while self.has_more and not self.lost:
                 del self._waiting[: os.write(self._out, self._waiting[:_CHUNK])]
@@ -325,7 +325,7 @@ class HostLink:
             self._waiting.clear()  # its end is read where answers come
 
     def read(self) -> list[dict[str, Any]]:
-        """Returns the answers and the events that have come; where the connection has ended, `lost` says why."""
+        """Return the answers and the events that have come; where the connection has ended, `lost` says why."""
         if self.lost:
             return []
         try:
@@ -357,7 +357,7 @@ class HostLink:
         return [it for it in found if it and it.get("event") != "alive"]
 
     def _parsed(self, line: bytes) -> Iterator[dict[str, Any]]:
-        """Yields what a line says; what stands before the marker, or has none, is of the user's shell over there.
+        """Yield what a line says; what stands before the marker, or has none, is of the user's shell over there.
 
         Raises:
             ValueError, msgspec.ValidationError: it has the marker, and is no answer.
@@ -367,7 +367,7 @@ class HostLink:
             yield codecs.convert(plain_of(said), _Told)
 
     def obtain(self, do: str, within_s: float = CALL_S, kind: Any = Any, **arguments: Any) -> Any:
-        """Asks for something, and waits for the answer; what the host tells meanwhile is passed over.
+        """Ask for something, and wait for the answer; what the host tells meanwhile is passed over.
 
         Args:
             do: what is asked for.
@@ -403,7 +403,7 @@ class HostLink:
         raise Unreachable(self.lost)
 
     def send_file(self, name: str, digest: str, data: bytes, told: Callable[[int], None] = lambda sent: None) -> None:
-        """Sends a wheel; `told` gets how many bytes of it are there by now. The errors are those of `obtain`."""
+        """Send a wheel; `told` gets how many bytes of it are there by now. The errors are those of `obtain`."""
         for start in range(0, len(data), PIECE_BYTES):
             piece, end = data[start : start + PIECE_BYTES], start + PIECE_BYTES
             encoded = base64.b64encode(piece).decode()
@@ -411,7 +411,7 @@ class HostLink:
             told(min(end, len(data)))
 
     def close(self, within_s: float = 5.0) -> None:
-        """Ends the connection, and with it what was launched over it."""
+        """End the connection, and with it what was launched over it."""
         self.let_go()
         with contextlib.suppress(subprocess.TimeoutExpired):
             # One that has never answered does not hear that this is over either.
@@ -419,13 +419,13 @@ class HostLink:
         self._end(0.0)
 
     def let_go(self) -> None:
-        """Lets the host know that nothing more comes. It ends what was launched; `close` waits for that."""
+        """Let the host know that nothing more comes. It ends what was launched; `close` waits for that."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
 
     def end_if_silent(self) -> bool:
-        """Ends the connection to a host that should have said something by now; returns whether it has done so."""
+        """End the connection to a host that should have said something by now; return whether it has done so."""
         patience_s = SILENT_S if self.begun else OPEN_S
         if self.lost or _NOW() - self._heard_s < patience_s:
             return False
@@ -438,7 +438,7 @@ class HostLink:
         self.lost = silent(self.host, within_s, said)
 
     def _said(self) -> str:
-        """Returns the end of what was said on standard error since the host began to answer."""
+        """Return the end of what was said on standard error since the host began to answer."""
         size = os.lseek(self._errors, 0, os.SEEK_END)
         return os.pread(self._errors, _CHUNK, max(self._noise_bytes, size - _CHUNK)).decode("utf-8", "replace")
 

@@ -190,7 +190,7 @@ class LaunchPlan:
         return min(times, default=None)
 
     def start(self, now_s: float) -> list[Action]:
-        """Begins."""
+        """Begin."""
         for place in self._places.values():
             self._feed(place, StartAsked(), now_s)
         self._admit(now_s)
@@ -286,7 +286,7 @@ class LaunchPlan:
     # Starting --------------------------------------------------------------------------------------------------
 
     def _admit(self, now_s: float) -> None:
-        """Starts the agents that wait and come after none that is not ready."""
+        """Start the agents that wait and come after none that is not ready."""
         for place in self._places.values():
             if place.life.state is State.CALLED_OFF:
                 self._feed(place, LeaveRefused("the fleet ends"), now_s)
@@ -323,7 +323,7 @@ class LaunchPlan:
     # Stopping --------------------------------------------------------------------------------------------------
 
     def _stop_next(self, now_s: float) -> None:
-        """Tells those to end that no running agent comes after, the last that was started first."""
+        """Tell those to end that no running agent comes after, the last that was started first."""
         for name, place in reversed(self._places.items()):
             later = any(other.runs and name in other.member.after for other in self._places.values())
             if place.life.state in (State.STARTING, State.RUNNING) and not later:
@@ -401,7 +401,7 @@ _CHUNK: Final = 65_536
 
 
 class LaunchReporter(Protocol):
-    """Takes what a fleet says; in the thread that runs it."""
+    """Take what a fleet says; in the thread that runs it."""
 
     def line(self, agent: str, text: str) -> None:
         """An agent has printed a line."""
@@ -473,7 +473,7 @@ class LocalAgents:
 
 
 class Runner:
-    """Runs a fleet until it has ended, in the main thread.
+    """Run a fleet until it has ended, in the main thread.
 
     SIGINT, SIGTERM and SIGHUP end it in order, for the second time at once.
 
@@ -507,7 +507,7 @@ class Runner:
         self._mute = False
 
     def run(self) -> int:
-        """Runs the fleet; returns the exit code."""
+        """Run the fleet; return the exit code."""
         self._wake_reader, self._wake_writer = os.pipe()
         os.set_blocking(self._wake_writer, False)
         os.set_blocking(self._wake_reader, False)
@@ -551,7 +551,7 @@ class Runner:
         self._local.look()
 
     def _post(self, function: Callable[[], None]) -> None:
-        """Has a function called in the main thread. Any thread."""
+        """Have a function called in the main thread. Any thread."""
         self._posted.append(function)
         with contextlib.suppress(BlockingIOError):  # it is full of reasons to wake up
             os.write(self._wake_writer, b"\0")
@@ -623,7 +623,7 @@ class Runner:
         self._do(self._plan.unstartable(name, reason, self._now()))
 
     def _say(self, say: Callable[..., None], *what: Any) -> None:
-        """Says something. Where the reader of the output has ended (`| head`), the fleet ends, in silence."""
+        """Say something. Where the reader of the output has ended (`| head`), the fleet ends, in silence."""
         if self._mute:
             return
         try:

@@ -21,7 +21,7 @@ _NONE: Final[Mapping[str, bool]] = {}
 
 @contextmanager
 def keys_of_run(configs: Mapping[str, Config], elsewhere: Mapping[str, bool] = _NONE) -> Iterator[Mapping[str, Path]]:
-    """Makes keys for the agents of a run that speak to other machines, and removes them at its end.
+    """Make keys for the agents of a run that speak to other machines, and remove them at its end.
 
     A fleet of which an agent has keys already gets no others: they would not believe each other. An agent that its file
     calls `insecure` gets none.
@@ -61,12 +61,12 @@ def keys_of_run(configs: Mapping[str, Config], elsewhere: Mapping[str, bool] = _
 
 
 def set_keys(folder: Path | None) -> tuple[str, ...]:
-    """Returns what is to be set in an agent's file so that it has the keys of a folder, as `--set` takes it."""
+    """Return what is to be set in an agent's file so that it has the keys of a folder, as `--set` takes it."""
     return (f"service.network.settings.keys={value_text(str(folder))}",) if folder is not None else ()
 
 
 def _wanting(configs: Mapping[str, Config], elsewhere: Mapping[str, bool]) -> list[str]:
-    """Returns the agents that are to get keys."""
+    """Return the agents that are to get keys."""
     open_ = {name: config for name, config in configs.items() if not _network(config).get("insecure")}
     plugins = Plugins()
     if not any(_is_keyed(config, plugins) for config in open_.values()):
@@ -87,7 +87,7 @@ def _has_keys(config: Config, there: bool | None) -> bool:
 
 
 def _is_keyed(config: Config, plugins: Plugins) -> bool:
-    """Returns whether an agent, or a driver of it, is to connect by a way that is encrypted where there are keys."""
+    """Return whether an agent, or a driver of it, is to connect by a way that is encrypted where there are keys."""
     devices = (value for device in config.devices.values() for value in device.settings.values())
     tasks = (value for task in config.tasks.values() for value in task.settings.values())
     return bool(keyed_addresses(config.agent, plugins)) or any(

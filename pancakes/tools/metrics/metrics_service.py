@@ -26,7 +26,7 @@ from pancakes.util.runtime_dir import make_directory, runtime_dir
 
 
 class MetricsService(Service):
-    """Serves metrics over HTTP, in a thread of its own; what an agent does is counted where it happens.
+    """Serve metrics over HTTP, in a thread of its own; what an agent does is counted where it happens.
 
     Attributes:
         port: the port that it is served at, once it is.
@@ -79,13 +79,13 @@ class MetricsService(Service):
 
     @on(LOG, Event, keep=queue(4096))
     def on_event(self, packet: Packet) -> None:
-        """Counts what events tell of."""
+        """Count what events tell of."""
         if agent_of(packet.source) == self.agent:
             self._metrics.happened(packet.source, packet.body)
 
     @on(SYSTEM, "battery", keep="latest")
     def on_battery(self, packet: Packet) -> None:
-        """Remembers what is left of this agent's battery."""
+        """Remember what is left of this agent's battery."""
         if agent_of(packet.source) == self.agent:
             self._metrics.battery_level = packet.body.level
 

@@ -140,14 +140,14 @@ class AgentMetrics(Collector):
     # As it happens ---------------------------------------------------------------------------------------------
 
     def ticked(self, timer: TaskTimer, lateness_s: float) -> None:
-        """Counts a tick. In the task's turn: the labels are looked up once."""
+        """Count a tick. In the task's turn: the labels are looked up once."""
         child = self._late.get(timer)
         if child is None:
             child = self._late[timer] = self._lateness.labels(*_place(timer.component), timer.method)
         child.observe(lateness_s)
 
     def happened(self, source: str, event: Event) -> None:
-        """Counts what an event of this agent tells of; `source` is the address that told it."""
+        """Count what an event of this agent tells of; `source` is the address that told it."""
         agent, fields = self._kernel.agent, event.fields
         service = (*source.split("/"), "")[1]  # a service tells what becomes of its own tasks
         if event.kind == "migration" and fields["source"] == agent and not fields.get("dry_run"):
@@ -164,7 +164,7 @@ class AgentMetrics(Collector):
     # When it is asked for --------------------------------------------------------------------------------------
 
     def collect(self) -> Iterator[Metric]:
-        """Reads the rest. In the thread of the HTTP server."""
+        """Read the rest. In the thread of the HTTP server."""
         self._forget()
         families = {
             name: kind(f"pancakes_{name}", text, labels=labels.split()) for name, kind, text, labels in FAMILIES
@@ -175,11 +175,11 @@ class AgentMetrics(Collector):
         yield from families.values()
 
     def describe(self) -> Iterator[Metric]:
-        """Tells nothing beforehand: what there is, depends on the agent."""
+        """Tell nothing beforehand: what there is, depends on the agent."""
         return iter(())
 
     def _forget(self) -> None:
-        """Forgets the ticks of tasks that have ended: names that come and go must not fill the memory."""
+        """Forget the ticks of tasks that have ended: names that come and go must not fill the memory."""
         alive = set(self._kernel.task_timers.all())
         known = {timer: (*_place(timer.component), timer.method) for timer in list(self._late)}
         kept = {where for timer, where in known.items() if timer in alive}
@@ -248,7 +248,7 @@ class AgentMetrics(Collector):
 
 
 def _place(component: Runnable) -> tuple[str, str, str]:
-    """Returns agent, service and task of a component; of a service the task is empty."""
+    """Return agent, service and task of a component; of a service the task is empty."""
     agent, service, task = (*component.address.split("/"), "", "")[:3]
     return agent, service, task
 
@@ -266,7 +266,7 @@ _Respond = Callable[[str, list[tuple[str, str]]], object]
 
 
 class MetricsServer:
-    """Answers GET requests that name the loopback interface, in threads of its own, until it is closed.
+    """Answer GET requests that name the loopback interface, in threads of its own, until it is closed.
 
     Args:
         port: the port; 0: a free one.
@@ -288,7 +288,7 @@ class MetricsServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Listens no more. Not from one of its own threads."""
+        """Listen no more. Not from one of its own threads."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -320,20 +320,20 @@ class _Server(ThreadingMixIn, WSGIServer):
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Says nothing of a request that breaks off, or never comes."""
+        """Say nothing of a request that breaks off, or never comes."""
 
 
 class _MetricsRequestHandler(WSGIRequestHandler):
-    """Reads one request, and logs nothing."""
+    """Read one request, and logs nothing."""
 
     timeout = REQUEST_S
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Does nothing."""
+        """Do nothing."""
 
 
 def _guarded(metrics: Callable[..., Iterable[bytes]], token: str) -> Callable[..., Iterable[bytes]]:
-    """Returns a WSGI application that hands on what may be asked, and says to others why not."""
+    """Return a WSGI application that hands on what may be asked, and tells others why not."""
 
     def answer(environ: dict[str, Any], respond: _Respond) -> Iterable[bytes]:
         method = environ["REQUEST_METHOD"]

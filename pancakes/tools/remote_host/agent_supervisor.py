@@ -48,7 +48,7 @@ class AgentLog:
         self._path = path
 
     def write(self, data: bytes) -> None:
-        """Adds to it. A disk that is full stops no agent."""
+        """Add to it. A disk that is full stops no agent."""
         with contextlib.suppress(OSError):
             if self._path.exists() and self._path.stat().st_size > LOG_BYTES:
                 os.replace(self._path, self._path.with_name("agent.log.1"))
@@ -57,7 +57,7 @@ class AgentLog:
 
 
 class Supervisor:
-    """Stands by an agent, in one thread.
+    """Stand by an agent, in one thread.
 
     Args:
         folder: see above.
@@ -78,7 +78,7 @@ class Supervisor:
         self._selector = selectors.DefaultSelector()
 
     def run(self) -> None:
-        """Runs until it is told to end."""
+        """Run until it is told to end."""
         place = tempfile.mkdtemp(prefix="pancakes-notify-")
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notices:
             try:
@@ -188,7 +188,7 @@ class Supervisor:
             self._tell(state="starting", pid=0, restarts=self._status["restarts"] + 1)
 
     def _end(self) -> None:
-        """Ends the agent, and reads what it says meanwhile."""
+        """End the agent, and read what it says meanwhile."""
         if self._process is None:
             return
         self._process.terminate()
@@ -215,7 +215,7 @@ class Supervisor:
 
 
 def main() -> None:
-    """Begins, unless another supervisor stands by this agent."""
+    """Begin, unless another supervisor stands by this agent."""
     folder = Path(sys.argv[1])
     lock = open(folder / "lock", "a+")  # noqa: SIM115 - it is open as long as this process
     until_s = time.monotonic() + LOCK_S

@@ -76,7 +76,7 @@ class HostDeployment:
         }
 
     def lock(self, within: float = 0.0) -> None:
-        """Keeps other deployments away from this host as long as this program runs.
+        """Keep other deployments away from this host as long as this program runs.
 
         Args:
             within: how long it is waited for another one to end, in seconds.
@@ -95,12 +95,12 @@ class HostDeployment:
 
 
 def missing(wheels: Mapping[str, str]) -> list[str]:
-    """Returns those wheels that are not here; they are given by name, each with its digest."""
+    """Return those wheels that are not here; they are given by name, each with its digest."""
     return [name for name, digest in wheels.items() if not _wheel(name, digest).exists()]
 
 
 def damaged(folder: str, name: str) -> list[str]:
-    """Returns files of an environment, or of libraries, that are not as they were installed; of many, the first.
+    """Return files of an environment, or of libraries, that are not as they were installed; of many, the first.
 
     Args:
         folder: `environments`, of which each byte counts, or `libraries`, of which the sizes do.
@@ -139,7 +139,7 @@ def _is_as_made(path: Path, digest: str, size: int, folder: str) -> bool:
 
 
 def put(name: str, digest: str, data: str, last: bool) -> None:
-    """Takes a piece of a wheel, in base64; with the last piece it is whole."""
+    """Take a piece of a wheel, in base64; with the last piece it is whole."""
     path = _wheel(name, digest)
     part = path.with_name(f".{name}.part")
     part.parent.mkdir(parents=True, exist_ok=True)
@@ -150,7 +150,7 @@ def put(name: str, digest: str, data: str, last: bool) -> None:
 
 
 def make_libraries(name: str, wheels: Mapping[str, str]) -> bool:
-    """Unpacks the wheels that Pancakes and its plug-ins need; returns whether that was not done before.
+    """Unpack the wheels that Pancakes and its plug-ins need; return whether that was not done before.
 
     Args:
         name: the name of the folder.
@@ -171,7 +171,7 @@ def make_libraries(name: str, wheels: Mapping[str, str]) -> bool:
 
 
 def make_environment(name: str, libraries: str, wheels: Mapping[str, str], build: str) -> bool:
-    """Makes an environment of wheels that are here; returns whether it was not there.
+    """Make an environment of wheels that are here; return whether it was not there.
 
     Args:
         name: its name.
@@ -196,7 +196,7 @@ def make_environment(name: str, libraries: str, wheels: Mapping[str, str], build
 
 
 def write_version(fleet: str, name: str, version: str, environment: str, config: str, about: dict[str, Any]) -> None:
-    """Writes a version of an agent beside the others; nothing uses it yet.
+    """Write a version of an agent beside the others; nothing uses it yet.
 
     Args:
         fleet: the agent's fleet.
@@ -221,7 +221,7 @@ def write_version(fleet: str, name: str, version: str, environment: str, config:
 
 
 def check(fleet: str, name: str, version: str) -> dict[str, Any]:
-    """Checks the configuration of a version, in its environment.
+    """Check the configuration of a version, in its environment.
 
     Returns:
         Whether it is `sound`, and what is wrong with it (`said`), or what it is warned of.
@@ -235,7 +235,7 @@ def check(fleet: str, name: str, version: str) -> dict[str, Any]:
 
 
 def put_keys(fleet: str, name: str, files: Mapping[str, str]) -> None:
-    """Writes the keys of an agent that has none here.
+    """Write the keys of an agent that has none here.
 
     Args:
         fleet: the agent's fleet.
@@ -257,7 +257,7 @@ def put_keys(fleet: str, name: str, files: Mapping[str, str]) -> None:
 
 
 def switch(fleet: str, name: str, version: str, last: str) -> None:
-    """Has an agent use a version from its next start on.
+    """Have an agent use a version from its next start on.
 
     Args:
         fleet: the agent's fleet.
@@ -274,7 +274,7 @@ def switch(fleet: str, name: str, version: str, last: str) -> None:
 
 
 def clean() -> None:
-    """Removes the versions that are neither in use nor the last, and what only they rest on."""
+    """Remove the versions that are neither in use nor the last, and what only they rest on."""
     used: set[Path] = set()
     wheels: set[str] = set()
     libraries: set[str] = set()
@@ -315,12 +315,12 @@ def _wheel(name: str, digest: str) -> Path:
 
 
 def _pip(wheels: Mapping[str, str]) -> list[str]:
-    """Returns what runs pip from its wheel."""
+    """Return what runs pip from its wheel."""
     return [str(next(_wheel(it, digest) for it, digest in wheels.items() if it.startswith(PIP)) / "pip")]
 
 
 def _link(link: Path, target: str) -> None:
-    """Sets a link, so that it leads there or where it did at any moment."""
+    """Set a link, so that it leads there or where it did at any moment."""
     made = link.with_name(f".{link.name}.new")
     made.unlink(missing_ok=True)
     made.symlink_to(target)

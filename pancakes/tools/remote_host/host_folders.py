@@ -22,7 +22,7 @@ class HostFault(Exception):
 
 
 def prepare_environment() -> None:
-    """Sees to it that this session has the folders of a login: SSH does not bring all of its variables."""
+    """See to it that this session has the folders of a login: SSH does not bring all of its variables."""
     with contextlib.suppress(HostFault, OSError):  # without a home it stays where it is
         os.chdir(home())
     own = f"/run/user/{os.getuid()}"
@@ -31,7 +31,7 @@ def prepare_environment() -> None:
 
 
 def home() -> Path:
-    """Returns the home directory of the user."""
+    """Return the home directory of the user."""
     try:
         return Path.home()
     except RuntimeError:
@@ -39,29 +39,29 @@ def home() -> Path:
 
 
 def data_folder() -> Path:
-    """Returns where Pancakes keeps what was brought."""
+    """Return where Pancakes keeps what was brought."""
     base = os.environ.get("XDG_DATA_HOME")
     return (Path(base) if base else home() / ".local" / "share") / "pancakes"
 
 
 def agent_folder(fleet: str, name: str) -> Path:
-    """Returns where the versions of an agent are."""
+    """Return where the versions of an agent are."""
     return data_folder() / "agents" / fleet / name
 
 
 def current_python(fleet: str, name: str) -> Path:
-    """Returns the interpreter of the version of an agent that is in use, whether there is one or not."""
+    """Return the interpreter of the version of an agent that is in use, whether there is one or not."""
     return agent_folder(fleet, name) / "current" / "environment" / "bin" / "python"
 
 
 def has_keys(fleet: str, name: str) -> bool:
-    """Returns whether an agent has keys of its own on this host."""
+    """Return whether an agent has keys of its own on this host."""
     places = (data_folder() / "keys", Path("/etc/pancakes/keys"))
     return any(os.path.lexists(place / fleet / name / "key.pem") for place in places)
 
 
 def runtime_folder() -> Path:
-    """Returns the directory in which running agents are found."""
+    """Return the directory in which running agents are found."""
     named, base = os.environ.get("PANCAKES_RUNTIME_DIR"), os.environ.get("XDG_RUNTIME_DIR")
     if named:
         return Path(named)
@@ -69,13 +69,13 @@ def runtime_folder() -> Path:
 
 
 def socket_of(fleet: str, name: str) -> str:
-    """Returns the path of the socket at which an agent listens within this machine."""
+    """Return the path of the socket at which an agent listens within this machine."""
     folder = runtime_folder() / "local"
     return str(folder / f"{name}.sock" if fleet == "default" else folder / fleet / f"{name}.sock")
 
 
 def running() -> list[dict[str, Any]]:
-    """Returns the entries of the agents that run."""
+    """Return the entries of the agents that run."""
     found = []
     with contextlib.suppress(OSError):
         for path in sorted(runtime_folder().glob("*.json")):
@@ -86,7 +86,7 @@ def running() -> list[dict[str, Any]]:
 
 
 def end_process(fleet: str, name: str, within: float) -> bool:
-    """Tells the process of an agent to end, and waits for that, in seconds; returns whether it has ended.
+    """Tell the process of an agent to end, and wait for that, in seconds; return whether it has ended.
 
     Raises:
         HostFault: it is the process of another user.
@@ -109,7 +109,7 @@ def end_process(fleet: str, name: str, within: float) -> bool:
 
 
 def is_locked(handle: int) -> bool:
-    """Returns whether another process has the lock on a file."""
+    """Return whether another process has the lock on a file."""
     try:
         fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -119,7 +119,7 @@ def is_locked(handle: int) -> bool:
 
 
 def interpreter_for(fleet: str, name: str) -> str:
-    """Returns the Python that has Pancakes here: that of the agent's version, of another agent's, or of the path.
+    """Return the Python that has Pancakes here: that of the agent's version, of another agent's, or of the path.
 
     Empty: there is none.
     """
@@ -140,7 +140,7 @@ def interpreter_for(fleet: str, name: str) -> str:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Writes a file so that it is there as a whole, or as it was."""
+    """Write a file so that it is there as a whole, or as it was."""
     temporary = path.with_name(f".{path.name}.new")
     with open(temporary, "wb") as file:
         file.write(data)

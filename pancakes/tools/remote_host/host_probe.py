@@ -30,7 +30,7 @@ from pancakes.tools.remote_host.service_managers import manager_of, runs_systemd
 
 
 def probe_host(fleet_of: dict[str, str]) -> dict[str, Any]:
-    """Returns what this host is, and what of some agents is on it.
+    """Return what this host is, and what of some agents is on it.
 
     Args:
         fleet_of: the agents that are to run here, each with its fleet.
@@ -77,7 +77,7 @@ def _version_at(link: Path) -> str:
 
 
 def _digest_at(path: Path) -> str:
-    """Returns a digest of a file; empty: it cannot be read."""
+    """Return a digest of a file; empty: it cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:

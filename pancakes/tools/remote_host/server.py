@@ -42,7 +42,7 @@ Emit = Callable[..., None]
 
 
 class LaunchedAgents:
-    """Starts and ends agents, and tells the launcher what they say.
+    """Start and end agents, and tell the launcher what they say.
 
     Args:
         emit: what tells it.
@@ -102,7 +102,7 @@ class LaunchedAgents:
         self._emit("ended", agent=name, code=code)
 
     def end_all(self) -> None:
-        """Ends all of them, by force where they do not in time, and removes what was written for them."""
+        """End all of them, by force where they do not in time, and remove what was written for them."""
         running = self.processes.processes()
         for process in running:
             process.terminate()
@@ -117,7 +117,7 @@ class LaunchedAgents:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _put(self, agent: str, config: str, sets: list[str], keys: Mapping[str, str]) -> tuple[Path, list[str]]:
-        """Writes the configuration and the keys; returns where it is, and what is set."""
+        """Write the configuration and the keys; return where it is, and what is set."""
         if self._folder is None:
             self._folder = tempfile.mkdtemp(prefix="pancakes-launch-")
         path = Path(self._folder) / f"{agent}.toml"
@@ -153,7 +153,7 @@ def _spawn(python: str, path: Path, sets: list[str], output: int, said: int) -> 
 
 
 def last_line(text: str) -> str:
-    """Returns the last line that says something."""
+    """Return the last line that says something."""
     return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it does not say why")
 
 
@@ -167,7 +167,7 @@ _CHUNK = 65_536
 
 
 class HostServer:
-    """Reads requests and carries them out, in one thread, until the standard input ends.
+    """Read requests and carries them out, in one thread, until the standard input ends.
 
     Args:
         marker: what stands before each answer.
@@ -193,7 +193,7 @@ class HostServer:
         }
 
     def run(self) -> None:
-        """Serves until the launcher has gone, and leaves no agent of a launch behind."""
+        """Serve until the launcher has gone, and leave no agent of a launch behind."""
         reader, writer = os.pipe()
         for end in (reader, writer):
             os.set_blocking(end, False)
@@ -232,7 +232,7 @@ class HostServer:
                 self._ends = True
 
     def _live(self) -> None:
-        """Tells that this program lives, in a thread of its own: the other may be at something that takes long."""
+        """Tell that this program lives, in a thread of its own: the other may be at something that takes long."""
         while True:
             time.sleep(ALIVE_S)
             if not self._out:
@@ -277,7 +277,7 @@ def _fault_of(error: OSError) -> str:
 
 
 def main(marker: bytes) -> None:
-    """Begins.
+    """Begin.
 
     Args:
         marker: see above.

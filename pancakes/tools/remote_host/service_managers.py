@@ -38,7 +38,7 @@ TAIL: Final = 12
 
 
 class ServiceManager(Protocol):
-    """Keeps one agent running.
+    """Keep one agent running.
 
     Attributes:
         kind: the manager, in a word for people.
@@ -47,40 +47,40 @@ class ServiceManager(Protocol):
     kind: str
 
     def install(self) -> None:
-        """Takes the version that is current now; where a computer starts its services, it starts this one too."""
+        """Take the version that is current now; where a computer starts its services, it starts this one too."""
 
     def start(self) -> None:
-        """Starts the agent, and waits until it is ready.
+        """Start the agent, and wait until it is ready.
 
         Raises:
             HostFault: it ends, or is not ready in time; the fault has the last lines that it said.
         """
 
     def stop(self) -> None:
-        """Stops the agent, and waits until it has ended; nothing starts it again."""
+        """Stop the agent, and wait until it has ended; nothing starts it again."""
 
     def status(self) -> dict[str, Any]:
-        """Returns `state` (`active`, `starting`, `failed`, `inactive`), `pid` (0: none) and `restarts`."""
+        """Return `state` (`active`, `starting`, `failed`, `inactive`), `pid` (0: none) and `restarts`."""
 
     def forget(self) -> None:
-        """Takes away what `install` has put there; the agent does not run."""
+        """Take away what `install` has put there; the agent does not run."""
 
 
 def agent_command(fleet: str, name: str) -> list[str]:
-    """Returns the command that runs the current version of an agent."""
+    """Return the command that runs the current version of an agent."""
     config = agent_folder(fleet, name) / "current" / "agent.toml"
     return [str(current_python(fleet, name)), "-m", "pancakes.tools.cli.agent_command", "--config", str(config)]
 
 
 def runs_systemd() -> bool:
-    """Returns whether systemd runs here, and takes services of this user."""
+    """Return whether systemd runs here, and takes services of this user."""
     if not os.path.isdir("/run/systemd/system") or shutil.which("systemctl") is None:
         return False
     return _systemctl("show-environment").returncode == 0
 
 
 def manager_of(fleet: str, name: str) -> ServiceManager:
-    """Returns what keeps an agent running on this host."""
+    """Return what keeps an agent running on this host."""
     return Systemd(fleet, name) if runs_systemd() else OwnSupervisor(fleet, name)
 
 
@@ -235,7 +235,7 @@ class OwnSupervisor:
             time.sleep(LOOK_S)
 
     def _supervisor(self) -> int | None:
-        """Returns the process of the supervisor; None: there is none."""
+        """Return the process of the supervisor; None: there is none."""
         with contextlib.suppress(OSError, ValueError), open(self._folder / "lock") as file:
             if is_locked(file.fileno()):
                 return int(file.read() or 0) or None
@@ -248,18 +248,18 @@ class OwnSupervisor:
 
 
 def _source_of_supervisor() -> bytes:
-    """Returns the source of our supervisor; what is sent to a host has no files."""
+    """Return the source of our supervisor; what is sent to a host has no files."""
     sent: str | None = getattr(agent_supervisor, "__source__", None)
     return sent.encode() if sent is not None else Path(agent_supervisor.__file__).read_bytes()
 
 
 def tail_of(text: str) -> str:
-    """Returns the last lines of a text."""
+    """Return the last lines of a text."""
     return "\n    ".join([line.rstrip() for line in text.splitlines() if line.strip()][-TAIL:]) or "it says nothing"
 
 
 def _linger() -> None:
-    """Sees to it that systemd lets the services of this user run while the user is not logged in.
+    """See to it that systemd lets the services of this user run while the user is not logged in.
 
     Raises:
         HostFault: it does not, and may not be told so by this user.

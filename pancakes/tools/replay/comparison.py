@@ -97,12 +97,12 @@ class RunComparison:
 
 
 def key_of(packet: Packet) -> StreamKey:
-    """Returns with which packets a packet is compared."""
+    """Return with which packets a packet is compared."""
     return StreamKey(packet.channel, packet.type, packet.destination)
 
 
 def compare(recorded: Sequence[Packet], now: Sequence[Packet], address: str, tolerance: Tolerance) -> RunComparison:
-    """Compares what a task published with what it publishes now.
+    """Compare what a task published with what it publishes now.
 
     What a packet led to is compared with what the same packet leads to now, the rest (ticks) by the time.
 
@@ -162,7 +162,7 @@ def _pairs(before: Sequence[Packet], after: Sequence[Packet], address: str, time
 
 
 def _cause(packet: Packet, address: str) -> tuple[str, int] | None:
-    """Returns what led to a packet, where that is the same in both runs: not what the task itself has published."""
+    """Return what led to a packet, where that is the same in both runs: not what the task itself has published."""
     cause = packet.cause
     return (cause[0], cause[1]) if cause is not None and cause[0] != address else None
 

@@ -113,7 +113,7 @@ class Stay:
 
 
 def find_stays(entries: Iterable[RecordedPacket]) -> list[Stay]:
-    """Returns all stays in a recording, in the order in which they began.
+    """Return all stays in a recording, in the order in which they began.
 
     Args:
         entries: the recording, in the order of time.
@@ -151,7 +151,7 @@ def find_stays(entries: Iterable[RecordedPacket]) -> list[Stay]:
 
 
 def choose_stays(stays: Sequence[Stay], task: str, agent: str = "", number: int | None = None) -> list[Stay]:
-    """Returns the stays of one task.
+    """Return the stays of one task.
 
     Args:
         stays: all stays in a recording.
@@ -191,7 +191,7 @@ def choose_stays(stays: Sequence[Stay], task: str, agent: str = "", number: int 
 
 
 class Overtaken:
-    """Tells which packets fell out of the task's mailbox before the task handled them. No recording says so by itself.
+    """Tell which packets fell out of the task's mailbox before the task handled them. No recording says so by itself.
 
     Args:
         steps: the packets that arrived, and the changes.
@@ -219,7 +219,7 @@ class Overtaken:
                 alike.append(step)
 
     def fell_out(self, step: Given | Change) -> bool:
-        """Returns whether newer packets of its type took a packet's place."""
+        """Return whether newer packets of its type took a packet's place."""
         if not isinstance(step, Given) or step.letter or self._is_handled(step):
             return False
         key = (step.packet.channel, step.packet.type)
@@ -241,7 +241,7 @@ class Overtaken:
         return False
 
     def came_late(self, step: Given | Change, end_s: float) -> bool:
-        """Returns whether a packet came too late to be handled, when the task may have ended."""
+        """Return whether a packet came too late to be handled, when the task may have ended."""
         return isinstance(step, Given) and step.published_s > end_s and not self._is_handled(step)
 
     def _at_once(self, one: Given, other: Given) -> bool:
@@ -273,7 +273,7 @@ class RanTicks:
         self._complete = complete
 
     def tick_at(self, deadline_s: float, period_s: float) -> Tick | None:
-        """Returns a tick as the task was given it, with its lateness if it was late; None: it did not run.
+        """Return a tick as the task was given it, with its lateness if it was late; None: it did not run.
 
         A tick that the recording cannot tell of counts as one that ran: the timer had another period then, or the
         recording ends before.
@@ -291,7 +291,7 @@ class RanTicks:
 
 
 class TicksReader:
-    """Collects what a recording tells of the ticks of a stay."""
+    """Collect what a recording tells of the ticks of a stay."""
 
     def __init__(self, stay: Stay) -> None:
         self._stay = stay
@@ -303,7 +303,7 @@ class TicksReader:
         self._over = False
 
     def take(self, entry: RecordedPacket) -> None:
-        """Takes an entry of the recording; in the order of time."""
+        """Take an entry of the recording; in the order of time."""
         stay, packet = self._stay, entry.packet
         if self._over or entry.agent != stay.agent:
             return
@@ -328,7 +328,7 @@ class TicksReader:
         self._complete = self._over = time_ns >= stay.to_ns
 
     def ticks(self) -> dict[str, RanTicks] | None:
-        """Returns the ticks that ran, by timer; None: the recording does not tell."""
+        """Return the ticks that ran, by timer; None: the recording does not tell."""
         if not self._told or self._holes:
             return None
         periods_s = {it["timer"]: 1.0 / it["rate_hz"] if it["rate_hz"] else math.inf for it in self._stay.task.timers}
@@ -378,7 +378,7 @@ class Script:
 def read_script(
     entries: Iterable[RecordedPacket], stay: Stay, cls: type[Task], speed: float = 1.0, virtual: bool = False
 ) -> Script:
-    """Reads what a task got and gave.
+    """Read what a task got and gave.
 
     Args:
         entries: the recording, in the order of time.
@@ -427,7 +427,7 @@ def read_script(
 
 
 class _StayReader:
-    """Tells what of a recording has to do with a stay."""
+    """Tell what of a recording has to do with a stay."""
 
     def __init__(self, stay: Stay, cls: type[Task]) -> None:
         self._stay = stay
@@ -445,7 +445,7 @@ class _StayReader:
         self._over = False
 
     def take(self, entry: RecordedPacket) -> bool:
-        """Returns whether an entry is an input, an output or a change of the stay; in the order of time."""
+        """Return whether an entry is an input, an output or a change of the stay; in the order of time."""
         stay, packet = self._stay, entry.packet
         self.ticks.take(entry)
         if not self._lives and isinstance(packet.body, TaskDescription):
@@ -462,7 +462,7 @@ class _StayReader:
         return self.is_output(packet) or self.is_change(packet) or self._is_input(packet)
 
     def _begun(self, entry: RecordedPacket) -> bool:
-        """Returns whether a stay has begun, at the very moment at which it does so.
+        """Return whether a stay has begun, at the very moment at which it does so.
 
         In virtual time much happens at one moment, before that and after: the task has said something, its service has
         said that it runs, or it has been described.
@@ -472,20 +472,20 @@ class _StayReader:
         return self._lives
 
     def is_output(self, packet: Packet) -> bool:
-        """Returns whether the task published it."""
+        """Return whether the task published it."""
         return packet.source == self._address
 
     def lingers(self, entry: RecordedPacket) -> bool:
-        """Returns whether a packet is the effect of one that came before the stay."""
+        """Return whether a packet is the effect of one that came before the stay."""
         cause = entry.packet.cause
         return cause is not None and (cause[0], cause[1]) in self._before
 
     def is_change(self, packet: Packet) -> bool:
-        """Returns whether it tells of a change of the task."""
+        """Return whether it tells of a change of the task."""
         return self._is_told(packet, CHANGES)
 
     def _is_told(self, packet: Packet, kinds: Collection[str]) -> bool:
-        """Returns whether a packet is one of these events, about the task."""
+        """Return whether a packet is one of these events, about the task."""
         body = packet.body
         return (
             packet.channel == LOG
@@ -510,7 +510,7 @@ class _StayReader:
         return wants or self._stay.task.reads_packet(packet.channel, packet.type)
 
     def _letter_of(self, packet: Packet) -> Packet | None:
-        """Returns the packet to this task, wherever it is, that this one is or brings."""
+        """Return the packet to this task, wherever it is, that this one is or brings."""
         if packet.destination == TO_TASK + self._stay.task.task_id and agent_of(packet.source) == self._stay.agent:
             return packet
         body = packet.body
@@ -523,7 +523,7 @@ class _StayReader:
         return None
 
     def inputs(self, packet: Packet) -> Iterator[tuple[Packet, bool]]:
-        """Yields the packet as the task got it, and whether it was a letter; a letter that came twice only once."""
+        """Yield the packet as the task got it, and whether it was a letter; a letter that came twice only once."""
         letter = self._letter_of(packet)
         if letter is None:
             yield packet, False
@@ -533,7 +533,7 @@ class _StayReader:
 
 
 class _MissionTimes:
-    """Turns a recording's time into the mission time of a stay's agent."""
+    """Turn a recording's time into the mission time of a stay's agent."""
 
     def __init__(self, stay: Stay, speed: float, entries: Iterable[RecordedPacket]) -> None:
         self._stay = stay
@@ -546,7 +546,7 @@ class _MissionTimes:
         self.end_s = max(self._of_ns(stay.to_ns), stay.begins_s)
 
     def of(self, entry: RecordedPacket) -> float:
-        """Returns the mission time at which a packet was seen."""
+        """Return the mission time at which a packet was seen."""
         return entry.packet.stamp if self._is_own(entry.packet) else self._of_ns(entry.time_ns)
 
     def _is_own(self, packet: Packet) -> bool:

@@ -45,7 +45,7 @@ class Live:
 
     @classmethod
     def of(cls, told: Mapping[str, Any]) -> Live:
-        """Makes it of what an agent answers to `Describe()`."""
+        """Make it of what an agent answers to `Describe()`."""
         name = told["agent"]
         speaking = {join(name, "kernel"), *(join(name, row["service"]) for row in told["services"])}
         for row in told["tasks"]:
@@ -117,7 +117,7 @@ class Selection:
     time: MissionTime = MissionTime()
 
     def of(self, entries: Iterable[RecordedPacket]) -> Iterator[Fed]:
-        """Yields what is fed and what is left out (see `Topic.left_out`), in the order of time, each packet once.
+        """Yield what is fed and what is left out (see `Topic.left_out`), in the order of time, each packet once.
 
         Args:
             entries: the recording, in the order of time.
@@ -155,7 +155,7 @@ class Selection:
 
 
 def _was_for(entry: RecordedPacket) -> bool:
-    """Returns whether a packet was for the agent on which it was seen, and not only on its way out there."""
+    """Return whether a packet was for the agent on which it was seen, and not only on its way out there."""
     packet = entry.packet
     destination = packet.destination
     if packet.channel == CHANNEL or destination.startswith(TO_TASK):
@@ -166,7 +166,7 @@ def _was_for(entry: RecordedPacket) -> bool:
 
 
 def _moved(packet: Packet, seen_on: str, name: str) -> Packet:
-    """Returns a packet for another agent in place of the one on which it was seen, in whose name it speaks."""
+    """Return a packet for another agent in place of the one on which it was seen, in whose name it speaks."""
 
     def renamed(address: str) -> str:
         return name + address[len(seen_on) :] if agent_of(address) == seen_on else address
@@ -177,7 +177,7 @@ def _moved(packet: Packet, seen_on: str, name: str) -> Packet:
 
 
 class _Once:
-    """Remembers which packets were there already: two recordings may have the same."""
+    """Remember which packets were there already: two recordings may have the same."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, str, int, float]] = set()
@@ -210,19 +210,19 @@ class Tally:
     last_ns: int = 0
 
     def add(self, fed: Fed) -> None:
-        """Counts a packet."""
+        """Count a packet."""
         self.packets[fed.topic] = self.packets.get(fed.topic, 0) + 1
         if not fed.topic.left_out:
             self.first_ns = fed.time_ns if self.first_ns is None else self.first_ns
             self.last_ns = fed.time_ns
 
     def fed(self) -> int:
-        """Returns how many are fed."""
+        """Return how many are fed."""
         return sum(count for topic, count in self.packets.items() if not topic.left_out)
 
 
 def tally_of(selection: Selection, entries: Iterable[RecordedPacket]) -> Tally:
-    """Counts what would be fed, before anything is.
+    """Count what would be fed, before anything is.
 
     Raises:
         ControlRefused: an agent lacks a channel, nothing fits, or no agent is there of those that it is for.
@@ -255,7 +255,7 @@ LATE_S = 1.0
 
 
 class Feeder:
-    """Sends packets to agents as a client of their fleet.
+    """Send packets to agents as a client of their fleet.
 
     What happens does so at times that are counted from the first packet, so that nothing drifts. Packets wait for an
     agent that is too slow for them; none is left out.
@@ -279,7 +279,7 @@ class Feeder:
         self.tally = Tally()
 
     def feed(self, entries: Iterable[RecordedPacket], first_ns: int, speed: float, recorded_speed: float) -> None:
-        """Feeds all packets.
+        """Feed all packets.
 
         Args:
             entries: the recording, in the order of time.
@@ -315,7 +315,7 @@ class Feeder:
             self.tally.add(fed)
 
     def settle(self) -> None:
-        """Waits until all agents have got what was sent to them."""
+        """Wait until all agents have got what was sent to them."""
         for name in self._fed:
             self._client.wait(lambda: not self._waits(name))  # noqa: B023
             self._client.request(name, Describe())

@@ -99,7 +99,7 @@ class LateTimer(VirtualTimer):
 
 
 class _Held:
-    """Takes the ticks of the timer in place of a task's timer, and passes them on later."""
+    """Take the ticks of the timer in place of a task's timer, and passes them on later."""
 
     def __init__(self, timer: LateTimer, target: Ticking, period_s: float, ran: RanTicks | None) -> None:
         self._timer = timer
@@ -146,7 +146,7 @@ def _said(packet: Packet) -> _Said:
 
 
 def class_of(stay: Stay, plugins: Plugins) -> type[Task]:
-    """Returns the present class of a recorded task.
+    """Return the present class of a recorded task.
 
     Raises:
         RecordingError: it is not installed, cannot be imported, or is one that its service made.
@@ -200,7 +200,7 @@ class Rerun:
             counts[said] = counts.get(said, 0) + 1
 
     def run(self) -> Outcome:
-        """Runs the task; once.
+        """Run the task; once.
 
         Raises:
             RecordingError: it cannot begin, for instance because its class has changed too much.
@@ -307,7 +307,7 @@ class Rerun:
             self._kernel.stream.inject(packet)
 
     def _seq_now(self, seq: int) -> int:
-        """Returns the number that a packet of the task's bears in this run, given the one that it bore."""
+        """Return the number that a packet of the task's bears in this run, given the one that it bore."""
         place = self._place_of.get(seq)
         if place is None:
             return seq

@@ -1,4 +1,4 @@
-"""Feeds recorded packets into agents in virtual time, and records what they make of them."""
+"""Feed recorded packets into agents in virtual time, and records what they make of them."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class VirtualReplay:
                 recorder.end()
 
     def start(self) -> dict[str, Live]:
-        """Starts the agents, and returns what they say of themselves.
+        """Start the agents, and return what they say of themselves.
 
         Raises:
             PancakesError: one does not become ready, or cannot be started or recorded.
@@ -87,7 +87,7 @@ class VirtualReplay:
         return {root.agent: Live.of(root.describe()) for root in roots if isinstance(root, Root)}
 
     def feed(self, selection: Selection, entries: Iterable[RecordedPacket], first_ns: int, scale: float) -> None:
-        """Feeds all packets, and lets the agents work on for a moment.
+        """Feed all packets, and let the agents work on for a moment.
 
         Args:
             selection: which packets are fed, and into which agent.
@@ -112,7 +112,7 @@ class VirtualReplay:
 
 
 def _virtual(config: Config, seed: int) -> Config:
-    """Returns a configuration for virtual time: it is recorded from outside, and its mission begins at once."""
+    """Return a configuration for virtual time: it is recorded from outside, and its mission begins at once."""
     seed = seed if config.agent.seed is None else config.agent.seed
     agent = replace(config.agent, seed=seed, birth_wait_s=0.0)  # its peers are not here
     log = config.services["log"]

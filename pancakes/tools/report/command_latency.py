@@ -45,7 +45,7 @@ class PickedCommand:
 
     @classmethod
     def of(cls, command: ActuatorCommand, time: MissionTime) -> PickedCommand:
-        """Makes one of a command; not of its stamp, as an agent that is started again counts its time anew."""
+        """Make one of a command; not of its stamp, as an agent that is started again counts its time anew."""
         text = body_text(command.packet.body, BODY_CHARACTERS)
         return cls(time.at(command.time_ns), text, command.chain.steps, command.chain.latency_s)
 
@@ -69,7 +69,7 @@ class ActuatorCommands:
     _slow: list[tuple[float, int, PickedCommand]] = field(default_factory=list)
 
     def add(self, command: ActuatorCommand, most: int, time: MissionTime) -> None:
-        """Takes a command, in the order of time; keeps at most so many, the slowest aside."""
+        """Take a command, in the order of time; keep at most so many, the slowest aside."""
         number = self.count
         self.count += 1
         latency_s = command.chain.latency_s
@@ -87,13 +87,13 @@ class ActuatorCommands:
                 self.stride *= 2
 
     def commands(self) -> list[PickedCommand]:
-        """Returns those that were kept, oldest first."""
+        """Return those that were kept, oldest first."""
         by_number = dict(self._even)
         by_number.update((-number, picked) for _, number, picked in self._slow)
         return [by_number[number] for number in sorted(by_number)]
 
     def slowest(self) -> list[PickedCommand]:
-        """Returns those that took longest from their first cause, the slowest first."""
+        """Return those that took longest from their first cause, the slowest first."""
         return [picked for _, _, picked in sorted(self._slow, key=lambda it: (-it[0], -it[1])) if len(picked.steps) > 1]
 
 
@@ -111,7 +111,7 @@ class PickedCommands:
     _by_actuator: dict[tuple[str, str], ActuatorCommands] = field(default_factory=dict)
 
     def add(self, command: ActuatorCommand) -> None:
-        """Takes a command, in the order of time."""
+        """Take a command, in the order of time."""
         key = (agent_of(command.packet.source), command.packet.type)
         actuator = self._by_actuator.get(key)
         if actuator is None:
@@ -122,11 +122,11 @@ class PickedCommands:
         actuator.add(command, min(MOST_EVEN_EACH, MOST_EVEN // len(self._by_actuator)), self.time)
 
     def actuators(self) -> list[ActuatorCommands]:
-        """Returns the actuators that were commanded, by name."""
+        """Return the actuators that were commanded, by name."""
         return [actuator for _, actuator in sorted(self._by_actuator.items())]
 
     def plain(self) -> dict[str, Any]:
-        """Returns all of it as plain values, each name once.
+        """Return all of it as plain values, each name once.
 
         `names`: publishers with the types of their packets. `kinds`: the shapes of chains, each a list of places in
         `names`. `texts`: what commands said. `actuators`: `agent`, `type`, `count`, `stride`, and `commands`, each a
@@ -200,7 +200,7 @@ class Reaction:
         return [total / self.count for total in self.travel_sums_s]
 
     def add(self, chain: Chain) -> None:
-        """Adds a chain of this shape."""
+        """Add a chain of this shape."""
         if not self.count:
             self.step_sums_s = [0.0] * (len(chain.steps) - 1)
             self.travel_sums_s = [0.0] * (len(chain.steps) - 1)
@@ -232,15 +232,15 @@ class Reactions:
     _chains: CommandChains = field(default_factory=lambda: CommandChains(bodies=False))
 
     def add(self, entry: RecordedPacket) -> None:
-        """Takes a packet, in the order of time."""
+        """Take a packet, in the order of time."""
         self._take(self._chains.add(entry))
 
     def close(self) -> None:
-        """Takes what is left, now that no more packets come."""
+        """Take what is left, now that no more packets come."""
         self._take(self._chains.close())
 
     def add_command(self, command: ActuatorCommand) -> None:
-        """Counts a command, whatever task gave it."""
+        """Count a command, whatever task gave it."""
         self.commands += 1
         self.picked.add(command)
         if not command.caused:
@@ -256,11 +256,11 @@ class Reactions:
         reaction.add(command.chain)
 
     def reactions(self) -> list[Reaction]:
-        """Returns the chains by their shape, the most frequent first."""
+        """Return the chains by their shape, the most frequent first."""
         return sorted(self._by_shape.values(), key=lambda it: (-it.count, it.steps))
 
     def alike(self, chain: Chain) -> Reaction | None:
-        """Returns all chains of the shape of one; None where that is none that is told apart."""
+        """Return all chains of the shape of one; None where that is none that is told apart."""
         return self._by_shape.get(chain.shape)
 
     def _take(self, commands: list[ActuatorCommand]) -> None:

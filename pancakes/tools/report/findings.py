@@ -49,7 +49,7 @@ class Findings:
 
     @classmethod
     def of(cls, entries: Iterable[RecordedPacket], task_id: str = "", time: MissionTime = MissionTime()) -> Findings:  # noqa: B008
-        """Looks at packets in the order of time.
+        """Look at packets in the order of time.
 
         Args:
             entries: the packets.
@@ -123,7 +123,7 @@ class Findings:
             self.topics[key] += 1
 
     def plain(self) -> dict[str, Any]:
-        """Returns the figures of the report as plain values, for other programs."""
+        """Return the figures of the report as plain values, for other programs."""
         return {
             "task_id": self.task_id,
             "agents": self.agents,

@@ -25,7 +25,7 @@ from pancakes.tools.report.plots import Palette, Picture
 
 
 def static_text(name: str) -> str:
-    """Returns the text of a file in `static`."""
+    """Return the text of a file in `static`."""
     return resources.files("pancakes.tools.report").joinpath("static", name).read_text(encoding="utf-8")
 
 
@@ -34,7 +34,7 @@ SLOWEST: Final = 5
 
 
 def picker_html(found: Reactions) -> str:
-    """Returns the part of the page, with its data and its script. Without scripts the slowest commands are left."""
+    """Return the part of the page, with its data and its script. Without scripts the slowest commands are left."""
     picked = found.picked
     data = picked.plain()
     by_steps = {it.steps: it for it in found.reactions()}
@@ -90,7 +90,7 @@ MOST_ROWS: Final = 200
 def make_page(
     title: str, about: Mapping[str, str], notes: Sequence[str], findings: Findings, pictures: Mapping[str, Picture]
 ) -> str:
-    """Returns the page.
+    """Return the page.
 
     Args:
         title: what it is about.
@@ -143,7 +143,7 @@ def _folded(title: str, html: str) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Returns a table; numbers are aligned to the right, what is not known is left empty."""
+    """Return a table; numbers are aligned to the right, what is not known is left empty."""
     kept = list(rows)
     numeric = [any(isinstance(row[place], int | float) for row in kept) for place in range(len(head))]
     cells = [' class="n"' if it else "" for it in numeric]
@@ -157,7 +157,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def _wide(html: str) -> str:
-    """Returns what may be wider than a screen; it scrolls by finger, by wheel and by the arrow keys."""
+    """Return what may be wider than a screen; it scrolls by finger, by wheel and by the arrow keys."""
     return f'<div class="wide" tabindex="0">{html}</div>'
 
 
@@ -341,7 +341,7 @@ class Made:
 
 
 def make_report(path: Path, out: Path, task_id: str = "") -> Made:
-    """Makes a report.
+    """Make a report.
 
     Args:
         path: the recording: a file with its parts, or all files of a folder.
@@ -400,7 +400,7 @@ def _write(path: Path, out: Path, findings: Findings, about: dict[str, str], not
 
 
 def draw_all(findings: Findings, out: Path) -> list[Picture]:
-    """Draws all that there is something to see of, into files as well.
+    """Draw all that there is something to see of, into files as well.
 
     Args:
         findings: what was found.

@@ -62,7 +62,7 @@ class BodyPaths:
     batteries: dict[str, TimeSeries] = field(default_factory=dict)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
-        """Takes a packet that was seen on an agent."""
+        """Take a packet that was seen on an agent."""
         if packet.channel == SYSTEM:
             if packet.type == WORLD:
                 self._add_world(packet.body, t_s)
@@ -91,7 +91,7 @@ class BodyPaths:
             commands.append(CommandSpan(task, t_s, t_s))
 
     def bodies(self) -> list[Body]:
-        """Returns the bodies to draw: those of the world, and agents of which only their own poses are known."""
+        """Return the bodies to draw: those of the world, and agents of which only their own poses are known."""
         shown = [body for body in self.truth.values() if body.path.kept]
         return shown + [body for name, body in self.poses.items() if name not in self.truth]
 
@@ -155,7 +155,7 @@ class TaskTimeline:
     seen_s: dict[str, float] = field(default_factory=dict)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
-        """Takes a packet that was seen on an agent."""
+        """Take a packet that was seen on an agent."""
         before_s, self.seen_s[agent] = self.seen_s.get(agent, t_s), t_s
         body = packet.body
         if isinstance(body, Event) and body.kind == "recording_started" and packet.source == f"{agent}/log/Recorder":
@@ -209,7 +209,7 @@ class TaskTimeline:
                 lane.spans[-1].to_s = self.seen_s[lane.agent]
 
     def only(self, task_id: str) -> None:
-        """Forgets all tasks but one, given by its identity for life."""
+        """Forget all tasks but one, given by its identity for life."""
         name = task_id.rpartition("/")[2]
         self.lanes = {
             key: lane
@@ -275,7 +275,7 @@ class Moves:
     _changes: dict[tuple[str, str, str], tuple[float, float]] = field(default_factory=dict)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
-        """Takes a packet that was seen on an agent."""
+        """Take a packet that was seen on an agent."""
         if agent_of(packet.source) != agent:
             return
         if packet.fence is not None:
@@ -333,7 +333,7 @@ class Moves:
             move.silence_s = change[1]
 
     def only(self, task_id: str) -> None:
-        """Forgets the moves of all tasks but one."""
+        """Forget the moves of all tasks but one."""
         self.moves = [move for move in self.moves if move.ledger.task_id == task_id]
 
 
@@ -405,7 +405,7 @@ class EventDigest:
     _known: dict[tuple[str, str, str], DigestEntry] = field(default_factory=dict)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
-        """Takes a packet that was seen on an agent."""
+        """Take a packet that was seen on an agent."""
         if packet.channel != LOG or agent_of(packet.source) != agent:
             return
         body = packet.body

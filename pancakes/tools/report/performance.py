@@ -63,11 +63,11 @@ class TimerRates:
         return self.lateness_sum_s / self.ticks if self.ticks else 0.0
 
     def lateness_quantile_s(self, share: float) -> float | None:
-        """Returns the lateness that this share of the ticks stayed below, to within 10 %; None: no tick was counted."""
+        """Return the lateness that this share of the ticks stayed below, to within 10 %; None: no tick was counted."""
         return quantile_s(self.lateness_counts, share)
 
     def add(self, t_s: float, mission_s: float, incarnation: int, now: TimerFigures) -> None:
-        """Takes a sample."""
+        """Take a sample."""
         for bucket, count in now.lateness_counts:
             self.lateness_counts[bucket] = self.lateness_counts.get(bucket, 0) + count
         before, self._before = self._before, (mission_s, incarnation, now)
@@ -103,7 +103,7 @@ class Drops:
     _before: int | None = None
 
     def add(self, t_s: float, dropped: int) -> None:
-        """Takes a sample; a mailbox outlives the actors of its task."""
+        """Take a sample; a mailbox outlives the actors of its task."""
         if self._before is not None:
             self.total += max(0, dropped - self._before)
         self._before = dropped
@@ -131,7 +131,7 @@ class Rates:
     dead_letters: dict[str, int] = field(default_factory=dict)
 
     def add(self, agent: str, figures: TaskFigures, t_s: float) -> None:
-        """Takes what was sampled of an agent."""
+        """Take what was sampled of an agent."""
         self.samples += 1
         for task in figures.tasks:
             self._add_task(agent, task, figures.mission_s, t_s)
@@ -150,7 +150,7 @@ class Rates:
             timer.add(t_s, mission_s, task.incarnation, figures)
 
     def only(self, task_id: str) -> None:
-        """Forgets all tasks but one, given by its identity for life."""
+        """Forget all tasks but one, given by its identity for life."""
         self.timers = {key: timer for key, timer in self.timers.items() if timer.task_id == task_id}
         kept = {key[:2] for key in self.timers}
         self.drops = {key: drops for key, drops in self.drops.items() if key in kept}
@@ -169,18 +169,18 @@ class Flow:
     bytes: Counts = field(default_factory=Counts)
 
     def add(self, t_s: float, name: str, size: int) -> None:
-        """Counts a packet."""
+        """Count a packet."""
         self.packets.add(t_s, name)
         self.bytes.add(t_s, name, size)
 
     def take(self, other: Flow, name: str) -> None:
-        """Adds what another flow has counted under a name."""
+        """Add what another flow has counted under a name."""
         for counts, of in ((self.packets, other.packets), (self.bytes, other.bytes)):
             for slot, number in of.slots[name].items():
                 counts.add((slot + 0.5) * of.slot_s, name, number)
 
     def names(self) -> list[str]:
-        """Returns the names, those with the most bytes first."""
+        """Return the names, those with the most bytes first."""
         return sorted(self.packets.slots, key=lambda name: (-self.bytes.total(name), name))
 
 
@@ -204,7 +204,7 @@ class Traffic:
     _leaving_channels: dict[str, Flow] = field(default_factory=dict)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
-        """Takes a packet that was seen on an agent."""
+        """Take a packet that was seen on an agent."""
         self.heard.add(agent)
         source, destination = agent_of(packet.source), packet.destination
         if source != agent:

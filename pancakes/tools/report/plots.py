@@ -56,7 +56,7 @@ class Picture:
 
 
 class Palette:
-    """Gives each name one colour and one marker throughout a report.
+    """Give each name one colour and one marker throughout a report.
 
     Args:
         names: the names; the first ones get the colours that are easiest to tell apart.
@@ -66,11 +66,11 @@ class Palette:
         self._places = {name: place for place, name in enumerate(dict.fromkeys(names))}
 
     def colour(self, name: str) -> str:
-        """Returns the colour of a name."""
+        """Return the colour of a name."""
         return COLOURS[self._place(name) % len(COLOURS)]
 
     def marker(self, name: str) -> str:
-        """Returns the marker of a name."""
+        """Return the marker of a name."""
         return MARKERS[self._place(name) % len(MARKERS)]
 
     def _place(self, name: str) -> int:
@@ -92,7 +92,7 @@ def figure(width_in: float, height_in: float) -> Iterator[Figure]:
 
 
 def save(made: Figure, out: Path, name: str, caption: str) -> Picture:
-    """Writes a figure as PNG and SVG, and returns it for the page.
+    """Write a figure as PNG and SVG, and return it for the page.
 
     Raises:
         OSError: the files cannot be written.
@@ -110,7 +110,7 @@ def save(made: Figure, out: Path, name: str, caption: str) -> Picture:
 
 
 def _for_page(svg: str, name: str) -> str:
-    """Returns an SVG that can stand in a page beside others: its own names only, and the page's ink."""
+    """Return an SVG that can stand in a page beside others: its own names only, and the page's ink."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r' width="([\d.]+)pt" height="[\d.]+pt"', _as_wide_as_room, svg, count=1)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
@@ -127,26 +127,26 @@ def _as_wide_as_room(size: re.Match[str]) -> str:
 
 
 def time_axis(axes: Axes, findings: Findings) -> None:
-    """Makes the horizontal axis one of the recording's time."""
+    """Make the horizontal axis one of the recording's time."""
     axes.set_xlim(findings.begin_s, max(findings.end_s, findings.begin_s + 1e-3))
     axes.set_xlabel(f"{findings.time.name} [s]")
 
 
 def plot_line(axes: Axes, points: Sequence[tuple[Any, ...]], number: int, colour: str, label: str, **how: Any) -> None:
-    """Draws a line through points; its dashes follow from its number among the lines of a colour."""
+    """Draw a line through points; its dashes follow from its number among the lines of a colour."""
     dashes = DASHES[number % len(DASHES)]
     axes.plot([x for x, _ in points], [y for _, y in points], ls=dashes, color=colour, label=label, **how)
 
 
 def label_rows(axes: Axes, labels: Sequence[str]) -> None:
-    """Names the rows of a picture, from the top downwards."""
+    """Name the rows of a picture, from the top downwards."""
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
 
 
 def label_log(axis: Axis) -> None:
-    """Writes plain numbers along a logarithmic axis, once everything on it has been drawn."""
+    """Write plain numbers along a logarithmic axis, once everything on it has been drawn."""
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -159,7 +159,7 @@ def label_log(axis: Axis) -> None:
 
 
 def unit_of_bytes(largest: float) -> tuple[float, str]:
-    """Returns by what to divide bytes a second so that figures are short, and the unit."""
+    """Return by what to divide bytes a second so that figures are short, and the unit."""
     for factor, unit in ((1e6, "MB/s"), (1e3, "kB/s")):
         if largest >= factor:
             return factor, unit
@@ -173,7 +173,7 @@ MOST_MOVES = 12
 
 
 def draw_paths(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws where all bodies went, and which task drove them. None where nothing has a place."""
+    """Draw where all bodies went, and which task drove them. None where nothing has a place."""
     bodies = findings.paths.bodies()
     if not bodies:
         return None
@@ -256,7 +256,7 @@ def _path_legend(bodies: Sequence[Body], tasks: Sequence[str], palette: Palette)
 
 
 def draw_timeline(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws which agent ran which task. None where no task of a mission ran."""
+    """Draw which agent ran which task. None where no task of a mission ran."""
     lanes = [lane for _, lane in sorted(findings.timeline.lanes.items()) if lane.spans][:MOST_LANES]
     if not lanes:
         return None
@@ -291,7 +291,7 @@ def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
 
 
 def draw_batteries(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws what was left in the batteries. None where no agent has one."""
+    """Draw what was left in the batteries. None where no agent has one."""
     batteries = findings.paths.batteries
     if not batteries:
         return None
@@ -311,7 +311,7 @@ def draw_batteries(findings: Findings, palette: Palette, out: Path) -> Picture |
 
 
 def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws what the neighbours asked for in each move. None where no neighbour was asked."""
+    """Draw what the neighbours asked for in each move. None where no neighbour was asked."""
     moves = [move for move in findings.moves.moves if any(it.cost is not None for it in move.ledger.lines)][:MOST_MOVES]
     if not moves:
         return None
@@ -345,7 +345,7 @@ NEGLIGIBLE_S = 1e-9
 
 
 def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws the rates that were asked for and achieved. None where no figures were recorded."""
+    """Draw the rates that were asked for and achieved. None where no figures were recorded."""
     rows = [
         (timer, shown)
         for _, timer in sorted(findings.rates.timers.items())
@@ -379,7 +379,7 @@ def _timer_name(timer: TimerRates) -> str:
 
 
 def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws how late ticks were. None where nothing was, or no figures were recorded."""
+    """Draw how late ticks were. None where nothing was, or no figures were recorded."""
     timers = [timer for _, timer in sorted(findings.rates.timers.items()) if timer.ticks]
     late = sorted((timer for timer in timers if timer.lateness_max_s > NEGLIGIBLE_S), key=lambda it: -it.lateness_max_s)
     if not late:
@@ -417,7 +417,7 @@ def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | 
 
 
 def draw_drops(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws the packets that fell out of mailboxes. None where none did."""
+    """Draw the packets that fell out of mailboxes. None where none did."""
     drops = sorted((it for it in findings.rates.drops.values() if it.total), key=lambda it: -it.total)[:MOST_LINES]
     if not drops:
         return None
@@ -437,7 +437,7 @@ def draw_drops(findings: Findings, palette: Palette, out: Path) -> Picture | Non
 
 
 def draw_traffic(findings: Findings, out: Path, name: str, flow: Flow, of: str) -> Picture | None:
-    """Draws packets and bytes over time. None where nothing travelled.
+    """Draw packets and bytes over time. None where nothing travelled.
 
     Args:
         findings: from when to when the recording is.
@@ -476,7 +476,7 @@ def _line(axes: Axes, counts: Counts, kind: str, span_s: tuple[float, float], fa
 
 
 def draw_reactions(findings: Findings, out: Path) -> Picture | None:
-    """Draws the most frequent chains that led to commands. None where none has a cause."""
+    """Draw the most frequent chains that led to commands. None where none has a cause."""
     reactions = findings.reactions.reactions()[:MOST_SHAPES]
     if not reactions:
         return None

@@ -29,7 +29,7 @@ class Thinned:
     stride: int = 1
 
     def add(self, item: Any, /) -> None:
-        """Adds an item."""
+        """Add an item."""
         if self.count % self.stride == 0:
             self.kept.append(item)
             if len(self.kept) > self.most:
@@ -51,12 +51,12 @@ class TimeSeries(Thinned):
         super().__init__(MOST_POINTS)
 
     def add(self, *point: Any) -> None:
-        """Adds a point: its time and its values."""
+        """Add a point: its time and its values."""
         self.last = point
         super().add(point)
 
     def whole(self) -> list[tuple[Any, ...]]:
-        """Returns the points, the newest one included."""
+        """Return the points, the newest one included."""
         if self.last is not None and self.kept[-1] is not self.last:
             return [*self.kept, self.last]
         return self.kept
@@ -75,7 +75,7 @@ class Counts:
     slots: dict[str, dict[int, float]] = field(default_factory=dict)
 
     def add(self, t_s: float, kind: str, number: float = 1.0) -> None:
-        """Counts something at a time; times need no order."""
+        """Count something at a time; times need no order."""
         slot = int(t_s // self.slot_s)
         while slot >= MOST_SLOTS:
             self.slot_s *= 2.0
@@ -85,11 +85,11 @@ class Counts:
         counts[slot] = counts.get(slot, 0.0) + number
 
     def total(self, kind: str) -> float:
-        """Returns all of a kind."""
+        """Return all of a kind."""
         return sum(self.slots.get(kind, {}).values())
 
     def rates(self, kind: str, end_s: float) -> list[tuple[float, float]]:
-        """Returns how much a second there was of a kind, slot by slot: the time of its middle, and the rate."""
+        """Return how much a second there was of a kind, slot by slot: the time of its middle, and the rate."""
         counts = self.slots.get(kind, {})
         rates = []
         for slot in range(max(1, math.ceil(end_s / self.slot_s))):
@@ -121,15 +121,15 @@ class Distribution(Thinned):
         super().__init__(MOST_SAMPLES)
 
     def add(self, value: float, /) -> None:
-        """Adds a value."""
+        """Add a value."""
         super().add(value)
         self.largest = max(self.largest, value)
 
     def quantile(self, share: float) -> float:
-        """Returns the value that this share of all stayed below, from 0 to 1."""
+        """Return the value that this share of all stayed below, from 0 to 1."""
         ordered = sorted(self.kept)
         return float(ordered[min(len(ordered) - 1, int(share * len(ordered)))])
 
     def quantiles(self) -> dict[str, float]:
-        """Returns the values that 50, 90 and 99 of a hundred stayed below, as `p50`, `p90` and `p99`."""
+        """Return the values that 50, 90 and 99 of a hundred stayed below, as `p50`, `p90` and `p99`."""
         return {f"p{round(100 * share)}": self.quantile(share) for share in (0.5, 0.9, 0.99)}

@@ -58,7 +58,7 @@ class _Told:
 
 
 class FleetTraces:
-    """Takes the answers to `Traces` of all agents, and gives commands with their chains.
+    """Take the answers to `Traces` of all agents, and give commands with their chains.
 
     Times `t` are seconds on the page's timeline.
     """
@@ -71,23 +71,23 @@ class FleetTraces:
         self._look_at = 0.0
 
     def question(self, agent: str) -> Traces:
-        """Returns what to ask an agent now."""
+        """Return what to ask an agent now."""
         told = self._of(agent)
         told.answers = True
         most = max(FEW_COMMANDS, MOST_TRACED_COMMANDS // len(self._told))
         return Traces(told.since_ns, tuple(told.wanted)[:MOST_ASKED], most)
 
     def pause_s(self, agent: str) -> float:
-        """Returns how long to wait after a question to an agent before the next one."""
+        """Return how long to wait after a question to an agent before the next one."""
         told = self._of(agent)
         return SOON_S if told.wanted else BUSY_S if told.busy else IDLE_S
 
     def left_out(self, agent: str) -> int:
-        """Returns how many commands of an agent there were too many of."""
+        """Return how many commands of an agent there were too many of."""
         return self._of(agent).left_out
 
     def take(self, agent: str, asked: Sequence[Cause], result: Mapping[str, Any], t: float) -> None:
-        """Takes an answer.
+        """Take an answer.
 
         Args:
             agent: the agent that answered.
@@ -116,7 +116,7 @@ class FleetTraces:
                 self._open[key] = _Open(packet, time_ns, at, t + PATIENCE_S)
 
     def settled(self, t: float) -> list[tuple[float, ActuatorCommand]]:
-        """Returns the commands whose chains are known now, and those that were waited for long enough, with when."""
+        """Return the commands whose chains are known now, and those that were waited for long enough, with when."""
         if t < self._look_at:
             return []
         self._look_at = t + LOOK_S
@@ -133,7 +133,7 @@ class FleetTraces:
         return found
 
     def forget(self, agent: str) -> None:
-        """Waits no longer for what an agent might tell that cannot be asked; until it is asked again."""
+        """Wait no longer for what an agent might tell that cannot be asked; until it is asked again."""
         told = self._of(agent)
         self._missing.difference_update(told.wanted)
         told.wanted.clear()
@@ -168,7 +168,7 @@ class _TimedCommand:
 
 
 class CommandExplainer:
-    """Keeps the commands of the last minutes, and explains any of them.
+    """Keep the commands of the last minutes, and explains any of them.
 
     Times `t` are seconds on the page's timeline.
     """
@@ -180,7 +180,7 @@ class CommandExplainer:
         self._count = 0
 
     def add(self, commands: Iterable[tuple[float, ActuatorCommand]]) -> set[str]:
-        """Takes commands, each with its time; returns the agents of which an actuator was commanded for the first time.
+        """Take commands, each with its time; return the agents of which an actuator was commanded for the first time.
 
         Of those, and of all others, `actuators` tells which they are.
         """
@@ -200,13 +200,13 @@ class CommandExplainer:
         return new
 
     def actuators(self, agent: str) -> list[str]:
-        """Returns which actuators of an agent were commanded, by their types."""
+        """Return which actuators of an agent were commanded, by their types."""
         return sorted(type_ for name, type_ in self._given if name == agent)
 
     def explain(
         self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
     ) -> dict[str, Any] | None:
-        """Returns why a command was given, as plain values; None where there is none.
+        """Return why a command was given, as plain values; None where there is none.
 
         Args:
             agent: whose actuator was commanded.
@@ -246,7 +246,7 @@ class CommandExplainer:
         }
 
     def _find(self, agent: str, type_: str, t: float | None, command: Cause | None) -> tuple[str, int] | None:
-        """Returns the actuator's type, and the place of the command among those to it."""
+        """Return the actuator's type, and the place of the command among those to it."""
         best: tuple[float, str, int] | None = None
         for name in [type_] if type_ else self.actuators(agent):
             given = self._given.get((agent, name))

@@ -60,12 +60,12 @@ class Feed:
         self._over = ""
 
     def wait_for(self, reason: str) -> None:
-        """Says why there is nothing to be seen; empty: there is."""
+        """Say why there is nothing to be seen; empty: there is."""
         with self.lock:
             self._waiting = reason
 
     def end(self, sentence: str) -> None:
-        """Says that nothing more will happen, and how it went: from now on there is only the timeline."""
+        """Say that nothing more will happen, and how it went: from now on there is only the timeline."""
         with self.lock:
             if not self._over:
                 end_s = self.now()
@@ -73,7 +73,7 @@ class Feed:
             self._over = sentence
 
     def go_on(self) -> None:
-        """Says that something happens again after the end: the timeline goes on from there."""
+        """Say that something happens again after the end: the timeline goes on from there."""
         with self.lock:
             if self._over:
                 self._gap_s = self._present() - self.now()
@@ -86,7 +86,7 @@ class Feed:
         return bool(self._over)
 
     def record(self) -> None:
-        """Keeps the present in the history, where it is time to. To be called at least `FRAMES_HZ` times a second."""
+        """Keep the present in the history, where it is time to. To be called at least `FRAMES_HZ` times a second."""
         t = self.now()
         if t - self._recorded_s < 0.999 / FRAMES_HZ:
             return
@@ -99,7 +99,7 @@ class Feed:
             self._history.add(t, frame)
 
     def take_detail(self, agent: str, description: Mapping[str, Any]) -> None:
-        """Takes what is known about one task: the result of `Describe` of it, with its state."""
+        """Take what is known about one task: the result of `Describe` of it, with its state."""
         state = description["state"]  # of a task that does not run, that is the word for it
         short = shortened(state, most_chars=LONGEST_VALUE) if isinstance(state, Mapping) else None
         with self.lock:
@@ -108,12 +108,12 @@ class Feed:
                 self.states.add(f"{agent}/{description['service']}/{description['task']}", self.now(), short)
 
     def chunk(self, t: float) -> bytes:
-        """Returns the piece of the history in which `t` lies, see `FrameHistory.at`."""
+        """Return the piece of the history in which `t` lies, see `FrameHistory.at`."""
         with self.lock:
             return self._history.at(t)
 
     def frame(self, seen: Cursor | None) -> tuple[bytes, Cursor]:
-        """Returns what a page has not seen as JSON, and how far it has then seen.
+        """Return what a page has not seen as JSON, and how far it has then seen.
 
         Args:
             seen: how far it has; None: nothing yet, so that it gets everything.

@@ -71,7 +71,7 @@ class EventLog:
         self._kept: OrderedDict[tuple[str, float, str, str], dict[str, Any]] = OrderedDict()
 
     def add(self, record: Mapping[str, Any], timeline_s: float) -> bool:
-        """Takes a record of a log.
+        """Take a record of a log.
 
         Args:
             record: see `pancakes.events.record_of`.
@@ -103,7 +103,7 @@ class EventLog:
         return True
 
     def since(self, number: int) -> list[dict[str, Any]]:
-        """Returns those after a number that are still kept, oldest first."""
+        """Return those after a number that are still kept, oldest first."""
         found = []
         for it in reversed(self._kept.values()):
             if it["n"] <= number:
@@ -125,7 +125,7 @@ Point = tuple[float, float]
 
 
 class FleetModel:
-    """Keeps what is known of one fleet. Times `t` are seconds on the page's timeline.
+    """Keep what is known of one fleet. Times `t` are seconds on the page's timeline.
 
     Attributes:
         board: the present, see the module's text.
@@ -144,14 +144,14 @@ class FleetModel:
         self._truth = False
 
     def mission_s(self, t: float) -> float:
-        """Returns the mission time at a moment of the timeline, as far as is known."""
+        """Return the mission time at a moment of the timeline, as far as is known."""
         at_s, mission_s, speed = self._anchor
         return max(0.0, mission_s + (t - at_s) * speed)
 
     # What was followed -----------------------------------------------------------------------------------------
 
     def hear(self, agent: str, packet: Packet, t: float) -> None:
-        """Takes a packet that an agent published on `system` or `log`."""
+        """Take a packet that an agent published on `system` or `log`."""
         if packet.channel == LOG:
             self.tell(record_of(packet), t)
             return
@@ -171,12 +171,12 @@ class FleetModel:
                 self.board.set(f"battery/{agent}", [round(body.voltage_v, 2), round(body.level, 3)])
 
     def tell(self, record: Mapping[str, Any], t: float) -> None:
-        """Takes a record of an agent's log that was written now."""
+        """Take a record of an agent's log that was written now."""
         if self.happenings.add(record, t):
             self._follow_task(record)
 
     def recall(self, records: Iterable[Mapping[str, Any]], t: float) -> None:
-        """Takes records of an agent's log that were written before `t`."""
+        """Take records of an agent's log that were written before `t`."""
         _, _, speed = self._anchor
         for record in records:
             before_s = (self.mission_s(t) - float(record["t_s"])) / speed if speed else 0.0
@@ -202,7 +202,7 @@ class FleetModel:
             trail.append(point)
 
     def _follow_task(self, record: Mapping[str, Any]) -> None:
-        """Shows at once what an event says of a task; the next description says all of it."""
+        """Show at once what an event says of a task; the next description says all of it."""
         kind, task, source = record["kind"], record.get("task"), str(record["source"]).split("/")
         if not isinstance(task, str) or len(source) < 2:
             return
@@ -228,13 +228,13 @@ class FleetModel:
         self.board.set(f"circle/{agent}/{task}", None)
 
     def commanded(self, agent: str, types: Sequence[str]) -> None:
-        """Shows which actuators of an agent were commanded, so that the page offers to explain them."""
+        """Show which actuators of an agent were commanded, so that the page offers to explain them."""
         self.board.set(f"commands/{agent}", list(types))
 
     # What was asked --------------------------------------------------------------------------------------------
 
     def describe(self, rows: Sequence[Mapping[str, Any]], described: Sequence[Mapping[str, Any]], t: float) -> None:
-        """Takes what agents say of themselves.
+        """Take what agents say of themselves.
 
         Args:
             rows: what became of them since the last look (`pancakes.client.rates`).
@@ -249,7 +249,7 @@ class FleetModel:
             self._clock(description, t)
 
     def detail(self, agent: str, description: Mapping[str, Any]) -> None:
-        """Takes what is known about one task: the result of `Describe` of it, with its state."""
+        """Take what is known about one task: the result of `Describe` of it, with its state."""
         service, task = description["service"], description["task"]
         settings = without_arrays(description.get("settings") or {})
         # Of a task that does not run, `state` is the word for that.
@@ -268,7 +268,7 @@ class FleetModel:
         self.board.set(f"circle/{agent}/{task}", circle)
 
     def running(self) -> list[tuple[str, str, str]]:
-        """Returns the agent, service and name of each task that runs and that a user has made, or that is a world's."""
+        """Return the agent, service and name of each task that runs and that a user has made, or that is a world's."""
         found = []
         for key in self.board.keys("task/"):
             _, agent, service, task = key.split("/", 3)
@@ -396,17 +396,17 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _version(process: Mapping[str, Any] | None) -> str | None:
-    """Returns which version an agent runs; None: it shares the process of others, and their version."""
+    """Return which version an agent runs; None: it shares the process of others, and their version."""
     return None if process is None else process.get("build") or process["version"]
 
 
 def _short(value: float | None, digits: int = 3) -> float | None:
-    """Returns a figure as it is shown: it need not be sent again because of a digit that the page does not show."""
+    """Return a figure as it is shown: it need not be sent again because of a digit that the page does not show."""
     return float(f"{value:.{digits}g}") if value is not None else None
 
 
 def _guards(guarding: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns how a task is guarded; `by`: `[agent, age_s of its checkpoint, whether it answers]` of each guardian."""
+    """Return how a task is guarded; `by`: `[agent, age_s of its checkpoint, whether it answers]` of each guardian."""
     guardians = [
         [it["agent"], _short(it["age_s"], 2), it["silent_s"] < guarding["lease_s"]] for it in guarding["guardians"]
     ]

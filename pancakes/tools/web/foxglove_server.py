@@ -20,7 +20,7 @@ PORT: Final = 8765
 
 
 class FoxgloveServer:
-    """Serves messages on this machine's loopback interface. All methods may be called from any thread.
+    """Serve messages on this machine's loopback interface. All methods may be called from any thread.
 
     A viewer that is too slow loses the oldest messages; nothing here waits for it.
 
@@ -43,11 +43,11 @@ class FoxgloveServer:
         self.address = f"ws://{ADDRESS}:{self._server.port}"
 
     def close(self) -> None:
-        """Ends all connections."""
+        """End all connections."""
         self._server.stop()
 
     def show_packet(self, entry: RecordedPacket) -> None:
-        """Sends a packet to the viewers that show its topic; one that JSON cannot express is left out."""
+        """Send a packet to the viewers that show its topic; one that JSON cannot express is left out."""
         type_name = entry.packet.type
         channel = self._channel(entry.topic, SCHEMAS + type_name) or self._made(
             entry.topic, SCHEMAS + type_name, schema_for(type_name)
@@ -59,7 +59,7 @@ class FoxgloveServer:
                 return
 
     def show(self, message: ViewerMessage) -> None:
-        """Sends a message in a viewer's own schema to the viewers that show its topic."""
+        """Send a message in a viewer's own schema to the viewers that show its topic."""
         channel = self._channel(message.topic, message.schema_name) or self._made(
             message.topic, message.schema_name, message.schema
         )

@@ -32,7 +32,7 @@ _KINDS: Final = {"number": "number", "integer": "integer", "string": "text", "bo
 
 
 def fields_of(schema: Mapping[str, Any], settings: Mapping[str, Any]) -> tuple[list[dict[str, Any]], int]:
-    """Returns a field for each setting, and how many were left out.
+    """Return a field for each setting, and how many were left out.
 
     A field has `path` (the keys that lead to the value), `name` (the same as TOML writes it), `kind` (`number`,
     `integer`, `boolean`, `text`, `choice`, or `json` for all else), `type`, `bounds`, `unit`, `description` (for
@@ -57,7 +57,7 @@ def fields_of(schema: Mapping[str, Any], settings: Mapping[str, Any]) -> tuple[l
 
 
 def _changed_together(fields: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Returns the fields of one table, which is set as a whole: where one cannot be changed, no other can be."""
+    """Return the fields of one table, which is set as a whole: where one cannot be changed, no other can be."""
     fixed = next((field for field in fields if "fixed" in field), None)
     if fixed is None:
         return fields
@@ -87,7 +87,7 @@ def _fields(
 
 
 def _arm(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> tuple[Mapping[str, Any], bool]:
-    """Returns the schema that a value has to fit where it is there, and whether it may be nothing instead.
+    """Return the schema that a value has to fit where it is there, and whether it may be nothing instead.
 
     Where there are several such schemas, the first is empty: no kind of field fits all of them.
     """
@@ -205,7 +205,7 @@ class PageOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise ValueError(fault)
 
     def body(self) -> Migrate | Reschedule | Configure | Stop | Start | Restart:
-        """Returns the control packet's body."""
+        """Return the control packet's body."""
         if self.to is not None:
             return Migrate(self.task, self.to, dry_run=self.dry_run)
         if self.rate_hz is not None:
@@ -223,7 +223,7 @@ _PLAIN: Final[Mapping[str, type[Stop] | type[Start] | type[Restart]]] = {
 
 
 def order_from(message: Any) -> PageOrder:
-    """Makes an order of a message.
+    """Make an order of a message.
 
     Raises:
         ControlRefused: it is none; the sentence says what is wrong with it.
@@ -239,7 +239,7 @@ def _lower(text: str) -> str:
 
 
 def _fault_of(settings: Mapping[str, Any]) -> str:
-    """Says why settings are more than a page may ask for; whether they are good the agent says. Empty: they are not."""
+    """Say why settings are more than a page may ask for; whether they are good the agent says. Empty: they are not."""
     if not settings:
         return "settings are empty"
     if len(settings) > MOST_SETTINGS:
@@ -253,7 +253,7 @@ def _fault_of(settings: Mapping[str, Any]) -> str:
 
 
 def _faults(value: Any, depth: int) -> Iterator[str]:
-    """Yields for each value in settings what is wrong with it; an empty text where nothing is."""
+    """Yield for each value in settings what is wrong with it; an empty text where nothing is."""
     if depth > MOST_DEEP:
         yield f"settings are nested more than {MOST_DEEP} deep"
     elif isinstance(value, Mapping):

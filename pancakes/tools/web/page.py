@@ -1,4 +1,4 @@
-"""Opens a page: the rest of the program needs no more than this."""
+"""Open a page: the rest of the program needs no more than this."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def open_page(shown: Shown, port: int | None) -> PageServer:
-    """Serves a page on the loopback interface until it is closed.
+    """Serve a page on the loopback interface until it is closed.
 
     Args:
         shown: what it shows.

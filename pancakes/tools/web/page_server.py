@@ -46,13 +46,13 @@ _HEADERS: Final = {
 
 
 def response(status: HTTPStatus, type_: str, data: bytes) -> Response:
-    """Returns an answer with a body of this type, after which the connection is closed."""
+    """Return an answer with a body of this type, after which the connection is closed."""
     headers = Headers({**_HEADERS, "Content-Type": type_, "Content-Length": str(len(data)), "Connection": "close"})
     return Response(status.value, status.phrase, headers, data)
 
 
 def refused(status: HTTPStatus, sentence: str) -> Response:
-    """Returns the answer to a request that gets nothing but a sentence."""
+    """Return the answer to a request that gets nothing but a sentence."""
     return response(status, "text/plain; charset=utf-8", f"{sentence}\n".encode())
 
 
@@ -62,7 +62,7 @@ LONGEST_METHOD: Final = 20
 
 
 class PageConnection(ServerConnection):
-    """Answers requests of other methods than GET, with the sentence that there is no other."""
+    """Answer requests of other methods than GET, with the sentence that there is no other."""
 
     def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
@@ -110,7 +110,7 @@ class StaticFile:
 
 
 def static_files() -> dict[str, StaticFile]:
-    """Returns the files by the path under which they are asked for; nothing else is ever sent."""
+    """Return the files by the path under which they are asked for; nothing else is ever sent."""
     found = {}
     for file in resources.files("pancakes.tools.web").joinpath("static").iterdir():
         suffix = file.name[file.name.rfind(".") :]
@@ -129,13 +129,13 @@ and every ten seconds"
 
 
 class TaskLooks:
-    """Asks agents about tasks, for any number of pages. In the thread of the page's server."""
+    """Ask agents about tasks, for any number of pages. In the thread of the page's server."""
 
     def __init__(self) -> None:
         self._asked: dict[tuple[str, str], tuple[Shown, float, asyncio.Task[dict[str, Any]]]] = {}
 
     async def look(self, shown: Shown, agent: str, target: str, t: float | None) -> dict[str, Any]:
-        """Returns what there is to be known of a task.
+        """Return what there is to be known of a task.
 
         That is `state`: its `rows`, whether they are `cut`, and at what moment `t` of the timeline it was seen with
         them; None, and the sentence `no_state`, where it is not known. And of the present `settings` with the number
@@ -185,7 +185,7 @@ async def _look(shown: Shown, agent: str, target: str) -> dict[str, Any]:
 
 
 async def _described(shown: Shown, agent: str, target: str) -> tuple[dict[str, Any], str]:
-    """Returns what an agent says of a task, and why its state is not among it; empty: it is.
+    """Return what an agent says of a task, and why its state is not among it; empty: it is.
 
     Raises:
         PancakesError: it says nothing of it.
@@ -250,7 +250,7 @@ _LOG.propagate = False
 
 
 class PageServer:
-    """Shows a fleet to any number of pages, in a thread of its own.
+    """Show a fleet to any number of pages, in a thread of its own.
 
     A page gets what changed since it got something last, whenever it has taken that: so a page that is slow gets less,
     and delays no other. It is answered only where it came from this server, under a name of the loopback interface:
@@ -287,7 +287,7 @@ class PageServer:
         return f"http://{ADDRESS}:{self.port}/#token={self.token}"
 
     def start(self, port: int | None = 0) -> None:
-        """Begins to listen; see `open_page` for the port.
+        """Begin to listen; see `open_page` for the port.
 
         Raises:
             PancakesError: the port is taken.
@@ -300,11 +300,11 @@ class PageServer:
             raise PancakesError(f"the page cannot be at port {port}: {self._fault.strerror}: name another with --port")
 
     def show(self, shown: Shown) -> None:
-        """Shows something else from now on, to all pages. Any thread."""
+        """Show something else from now on, to all pages. Any thread."""
         self._shown = shown
 
     def close(self) -> None:
-        """Ends all connections. Not from its own thread."""
+        """End all connections. Not from its own thread."""
         stop = self._stop
         if stop is not None:
             self._loop.call_soon_threadsafe(stop.set)
@@ -358,7 +358,7 @@ class PageServer:
     # HTTP ------------------------------------------------------------------------------------------------------
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Answers a request for a file, or lets a WebSocket be opened (None)."""
+        """Answer a request for a file, or let a WebSocket be opened (None)."""
         # Under another name than one of the loopback interface it is a name server that led the browser here.
         host = request.headers.get_all("Host")
         if not names_loopback(host):
@@ -391,7 +391,7 @@ class PageServer:
             answering.cancel()
 
     async def _let_in(self, connection: ServerConnection) -> bool:
-        """Returns whether a page may look: its first message must show the token. One that may not is told so."""
+        """Return whether a page may look: its first message must show the token. One that may not is told so."""
         while len(self._aside) >= MOST_ASIDE:
             self._aside.pop(next(iter(self._aside))).cancel()
         self._aside[connection] = first = asyncio.ensure_future(connection.recv())
@@ -420,7 +420,7 @@ class PageServer:
         return asked.get("ask") == "hello" and hmac.compare_digest(given.encode(), self.token.encode())
 
     async def _show(self, connection: ServerConnection) -> None:
-        """Sends news, as fast as the page takes them and no faster than `FRAMES_HZ`."""
+        """Send news, as fast as the page takes them and no faster than `FRAMES_HZ`."""
         period_s = 1.0 / FRAMES_HZ
         shown: Shown | None = None
         seen: Cursor | None = None
@@ -437,7 +437,7 @@ class PageServer:
             await asyncio.sleep(due_s - now_s)
 
     async def _answer_all(self, connection: ServerConnection) -> None:
-        """Answers what a page asks for, several things at a time."""
+        """Answer what a page asks for, several things at a time."""
         room = asyncio.Semaphore(MOST_ASKED)
         asked: set[asyncio.Task[None]] = set()
 
@@ -459,7 +459,7 @@ class PageServer:
                 task.cancel()
 
     async def _answer(self, message: str | bytes) -> bytes:
-        """Returns the answer to a message: `answer` (its `id`), `ok`, `reason` and `result`."""
+        """Return the answer to a message: `answer` (its `id`), `ok`, `reason` and `result`."""
         number = None
         try:
             asked = _ASKED(message)
@@ -503,7 +503,7 @@ _Number = Annotated[int, msgspec.Meta(ge=0, le=2**53)] | None
 
 
 def _moment_of(asked: dict[str, Any]) -> float:
-    """Returns the moment on the timeline that a page asks for; 0 where it is none, such as a number of 400 digits."""
+    """Return the moment on the timeline that a page asks for; 0 where it is none, such as a number of 400 digits."""
     try:
         return codecs.convert(asked.get("t"), float)
     except msgspec.ValidationError:
@@ -511,7 +511,7 @@ def _moment_of(asked: dict[str, Any]) -> float:
 
 
 def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | None, int]:
-    """Returns which command a page asks about, see `CommandExplainer.explain`.
+    """Return which command a page asks about, see `CommandExplainer.explain`.
 
     Raises:
         msgspec.ValidationError: it says so in another way.

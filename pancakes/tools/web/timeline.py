@@ -28,7 +28,7 @@ class Board:
         self._entries: OrderedDict[str, tuple[int, Any]] = OrderedDict()
 
     def set(self, key: str, value: Any) -> None:
-        """Writes a value; one that is there already is no change. None takes it away."""
+        """Write a value; one that is there already is no change. None takes it away."""
         known = self._entries.get(key)
         if known[1] == value if known is not None else value is None:
             return
@@ -37,16 +37,16 @@ class Board:
         self._entries.move_to_end(key)
 
     def get(self, key: str) -> Any:
-        """Returns a value, None where there is none."""
+        """Return a value, None where there is none."""
         entry = self._entries.get(key)
         return entry[1] if entry is not None else None
 
     def keys(self, prefix: str = "") -> list[str]:
-        """Returns the names of the values that are there, of those that begin with `prefix`."""
+        """Return the names of the values that are there, of those that begin with `prefix`."""
         return [key for key, (_, value) in self._entries.items() if value is not None and key.startswith(prefix)]
 
     def since(self, version: int) -> dict[str, Any]:
-        """Returns what changed after a version, the oldest change first; what was taken away since is None."""
+        """Return what changed after a version, the oldest change first; what was taken away since is None."""
         changed: list[tuple[str, Any]] = []
         for key, (when, value) in reversed(self._entries.items()):
             if when <= version:
@@ -55,7 +55,7 @@ class Board:
         return dict(reversed(changed))
 
     def all(self) -> dict[str, Any]:
-        """Returns all values."""
+        """Return all values."""
         return {key: value for key, (_, value) in self._entries.items() if value is not None}
 
 
@@ -79,7 +79,7 @@ class _Chunk:
 
 
 class FrameHistory:
-    """Keeps frames, each what changed since the one before.
+    """Keep frames, each what changed since the one before.
 
     Args:
         span_s: see `SPAN_S`.
@@ -95,11 +95,11 @@ class FrameHistory:
         self._end_s = 0.0
 
     def due(self, t: float) -> bool:
-        """Returns whether the frame at `t` needs everything, as a new piece begins with it."""
+        """Return whether the frame at `t` needs everything, as a new piece begins with it."""
         return not self._chunks or t - self._chunks[-1].begin_s >= CHUNK_S
 
     def add(self, t: float, frame: Any) -> None:
-        """Keeps a frame: one that has everything where that is `due`, else what changed."""
+        """Keep a frame: one that has everything where that is `due`, else what changed."""
         data = codecs.encode_json(frame)
         if self.due(t):
             self._chunks.append(_Chunk(self._count, t, data))
@@ -113,11 +113,11 @@ class FrameHistory:
             self._size -= self._chunks.popleft().size
 
     def begin_s(self) -> float:
-        """Returns where on the timeline it begins."""
+        """Return where on the timeline it begins."""
         return self._chunks[0].begin_s if self._chunks else 0.0
 
     def at(self, t: float) -> bytes:
-        """Returns the piece around `t` as JSON: `begin`, `end`, `open` (whether it still grows), `key`, `frames`.
+        """Return the piece around `t` as JSON: `begin`, `end`, `open` (whether it still grows), `key`, `frames`.
 
         Before the beginning that is the first one, after the end the last; `null` where there is none.
         """
@@ -153,7 +153,7 @@ class _SeenState:
 
 
 class StateHistory:
-    """Keeps short states of tasks, each as long as the timeline goes back. Times are seconds on it.
+    """Keep short states of tasks, each as long as the timeline goes back. Times are seconds on it.
 
     Args:
         span_s: how much of the timeline is kept.
@@ -168,7 +168,7 @@ class StateHistory:
         self._size = 0
 
     def add(self, task: str, t: float, state: ShortState) -> None:
-        """Notes that a task was seen with a state.
+        """Note that a task was seen with a state.
 
         Args:
             task: its address, as `agent/service/task`.
@@ -186,7 +186,7 @@ class StateHistory:
             self._forget_oldest()
 
     def at(self, task: str, t: float) -> tuple[float, ShortState] | None:
-        """Returns when a task was seen last, at `t` or before, and with which state; None where it was not."""
+        """Return when a task was seen last, at `t` or before, and with which state; None where it was not."""
         for seen in reversed(self._seen.get(task, ())):
             if seen.first_s <= t:
                 return min(t, seen.last_s), seen.state

@@ -1,4 +1,4 @@
-"""Watches a fleet in virtual time from outside: it sends no packets to the agents, so the run stays the same."""
+"""Watch a fleet in virtual time from outside: it sends no packets to the agents, so the run stays the same."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SLICE_S: Final = 0.05
 
 
 class VirtualWatch:
-    """Fills a feed with what a fleet in virtual time does, and keeps it from going faster than can be watched.
+    """Fill a feed with what a fleet in virtual time does, and keep it from going faster than can be watched.
 
     What agents publish is tapped where they publish it, and what they are is read between two turns. Its methods are
     called in the thread in which the fleet runs, unless they say otherwise.
@@ -62,21 +62,21 @@ class VirtualWatch:
         self._explainer = CommandExplainer()
 
     def begin(self, fleet: Fleet) -> None:
-        """Takes the agents of a fleet that are there; to be called before anything runs."""
+        """Take the agents of a fleet that are there; to be called before anything runs."""
         self._fleet = fleet
         for handle in fleet.agents.values():
             self.joined(handle.agent)
 
     def joined(self, agent: Agent) -> None:
-        """Takes an agent that was killed, and is started again; to be called before it runs."""
+        """Take an agent that was killed, and is started again; to be called before it runs."""
         self._tap(agent)
 
     def slice_s(self) -> float:
-        """Returns how much virtual time may pass until the next `pace`."""
+        """Return how much virtual time may pass until the next `pace`."""
         return SLICE_S * self.speed
 
     def pace(self) -> None:
-        """Shows what has happened, and waits until its time has come."""
+        """Show what has happened, and wait until its time has come."""
         assert self._fleet is not None
         self._time_s = self._fleet.now()
         self._look()
@@ -94,12 +94,12 @@ class VirtualWatch:
     def explain(
         self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
     ) -> dict[str, Any] | None:
-        """Returns why an agent's actuator was commanded, see `CommandExplainer.explain`. Any thread."""
+        """Return why an agent's actuator was commanded, see `CommandExplainer.explain`. Any thread."""
         with self.feed.lock:
             return self._explainer.explain(agent, type_, t, command, step)
 
     def look(self, agent: str, body: Describe, timeout_s: float) -> Future[Reply]:
-        """Describes a task between two turns, see `Watch.order`. Any thread.
+        """Describe a task between two turns, see `Watch.order`. Any thread.
 
         Args:
             agent: the agent's name.
@@ -126,7 +126,7 @@ class VirtualWatch:
                 answer.set_exception(error)
 
     def _described(self, agent: str, body: Describe) -> dict[str, Any]:
-        """Returns what there is to be known of a task.
+        """Return what there is to be known of a task.
 
         Raises:
             ControlRefused: there is none, or it does not run and so has no state, or that cannot be written down.

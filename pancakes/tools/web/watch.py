@@ -1,4 +1,4 @@
-"""Watches a fleet of processes, as a client of its mesh: a thread of its own, so that no other thread waits."""
+"""Watch a fleet of processes, as a client of its mesh: a thread of its own, so that no other thread waits."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class _MetAgent:
 
 
 def fleet_among(described: Iterable[Mapping[str, Any]], fleet: str = "") -> str:
-    """Returns the fleet that is meant, of those that agents are of which described themselves.
+    """Return the fleet that is meant, of those that agents are of which described themselves.
 
     Args:
         described: the results of `Describe`.
@@ -84,7 +84,7 @@ def fleet_among(described: Iterable[Mapping[str, Any]], fleet: str = "") -> str:
 
 
 class Watch:
-    """Fills a feed with what a fleet does, from `start` to `close`.
+    """Fill a feed with what a fleet does, from `start` to `close`.
 
     Args:
         feed: what to fill.
@@ -120,17 +120,17 @@ class Watch:
         self._closed = False
 
     def start(self) -> None:
-        """Begins; agents that are not there yet are waited for."""
+        """Begin; agents that are not there yet are waited for."""
         self._thread.start()
 
     def close(self) -> None:
-        """Leaves the fleet. Not from its own thread."""
+        """Leave the fleet. Not from its own thread."""
         self._stopping.set()
         if self._thread.ident is not None:
             self._thread.join()
 
     def order(self, agent: str, body: Any, timeout_s: float) -> Future[Reply]:
-        """Asks an agent for something. Any thread.
+        """Ask an agent for something. Any thread.
 
         Args:
             agent: its name.
@@ -150,7 +150,7 @@ class Watch:
     def explain(
         self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
     ) -> dict[str, Any] | None:
-        """Returns why an agent's actuator was commanded, see `CommandExplainer.explain`; and `left_out`. Any thread."""
+        """Return why an agent's actuator was commanded, see `CommandExplainer.explain`; and `left_out`. Any thread."""
         with self._feed.lock:
             found = self._explainer.explain(agent, type_, t, command, step)
             return {**found, "left_out": self._traces.left_out(agent)} if found is not None else None
@@ -222,7 +222,7 @@ class Watch:
             met.recalled = 0
 
     def _tend(self, session: Session) -> None:
-        """Asks what is due, and takes what was answered."""
+        """Ask what is due, and take what was answered."""
         now_s = session.now()
         fleets = session.fleets()
         for fleet in fleets:
@@ -238,7 +238,7 @@ class Watch:
         self._take_commands()
 
     def _look_who_is_there(self, session: Session) -> None:
-        """Says that the fleet has ended where it has: until an agent comes back."""
+        """Say that the fleet has ended where it has: until an agent comes back."""
         now_s = session.now()
         if any(fleet.agents() or fleet.asleep() for fleet in session.fleets()):
             self._seen_s = now_s

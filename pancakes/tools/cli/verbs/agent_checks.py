@@ -133,7 +133,7 @@ def check_clocks(facts: Facts) -> Iterator[Finding]:
 
 
 def _told(agents: Sequence[dict[str, Any]], what: str) -> dict[str, dict[str, float]]:
-    """Returns what is told of each agent that was asked, by the agent that tells it."""
+    """Return what is told of each agent that was asked, by the agent that tells it."""
     told: dict[str, dict[str, float]] = {agent["agent"]: {} for agent in agents}
     for agent in agents:
         for peer in agent["mesh"]["peers"]:
@@ -144,7 +144,7 @@ def _told(agents: Sequence[dict[str, Any]], what: str) -> dict[str, dict[str, fl
 
 
 def _off(told: dict[str, dict[str, float]], limit: float) -> Iterator[tuple[str, float, str]]:
-    """Gives each agent that is off, by how much most say that it is, and the names of these."""
+    """Give each agent that is off, by how much most say that it is, and the names of these."""
     for name, values in sorted(told.items()):
         off = {other: value for other, value in values.items() if abs(value) > limit}
         if 2 * len(off) > len(values):
@@ -157,7 +157,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _on(agent: dict[str, Any]) -> str:
-    """Returns what has the clock of an agent, for people."""
+    """Return what has the clock of an agent, for people."""
     return f"{_host(agent)}, on which {agent['agent']} runs,"
 
 
@@ -171,7 +171,7 @@ def _set_clock(agent: dict[str, Any]) -> str:
 
 
 def _apart(seconds: float) -> str:
-    """Returns how far apart two times are, for people, such as `3.0 days behind`."""
+    """Return how far apart two times are, for people, such as `3.0 days behind`."""
     long = f"{abs(seconds):.1f} s"
     for unit, length_s in UNITS:
         if abs(seconds) >= (0.95 if unit == "year" else 2.0) * length_s:
@@ -221,12 +221,12 @@ def check_guards(facts: Facts) -> Iterator[Finding]:
 
 
 def is_awaited(row: dict[str, Any]) -> bool:
-    """Returns whether a guardian only waits for the end of a lease: an owner that lives renews it long before."""
+    """Return whether a guardian only waits for the end of a lease: an owner that lives renews it long before."""
     return row["lease"] and row["silent_s"] > row["lease_left_s"]
 
 
 def _awaited(task_id: str, leased: Sequence[dict[str, Any]]) -> Iterator[Finding]:
-    """Says what is waited for until a task can be taken over; a guardian that has begun again waits a whole lease."""
+    """Say what is waited for until a task can be taken over; a guardian that has begun again waits a whole lease."""
     if not all(map(is_awaited, leased)):
         return
     names = ", ".join(f"{row['agent']} ({row['lease_left_s']:.0f} s)" for row in leased)
@@ -288,7 +288,7 @@ def check_entries(facts: Facts) -> Iterator[Finding]:
 
 
 def is_suspended(pid: int) -> bool:
-    """Returns whether a process was stopped by a signal, or by a debugger."""
+    """Return whether a process was stopped by a signal, or by a debugger."""
     import psutil
 
     try:

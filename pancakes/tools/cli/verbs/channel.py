@@ -39,7 +39,7 @@ WINDOW: Final = 1000
 
 
 def size_of(packet: Packet) -> int:
-    """Returns how many bytes a packet takes on the wire, apart from the name of its follower.
+    """Return how many bytes a packet takes on the wire, apart from the name of its follower.
 
     In the main thread only. A frame around one or several packets adds a few more.
     """
@@ -64,7 +64,7 @@ class _PacketSeries:
 
 
 class Throughput:
-    """Looks at packets, those of each source and type by themselves.
+    """Look at packets, those of each source and type by themselves.
 
     Args:
         began_s: when it was begun to listen, in host time.
@@ -81,7 +81,7 @@ class Throughput:
         self.packets = 0
 
     def add(self, packet: Packet, at_s: float, size: int = 0) -> None:
-        """Takes a packet that came at a host time."""
+        """Take a packet that came at a host time."""
         key = (packet.source, packet.type)
         it = self._series.get(key)
         time_s = at_s if self._arrivals else packet.stamp
@@ -94,7 +94,7 @@ class Throughput:
         self.packets += 1
 
     def rows(self, now_s: float, new_only: bool = False) -> list[dict[str, Any]]:
-        """Returns a row for each source and type, by their names.
+        """Return a row for each source and type, by their names.
 
         Args:
             now_s: host time.
@@ -161,7 +161,7 @@ _OPTIONS = (
 
 
 def _measures(function: Callable[..., None]) -> Callable[..., None]:
-    """Gives a verb what both have."""
+    """Give a verb what both have."""
     for option in reversed(_OPTIONS):
         function = option(function)
     return function
@@ -254,7 +254,7 @@ def _measure(
 
 
 def _all(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Returns the row that sums up the others."""
+    """Return the row that sums up the others."""
     packets = sum(row["window"] for row in rows)
     return {
         "source": "all",
@@ -329,7 +329,7 @@ def echo(
 
 
 def _check_fields(types: Sequence[str], fields: Sequence[str]) -> None:
-    """Refuses a field that no packet of the wanted types can have: it would be waited for in vain."""
+    """Refuse a field that no packet of the wanted types can have: it would be waited for in vain."""
     classes = [body_class(name) for name in types]
     known = [name for cls in classes if cls is not None for name in field_names(cls)]
     if not types or None in classes:
@@ -342,7 +342,7 @@ def _check_fields(types: Sequence[str], fields: Sequence[str]) -> None:
 
 
 def record_of(agent: str, packet: Packet) -> dict[str, Any]:
-    """Returns a packet that was heard on an agent as plain values."""
+    """Return a packet that was heard on an agent as plain values."""
     return {
         "agent": agent,
         "channel": packet.channel,
@@ -357,7 +357,7 @@ def record_of(agent: str, packet: Packet) -> dict[str, Any]:
 
 
 def text_of(record: Mapping[str, Any]) -> str:
-    """Returns a record as a YAML document."""
+    """Return a record as a YAML document."""
     lines = [f"{key}: {_scalar(record[key])}" for key in ("type", "source", "stamp", "number")]
     return "\n".join([*lines, *_lines("body", record["body"], ""), "---"])
 
@@ -379,7 +379,7 @@ def _key(name: str) -> str:
 
 
 def _scalar(value: Any) -> str:
-    """Returns a value in one line; JSON is YAML, but a string that is plainly a word needs no quotes."""
+    """Return a value in one line; JSON is YAML, but a string that is plainly a word needs no quotes."""
     if isinstance(value, float):
         return f"{value:.9g}"
     if isinstance(value, str) and value and all(part.isidentifier() for part in value.replace("-", "_").split("/")):
@@ -388,7 +388,7 @@ def _scalar(value: Any) -> str:
 
 
 class FieldPaths:
-    """Picks fields out of packets.
+    """Pick fields out of packets.
 
     Args:
         paths: the fields, as in `--field`.
@@ -399,7 +399,7 @@ class FieldPaths:
         self._told: set[str] = set()
 
     def pick(self, record: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Returns the fields of a packet by their paths, null where it has not all of them; None where it has none."""
+        """Return the fields of a packet by their paths, null where it has not all of them; None where it has none."""
         found = {path: _at(record, path) for path in self._paths}
         own = all(path.startswith(HEADER) for path in self._paths)
         if own or any(it for path, it in found.items() if not path.startswith(HEADER)):
@@ -414,12 +414,12 @@ class FieldPaths:
         return None
 
     def text(self, picked: Mapping[str, Any]) -> str:
-        """Returns picked fields as a line."""
+        """Return picked fields as a line."""
         return "\t".join(_scalar(value) for value in picked.values())
 
 
 def _at(record: Mapping[str, Any], path: str) -> tuple[Any, ...]:
-    """Returns what is at a path, as the only item of a tuple; an empty one where there is nothing."""
+    """Return what is at a path, as the only item of a tuple; an empty one where there is nothing."""
     if path.startswith(HEADER):
         value, steps = dict(record), path.removeprefix(HEADER).split(".")
     else:
@@ -526,7 +526,7 @@ def _parts(row: dict[str, Any]) -> Iterator[Part]:
 
 
 def _types(types: list[str] | None, open_types: list[str] | None) -> str:
-    """Returns which types a subscriber gets; those in brackets only where a packet is addressed to it."""
+    """Return which types a subscriber gets; those in brackets only where a packet is addressed to it."""
     if types is None:
         return "all" if open_types is None else ", ".join([*open_types, "(all)"])
     return ", ".join(name if open_types is None or name in open_types else f"({name})" for name in types)

@@ -69,7 +69,7 @@ class WordsOfBash(BashComplete):
 
 
 def answer_shell(pancakes: click.Command) -> None:
-    """Answers a shell that asks, by the environment, how the line may go on. Exits."""
+    """Answer a shell that asks, by the environment, how the line may go on. Exits."""
     add_completion_class(WordsOfBash)
     try:
         with contextlib.redirect_stderr(io.StringIO()):  # a warning would stand between the words

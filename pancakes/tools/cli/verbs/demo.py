@@ -59,7 +59,7 @@ class DemoPage:
         return self._server.address if self._server is not None else ""
 
     def beside_live(self, plan: DemoPlan, mission: Mission) -> None:
-        """Shows a mission of processes; to be called before they start."""
+        """Show a mission of processes; to be called before they start."""
         from pancakes.tools.web.feed import Feed
         from pancakes.tools.web.page import Shown
         from pancakes.tools.web.watch import Watch
@@ -75,7 +75,7 @@ class DemoPage:
         watch.start()
 
     def beside_virtual(self, title: str) -> VirtualWatch:
-        """Shows a mission in virtual time; returns the watch that the mission feeds."""
+        """Show a mission in virtual time; return the watch that the mission feeds."""
         from pancakes.tools.web.page import Shown
         from pancakes.tools.web.virtual_watch import VirtualWatch
 
@@ -84,19 +84,19 @@ class DemoPage:
         return watch
 
     def end(self, sentence: str) -> None:
-        """Says how the mission went."""
+        """Say how the mission went."""
         self._stop_watching()
         if self._feed is not None:
             self._feed.end(sentence)
 
     def stay(self) -> None:
-        """Serves the page until Ctrl-C."""
+        """Serve the page until Ctrl-C."""
         if self._server is not None:
             show_text(f"the page stays at {self._server.address} until Ctrl-C")
             self._interrupted.wait()
 
     def close(self) -> None:
-        """Takes the page away."""
+        """Take the page away."""
         self._stop_watching()
         if self._server is not None:
             self._server.close()
@@ -263,7 +263,7 @@ def demo(
 
 
 def _refuse_beside_seeds(ctx: click.Context, virtual: bool, view: bool) -> None:
-    """Refuses what does not go with many missions."""
+    """Refuse what does not go with many missions."""
     if not virtual:
         raise click.UsageError("--seeds needs --virtual: live missions would share the machine, and its time")
     if view:
@@ -366,7 +366,7 @@ def _interrupted_late(out: Path) -> int:
 
 
 def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
-    """Runs one mission, and judges it; returns None where it was interrupted."""
+    """Run one mission, and judge it; return None where it was interrupted."""
     from pancakes.tools.demo.conductor import Mission, how_slow
     from pancakes.tools.demo.launcher import (
         RECORDING,
@@ -419,7 +419,7 @@ def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any]
 
 
 def _compare(found: Comparison, out: Path, options: _Options) -> int:
-    """Runs all variants of a mission one after the other, and judges what is different about them."""
+    """Run all variants of a mission one after the other, and judge what is different about them."""
     from pancakes.tools.demo.conductor import how_slow
     from pancakes.tools.demo.launcher import fresh, write_results
 
@@ -455,13 +455,13 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _say_pace(timing: dict[str, Any]) -> None:
-    """Says how fast a mission in virtual time went."""
+    """Say how fast a mission in virtual time went."""
     if timing["mode"] == "virtual":
         show_text(f"took {timing['wall_s']:.2f} s, {timing['times_real_time']:.0f} times real time")
 
 
 def _verdict(summary: dict[str, Any], slow: str, timings: Sequence[dict[str, Any]], results: str) -> int:
-    """Says how it went, in the manner of Robotarium, where the machine was too slow, and where the results are."""
+    """Say how it went, in the manner of Robotarium, where the machine was too slow, and where the results are."""
     from pancakes.tools.demo.conductor import hint_of, verdict_line
 
     for line in summary.get("said", ()):

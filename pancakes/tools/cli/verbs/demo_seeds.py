@@ -54,7 +54,7 @@ def run_seeds(
     plugins: Plugins,
     interrupted: Callable[[], bool],
 ) -> tuple[bool, int]:
-    """Runs a demo under many seeds, and shows what came of it.
+    """Run a demo under many seeds, and show what came of it.
 
     Args:
         found: the demo.
@@ -99,7 +99,7 @@ def run_seeds(
 
 
 def _prepare(parent_pid: int) -> None:
-    """Makes a process fit for agents, and lets it end with this one, however this one ends."""
+    """Make a process fit for agents, and let it end with this one, however this one ends."""
     agent_process.tune_interpreter()
     die_with_parent(parent_pid)
 
@@ -109,7 +109,7 @@ def _missions(count: int) -> str:
 
 
 def _progress(total: int, plain: bool) -> AbstractContextManager[Callable[[MissionOutcome, int], None]]:
-    """Returns what takes each outcome, and how many failed so far, while missions run."""
+    """Return what takes each outcome, and how many failed so far, while missions run."""
     if plain:
         return nullcontext(_tell_line)
     if not sys.stderr.isatty():
@@ -145,7 +145,7 @@ class _Bar(AbstractContextManager[Callable[..., None]]):
 
 
 def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, printer: Printer) -> None:
-    """Shows what came of all missions, and writes it to `missions.json`."""
+    """Show what came of all missions, and write it to `missions.json`."""
     import json
 
     from pancakes.tools.demo.monte_carlo import PASSED
@@ -196,13 +196,13 @@ def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, 
 
 
 def nice_path(path: Path) -> str:
-    """Returns a path as a person writes it from here."""
+    """Return a path as a person writes it from here."""
     relative = os.path.relpath(path)
     return relative if not relative.startswith("..") else str(path)
 
 
 def again(seed: int, wishes: MissionWishes) -> str:
-    """Returns the command that runs one of the missions again, alone."""
+    """Return the command that runs one of the missions again, alone."""
     words = ["pancakes", "demo", wishes.demo, "--virtual", "--seed", str(seed)]
     if wishes.duration_s is not None:
         words += ["--duration", f"{wishes.duration_s:g}"]

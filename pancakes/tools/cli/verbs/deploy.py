@@ -172,7 +172,7 @@ def _reached(members: Sequence[Member], only: bool) -> Iterator[dict[str, Host]]
 
 
 def _authorities(members: Sequence[Member], keys: Mapping[str, Need]) -> dict[str, Authority]:
-    """Opens the authorities of the fleets that agents are enrolled in; a password is asked for now, and not later."""
+    """Open the authorities of the fleets that agents are enrolled in; a password is asked for now, and not later."""
     from pancakes.tools.cli.verbs.fleet_authority import opened
 
     fleets = dict.fromkeys(it.config.agent.fleet for it in members if keys[it.name] == "needs")
@@ -184,7 +184,7 @@ def _tell(name: str, text: str) -> None:
 
 
 def _here(fleet: Sequence[Member]) -> dict[str, str]:
-    """Returns the addresses of the agents that run on this machine."""
+    """Return the addresses of the agents that run on this machine."""
     from pancakes.util.runtime_dir import entries
 
     here = {(it.fleet, it.name): next(iter(it.listen), "") for it in entries()}

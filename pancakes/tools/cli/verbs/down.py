@@ -87,5 +87,5 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
 
 
 def _names(here: Mapping[tuple[str, str], RunningAgent], fleet: str) -> list[str]:
-    """Returns the names of the agents of a fleet on this machine."""
+    """Return the names of the agents of a fleet on this machine."""
     return sorted(entry.name for entry in here.values() if entry.fleet == fleet)

@@ -433,7 +433,7 @@ def _give(
     for_s: float,
     printer: Printer,
 ) -> None:
-    """Gives out a certificate: into a folder, or to the machine that says the code."""
+    """Give out a certificate: into a folder, or to the machine that says the code."""
     if out is not None:
         if out.exists() and any(out.iterdir()):
             raise PancakesError(f"the folder {out} is not empty")
@@ -457,7 +457,7 @@ def _give(
 
 
 def _give_dry(fleet: str, role: CertifiedRole, name: str, out: Path | None, printer: Printer) -> None:
-    """Says what `_give` would do, for which no password is needed."""
+    """Say what `_give` would do, for which no password is needed."""
     if out is not None and out.exists() and any(out.iterdir()):
         raise PancakesError(f"the folder {out} is not empty")
     place = f"a folder {out}" if out is not None else f"{name}, once it has said the code that is shown"
@@ -470,7 +470,7 @@ def _plain(rule: AccessRule) -> dict[str, list[str]]:
 
 
 def _read(folder: Path) -> KeyFiles:
-    """Reads a folder that `enrol --out` has written and that was copied here.
+    """Read a folder that `enrol --out` has written and that was copied here.
 
     Raises:
         PancakesError: a file is missing, or they do not fit together.
@@ -485,7 +485,7 @@ def _read(folder: Path) -> KeyFiles:
 
 
 def _checked(files: KeyFiles) -> KeyFiles:
-    """Returns files with the fleet, the role and the name that the certificate says.
+    """Return files with the fleet, the role and the name that the certificate says.
 
     Raises:
         PancakesError: they do not fit together.
@@ -500,7 +500,7 @@ def _checked(files: KeyFiles) -> KeyFiles:
 
 
 def _folder_of(files: KeyFiles) -> Path:
-    """Returns where keys belong.
+    """Return where keys belong.
 
     Raises:
         PancakesError: those of another person are there.

@@ -24,7 +24,7 @@ LOOK_S: Final = 0.2
 
 
 def founded(name: str) -> Path:
-    """Returns the folder of a fleet that was founded here.
+    """Return the folder of a fleet that was founded here.
 
     Raises:
         PancakesError: there is none of this name, or none, or several.
@@ -44,7 +44,7 @@ def founded(name: str) -> Path:
 
 
 def opened(name: str) -> Authority:
-    """Opens the folder of a fleet that was founded here, and asks for its password where it has one.
+    """Open the folder of a fleet that was founded here, and ask for its password where it has one.
 
     Raises:
         PancakesError: there is none, or the password does not fit.
@@ -57,7 +57,7 @@ def opened(name: str) -> Authority:
 
 
 def spread(authority: Authority, addresses: Sequence[str], printer: Printer, must_be_heard: bool = False) -> None:
-    """Tells agents of the last roster, and says which know it now.
+    """Tell agents of the last roster, and say which know it now.
 
     Args:
         authority: the fleet.
@@ -95,14 +95,14 @@ def spread(authority: Authority, addresses: Sequence[str], printer: Printer, mus
 
 
 def _runs_here(fleet: str) -> bool:
-    """Returns whether an agent of a fleet runs on this machine, so that it should have heard."""
+    """Return whether an agent of a fleet runs on this machine, so that it should have heard."""
     from pancakes.util.runtime_dir import entries
 
     return any(it.fleet == fleet and it.role != "client" for it in entries())
 
 
 def _told(client: Client, number: int) -> tuple[list[str], list[str], list[str]]:
-    """Waits until all agents know a roster, which this terminal gives to them.
+    """Wait until all agents know a roster, which this terminal gives to them.
 
     Returns:
         Those that go by it, a sentence for each that does not or cannot keep it, and one for each that did not answer
@@ -126,7 +126,7 @@ def _told(client: Client, number: int) -> tuple[list[str], list[str], list[str]]
 
 
 def _fault(agent: dict[str, Any], *numbers: int) -> str:
-    """Returns what an agent says of a roster that it does not take or keep; empty: nothing of these numbers."""
+    """Return what an agent says of a roster that it does not take or keep; empty: nothing of these numbers."""
     told = agent.get("roster_fault")
     return str(told["text"]) if told is not None and told["number"] in numbers else ""
 

@@ -120,7 +120,7 @@ def launch(
 
 
 def check_hosts(members: Sequence[Member], hosts: Mapping[str, Host], fresh: bool) -> None:
-    """Sees to it that agents can be started on other hosts.
+    """See to it that agents can be started on other hosts.
 
     Raises:
         PancakesError: one of them runs there already, or Pancakes is not there; or, with `fresh`, another agent of the
@@ -216,7 +216,7 @@ def _elsewhere(
 
 
 def let_begin(pids: Mapping[str, int], members: Sequence[Member], hosts: Mapping[str, Host]) -> list[str]:
-    """Lets the missions of agents begin, all at the same moment.
+    """Let the missions of agents begin, all at the same moment.
 
     Args:
         pids: their processes, by name.
@@ -265,7 +265,7 @@ def _begin(stack: ExitStack, held: Sequence[Member], pids: Mapping[str, int], wa
 
 
 class _Prefixed:
-    """Prints lines with the agent's coloured name in front; what becomes of agents goes to standard error."""
+    """Print lines with the agent's coloured name in front; what becomes of agents goes to standard error."""
 
     def __init__(self, names: Sequence[str]) -> None:
         plain = "NO_COLOR" in os.environ
@@ -285,7 +285,7 @@ class _Prefixed:
 
 
 class _Objects:
-    """Prints one JSON object a line: `{agent, line}`, or `{agent, event, text}`."""
+    """Print one JSON object a line: `{agent, line}`, or `{agent, event, text}`."""
 
     def line(self, agent: str, text: str) -> None:
         """See `LaunchReporter`."""

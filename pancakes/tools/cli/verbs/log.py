@@ -87,7 +87,7 @@ def log(
 
 
 def wants(record: Record, level: str, sources: Sequence[str], grep: re.Pattern[str] | None) -> bool:
-    """Returns whether a user wants to see a record.
+    """Return whether a user wants to see a record.
 
     Args:
         record: the record.
@@ -104,14 +104,14 @@ def wants(record: Record, level: str, sources: Sequence[str], grep: re.Pattern[s
 
 
 def level_of(record: Record) -> str:
-    """Returns the level of a record; an event counts as `info`, or as `debug` where a line says the same."""
+    """Return the level of a record; an event counts as `info`, or as `debug` where a line says the same."""
     if "level" in record and record["kind"] == "line":
         return str(record["level"])
     return "debug" if record["kind"] in SAID_IN_A_LINE else "info"
 
 
 def words_of(record: Record) -> str:
-    """Returns what a record says, in one line."""
+    """Return what a record says, in one line."""
     if "text" in record and record["kind"] == "line":
         return str(record["text"])
     fields = [(key, value) for key, value in record.items() if key not in ("t_s", "agent", "source", "kind")]
@@ -119,17 +119,17 @@ def words_of(record: Record) -> str:
 
 
 def text_of(record: Record) -> str:
-    """Returns a record as a line for people."""
+    """Return a record as a line for people."""
     return printable_line(f"{record['t_s']:9.3f} {level_of(record):<7} {record['source']}: {words_of(record)}")
 
 
 def colour_of(record: Record) -> str | None:
-    """Returns the colour of its line; it stays only where it can be seen."""
+    """Return the colour of its line; it stays only where it can be seen."""
     return COLOURS.get(level_of(record)) if "NO_COLOR" not in os.environ else None
 
 
 def with_traceback(record: Record) -> str:
-    """Returns a record as `text_of` does, and below it the traceback of the failure that it tells of."""
+    """Return a record as `text_of` does, and below it the traceback of the failure that it tells of."""
     rows = str(record.get("traceback", "")).splitlines() if record["kind"] == "line" else []
     return "\n".join([text_of(record), *(printable(f"          {row}") for row in rows)])
 
@@ -138,12 +138,12 @@ def with_traceback(record: Record) -> str:
 
 
 def _history(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
-    """Yields what was said until now, in its order."""
+    """Yield what was said until now, in its order."""
     yield from (record for _, record in _merged(client, survey_with(client, *agents), since_s))
 
 
 def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: float | None) -> list[tuple[str, Record]]:
-    """Returns what agents remember, each with the agent that does, by the time at which it was said.
+    """Return what agents remember, each with the agent that does, by the time at which it was said.
 
     That is not always the agent that has said it: who publishes on `log` to another is remembered there. The clocks of
     two agents differ, so it counts how long ago something was said, on the clock of its own agent.
@@ -167,7 +167,7 @@ def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: flo
 
 
 def _remembered(client: Client, agent: str, since_s: float | None) -> list[Record]:
-    """Returns all that the Log Service of an agent remembers, page by page."""
+    """Return all that the Log Service of an agent remembers, page by page."""
     records: list[Record] = []
     after = 0
     while page := request_result(client, agent, History(since_s, after)):
@@ -177,7 +177,7 @@ def _remembered(client: Client, agent: str, since_s: float | None) -> list[Recor
 
 
 def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
-    """Yields what was said until now, then what is said.
+    """Yield what was said until now, then what is said.
 
     What an agent says is followed first and asked for then, so that nothing falls between the two; and asked for again
     when it comes back. What is in both is left out once.
@@ -221,16 +221,16 @@ class Known:
         self._to_come: Counter[str] = Counter()
 
     def ask(self, remembered: Sequence[Record]) -> None:
-        """Takes all that the agent remembers."""
+        """Take all that the agent remembers."""
         self._not_new = Counter(self._shown)
         self._to_come = Counter(line_of(dict(record)) for record in remembered)
 
     def is_new(self, record: Record) -> bool:
-        """Returns whether one of these is to be shown: it was not before."""
+        """Return whether one of these is to be shown: it was not before."""
         return self._show(record, self._not_new)
 
     def comes(self, record: Record) -> bool:
-        """Returns whether a record that comes as it is said is to be shown: it was not among what was remembered."""
+        """Return whether a record that comes as it is said is to be shown: it was not among what was remembered."""
         return self._show(record, self._to_come)
 
     def _show(self, record: Record, known: Counter[str]) -> bool:

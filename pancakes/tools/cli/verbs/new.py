@@ -47,7 +47,7 @@ _ABOUT: Final = {
 
 
 class DistributionName(click.ParamType):
-    """Reads the name of a distribution that is to be made."""
+    """Read the name of a distribution that is to be made."""
 
     name = "NAME"
 
@@ -123,6 +123,6 @@ def _make(kind: str, names: Names, into: Path, dry_run: bool, printer: Printer) 
 
 
 def _next(kind: str, names: Names, folder: Path) -> list[str]:
-    """Returns the commands that a person types next."""
+    """Return the commands that a person types next."""
     run = "pancakes launch configs" if kind == "plugin" else f"pancakes-agent --config configs/{names.package}.toml"
     return [f"cd {shlex.quote(os.path.relpath(folder))}", 'pip install -e ".[test]"', "pytest", run]

@@ -189,7 +189,7 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
 
 
 def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
-    """Describes a task, all tasks of an agent, or those of all agents; names the agents that do not answer."""
+    """Describe a task, all tasks of an agent, or those of all agents; name the agents that do not answer."""
     if name is not None and name.task:
         name = resolve_service(client, name)
         return [request_result(client, name.agent, Describe(name.target))]
@@ -204,7 +204,7 @@ def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
 
 
 def _known(described: dict[str, Any], setting: str) -> str:
-    """Returns the name of a setting, after a look whether there is one of this name; an empty string stays empty.
+    """Return the name of a setting, after a look whether there is one of this name; an empty string stays empty.
 
     Raises:
         ControlRefused: the task has none of this name.

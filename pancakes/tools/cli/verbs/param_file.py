@@ -16,7 +16,7 @@ _TABLES = ("task", "device")
 
 
 def dumped(rows: list[dict[str, Any]]) -> str:
-    """Returns the settings of tasks as a TOML document with tables `[task.NAME.settings]` and `[device.NAME.settings]`.
+    """Return the settings of tasks as a TOML document with tables `[task.NAME.settings]` and `[device.NAME.settings]`.
 
     Args:
         rows: what the agent says of each task (see `Describe`).
@@ -34,7 +34,7 @@ def dumped(rows: list[dict[str, Any]]) -> str:
 
 
 def read(path: Path) -> dict[str, Mapping[str, Any]]:
-    """Returns the settings in a TOML file by task; other tables, as a whole configuration has them, are passed over.
+    """Return the settings in a TOML file by task; other tables, as a whole configuration has them, are passed over.
 
     Args:
         path: the file; `-` is standard input.
@@ -59,7 +59,7 @@ def read(path: Path) -> dict[str, Mapping[str, Any]]:
 
 
 def changes_of(present: Mapping[str, Any], texts: Mapping[tuple[str, ...], Any]) -> dict[str, Any]:
-    """Returns what is to be configured so that some values change, by the outermost key.
+    """Return what is to be configured so that some values change, by the outermost key.
 
     Args:
         present: the present settings.

@@ -46,7 +46,7 @@ def list_(group: tuple[str, ...], broken: bool, printer: Printer) -> None:
 
 
 def rows_of(plugins: Plugins, group: str) -> list[dict[str, Any]]:
-    """Returns a row for each plug-in of a group; imports them.
+    """Return a row for each plug-in of a group; import them.
 
     Args:
         plugins: all plug-ins.

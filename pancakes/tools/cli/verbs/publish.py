@@ -45,7 +45,7 @@ class BadBody(PancakesError):
 
 
 def body_of(kind: str, text: str) -> Any:
-    """Returns the body of a packet of the type `kind`, from JSON. The types have to be loaded (`load_packets`).
+    """Return the body of a packet of the type `kind`, from JSON. The types have to be loaded (`load_packets`).
 
     Raises:
         BadBody: there is no such type, or the text does not fit it; the sentence names the field.
@@ -72,7 +72,7 @@ def body_of(kind: str, text: str) -> Any:
 
 
 def _sentence(kind: str, error: str) -> str:
-    """Returns what msgspec says, such as "Expected `float`, got `str` - at `$.x_m`", with the field first."""
+    """Return what msgspec says, such as "Expected `float`, got `str` - at `$.x_m`", with the field first."""
     what, _, where = error.partition(" - at `$")
     field = f"{kind}{where.rstrip('`')}" if where else kind
     return f"{field}: {_lower(what)}"
@@ -83,14 +83,14 @@ def _lower(text: str) -> str:
 
 
 def _fields(cls: type) -> str:
-    """Returns the fields of a body, each with the type that it must be of."""
+    """Return the fields of a body, each with the type that it must be of."""
     kinds = {name: kind for base in reversed(cls.__mro__) for name, kind in get_annotations(base).items()}
     named = ((name, kinds.get(name, "")) for name in field_names(cls))
     return ", ".join(f"{name} ({getattr(kind, '__name__', kind)})" for name, kind in named) or "none"
 
 
 def _unknown(given: Any, taken: Any, path: str = "") -> Iterator[tuple[str, list[str]]]:
-    """Yields the paths of what was given and not taken, each with the names that there are."""
+    """Yield the paths of what was given and not taken, each with the names that there are."""
     if isinstance(given, Mapping) and isinstance(taken, Mapping):
         for name, item in given.items():
             if name not in taken:
@@ -172,7 +172,7 @@ def pub(
 
 
 def _destination(agent: str, to: str) -> str:
-    """Returns the address that is to get the packets."""
+    """Return the address that is to get the packets."""
     if not to:
         return agent
     if to == NEIGHBOURS or to.startswith(TO_TASK):
@@ -186,7 +186,7 @@ def _destination(agent: str, to: str) -> str:
 
 
 class Sender:
-    """Publishes one packet again and again, as from the agent itself.
+    """Publish one packet again and again, as from the agent itself.
 
     Args:
         client: reaches the agent.
@@ -210,7 +210,7 @@ class Sender:
         self.subscribers = self._look()
 
     def send(self, most: int | None, rate_hz: float) -> Iterator[None]:
-        """Publishes so many packets (None: without end) at a rate, and yields after each.
+        """Publish so many packets (None: without end) at a rate, and yield after each.
 
         Raises:
             ControlRefused: it asked for something that the agent refuses.
@@ -224,7 +224,7 @@ class Sender:
         self.settle()
 
     def settle(self) -> None:
-        """Waits until the agent has got all that was sent."""
+        """Wait until the agent has got all that was sent."""
         self._client.settle()
 
     def _send_one(self) -> None:
@@ -235,7 +235,7 @@ class Sender:
         self._client.publish(str(self._name), self._body, to=to)
 
     def _look(self) -> list[str]:
-        """Returns the addresses that would get the packets now."""
+        """Return the addresses that would get the packets now."""
         (found,) = request_result(self._client, self._name.agent, Channels(self._name.channel))
         kind = type_name(self._body)
         named = self._destination != self._name.agent
@@ -248,7 +248,7 @@ class Sender:
 
 
 class Refusals:
-    """Hears which actuators refuse the commands of this program, and why. On other channels nothing is refused.
+    """Hear which actuators refuse the commands of this program, and why. On other channels nothing is refused.
 
     Args:
         client: reaches the agent.
@@ -270,7 +270,7 @@ class Refusals:
         self._stack.close()
 
     def of(self, actuators: list[str]) -> list[str]:
-        """Returns a sentence for each of these actuators that has refused, or does so soon after the last command."""
+        """Return a sentence for each of these actuators that has refused, or does so soon after the last command."""
         found: dict[str, str] = {}
         until_s = self._client.now() + REFUSAL_S
         while self._log is not None and len(found) < len(actuators):

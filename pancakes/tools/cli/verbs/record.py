@@ -227,7 +227,7 @@ def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
 
 
 def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> None:
-    """Refuses channels that no agent has; of those that only some have it tells."""
+    """Refuse channels that no agent has; of those that only some have it tells."""
     from pancakes.recording.records import CHANNEL
 
     known = list(dict.fromkeys(name for agent in agents for name in agent["channels"]))
@@ -241,7 +241,7 @@ def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> 
 
 
 def _runs(client: Client, task_id: str, agents: list[dict[str, Any]]) -> bool:
-    """Returns whether a task runs on any of these agents, in whatever service."""
+    """Return whether a task runs on any of these agents, in whatever service."""
     for row in [row for agent in agents for row in agent["tasks"]]:
         if row["state"] == "running" and row["task"] == task_id.partition("/")[2]:
             told = client.request(row["agent"], Describe(f"{row['service']}/{row['task']}"))
@@ -251,13 +251,13 @@ def _runs(client: Client, task_id: str, agents: list[dict[str, Any]]) -> bool:
 
 
 def _path(client: Client, agent: str) -> str | None:
-    """Returns the file that an agent records into, as its log says."""
+    """Return the file that an agent records into, as its log says."""
     started = _last(client, agent, "recording_started")
     return started["path"] if started is not None else None
 
 
 def _last(client: Client, agent: str, kind: str) -> dict[str, Any] | None:
-    """Returns the last event of a kind in an agent's log, as far back as it is remembered."""
+    """Return the last event of a kind in an agent's log, as far back as it is remembered."""
     found, after = None, 0
     while records := request(client, agent, History(after=after)).result:
         after = records[-1]["entry"]

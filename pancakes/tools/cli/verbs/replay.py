@@ -123,7 +123,7 @@ class _ReplayRequest:
     wanted: Selection
 
     def select(self, agents: dict[str, Live]) -> tuple[Selection, Tally]:
-        """Returns what is fed into agents, and how much that is."""
+        """Return what is fed into agents, and how much that is."""
         from pancakes.errors import Unreachable
         from pancakes.tools.replay.replay import tally_of
 
@@ -137,7 +137,7 @@ class _ReplayRequest:
         return selection, tally
 
     def recorded_speed(self) -> float:
-        """Returns how many mission seconds a second of the recording is."""
+        """Return how many mission seconds a second of the recording is."""
         from pancakes.recording.clock_alignment import speed_of
 
         speeds = {speed_of(reading.about): reading.path for reading in self.reader.readings}

@@ -139,7 +139,7 @@ def _row(stay: Stay, script: Script, outcome: Outcome, comparison: RunComparison
 
 
 def _error(text: str) -> str:
-    """Returns the sentence of a failure without its place in the code, which an edit moves."""
+    """Return the sentence of a failure without its place in the code, which an edit moves."""
     return re.sub(r" \([^()]+:\d+, in \S+\)$", "", text)
 
 

@@ -72,7 +72,7 @@ class Names:
 
     @classmethod
     def of(cls, text: str) -> Names:
-        """Reads a name as a person writes it: `scan_target`, `scan-target` or `ScanTarget`.
+        """Read a name as a person writes it: `scan_target`, `scan-target` or `ScanTarget`.
 
         Raises:
             ValueError: it cannot be the name of a package; the message is a sentence.
@@ -106,7 +106,7 @@ class Names:
             raise ValueError(f"Pancakes has a class {self.cls} of its own: choose another name than {self.package!r}")
 
     def taken(self, kind: str) -> str:
-        """Says why what is installed here leaves no room for a distribution of this name; empty: there is room."""
+        """Say why what is installed here leaves no room for a distribution of this name; empty: there is room."""
         found = importlib.util.find_spec(self.package)
         if found is not None and found.origin is not None:
             return f"a module {self.package} is installed here already, in {found.origin}"
@@ -137,7 +137,7 @@ class File:
 
 
 def files_of(kind: str, names: Names) -> list[File]:
-    """Returns the files of a distribution of one kind (see `KINDS`), in the order in which one should read them."""
+    """Return the files of a distribution of one kind (see `KINDS`), in the order in which one should read them."""
     values = {"dist": names.dist, "package": names.package, "Class": names.cls}
     made = []
     for name, template in _templates(kind):
@@ -149,7 +149,7 @@ def files_of(kind: str, names: Names) -> list[File]:
 
 @cache
 def named_in_templates() -> frozenset[str]:
-    """Returns the classes that the templates import or define under names of their own."""
+    """Return the classes that the templates import or define under names of their own."""
     text = "\n".join(template.read_text(encoding="utf-8") for template in sorted(_TEMPLATES.rglob("*.py.in")))
     lines = re.findall(r"^from (?!\{)[\w.]+ import (.+)$", text, re.MULTILINE)
     names = [*re.findall(r"^(?:class )?([A-Z]\w+)(?: = |[(:])", text, re.MULTILINE), *", ".join(lines).split(", ")]
@@ -157,7 +157,7 @@ def named_in_templates() -> frozenset[str]:
 
 
 def _templates(kind: str) -> Iterator[tuple[str, Path]]:
-    """Yields the name and the place of each template of a kind.
+    """Yield the name and the place of each template of a kind.
 
     Their names end with `.in`, so that no tool takes them for Python; `dot.` stands for a dot at the beginning.
     """
@@ -168,7 +168,7 @@ def _templates(kind: str) -> Iterator[tuple[str, Path]]:
 
 
 def write(folder: Path, files: list[File]) -> None:
-    """Writes a distribution's folder: all of it, or nothing.
+    """Write a distribution's folder: all of it, or nothing.
 
     Args:
         folder: the folder; it must not be there, and what it is in must be.
@@ -197,7 +197,7 @@ def _fill(folder: Path, texts: Mapping[str, str]) -> None:
 
 
 def check_free(folder: Path) -> None:
-    """Checks that a folder may be written.
+    """Check that a folder may be written.
 
     Raises:
         PancakesError: there is something of its name already.

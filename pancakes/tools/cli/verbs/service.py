@@ -135,6 +135,6 @@ def restart(name: ServiceName, keep_state: bool, force: bool, dry_run: bool, ask
 
 
 def _order(ask: Ask, name: ServiceName, done: str, body: Start | Stop, **others: Any) -> None:
-    """Has an agent do something with a service, and shows that it was done."""
+    """Have an agent do something with a service, and show that it was done."""
     with ask.client() as client:
         show_done(ask, client, name, done, body, **others)

@@ -310,14 +310,14 @@ def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, ask: Ask) ->
 
 
 def _order(ask: Ask, name: TaskName, done: str, body: Callable[[str], Start | Stop | Reschedule]) -> None:
-    """Has an agent do something with a task, given what asks for it by the task's target; shows that it was done."""
+    """Have an agent do something with a task, given what asks for it by the task's target; show that it was done."""
     with ask.client() as client:
         name = resolve_service(client, name)
         show_done(ask, client, name, done, body(name.target))
 
 
 def _kept(client: Client, name: TaskName, timeout_s: float) -> dict[str, Any]:
-    """Returns what a task keeps in its state, and when it said so; or why that is not known."""
+    """Return what a task keeps in its state, and when it said so; or why that is not known."""
     try:
         reply = client.request(name.agent, Describe(name.target, state=True))
     except NoAnswer:  # its service has just answered

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def timers(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes the timers of the task that is named on the line already."""
+    """Complete the timers of the task that is named on the line already."""
     name = _task_named(ctx)
     found = answer(ctx, name.agent, Describe(name.target)) if name is not None else None
     # A service of that name would answer with a list.
@@ -31,7 +31,7 @@ def timers(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 
 def tasks_beside(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes the tasks on the agent of the task that is named on the line already."""
+    """Complete the tasks on the agent of the task that is named on the line already."""
     name = _task_named(ctx)
     if name is None:
         return []
@@ -44,12 +44,12 @@ def tasks_beside(ctx: click.Context, param: click.Parameter, incomplete: str) ->
 
 
 def costs(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes the cost functions that are installed here."""
+    """Complete the cost functions that are installed here."""
     return _installed("pancakes.costs", incomplete)
 
 
 def types(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes the types of tasks that are installed here."""
+    """Complete the types of tasks that are installed here."""
     return _installed("pancakes.tasks", incomplete)
 
 
@@ -74,7 +74,7 @@ Changes = tuple[tuple[tuple[str, ...], Any], ...]
 
 
 class AgentOrTask(click.ParamType):
-    """Reads the name of an agent or of a task; an agent is a `TaskName` without a task."""
+    """Read the name of an agent or of a task; an agent is a `TaskName` without a task."""
 
     name = "AGENT[/TASK]"
 
@@ -119,7 +119,7 @@ class ParamName(click.ParamType):
 
 
 class SettingChange(ParamName):
-    """Reads `NAME=VALUE`, with a value as `--set` takes it, as the keys that lead to a setting, and its value."""
+    """Read `NAME=VALUE`, with a value as `--set` takes it, as the keys that lead to a setting, and its value."""
 
     name = "NAME=VALUE"
     end = "="
@@ -138,5 +138,5 @@ a_task_or_agent = click.argument("name", metavar="AGENT[/TASK]", type=AgentOrTas
 
 
 def set_option(help_: str) -> Callable[[_F], _F]:
-    """Returns the option `--set` for settings of a task; its parameter is `sets`, of the type `Changes`."""
+    """Return the option `--set` for settings of a task; its parameter is `sets`, of the type `Changes`."""
     return click.option("--set", "sets", metavar="NAME=VALUE", type=SettingChange(), multiple=True, help=help_)

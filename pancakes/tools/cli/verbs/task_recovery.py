@@ -196,7 +196,7 @@ def revive(
 
 
 def _configured(path: str, sets: Sequence[str], name: TaskName, birthplace: str) -> tuple[Revive, float | None]:
-    """Returns how the task begins anew, and at what rate; None: as its class says."""
+    """Return how the task begins anew, and at what rate; None: as its class says."""
     from pancakes.config import load
     from pancakes.util.plugins import Plugins
 
@@ -223,7 +223,7 @@ def _held(client: Client, asked: Checkpoints) -> list[dict[str, Any]]:
 
 
 def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequence[dict[str, Any]]) -> str:
-    """Looks whether the task runs, or is about to be taken over.
+    """Look whether the task runs, or is about to be taken over.
 
     Args:
         client: asks the agents.
@@ -261,24 +261,24 @@ def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequ
 
 
 def newest(held: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """Returns the newest of some checkpoints."""
+    """Return the newest of some checkpoints."""
     return max(held, key=lambda row: (row["epoch"], row["no"], row["agent"]))
 
 
 def has_quorum(row: dict[str, Any], held: Iterable[dict[str, Any]]) -> bool:
-    """Returns whether more than half of the guardians of a task, as one of them knows them, hold checkpoints."""
+    """Return whether more than half of the guardians of a task, as one of them knows them, hold checkpoints."""
     there = {one["agent"] for one in held if one["task_id"] == row["task_id"]}
     return all(2 * len(there.intersection(agents)) > len(agents) for agents in row["guardians"])
 
 
 def name_of(row: dict[str, Any]) -> str:
-    """Returns how a checkpoint is called."""
+    """Return how a checkpoint is called."""
     n, minter = row["epoch"]
     return f"{n}@{minter}/{row['no']}"
 
 
 def story_of(row: dict[str, Any]) -> str:
-    """Returns which checkpoint it is, how old it is and where it is held, as a clause."""
+    """Return which checkpoint it is, how old it is and where it is held, as a clause."""
     stopped = "" if row["wanted"] == "running" else f", of a task that was to be {row['wanted']}"
     if row["age_s"] is None:
         return f"the snapshot of the hand-off {row['epoch'][0]}@{row['epoch'][1]}, held by {row['agent']}{stopped}"
@@ -287,7 +287,7 @@ def story_of(row: dict[str, Any]) -> str:
 
 
 def _from_newest(client: Client, name: TaskName, held: Sequence[dict[str, Any]]) -> Revive:
-    """Fetches the newest checkpoint, and returns how the task goes on from it.
+    """Fetch the newest checkpoint, and return how the task goes on from it.
 
     Raises:
         ControlRefused: no agent holds one, or those of several tasks can be meant.
@@ -375,7 +375,7 @@ def _task(agent: dict[str, Any], name: TaskName) -> dict[str, Any] | None:
 
 
 def _owner(client: Client, agent: str, name: TaskName, birthplace: str) -> dict[str, Any] | None:
-    """Returns what an agent says of a task that it owns too; None: it does not."""
+    """Return what an agent says of a task that it owns too; None: it does not."""
     try:
         reply = client.request(agent, Forget(name.target, birthplace, name.agent, dry_run=True))
     except PancakesError:
@@ -447,7 +447,7 @@ def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) ->
 
 
 def fences_of(client: Client, agent: str, target: str) -> list[dict[str, Any]]:
-    """Returns what an actuator has seen of each task that has commanded it, and which agent has that task now.
+    """Return what an actuator has seen of each task that has commanded it, and which agent has that task now.
 
     Args:
         client: asks.

@@ -108,7 +108,7 @@ def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask
 
 
 def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) -> Iterator[list[dict[str, Any]]]:
-    """Yields what is to be shown: at each look, or once after the second."""
+    """Yield what is to be shown: at each look, or once after the second."""
     meter = RateMeter()
     found = survey_with(client, *agents)
     due_s = client.now()
@@ -143,7 +143,7 @@ def _live(looks: Iterator[list[dict[str, Any]]], sort: str) -> None:
 
 
 def picture(agents: Sequence[Row], sort: str, height: int | None = None) -> Group:
-    """Returns the two tables.
+    """Return the two tables.
 
     Args:
         agents: the rows of `RateMeter`.

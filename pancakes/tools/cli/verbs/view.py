@@ -75,5 +75,5 @@ def view(control: bool, foxglove: bool, port: int | None, open_: bool, ask: Ask)
 
 
 def tell_address(address: str, control: bool, printer: Printer) -> None:
-    """Says where the page is."""
+    """Say where the page is."""
     printer.emit([{"address": address, "control": control}], f"the page is at {address}")

@@ -155,7 +155,7 @@ def without(agent: str, cost: str, for_s: float, ask: Ask) -> None:
 
 
 def _bids(client: Client, agent: str, target: str, to: str, cost: str) -> Mapping[str, Any]:
-    """Returns the account of a move that is only asked about.
+    """Return the account of a move that is only asked about.
 
     Raises:
         ControlRefused: no agent would take the task; the message says why.
@@ -178,7 +178,7 @@ def _bid_rows(ledger: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _measured(client: Client, ask: Ask, for_s: float) -> list[MeasuredAgent]:
-    """Measures all agents that can be reached, at the same time; names on standard error those that did not answer."""
+    """Measure all agents that can be reached, at the same time; name on standard error those that did not answer."""
     from pancakes.tools.forecast import MeasuredAgent
 
     show_text(f"measuring for {for_s:g} s ...", err=True)
@@ -235,7 +235,7 @@ def _expected(expected: Expected) -> str:
 
 
 def _left(left_s: float | Expected | None) -> str:
-    """Returns how long a battery lasts, in words."""
+    """Return how long a battery lasts, in words."""
     if left_s is None:
         return "not known"
     if isinstance(left_s, (int, float)):

@@ -101,7 +101,7 @@ class _CommandQuestion:
         self._others: set[str] = set()
 
     def commands(self) -> Iterator[ActuatorCommand]:
-        """Gives the commands that are meant, oldest first."""
+        """Give the commands that are meant, oldest first."""
         from pancakes.recording.causal_chains import CommandChains
 
         chains = CommandChains()
@@ -110,7 +110,7 @@ class _CommandQuestion:
         yield from self._meant(chains.close())
 
     def nothing(self) -> str:
-        """Says that there is no command, and which ones there are."""
+        """Say that there is no command, and which ones there are."""
         if not self._others:
             return f"{self._reader.path} has no command to an actuator"
         return f"{self._reader.path} has no such command, only such to {', '.join(sorted(self._others))}"
@@ -162,7 +162,7 @@ def _show_chains(question: _CommandQuestion, printer: Printer) -> None:
 
 
 def _choose(question: _CommandQuestion) -> tuple[list[ActuatorCommand], int]:
-    """Returns the commands that are asked for, and how many more there would be."""
+    """Return the commands that are asked for, and how many more there would be."""
     at_s, slowest = question.at_s, question.slowest
     if slowest is not None:
         heap: list[tuple[float, int, ActuatorCommand]] = []
