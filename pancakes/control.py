@@ -1,4 +1,4 @@
-"""Control packets: how anything is asked for while an agent runs (paper §3.4).
+"""Control packets: how to change a running agent (paper §3.4).
 
 A task, a service, another agent and a person at a terminal all publish the same packets on `sysctrl`. Each gets a
 `Reply`, whose `cause` is the packet that asked. There is no other way to change a running system.
@@ -20,10 +20,10 @@ from pancakes.packet import Cause, packet_type
 
 @packet_type("create")
 class Create(msgspec.Struct, frozen=True):
-    """Makes a task that no configuration file names, and starts it; the answer comes once it runs.
+    """Create a task that no configuration file names, and start it; the answer comes once it runs.
 
-    From then on it is like one that a file names: it outlives its agent's end, is moved and guarded, until `Remove`
-    asks for its end. The asker needs the right `host` on its type too. The reply's `result` is a mapping: `task_id`,
+    From then on it is like one that a file names: it survives a restart of its agent, migrates and is guarded, until
+    `Remove` ends it. The asker needs the right `host` on its type too. The reply's `result` is a mapping: `task_id`,
     `epoch`, and `silent`, the agents that were asked in vain whether they know of such a task.
 
     Attributes:
@@ -32,7 +32,7 @@ class Create(msgspec.Struct, frozen=True):
         settings: plain values for its settings.
         rate_hz: the rate of its first timer; None: as its class says.
         keys: the other keys that its table `[task.NAME]` would have in a file, such as `guard` and `restart`.
-        dry_run: only says whether it would be done, and changes nothing.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     target: str
@@ -45,13 +45,13 @@ class Create(msgspec.Struct, frozen=True):
 
 @packet_type("remove")
 class Remove(msgspec.Struct, frozen=True):
-    """Ends a task that no configuration file names, for good: it stops, and what was known of it is forgotten.
+    """Remove a task that no configuration file names: it stops, and its state is forgotten.
 
-    The answer comes once that is on disk. A later task of its name begins without its state.
+    The answer comes once that is on disk. A later task of its name starts without its state.
 
     Attributes:
         target: the task.
-        dry_run: only says whether it would be done, and changes nothing.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     target: str
@@ -65,20 +65,20 @@ LONGEST_S: Final = 600.0
 
 @packet_type("measure")
 class Measure(msgspec.Struct, frozen=True):
-    """Measures for some time what the processor time of an agent goes to; the reply comes at the end.
+    """Measure what an agent uses its processor time for; the reply comes at the end.
 
     The `result` is a mapping, with all times in seconds of processor time, of the measurement alone:
 
     - `agent`; `speed` (mission seconds for each second of host time); `span_s` (host time that it took); `processor_s`
       (of the whole process); `turns` and `turn_s` (of all its actors);
     - `host`: its computer: `id` (the same for all agents on it), `processors` (how many), `busy_share` (of all of
-      them), `yardstick_s` (a fixed piece of Python took so long: how fast they are);
-    - `battery`: `before` and `after`, what was left of it, 0 to 1; None where it has none or has not read it;
-    - `tasks`: a mapping for each task: `service`, `task`, `type`, `state`, `task_id` (empty where it cannot move),
+      them), `yardstick_s` (how long a fixed piece of Python took: how fast they are);
+    - `battery`: `before` and `after`, what was left of it, 0 to 1; None if it has none or has not read it;
+    - `tasks`: a mapping for each task: `service`, `task`, `type`, `state`, `task_id` (empty if it cannot move),
       `turns`, `turn_s`, and `timers`, each with `timer`, `rate_hz`, `ticks`, `missed`, `tick_s`, `tick_s2` (sum of the
       squares of its ticks' times).
 
-    Turns are timed while something measures, and at no other time. In virtual time it is refused.
+    Turns are timed only while something measures. In virtual time it is refused.
 
     Attributes:
         for_s: how long, in host time.
@@ -89,12 +89,12 @@ class Measure(msgspec.Struct, frozen=True):
 
 @packet_type("start")
 class Start(msgspec.Struct, frozen=True):
-    """Starts a task or a service that stands still.
+    """Start a stopped task or service.
 
     Attributes:
         target: what to start.
-        settings: settings of a task that shall differ from the configuration's.
-        dry_run: only says whether it would be done, and changes nothing.
+        settings: settings of a task that differ from the configuration's.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     target: str
@@ -104,12 +104,12 @@ class Start(msgspec.Struct, frozen=True):
 
 @packet_type("stop")
 class Stop(msgspec.Struct, frozen=True):
-    """Stops a task or a service, once the message in hand is finished.
+    """Stop a task or a service, once it has finished its current message.
 
     Attributes:
         target: what to stop.
         for_s: a service starts again by itself after this time, in mission seconds; None: it does not.
-        dry_run: only says whether it would be done, and changes nothing.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     target: str
@@ -119,13 +119,13 @@ class Stop(msgspec.Struct, frozen=True):
 
 @packet_type("restart")
 class Restart(msgspec.Struct, frozen=True):
-    """Stops a task or a service and starts it anew.
+    """Stop a task or a service and start it again.
 
     Attributes:
         target: what to restart.
-        keep_state: whether a task (or each task of a service) goes on with its state and settings, or begins as its
+        keep_state: whether a task (or each task of a service) goes on with its state and settings, or starts as its
             configuration says.
-        dry_run: only says whether it would be done, and changes nothing.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     target: str
@@ -135,13 +135,13 @@ class Restart(msgspec.Struct, frozen=True):
 
 @packet_type("reschedule")
 class Reschedule(msgspec.Struct, frozen=True):
-    """Changes the rate of a time-driven task, from its next tick on.
+    """Change the rate of a time-driven task, from its next tick on.
 
     Attributes:
         target: the task.
-        rate_hz: ticks for each second of mission time; 0 lets it rest.
-        timer: the method that ticks, where the task has several; empty: the first.
-        dry_run: only says whether it would be done, and changes nothing.
+        rate_hz: ticks for each second of mission time; 0 stops the ticks.
+        timer: the method that ticks, if the task has several; empty: the first.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     target: str
@@ -152,12 +152,13 @@ class Reschedule(msgspec.Struct, frozen=True):
 
 @packet_type("configure")
 class Configure(msgspec.Struct, frozen=True):
-    """Changes some of the settings of a running task; all of them are good, or nothing changes.
+    """Change some settings of a running task; if one of them is wrong, nothing changes.
 
     Attributes:
         target: the task.
-        settings: the new values, by name. Of bad ones the reply's `result` has `problems`: of each `path` and `text`.
-        dry_run: only says whether it would be done, and changes nothing.
+        settings: the new values, by name. For wrong ones the reply's `result` has `problems`, each with
+            `path` and `text`.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     target: str
@@ -167,14 +168,14 @@ class Configure(msgspec.Struct, frozen=True):
 
 @packet_type("migrate")
 class Migrate(msgspec.Struct, frozen=True):
-    """Moves a running task to the neighbour that takes it for the lowest cost.
+    """Migrate a running task to the neighbour that takes it for the lowest cost.
 
     Attributes:
         target: the task.
         to: the only neighbour to ask; empty: all of them.
         then: a task to start here once this one has gone.
         cost: the cost function that the neighbours answer with, or the weight of each of several.
-        dry_run: only asks for bids, and moves nothing.
+        dry_run: only ask for bids, and migrate nothing.
     """
 
     target: str
@@ -186,17 +187,17 @@ class Migrate(msgspec.Struct, frozen=True):
 
 @packet_type("adopt")
 class Adopt(msgspec.Struct, frozen=True):
-    """Runs a task here on a person's word that it runs nowhere else.
+    """Run a task here on a person's word that it runs nowhere else.
 
-    Its hand-off stands in doubt, and the other agent is gone for good; or this agent's own record of it was lost; or
-    another agent owns it too, and it is this one that is to live. The one request that can make two of a task, namely
-    where that person is wrong.
+    Its hand-off is in doubt, and the other agent is gone for good; or this agent's own record of it was lost; or
+    another agent owns it too, and this copy should live. If the person is wrong, two copies run: no other request can
+    do that.
 
     Attributes:
         target: the task.
-        force: whether to do it; without, the refusal says what it would mean.
-        birthplace: the agent that the task was born on, where two tasks of its name are in doubt here.
-        dry_run: only says whether it would be done, and changes nothing.
+        force: whether to do it; otherwise the refusal tells what it would mean.
+        birthplace: the agent that the task was born on, if two tasks of its name are in doubt here.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     target: str
@@ -207,18 +208,18 @@ class Adopt(msgspec.Struct, frozen=True):
 
 @packet_type("forget")
 class Forget(msgspec.Struct, frozen=True):
-    """Lets a task rest here, on a person's word that it runs elsewhere.
+    """Leave a task stopped here, on a person's word that it runs elsewhere.
 
-    Either this agent has lost its record of it, and neither starts it nor asks about it from then on; `Adopt` takes
-    that back. Or another agent owns the task too: what is here of it, its state among it, is given up, and packets for
-    it go to the other agent. Or another agent has brought it and is gone, and does not say whether it was given away:
-    what is here of it is dropped. In all cases it may be handed over to this agent like any other.
+    If this agent has lost its record of the task, it neither starts it nor asks about it from then on; `Adopt` takes
+    that back. If another agent owns the task too, this copy and its state are given up, and packets for the task go to
+    the other agent. If another agent has brought the task and is gone, without telling whether it was given away, what
+    is here of it is dropped. In all cases the task may migrate to this agent later like any other.
 
     Attributes:
         target: the task.
-        birthplace: the agent that the task was born on, where two tasks of its name are undecided here.
-        owner: the agent that is to have it, where two own it; empty: the record of it was lost.
-        dry_run: only says whether it would be done, and changes nothing.
+        birthplace: the agent that the task was born on, if two tasks of its name are undecided here.
+        owner: the agent that keeps it, if two own it; empty: the record of it was lost.
+        dry_run: only report whether it would be done, and change nothing.
         force: drop what was never handed over, although it may be nowhere else.
     """
 
@@ -234,8 +235,9 @@ class HeldCheckpoint(msgspec.Struct, frozen=True):
 
     Attributes:
         snapshot: the task, encoded.
-        epoch: the epoch under which it was written, and the agent that has minted that.
-        no, story: the how-manieth it is under that epoch; which one it is, where it is and how old, as a clause.
+        epoch: the epoch under which it was written, and the agent that minted it.
+        no: its sequence number under that epoch.
+        story: which one it is, which agent holds it and how old it is, as a clause.
     """
 
     snapshot: bytes
@@ -246,24 +248,25 @@ class HeldCheckpoint(msgspec.Struct, frozen=True):
 
 @packet_type("revive")
 class Revive(msgspec.Struct, frozen=True):
-    """Runs a task here whose agent is gone for good: from a checkpoint, or as its configuration says, without state.
+    """Run a task here whose agent is gone for good: from a checkpoint, or from its configuration, without state.
 
-    A guarded task that is here, and stands still because its guardians are gone for good, goes on as it stands. Its
-    epoch is so high that no actuator takes its commands for old, and that a lost agent that is back stands still.
+    A guarded task that is here, and is paused because its guardians are gone for good, goes on as it is. Its epoch is
+    so high that no actuator takes its commands for old, and that a lost agent pauses its copy when it comes back.
 
     Attributes:
         task_id: the task, as `birthplace/name`.
-        type: name of its class, such as `encirclement.ScanTarget`; this and all to `guard` is for one that begins anew.
-        service: the service here that is to look after it.
+        type: name of its class, such as `encirclement.ScanTarget`; this and all to `guard` are for one that starts from
+            scratch.
+        service: the service here that looks after it.
         settings: plain values for its settings.
-        restart: what its service does when it fails, as in `[task.NAME] restart`; empty: what is usual.
+        restart: what its service does when it fails, as in `[task.NAME] restart`; empty: the default.
         durability: `lazy` or `each`.
         migrate: its rule for moving, as in `[task.NAME] migrate`; None: it has none.
         guard: how it is guarded, a `GuardRule` as plain values; None: it is not.
-        checkpoint: what it is to go on from; None: it begins anew.
-        seen: the highest number of an epoch that any agent knows of it.
-        force: whether to do it; without, the refusal says what it would mean.
-        dry_run: only says whether it would be done, and changes nothing.
+        checkpoint: what it goes on from; None: it starts from scratch.
+        seen: the highest epoch number that any agent knows of it.
+        force: whether to do it; otherwise the refusal tells what it would mean.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     task_id: str
@@ -282,15 +285,15 @@ class Revive(msgspec.Struct, frozen=True):
 
 @packet_type("set_fence")
 class SetFence(msgspec.Struct, frozen=True):
-    """Sets what an actuator has seen of a task to the epoch under which the task runs now, wherever it does.
+    """Set the fence of an actuator for a task to the epoch under which the task runs now, wherever it runs.
 
-    For where it obeys the task no more: the agent that had the task is gone, or one that never had it brought a higher
-    epoch. The actuator goes to its safe hold, and its agent asks all that it is connected to.
+    Use it if the actuator no longer obeys the task: the agent that had the task is gone, or one that never had it
+    brought a higher epoch. The actuator goes to its safe hold, and its agent asks all that it is connected to.
 
     Attributes:
         target: the actuator.
         task_id: the task, as `birthplace/name`.
-        dry_run: only says what would be done, and changes nothing.
+        dry_run: only report what would be done, and change nothing.
     """
 
     target: str
@@ -300,7 +303,7 @@ class SetFence(msgspec.Struct, frozen=True):
 
 @packet_type("migrations")
 class Migrations(msgspec.Struct, frozen=True):
-    """Asks an agent for the newest accounts of moves from it, those of earlier boots too.
+    """Ask an agent for the newest accounts of migrations from it, also those of earlier boots.
 
     The `result` is a list of plain mappings, oldest first: those of `Ledger`, `number`, `boot`, `mission_s`, `reason`.
     """
@@ -308,20 +311,20 @@ class Migrations(msgspec.Struct, frozen=True):
 
 @packet_type("guarding")
 class Guarding(msgspec.Struct, frozen=True):
-    """Asks an agent which guarded tasks it owns, and which it guards.
+    """Ask an agent which guarded tasks it owns, and which it guards.
 
     The reply's `result` is a list of plain mappings. Each has `task_id`, `agent`, `owner` (the agent that its guardian
-    follows), `epoch`, `checkpoint` (the number of the newest that it holds), `age_s` (how long ago the task was as that
-    says, in host seconds), `silent_s` (since it heard the owner), `lease` (whether the owner's runs there),
+    follows), `epoch`, `checkpoint` (the number of the newest that it holds), `age_s` (how long ago the task was in
+    that state, in host seconds), `silent_s` (since it heard the owner), `lease` (whether the owner's runs there),
     `lease_left_s` (for how long yet, in host seconds, unless it is renewed; None: none runs) and `wanted` (whether the
-    task is to run). That of the owner has `guardians`, `guard` (their number as wanted), `permit_s`,
+    task should run). That of the owner has `guardians`, `guard` (their number as wanted), `permit_s`,
     `held_back` (acts that came too late, by kind), `clock_steps` and `no_dead_man` (actuators that do not hold) too.
     """
 
 
 @packet_type("checkpoints")
 class Checkpoints(msgspec.Struct, frozen=True):
-    """Asks an agent for the checkpoints of a task that it holds: as its guardian, or of a hand-off that is in doubt.
+    """Ask an agent for the checkpoints of a task that it holds: as its guardian, or of a hand-off that is in doubt.
 
     The reply's `result` is a list of plain mappings: `task_id`, `agent`, `held` (`guardian` or `in doubt`), `type`,
     `service`, `wanted`, `epoch` (number and minter) and `no` of the checkpoint, `age_s` (None: unknown), `at_least` (it
@@ -341,14 +344,14 @@ class Checkpoints(msgspec.Struct, frozen=True):
 
 @packet_type("take")
 class Take(msgspec.Struct, frozen=True):
-    """Has a guarded task taken over whose owner is silent; asked of one of its guardians.
+    """Have a guarded task taken over whose owner is silent; ask one of its guardians.
 
-    More than half of the guardians must say that no lease of the owner runs.
+    More than half of the guardians must confirm that no lease of the owner runs.
 
     Attributes:
         task: its name.
-        birthplace: the agent that it was born on, where two of its name are guarded here.
-        dry_run: only says which agent would take it, and from which checkpoint.
+        birthplace: the agent that it was born on, if two of its name are guarded here.
+        dry_run: only report which agent would take it, and from which checkpoint.
     """
 
     task: str
@@ -358,7 +361,7 @@ class Take(msgspec.Struct, frozen=True):
 
 @packet_type("describe")
 class Describe(msgspec.Struct, frozen=True):
-    """Asks what an agent is and runs; the reply's `result` is plain.
+    """Ask what an agent is and runs; the reply's `result` is plain.
 
     Attributes:
         target: a task (the result is a mapping with all that is known about it, its settings and their JSON Schema
@@ -366,7 +369,7 @@ class Describe(msgspec.Struct, frozen=True):
             each service and task).
         state: of a task that runs: its state too (`state`), between two of its turns, and when (`mission_s`, `host_s`).
         began: of a task that runs: when it began as well, and what it carried then (`began`).
-        config: of the agent: its configuration (`config`), where values were said (`said`), the tasks `created` on it.
+        config: of the agent: its configuration (`config`), where values were set (`said`), the tasks `created` on it.
     """
 
     target: str = ""
@@ -377,7 +380,7 @@ class Describe(msgspec.Struct, frozen=True):
 
 @packet_type("channels")
 class Channels(msgspec.Struct, frozen=True):
-    """Asks which channels an agent has; the reply's `result` is a list of plain mappings, core channels first.
+    """Ask which channels an agent has; the reply's `result` is a list of plain mappings, core channels first.
 
     Each has `agent`, `channel`, `core` (whether it cannot be removed), `subscribers` (a list of mappings: `address`,
     `types` or None for all, `open_types`: those of them that it gets without being addressed, `keep`, `limit`,
@@ -393,14 +396,14 @@ class Channels(msgspec.Struct, frozen=True):
 
 @packet_type("history")
 class History(msgspec.Struct, frozen=True):
-    """Asks the Log Service what was said on `log`; the `result` is a list of records, oldest first.
+    """Ask the Log Service for the records of `log`; the `result` is a list, oldest first.
 
     A record has what a line of the service's file has: `t_s` (mission time), `agent`, `source`, `kind`, and what
     belongs to that kind (`line`: `level` and `text`); and its `entry`, its number since the service began. A reply has
     as many as fit: for the rest it is asked again, with the last `entry` as `after`, until the list is empty.
 
     Attributes:
-        since_s: only what was said in the last so many seconds of mission time; None: all that is still known.
+        since_s: only records of this many last seconds of mission time; None: all that are still known.
         after: only entries after this one.
     """
 
@@ -410,10 +413,10 @@ class History(msgspec.Struct, frozen=True):
 
 @packet_type("shutdown")
 class Shutdown(msgspec.Struct, frozen=True):
-    """Ends an agent in order: its tasks stop, its actuators hold, its peers are told. The answer comes before that.
+    """Stop an agent gracefully: tasks stop, actuators hold, peers are told. The answer comes before that.
 
     Attributes:
-        dry_run: only says whether it would be done, and changes nothing.
+        dry_run: only report whether it would be done, and change nothing.
     """
 
     dry_run: bool = False
@@ -421,12 +424,12 @@ class Shutdown(msgspec.Struct, frozen=True):
 
 @packet_type("reload_keys")
 class ReloadKeys(msgspec.Struct, frozen=True):
-    """Has an agent take a new key that lies where the old one did; else it looks for one each minute.
+    """Make an agent take the new key in the place of the old one now; by itself it looks each minute.
 
     New links use it, and the old ones are made again, one after the other. The reply's result is whether there is one.
 
     Attributes:
-        dry_run: only say whether there is one.
+        dry_run: only report whether there is one.
     """
 
     dry_run: bool = False
@@ -434,7 +437,7 @@ class ReloadKeys(msgspec.Struct, frozen=True):
 
 @packet_type("begin")
 class Begin(msgspec.Struct, frozen=True):
-    """Lets a mission that is held at 0 begin.
+    """Begin a mission that is held at 0.
 
     Attributes:
         in_s: in how many seconds of host time; a duration, because the clocks of two agents differ.
@@ -445,14 +448,14 @@ class Begin(msgspec.Struct, frozen=True):
 
 @packet_type("follow")
 class Follow(msgspec.Struct, frozen=True):
-    """Asks an agent to send the asker what is published on one of its channels.
+    """Ask an agent to send the asker what is published on one of its channels.
 
     Attributes:
         channel: the channel.
         types: only packets of these types; empty: all.
         foreign: whether packets count that came to that channel from other agents.
-        most_hz: at most so many packets a second (host time) of each source and type, the newest that came, together;
-            for a client that only shows how things stand. 0.001 or more; 0: all, each at once.
+        most_hz: at most this many packets a second (host time) of each source and type, the newest that came, together;
+            for a client that only shows the present state. 0.001 or more; 0: all, each at once.
     """
 
     channel: str
@@ -463,19 +466,19 @@ class Follow(msgspec.Struct, frozen=True):
 
 @packet_type("traces")
 class Traces(msgspec.Struct, frozen=True):
-    """Asks an agent what led to the commands that its actuators were given; for a program that watches.
+    """Ask an agent what led to the commands of its actuators; for a program that watches.
 
     From the first question on the agent notes its newest packets, until ten seconds pass without a question. The
-    `result` has `now_ns` and `until_ns` (what to say as `since_ns` next), `left_out` (how many commands there was no
+    `result` has `now_ns` and `until_ns` (the next `since_ns`), `left_out` (how many commands there was no
     room for), and `rows`: the packets, oldest first, that are commands or led to one, or to one of `packets`, as far as
     they were seen on this agent. A row is a list: when it was seen, channel, type, source, number, stamp, source and
-    number of its cause (empty and 0 where it has none), and in a few words what it said. Times are the time of day in
+    number of its cause (empty and 0 if it has none), and its content in a few words. Times are the time of day in
     nanoseconds, as in a recording. Packets on `log` and `sysctrl` are left out.
 
     Attributes:
         since_ns: only commands that were given after this.
         packets: source and number of packets of this agent that led to commands elsewhere.
-        most: so many commands at most, of more an even choice. 0: the asker asks no more, and gets no result.
+        most: at most this many commands, of more an even choice. 0: the asker stops asking, and gets no result.
     """
 
     since_ns: int = 0
@@ -485,7 +488,7 @@ class Traces(msgspec.Struct, frozen=True):
 
 @packet_type("unfollow")
 class Unfollow(msgspec.Struct, frozen=True):
-    """Ends what `Follow` began.
+    """End what `Follow` began.
 
     Attributes:
         channel: the channel.
@@ -495,7 +498,7 @@ class Unfollow(msgspec.Struct, frozen=True):
 
 
 class Refusal(msgspec.Struct, frozen=True):
-    """Says why something is refused. `docs/refusals.md` lists the codes.
+    """Tell why something is refused. `docs/refusals.md` lists the codes.
 
     Attributes:
         code: the reason for programs.
@@ -522,13 +525,13 @@ class Refusal(msgspec.Struct, frozen=True):
 
 @packet_type("reply")
 class Reply(msgspec.Struct, frozen=True):
-    """The answer to a control packet; its packet's `cause` says to which.
+    """Answer a control packet; the `cause` of the reply's packet names it.
 
     Attributes:
         refusal: why what was asked for has not been done; None: it has.
-        result: what was asked for, where that is something to know.
-        number: its place in the one order in which the agent takes all that it is asked for, from 1 after its start;
-            the events on `log` that it led to bear the same number.
+        result: what was asked for, if it was a question.
+        number: its place in the one order in which the agent takes all control packets, from 1 after its start; the
+            events on `log` that it led to have the same number.
     """
 
     refusal: Refusal | None = None
@@ -548,7 +551,7 @@ class Reply(msgspec.Struct, frozen=True):
 
 @packet_type("hold")
 class Hold(msgspec.Struct, frozen=True):
-    """Tells an actuator, on `ctrl`, to go to its safe hold at once; only its holder's service says so.
+    """Tell an actuator, on `ctrl`, to go to its safe hold at once; only its holder's service may.
 
     Attributes:
         reason: why, for the log.
@@ -592,16 +595,16 @@ CONTROLS: Final[Mapping[type, ControlRight]] = {
 
 @packet_type("command")
 class Command(msgspec.Struct, frozen=True):
-    """A control packet as the kernel hands it to the service that it concerns.
+    """Carry a control packet from the kernel to the service that it concerns.
 
     All control packets to an agent pass one place, which numbers them, so contradictory ones are applied in one order.
 
     Attributes:
         number: its place in that order, from 1.
         request: source and number of the packet that asked.
-        task: the name of the task that it is about; empty where it is about the service.
-        body: the control packet's body; None: the service is to end, now that it has begun all it was asked before.
-        for_s: where it is to end: after how many seconds of mission time it starts again; None: it does not by itself.
+        task: the name of the task that it is about; empty if it is about the service.
+        body: the control packet's body; None: the service must end, now that it has begun all that it was asked before.
+        for_s: if it must end: after how many seconds of mission time it starts again; None: it does not by itself.
     """
 
     number: int

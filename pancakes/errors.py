@@ -66,10 +66,10 @@ def place_of_user(traceback: TracebackType | None, cls: type | None) -> CodeLine
     """Returns the innermost line of the user's code; None: there is none.
 
     A user's code is what lies in the user's own files and, because a plug-in may be installed, the package of the
-    class that failed; where that has no line, the packages of the classes that it inherits from.
+    class that failed; if that has no line, the packages of the classes that it inherits from.
 
     Args:
-        traceback: where an error has come by.
+        traceback: the path of an error.
         cls: the class of the task, service or driver that failed; None: it is not known.
     """
     places = _places(traceback)
@@ -88,7 +88,7 @@ def place_of(traceback: TracebackType | None) -> CodeLine | None:
 
 
 def _places(traceback: TracebackType | None) -> list[CodeLine]:
-    """The lines that an error has come by, the innermost first."""
+    """The lines on the path of an error, the innermost first."""
     places = []
     while traceback is not None:
         places.append(CodeLine(traceback.tb_frame, traceback.tb_lineno))
@@ -97,7 +97,7 @@ def _places(traceback: TracebackType | None) -> list[CodeLine]:
 
 
 def _user_package(cls: type | None) -> str:
-    """The package of a class; empty where that is Pancakes, what Pancakes is made of, or Python."""
+    """The package of a class; empty if that is Pancakes, one of its libraries, or Python."""
     package = package_of(cls.__module__) if cls is not None else ""
     return "" if package in ("pancakes", "pykka", "abc", "builtins", "typing") else package
 
@@ -118,7 +118,7 @@ RefusalCode = Literal[
 ]
 """Why an agent refuses something, for programs; `docs/refusals.md` says when each of them is given."""
 RETRY_S: Final = 1.0
-"""After this time it is worth another try where something else was under way, in seconds."""
+"""If something else was under way, another try is worth it after this time, in seconds."""
 
 
 class PancakesError(Exception):
@@ -241,7 +241,7 @@ class NothingCame(PancakesError, TimeoutError):
 
 
 class MigrationError(PancakesError):
-    """A task could not be moved. It goes on where it is."""
+    """A task could not migrate. It goes on at its source."""
 
     code = "unable"
 
@@ -267,17 +267,17 @@ EXTRAS: Final = {
 
 
 def missing_extra(error: Exception) -> str:
-    """Returns the module that an extra brings and that an import has not found; empty: there is none."""
+    """Returns the module of an extra that an import did not find; empty: there is none."""
     module = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     return module if module in EXTRAS else ""
 
 
 @contextmanager
 def needing_extra(what: str) -> Iterator[None]:
-    """Makes a sentence of an import in its block that does not find what an extra brings.
+    """Turn a failed import of an extra's module in its block into a sentence.
 
     Args:
-        what: what cannot be without it, as the beginning of the sentence.
+        what: what does not work without it, as the beginning of the sentence.
 
     Raises:
         PancakesError: an extra is not installed.
@@ -292,11 +292,11 @@ def needing_extra(what: str) -> Iterator[None]:
 
 
 LONGEST_TEXT: Final = 500
-"""Of what one error says, one line has so many characters at the most."""
+"""Most characters of an error's text in one line."""
 LONGEST_SENTENCE: Final = 4000
 """And a sentence of Pancakes' own, which may name many mistakes at once."""
 LONGEST_CHAIN: Final = 5
-"""So many errors of a chain are named."""
+"""At most this many errors of a chain are named."""
 LONGEST_TRACEBACK: Final = 8000
 """A traceback that is longer, in characters, is cut in its middle: it travels with a line of the log."""
 LINES_OF_TRACEBACK: Final = 60

@@ -42,12 +42,12 @@ class Log:
         self._say = say
 
     def __call__(self, level: str, text: str, traceback: str = "") -> None:
-        """Says a line, if its level is not known before.
+        """Log a line whose level is a variable.
 
         Args:
             level: debug, info, warning or error.
             text: the line.
-            traceback: if it tells of a failure, what `pancakes.errors.traceback_of` returns; the log file has it.
+            traceback: for a failure, what `pancakes.errors.traceback_of` returns; the log file has it.
 
         Raises:
             PancakesError: there is no such level.
@@ -57,7 +57,7 @@ class Log:
         self._say(level, str(text), traceback)
 
     def debug(self, text: str, *arguments: Any) -> None:
-        """Says what only who looks for a fault wants to know.
+        """Log what only a person who looks for a fault needs.
 
         Args:
             text: the line.
@@ -66,19 +66,19 @@ class Log:
         self._say("debug", _filled(text, arguments), "")
 
     def info(self, text: str, *arguments: Any) -> None:
-        """Says what happened; the arguments are those of `debug`."""
+        """Log what happened; the arguments are those of `debug`."""
         self._say("info", _filled(text, arguments), "")
 
     def warning(self, text: str, *arguments: Any) -> None:
-        """Says what may need somebody; the arguments are those of `debug`."""
+        """Log what may need a person; the arguments are those of `debug`."""
         self._say("warning", _filled(text, arguments), "")
 
     def error(self, text: str, *arguments: Any) -> None:
-        """Says what has failed; the arguments are those of `debug`."""
+        """Log what has failed; the arguments are those of `debug`."""
         self._say("error", _filled(text, arguments), "")
 
     def exception(self, text: str, *arguments: Any) -> None:
-        """Says what has failed, with the traceback of the exception that is being handled, for the log file."""
+        """Log what has failed, with the traceback of the current exception, for the log file."""
         error = sys.exc_info()[1]
         self._say("error", _filled(text, arguments), traceback_of(error) if error is not None else "")
 
@@ -102,7 +102,7 @@ def _only(words: tuple[str, ...]) -> str:
 
 
 def check_levels(cls: type) -> None:
-    """Refuses a class whose methods say lines of a level that there is not: the line might be needed years later.
+    """Refuse a class whose methods log at an unknown level: the line might be needed years later.
 
     Raises:
         ClassError: names the file, the line and the level.
@@ -147,7 +147,7 @@ SAID_IN_A_LINE: Final = frozenset(
         *("taken_over", "takeover_waits", "guard_thin", "disk_is_old"),
     )
 )
-"""Kinds of events of which a line tells people the same, so that an event would tell them twice."""
+"""Kinds of events that a line tells people about as well: as an event they are shown at level debug."""
 
 
 @packet_type("event")
@@ -170,7 +170,7 @@ class LogLine(msgspec.Struct, frozen=True):
     Attributes:
         level: one of `LEVELS`.
         text: the line.
-        traceback: where it tells of a failure, the traceback of that; else empty.
+        traceback: that of a failure; else empty.
     """
 
     level: str
@@ -179,21 +179,21 @@ class LogLine(msgspec.Struct, frozen=True):
 
 
 def level_of(body: Any) -> str:
-    """Returns the level of what is said on `log`: an event is `info`, or `debug` where a line says the same."""
+    """Returns the level of what is said on `log`: an event is `info`, or `debug` if a line says the same."""
     if isinstance(body, LogLine):
         return body.level
     return "debug" if isinstance(body, Event) and body.kind in SAID_IN_A_LINE else "info"
 
 
 _ENVELOPE: Final = ("t_s", "agent", "source", "kind", "entry", "utc")
-"""What a record says of itself."""
+"""The fields of a record that events may not set."""
 
 
 def record_of(packet: Packet) -> dict[str, Any]:
     """Returns a packet of `log` as one record of a JSON lines file.
 
-    Who said it and when is as the packet says, whatever an event claims: a field that bears one of these names has a
-    `_` behind it.
+    Source and time are those of the packet, whatever an event claims: a field of the event with such a name gets a `_`
+    at its end.
     """
     record: dict[str, Any] = {"t_s": round(packet.stamp, 6), "agent": agent_of(packet.source), "source": packet.source}
     body = packet.body

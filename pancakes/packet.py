@@ -54,7 +54,7 @@ class LocalTime(msgspec.Struct, frozen=True):
 
     Attributes:
         time_s: the moment, in one's own mission time, in seconds; negative: before one's own mission began.
-        bound_s: the true moment lies no further from it, in mission seconds, as long as both clocks run evenly.
+        bound_s: the true moment lies no further from it, in mission seconds, while both clocks run evenly.
     """
 
     time_s: float
@@ -99,11 +99,11 @@ Cause = tuple[str, int]
 
 
 class Fence(msgspec.Struct, frozen=True, array_like=True):
-    """Says under which right a task speaks, so that a copy that lost its right cannot move a wheel.
+    """The right under which a task publishes, so that a copy that lost its right cannot move a wheel.
 
     Attributes:
         task_id: the task's durable identity, `birthplace/name`.
-        epoch: how often it was handed over, and the agent that minted that number; compared in this order.
+        epoch: how often it migrated, and the agent that minted that number; compared in this order.
         good_for_s: of a guarded task whose command goes to another agent: for how long it is good, in host seconds,
             counted from when it comes; None: as long as any.
     """
@@ -124,9 +124,9 @@ class Packet(msgspec.Struct, frozen=True, gc=False):
         stamp: mission time at the publisher, in seconds.
         seq: number of this packet among its source's packets. Each life of an agent counts on from another place, so
             that source and number name one packet for good.
-        body: a registered dataclass, or a plain mapping where the type is unknown here.
+        body: a registered dataclass, or a plain mapping if the type is unknown here.
         cause: the packet that led to this one, if any.
-        fence: set where a task under supervision published it.
+        fence: set if a durable task published it.
     """
 
     channel: str
@@ -148,7 +148,7 @@ class Packet(msgspec.Struct, frozen=True, gc=False):
     def age_s(self) -> float | None:
         """How long ago it was published, in mission seconds of the agent that reads it, never negative.
 
-        `local_time` of the task that reads it has the moment and the bound of its error. None where that returns None,
+        `local_time` of the task that reads it has the moment and the bound of its error. None if that returns None,
         and outside of a turn of a task or service.
         """
         reader = READER.get()
@@ -165,7 +165,7 @@ def packet_type(name: str) -> Callable[[type[_T]], type[_T]]:
     """Registers a frozen dataclass, or a frozen `msgspec.Struct`, as the body of packets of the type `name`.
 
     Raises:
-        LocalProtocolError: another class bears this name already, or the class is neither of these.
+        LocalProtocolError: another class has this name already, or the class is neither of these.
     """
 
     def register(cls: type[_T]) -> type[_T]:
@@ -251,7 +251,7 @@ def body_from_plain(name: str, plain: Any) -> Any:
     """Makes the body of a packet of the type `name` from plain values, checking each of them.
 
     Returns:
-        An instance of the registered class; `plain` itself where the type is unknown here.
+        An instance of the registered class; `plain` itself if the type is unknown here.
 
     Raises:
         RemoteProtocolError: the values do not fit the class.

@@ -1,4 +1,4 @@
-"""Settings: a dataclass says what may be set, plain values say what is set.
+"""Check settings: a dataclass says what may be set, plain values say what is set.
 
 The values come from a configuration file or from a packet, so nothing about them is taken on trust. msgspec
 checks each value but stops at its first error; here the dataclass is walked, so that a person sees all
@@ -6,7 +6,7 @@ mistakes at once, each with its key.
 
 A `msgspec.Struct` does as well as a dataclass, and is made in a tenth of the time, when its module is imported.
 
-In plain values a numpy array is an array, a read-only copy; a list does as well where it is read.
+In plain values a numpy array is an array, a read-only copy; a list is read as well.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import re
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
-from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -37,6 +37,14 @@ FilePath = Annotated[str, msgspec.Meta(extra_json_schema=_PATH)]
 
 `~` at its beginning is the home of the user as whom the agent runs. A control packet, or a task that comes from another
 agent, sets it only below the folders that the agent's own configuration names."""
+Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=0)]
+"""The type of a setting that is a number above 0."""
+NotNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0)]
+"""The type of a setting that is a number from 0."""
+Share: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1)]
+"""The type of a setting that is a number from 0 to 1."""
+PositiveShare: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=1)]
+"""The type of a setting that is a number above 0, up to 1."""
 
 UNKNOWN_KEY: Final = "unknown key"
 LEAST_INT: Final = -(2**63)

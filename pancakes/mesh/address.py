@@ -225,7 +225,7 @@ class TransportFacts(msgspec.Struct, frozen=True):
         encrypted: whether what is at neither end can read nor change what is said.
         cost: the round trip of a small packet, beside that over TCP on one machine, which is 1. Of two ways to an agent
             the cheaper one is named to others.
-        tells_deaths: whether the end of a connection is told within seconds, also where the other end stands still, so
+        tells_deaths: whether the end of a connection is told within seconds, also if the other end is paused, so
             that heartbeats may rest.
     """
 

@@ -45,9 +45,9 @@ class Bucket:
 MOST_UNFINISHED: Final = 64
 """Of more, the oldest is given up. A handshake that is meant takes some milliseconds."""
 RATE_HZ: Final = 200.0
-"""So many may begin in a second."""
+"""How many may begin in a second."""
 AT_ONCE: Final = 50.0
-"""So many of them may begin at once."""
+"""How many of them may begin at once."""
 
 _T = TypeVar("_T")
 
@@ -83,7 +83,7 @@ IDLE_S: Final = 10.0
 follows a channel asks again after half of it; one that has never asked for anything is idle at once.
 """
 KEPT_FOR_THIS_MACHINE: Final = 8
-"""So many clients on the agent's own machine find a place, however many there are elsewhere."""
+"""How many clients on the agent's own machine find a place, however many there are elsewhere."""
 THIS_MACHINE: Final = "this machine"
 
 
@@ -93,7 +93,7 @@ class ClientPlace(msgspec.Struct, frozen=True):
     Attributes:
         link: its link.
         machine: where it is, see `machine_of`.
-        quiet_s: for how long no packet went either way, in host time; infinite where it never asked for anything.
+        quiet_s: for how long no packet went either way, in host time; infinite if it never asked for anything.
     """
 
     link: int
@@ -120,7 +120,7 @@ def client_to_end(machine: str, places: Sequence[ClientPlace]) -> int | None:
         places: all places, the oldest first; none is free.
 
     Returns:
-        The link; None where all keep theirs, and the new client is refused.
+        The link; None if all keep theirs, and the new client is refused.
     """
     idle = [place for place in places if place.quiet_s >= IDLE_S]
     if idle:

@@ -20,7 +20,7 @@ from pancakes.util.timebase import Timebase
 MOST_DRIFT: Final = 0.1
 """Two clocks whose rates differ by more than this are none that Pancakes can work with."""
 WANDER: Final = 2e-5
-"""So much the rate of a clock may change while it is looked at: by its temperature, or because it is disciplined."""
+"""How much the rate of a clock may change while it is looked at: by its temperature, or because it is disciplined."""
 SHARE: Final = 0.1
 """Ways that are longer than the shortest by no more than this share of it count about as much."""
 STEADY_S: Final = 1e-5
@@ -31,7 +31,7 @@ MOST_KEPT: Final = 32
 LONGEST_SLOT_S: Final = 5.0
 """Of the answers in so long a time one is kept at least."""
 SLOTS: Final = 8
-"""So many are kept of the time that has passed, where that is less than as many of the longest slots."""
+"""How many are kept of the time that has passed, where that is less than as many of the longest slots."""
 
 
 class ClockOffset(msgspec.Struct, frozen=True):
@@ -101,7 +101,7 @@ class ClockEstimate:
             back_s: when the answer came, in one's own.
 
         Returns:
-            Whether it goes with what was believed before. Where it does not, one of the clocks was set, or stood still
+            Whether it goes with what was believed before. If it does not, one of the clocks was set, or stood still
             with its machine, and only this answer is believed.
         """
         at_s, error_s = (sent_s + back_s) / 2, (back_s - sent_s) / 2
@@ -208,7 +208,7 @@ class PeerClock(msgspec.Struct, frozen=True):
             own: what one's own mission time is.
 
         Returns:
-            None where that cannot be known: one of the two missions is held, or the stamp is that of a mission that was
+            None if that cannot be known: one of the two missions is held, or the stamp is that of a mission that was
             held, or of an earlier life of the peer.
         """
         theirs = self.timebase

@@ -330,7 +330,7 @@ _TEXT: Final = codecs.decoder(str)
 _NUMBER: Final = codecs.decoder(float)
 _SOURCE: Final = 2
 _STAMP: Final = 4
-"""Where in the array the source stands."""
+"""The place of the source in the array."""
 
 
 class _PacketRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -650,7 +650,7 @@ def _reason(error: RemoteProtocolError, kind: str, source: str) -> str:
 
 
 def _decoder(cls: type | None) -> _Rows | None:
-    """Returns what decodes rows with a body of this class in one go; None where their bodies must be looked at."""
+    """Returns what decodes rows with a body of this class in one go; None if their bodies must be looked at."""
     if cls is None:
         return None
     made: _Rows | None = None

@@ -24,12 +24,12 @@ from pancakes.kernel.mailbox import LONGEST_S
 from pancakes.util.clock import Clock
 
 BUSY_POLL_S: Final = 0.0005
-"""So long the thread stays awake for the next packet, if the configuration does not say otherwise.
+"""How long the thread stays awake for the next packet, if the configuration does not say otherwise.
 
 A round trip over TLS on a slow board must still fit in.
 """
 STREAK: Final = 8
-"""So many waits in a row have to end that soon before it does. Two packets that come together, as those of two agents
+"""How many waits in a row have to end that soon before it does. Two packets that come together, as those of two agents
 that tick at the same time, are no dialogue.
 """
 
@@ -58,7 +58,7 @@ class BusyPoll:
         self._streak = 0
 
     def wait(self, until_s: float | None) -> Ready:
-        """Returns the sockets that are ready, none where none is until then (host time; None: for ever)."""
+        """Returns the sockets that are ready, none if none is until then (host time; None: for ever)."""
         now, poll, busy_poll_s = self._now, self._poll, self.busy_poll_s
         began_s = now_s = now()
         if self._streak >= STREAK and give_way is not None:

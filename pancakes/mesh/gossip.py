@@ -16,11 +16,11 @@ from pancakes.mesh.transport import Transport
 ADDRESSES: Final = 64
 """Most addresses in one message to a new link."""
 BEACON_ADDRESSES: Final = 8
-"""So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
+"""How many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
 every agent the square of the fleet, for what all agents know: a new link gets them all.
 """
 TO_ONE: Final = 32
-"""So many agents are in a beacon to one peer: of a thousand, each agent hears of each within half a minute."""
+"""How many agents are in a beacon to one peer: of a thousand, each agent hears of each within half a minute."""
 
 _EVERYWHERE: Final = (LOCAL, "tcp")
 """Each agent dials these; other schemes those agents alone that are linked by them, or listen at them."""

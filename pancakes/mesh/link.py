@@ -46,13 +46,13 @@ from pancakes.mesh.messages import (
 from pancakes.packet import Packet
 
 PATIENCE: Final = 1.2
-"""So much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
+"""How much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
 PACE: Final = 1.5
 """Each of the first pings comes so much longer after the one before."""
 MOST_UNANSWERED: Final = 8
 """An answer to an older ping says nothing about the link of today."""
 RESTED: Final = 40
-"""So much more seldom heartbeats are where the transport tells deaths."""
+"""How much rarer heartbeats are if the transport reports the deaths of peers."""
 _RTT_WEIGHT: Final = 1 / 8  # of a new measurement in the average, as in TCP (RFC 6298)
 
 
@@ -93,7 +93,7 @@ class LinkTimes(msgspec.Struct, frozen=True):
 
 
 class LinkState(Enum):
-    """Where a link is; see the module's text."""
+    """The state of a link; see the module's text."""
 
     GREETING = "greeting"
     MET = "met"
@@ -186,7 +186,7 @@ class Link:
         peer: what the peer said about itself, once it has.
         rtt_s: smoothed round trip time, once measured.
         sent_s: when something was last sent, which makes a heartbeat needless; set by each thread that sends packets.
-        pace_s: so long after a ping the next one is sent, also where the link is busy; it grows up to `measure_s`.
+        pace_s: so long after a ping the next one is sent, also if the link is busy; it grows up to `measure_s`.
     """
 
     def __init__(self, own: Hello, times: LinkTimes, now_s: float, answers: bool = False) -> None:
@@ -263,7 +263,7 @@ class Link:
         return []
 
     def receive(self, data: bytes, now_s: float) -> list[Action]:
-        """Takes bytes that came in. Where they break the protocol, the last action is `Over`."""
+        """Takes bytes that came in. If they break the protocol, the last action is `Over`."""
         if self.state is LinkState.OVER:
             return []
         self._heard_s = now_s  # any byte counts as life

@@ -74,7 +74,7 @@ class Links:
         return self._said
 
     def rtt_s(self, peer: str) -> float | None:
-        """Returns the smoothed round trip time to a peer, or None where there is none yet."""
+        """Returns the smoothed round trip time to a peer, or None if there is none yet."""
         session = self._up.get(peer)
         return session.link.rtt_s if session is not None and session.link is not None else None
 
@@ -206,7 +206,7 @@ class Alarm:
         transport: in whose thread the function is called.
         now: the host clock.
         function: what is called.
-        slack_s: so much later it is called than it is due, so that what is due soon after need not be waited for anew.
+        slack_s: so much later it is called than it is due, so that what is due soon after need not be waited for again.
 
     Attributes:
         due_s: the host time for which it is set; infinity: it is not.

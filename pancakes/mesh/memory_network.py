@@ -35,7 +35,7 @@ class Quality:
 
     Attributes:
         latency_s: how long a byte travels.
-        jitter_s: how much longer it may travel, at most; drawn anew for each send. The order is kept.
+        jitter_s: how much longer it may travel, at most; drawn again for each send. The order is kept.
         bytes_per_s: how fast bytes leave a connection.
     """
 
@@ -67,7 +67,7 @@ class MemoryNetwork:
         call_at: the virtual scheduler.
         now: the virtual clock.
         source: random numbers for the jitter.
-        quality: how well agents hear each other where nothing else is said.
+        quality: how well agents hear each other if nothing else is said.
 
     Attributes:
         pipes: the connections that exist, in the order in which they were made.

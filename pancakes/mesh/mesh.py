@@ -116,7 +116,7 @@ class Mesh:
             destination, in their order.
         on_unfit: takes (peer's name, packet, reason) of a packet that does not fit its type, or asks for too much.
         on_peer_up: takes the peer's hello when a link stands.
-        on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
+        on_peer_down: takes (name, reason, seconds it sleeps): None if it does not sleep on purpose, infinity
             where it did not say for how long.
         on_log: takes (level, text).
         defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
@@ -276,7 +276,7 @@ class Mesh:
         return self._links.connected()
 
     def rtt_s(self, peer: str) -> float | None:
-        """Returns the smoothed round trip time to a peer, or None where there is none yet."""
+        """Returns the smoothed round trip time to a peer, or None if there is none yet."""
         return self._links.rtt_s(peer)
 
     def mission_packets_sent(self) -> int:
@@ -419,7 +419,7 @@ class Mesh:
             return
         was_up = session.is_up
         actions = session.link.receive(data, now_s)
-        # Where all sessions are up, as most of the time, there is none that this link could make needless.
+        # If all sessions are up, as most of the time, there is none that this link could make needless.
         if was_up and self._peers is not None and len(self._sessions) > len(self._links):
             rivals = self._peers.on_bytes(session.number)
             if rivals:
@@ -511,7 +511,7 @@ class Mesh:
         self._watch(session)  # from now on it sends heartbeats
 
     def _refuse(self, session: Session, code: Refusal, reason: str, told: str = "") -> None:
-        """Ends a link, where it has not ended, and tells the peer why; `told`: see `Link.refuse`."""
+        """Ends a link, if it has not ended, and tells the peer why; `told`: see `Link.refuse`."""
         if session.link is None:
             self._over(session, Over(reason))
         elif session.number in self._sessions:

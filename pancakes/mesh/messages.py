@@ -57,7 +57,7 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
         journal: UUID of its journal; two agents of one name are told apart by it.
         boot: how often that journal was opened; a higher one is a later life of the same agent.
         listen: the addresses at which the receiver can dial it, the best first.
-        life: drawn anew at each opening of the journal: of one boot there are two where the journal was copied.
+        life: drawn again at each opening of the journal: of one boot there are two where the journal was copied.
     """
 
     version: int
@@ -71,13 +71,13 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
 
 
 def fault_of_hello(hello: Hello) -> str:
-    """Returns why a hello cannot be taken, as a sentence; empty where it can."""
+    """Returns why a hello cannot be taken, as a sentence; empty if it can."""
     fault = fault_of_name(hello.name, client=hello.role == "client") or fault_of_name(hello.fleet)
     return fault or next(filter(None, map(fault_of_address, hello.listen)), "")
 
 
 def fault_of_address(address: str) -> str:
-    """Returns why something cannot be an address at which an agent listens, as a sentence; empty where it can."""
+    """Returns why something cannot be an address at which an agent listens, as a sentence; empty if it can."""
     try:
         parse_address(address)
     except ValueError:
@@ -121,7 +121,7 @@ class Goodbye(msgspec.Struct, frozen=True, array_like=True, tag=6):
     Attributes:
         why: it will `sleep` (and is not to be counted as dead), or it will `stop`; or it goes on, and the link alone
             will `rest`, because it is one too many and not used.
-        for_s: how long it sleeps, in seconds of host time; None where it does not know. Of a link that rests: so long
+        for_s: how long it sleeps, in seconds of host time; None if it does not know. Of a link that rests: so long
             it is not dialled again unless there is something to say.
     """
 
@@ -150,7 +150,7 @@ class Gossip(msgspec.Struct, frozen=True, array_like=True, tag=7):
 
 
 def fault_of_gossip(gossip: Gossip) -> str:
-    """Returns why gossip cannot be taken, as a sentence; empty where it can."""
+    """Returns why gossip cannot be taken, as a sentence; empty if it can."""
     faults = (fault_of_name(it.name) or fault_of_address(it.address) for it in gossip.agents)
     return next(filter(None, faults), "")
 

@@ -15,7 +15,7 @@ from typing import Final
 import msgspec
 
 MOST_KNOWN: Final = 4096
-"""So many agents are known at most, ..."""
+"""How many agents are known at most, ..."""
 MOST_OF_PEER: Final = 1024
 """... and so many of which one peer alone has told, and to which there was no link."""
 FRESH_S: Final = 120.0
@@ -23,24 +23,24 @@ FRESH_S: Final = 120.0
 FORGOTTEN_S: Final = 600.0
 """It is forgotten after so long."""
 LOOK_S: Final = 3.0
-"""So often it is looked whether links are too few or too many."""
+"""How often it is looked whether links are too few or too many."""
 SOON_S: Final = 0.2
-"""Where links are missing and nothing more was known, it is looked so soon after an agent was heard of: peers tell of
+"""If links are missing and nothing more was known, it is looked so soon after an agent was heard of: peers tell of
 many at once, and the links are drawn from all of them."""
 LATE_S: Final = 2.0
 """A link that takes longer to be made counts as missing at the next look: the agent may be dead, and another one is
 drawn as well."""
 MADE_S: Final = 10.0
-"""So long a link may take to be made; packets for the agent wait so long."""
+"""How long a link may take to be made; packets for the agent wait so long."""
 AVOIDED_S: Final = 60.0
 """An agent to which no link came to stand is not dialled unasked for so long."""
 MANY: Final = 2
-"""Links end where there are so many times more than are to be kept: else the other agent has too few, and makes one to
+"""Links end if there are so many times more than are to be kept: else the other agent has too few, and makes one to
 a third, which has too many then."""
 REST_S: Final = 30.0
 """They end where no packet has gone over them for so long."""
 WALK_S: Final = 300.0
-"""So often a link to another agent is made unasked, so that two halves of a fleet that were parted meet again."""
+"""How often a link to another agent is made unasked, so that two halves of a fleet that were parted meet again."""
 
 Sighting = tuple[str, tuple[str, ...], float]
 """An agent to tell others of: its name, the addresses at which it can be dialled, and how long ago it was there."""
@@ -91,7 +91,7 @@ class FewLinks:
     """Decides which links there are.
 
     Args:
-        most: so many links to agents it keeps, where there are so many agents.
+        most: so many links to agents it keeps, if there are so many agents.
         source: random numbers, which draw the agents: so that all links of a fleet together join all of it.
         now_s: host time.
     """
@@ -162,7 +162,7 @@ class FewLinks:
         return [self._make(name, now_s)] if name not in self._wanted else []
 
     def on_link_up(self, name: str) -> None:
-        """A link to an agent stands. Where it ends soon, another one is made for what comes then."""
+        """A link to an agent stands. If it ends soon, another one is made for what comes then."""
         self._wanted.pop(name, None)
 
     def tick(self, now_s: float, linked: Mapping[str, LinkUse]) -> list[FewDecision]:

@@ -18,7 +18,7 @@ from pancakes.mesh.session import Session
 from pancakes.util.timebase import Timebase
 
 DAY_STEP_S: Final = 0.01
-"""A time of day that was set by less is not told anew."""
+"""A time of day that was set by less is not told again."""
 MOST_REMEMBERED: Final = 512
 """The clocks of so many peers are known at most, those whose links have ended among them."""
 

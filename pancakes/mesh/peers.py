@@ -154,7 +154,7 @@ class AddressBook:
         Args:
             address: the address.
             now_s: host time.
-            name: the agent that listens there, where it has said so itself.
+            name: the agent that listens there, if it has said so itself.
             by: the peer that named it; empty: a person did.
         """
         it = self._known.get(address)
@@ -239,7 +239,7 @@ MAX_CLIENTS: Final = 64
 QUIET_S: Final = 5.0
 """An agent that keeps a few links alone gives the place of one that is unused for so long to a newcomer."""
 MOST_DIALS: Final = 8
-"""So many learnt addresses are dialled at a time."""
+"""How many learnt addresses are dialled at a time."""
 
 
 class _Candidate(msgspec.Struct):
@@ -332,7 +332,7 @@ class Peers:
         return self._few is not None and self._few.knows(name)
 
     def seek(self, name: str, now_s: float) -> list[Decision]:
-        """There is something for an agent: dials it, where there is no link to it."""
+        """There is something for an agent: dials it, if there is no link to it."""
         if self._few is None or name in self._up:
             return []
         return self._carry_out(self._few.seek(name, now_s), now_s)
@@ -638,10 +638,10 @@ class Peers:
         return f"{self._own.name} is full: it is in a mesh of {agents} already" if agents >= most else ""
 
     def _make_room(self, newcomer: _Candidate, now_s: float) -> list[Decision]:
-        """Ends the link of a client whose place a new client gets; none where there is no such client.
+        """Ends the link of a client whose place a new client gets; none if there is no such client.
 
         Where a few links are enough, an agent gets the place of that link to an agent that is used least: of an unused
-        one, or of any where there is something here for the newcomer.
+        one, or of any if there is something here for the newcomer.
         """
         if newcomer.hello.role != "client":
             unused = max(self._linked(), key=lambda it: self._unused_s(it, now_s), default=None)
@@ -685,7 +685,7 @@ def is_namesake(link: int, decisions: Sequence[Decision]) -> bool:
 
 
 def reachable(listen: str, remote: str) -> str:
-    """Returns the address at which an agent can be dialled, in its one spelling; empty where there is none.
+    """Returns the address at which an agent can be dialled, in its one spelling; empty if there is none.
 
     Of one that listens on all interfaces it is the one that we see. So it is where it listens at an address of one
     network: the name of the interface that leads there is another one on each machine.

@@ -20,9 +20,9 @@ from pancakes.mesh.session import BATCH_BYTES, Message, PeerBusy, Session, Train
 from pancakes.packet import LOG, NEIGHBOURS, Fence, Packet, agent_of
 
 MOST_WAYS: Final = 4096
-"""So many are remembered; a task that makes up one destination after the other must not fill the memory."""
+"""How many are remembered; a task that makes up one destination after the other must not fill the memory."""
 MOST_WAITING_BYTES: Final = 256 * 1024
-"""So much may wait for an agent to which a link is being made, ..."""
+"""How much may wait for an agent to which a link is being made, ..."""
 MOST_WAITED_FOR: Final = 64
 """... and for so many agents at a time."""
 
@@ -209,7 +209,7 @@ class Sending:
         raise self._lost(packet)
 
     def _waits(self, packet: Packet, agent: str, head: bytes, right: Fence | None, retry: bool) -> bool:
-        """Has a packet wait until there is a link to its agent; returns False where none is being made.
+        """Has a packet wait until there is a link to its agent; returns False if none is being made.
 
         Raises:
             PeerBusy: too much waits already.

@@ -56,7 +56,7 @@ MAX_BYTES: Final = 4 * 1024 * 1024
 MIGRATION_BYTES: Final = 40 * 1024 * 1024
 """The same of `network`: the pieces of two of the largest snapshots, or of one that is sent again, and some more."""
 MOST_GONE: Final = 1024
-"""So many peers that have gone are still known by what went over the links with them."""
+"""How many peers that have gone are still known by what went over the links with them."""
 FIRST: Final = (SYSCTRL, NETWORK)
 """Channels that are served before all others."""
 
@@ -292,7 +292,7 @@ BATCH_BYTES: Final = 16 * 1024
 one packet, where that is larger); much smaller, and the system calls would cost more than the packets.
 """
 MOST_UNSENT_BYTES: Final = 512 * 1024
-"""Where more waits in the connection, the link sends no messages of its own: a peer that sends pings all the time
+"""If more waits in the connection, the link sends no messages of its own: a peer that sends pings all the time
 and takes next to nothing of the answers must not fill the memory.
 """
 
@@ -358,7 +358,7 @@ class Session(ConnectionHandler):
     Args:
         owner: the mesh.
         number: the link's number in `Peers`.
-        address: what was dialled; empty where the connection came in.
+        address: what was dialled; empty if the connection came in.
         now: the host clock.
         gate: is asked about what is sent under a right.
 
@@ -405,7 +405,7 @@ class Session(ConnectionHandler):
 
     @property
     def role(self) -> str:
-        """The peer's role; empty where the link is not up yet."""
+        """The peer's role; empty if the link is not up yet."""
         return self.hello.role if self.hello is not None else ""
 
     def describe(self) -> dict[str, Any]:

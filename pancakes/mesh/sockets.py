@@ -26,7 +26,7 @@ from pancakes.mesh.address import parse_address
 from pancakes.util.clock import MonotonicClock
 
 PACE_S: Final = 0.25
-"""So long after one address the next is tried, if there is no answer yet."""
+"""How long after one address the next is tried, if there is no answer yet."""
 
 Place = tuple[socket.AddressFamily, Any]
 """Where a socket may be bound or connected, as the operating system has it."""
@@ -188,9 +188,9 @@ def _look_up(name: str, port: int) -> tuple[list[_Place], str]:
 
 
 NOT_SENT_BYTES: Final = 128 * 1024
-"""So much may wait for the network at the sender; beyond that its socket counts as full."""
+"""How much may wait for the network at the sender; beyond that its socket counts as full."""
 RECEIVE_BYTES: Final = 256 * 1024
-"""So much may wait for the reader, or somewhat more: the kernel counts with overhead."""
+"""How much may wait for the reader, or somewhat more: the kernel counts with overhead."""
 SHORT_S: Final = 0.001
 """A round trip at which that is enough for 64 MB/s. Over a longer way the kernel finds the right size by itself."""
 

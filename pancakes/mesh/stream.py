@@ -293,11 +293,11 @@ class StreamConnection(KeptConnection):
 
 
 _READ_BYTES: Final = 64 * 1024
-"""So much is read at a time: its packets are handled before they have left the processor's cache."""
+"""How much is read at a time: its packets are handled before they have left the processor's cache."""
 _ACCEPT_PAUSE_S: Final = 0.5  # when the process is out of file descriptors
 
 LOOK_UP_S: Final = 30.0
-"""So long a name may be looked up: the resolver asks one server after the other, each for some seconds."""
+"""How long a name may be looked up: the resolver asks one server after the other, each for some seconds."""
 
 
 class Bound(NamedTuple):
@@ -408,11 +408,11 @@ class StreamTransport(SchemeTransport):
 
     @abstractmethod
     def prepare(self, sock: socket.socket, dialled: str) -> str:
-        """A connection stands; returns why there shall be none with what is at its other end, empty where it may be.
+        """A connection stands; returns why there shall be none with what is at its other end, empty if it may be.
 
         Args:
             sock: its socket.
-            dialled: the address that was dialled; empty where it came in.
+            dialled: the address that was dialled; empty if it came in.
         """
 
     def connection(

@@ -55,7 +55,7 @@ def sentence_of(error: ssl.SSLError) -> str:
 
 HANDSHAKE_S: Final = 5.0
 RECORD_BYTES: Final = 16 * 1024
-"""So much is encrypted or decrypted at a time: OpenSSL keeps what memory it was once given."""
+"""How much is encrypted or decrypted at a time: OpenSSL keeps what memory it was once given."""
 MOST_BYTES: Final = 2**38
 """A connection is given up after so many bytes, and dialled again: Python renews no AES-GCM key (RFC 8446, 5.5)."""
 

@@ -114,7 +114,7 @@ class SchemeTransport(ABC):
     """
 
     class Settings(msgspec.Struct):
-        """It has no settings. One that encrypts where there are keys has `insecure`: to connect without them too."""
+        """It has no settings. One that encrypts if there are keys has `insecure`: to connect without them too."""
 
     @abstractmethod
     def __init__(self, loop: Loop, settings: Any, keys: Keys | None) -> None: ...
@@ -221,7 +221,7 @@ class SocketTransport(Transport):
         plugins: where transports are found.
         settings: the settings of transports, by scheme; they have been checked.
         keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
-        insecure: what the setting `insecure` of those transports is that have it; they encrypt where there are keys.
+        insecure: what the setting `insecure` of those transports is that have it; they encrypt if there are keys.
     """
 
     def __init__(

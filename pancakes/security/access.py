@@ -15,7 +15,7 @@ from pancakes.security.roster import AccessRule, Bearer, Right, Roster, allows
 
 
 def fault_of_source(own_role: str, peer: str, role: str, packet: Packet) -> str:
-    """Returns why a peer may not send packets of the source of this one, as a sentence; empty where it may.
+    """Returns why a peer may not send packets of the source of this one, as a sentence; empty if it may.
 
     The packets of an agent come over the link to that agent alone. But on `system`, and on channels that are no core
     channels, a client replays what others once said (`pancakes replay`), and follows what others say to its peer.

@@ -50,7 +50,7 @@ from pancakes.util.files import read_plain
 AUTHORITY: Final = "authority.key"
 """In the operator's folder: the authority's private key."""
 PERSON_DAYS: Final = 90
-"""So long a person's certificate is good; that of an agent has no end: one whose key ended would be lost."""
+"""How long a person's certificate is good; that of an agent has no end: one whose key ended would be lost."""
 
 _FOREVER: Final = datetime.datetime(9999, 12, 31, 23, 59, 59, tzinfo=datetime.UTC)  # RFC 5280, 4.1.2.5
 _BEGINNING: Final = datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC)
@@ -339,7 +339,7 @@ def new_key() -> ec.EllipticCurvePrivateKey:
 
 
 def pem_of_key(key: ec.EllipticCurvePrivateKey, password: bytes | None = None) -> bytes:
-    """Returns a private key as PEM, locked with a password where there is one."""
+    """Returns a private key as PEM, locked with a password if there is one."""
     lock = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
     return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, lock)
 

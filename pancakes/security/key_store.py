@@ -41,7 +41,7 @@ class KeyFiles(NamedTuple):
         certificate: the bearer's certificate, as PEM.
         authority: the certificate of the fleet's authority, as PEM.
         roster: the last roster.
-        key: the private key, as PEM; empty where another machine has it.
+        key: the private key, as PEM; empty if another machine has it.
     """
 
     fleet: str
@@ -89,7 +89,7 @@ class KeyFiles(NamedTuple):
 
 
 def number_of(path: Path) -> int:
-    """Returns the number of the roster in a file; 0 where there is none that can be read."""
+    """Returns the number of the roster in a file; 0 if there is none that can be read."""
     try:
         return _number(read_plain(path))
     except OSError:
@@ -139,7 +139,7 @@ def folder_of_agent(fleet: str, name: str) -> Path:
 
 
 def keys_of_agent(fleet: str, name: str) -> Path | None:
-    """Returns the folder with the keys of an agent, of this user or else of the machine; None where it has none."""
+    """Returns the folder with the keys of an agent, of this user or else of the machine; None if it has none."""
     places = [_OF_SERVICES / fleet / name]
     with suppress(NoHome):  # then this user has none
         places.insert(0, folder_of_agent(fleet, name))
@@ -165,7 +165,7 @@ def folder_of_person(fleet: str) -> Path:
 
 
 def keys_of_person(fleet: str) -> Path | None:
-    """Returns the folder with this person's own keys for a fleet; None where there are none."""
+    """Returns the folder with this person's own keys for a fleet; None if there are none."""
     try:
         own = folder_of_person(fleet)
     except NoHome:
@@ -268,7 +268,7 @@ _DECODE: Final = codecs.json_decoder(Register)
 
 
 def read_register(folder: Path) -> Register:
-    """Reads the register of a fleet; empty where there is none.
+    """Reads the register of a fleet; empty if there is none.
 
     Raises:
         PancakesError: it cannot be read.

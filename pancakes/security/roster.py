@@ -23,7 +23,7 @@ CertifiedRole = Literal["agent", "environment", "operator", "observer"]
 """`agent` and `environment` listen and dial; `operator` and `observer` are people, who only dial."""
 PEOPLE: Final = ("operator", "observer")
 SLACK_S: Final = 300.0
-"""So much later than a certificate's end the clocks of two machines may say that it has passed."""
+"""How much later than a certificate's end the clocks of two machines may say that it has passed."""
 NEVER_S: Final = 253_402_300_799.0
 """9999-12-31 23:59:59, which says that a certificate has no end (RFC 5280, 4.1.2.5)."""
 

@@ -208,7 +208,7 @@ def array_of(kind: Any, value: Any) -> Any:
 
 
 def _dtype_of(kind: Any) -> Any:
-    """The type of an array's items: a dtype, an abstract class such as `numpy.floating`, or None where any will do."""
+    """The type of an array's items: a dtype, an abstract class such as `numpy.floating`, or None if any will do."""
     import numpy
 
     arguments = get_args(unaliased(kind))

@@ -59,7 +59,7 @@ def wall_ns() -> int:
 
 
 class VirtualClock:
-    """A clock that stands still until it is moved (virtual time, tests).
+    """A clock that moves only when it is told to (virtual time, tests).
 
     Attributes:
         now_s: what `now` returns, without a call.

@@ -158,7 +158,7 @@ def convert(value: Any, kind: Any, hook: Callable[[Any, Any], Any] | None = None
 
 
 def converter(kind: Any) -> Callable[[Any], Any]:
-    """Returns `convert` for a type that is no class and is met often: it is looked at now, and never again."""
+    """Returns `convert` for a type that is not a class and is met often: it is looked at now, and never again."""
     _build(kind)
     return partial(msgspec.convert, type=kind)
 

@@ -11,7 +11,7 @@ def docstring_of(thing: type | Callable[..., Any]) -> str:
     """Returns the docstring of a class or function, without its indent; empty if it has none of its own."""
     doc = vars(thing).get("__doc__") if isinstance(thing, type) else thing.__doc__
     if isinstance(thing, type) and doc and doc.startswith(f"{thing.__name__}("):
-        doc = ""  # what @dataclass writes where there is none
+        doc = ""  # what @dataclass writes if there is none
     if doc or sys.flags.optimize < 2:
         from inspect import cleandoc
 

@@ -79,7 +79,7 @@ class UnknownPlugin(PluginError):
 
 
 class Version(NamedTuple):
-    """Where a plug-in comes from. Both are empty for one that was registered in code."""
+    """The source of a plug-in. Both are empty for one that was registered in code."""
 
     distribution: str
     version: str
@@ -241,7 +241,7 @@ def _load(group: str, name: str, offer: _Offer) -> Any:
 
 
 def _source(offer: _Offer) -> str:
-    """Where a plug-in comes from, for a sentence; nothing for one that was registered in code."""
+    """The source of a plug-in, for a sentence; nothing for one that was registered in code."""
     version = offer.version
     return f" of {version.distribution} {version.version} ({offer.value})" if version.distribution else ""
 
@@ -283,7 +283,7 @@ def _line(error: BaseException) -> str:
 
 def _way(error: BaseException) -> str:
     """The lines by way of which an exception came, those of Python's own import left out."""
-    from traceback import walk_tb  # only where something went wrong
+    from traceback import walk_tb  # only if something went wrong
 
     way = []
     for frame, line in walk_tb(error.__traceback__):

@@ -28,7 +28,7 @@ from pancakes.util.text import printable
 VARIABLE: Final = "PANCAKES_RUNTIME_DIR"
 """The environment variable that names another directory."""
 LOOK_S: Final = 5.0
-"""So often an agent looks whether what it has put there is still there, in seconds."""
+"""How often an agent looks whether what it has put there is still there, in seconds."""
 _SUFFIX: Final = ".json"
 _TEMPORARY: Final = ".tmp"
 _NAME: Final = re.compile(r".+\.\d+\.json(\.tmp)?", re.DOTALL)
@@ -226,7 +226,7 @@ def look() -> Found:
 
 
 def make_directory(directory: Path, group: str = "") -> None:
-    """Makes a directory in which no other user can put anything, where there is none yet.
+    """Makes a directory in which no other user can put anything, if there is none yet.
 
     Args:
         directory: the directory; those above it are made as well.
@@ -272,7 +272,7 @@ def open_to(path: int | Path, group: str, mode: int) -> None:
 def usable(directory: Path, named: bool = False) -> None:
     """Checks that no other user can put an entry there, which would lead our commands to that user's programs.
 
-    A directory of another user is used only where a person has named it: the agents that run as a system service are
+    A directory of another user is used only if a person has named it: the agents that run as a system service are
     there, and a person of their group looks for them there.
 
     Args:

@@ -21,7 +21,7 @@ _OF_CLIENT: Final = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
 
 
 def fault_of_name(name: str, client: bool = False) -> str:
-    """Returns why something is no name, as a sentence that shows it safely; empty where it is one.
+    """Returns why something is no name, as a sentence that shows it safely; empty if it is one.
 
     Args:
         name: the name.
@@ -38,7 +38,7 @@ def fault_of_name(name: str, client: bool = False) -> str:
 
 
 def nearest_name(text: str) -> str:
-    """Returns what a person may have meant by something that is no name; empty where that cannot be said."""
+    """Returns what a person may have meant by something that is not a name; empty if that cannot be said."""
     near = re.sub(r"[^A-Za-z0-9_-]+", "_", text.lstrip(".-"))[:LONGEST]
     return near if re.fullmatch(NAME, near) else ""
 
