@@ -1,8 +1,9 @@
-"""Base of tasks that adjust other tasks: it publishes a decider's orders on `sysctrl` and returns the replies."""
+"""Base of tasks that adjust other tasks: it publishes a decider's orders on `sysctrl` and passes the replies to it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from pancakes.control import Reply
 from pancakes.energy.orders import Decider, Order
@@ -13,30 +14,32 @@ from pancakes.task import Task, on
 
 
 class AdjustingTask(Task):
-    """A task that adjusts others; a subclass sets `decider` in `on_start`."""
+    """Adjust other tasks. A subclass sets `decider` in `on_start`; its state has `turned`, which outlives a restart."""
 
     decider: Decider
+    state: Any
 
     def on_stop(self) -> None:
-        if not self.kernel.stopping:  # where all tasks end, no task is left that could take an order
-            self.give_last(self.decider.give_back(self.now()))
+        if not self.kernel.stopping:  # if the whole agent stops, no task is left that could take an order
+            self.restore()
 
-    def give(self, orders: Sequence[Order]) -> None:
-        """Publishes orders."""
+    def publish_orders(self, orders: Sequence[Order]) -> None:
+        """Publish orders, and keep whether any knob was ever turned."""
         for order in orders:
             packet = self.publish(SYSCTRL, order.body)
             self.decider.asked(packet.seq, order, self.now())
+        self.state.turned = self.state.turned or self.decider.book.turned
 
-    def give_last(self, orders: Sequence[Order]) -> None:
-        """Publishes the orders of a task that ends. The log names a mailbox that refuses one."""
+    def restore(self) -> None:
+        """Publish the orders that restore everything. A mailbox that refuses one is logged."""
         try:
-            self.give(orders)
+            self.publish_orders(self.decider.restore(self.now()))
         except PancakesError as error:
             self.log("warning", f"not everything was set back: {error}")
 
     @on(SYSCTRL, Reply, addressed=True)
     def answered(self, packet: Packet) -> None:
-        """Hears what became of an order."""
+        """Take the reply to an order."""
         if packet.cause is None:
             return
         reply: Reply = packet.body
@@ -44,7 +47,7 @@ class AdjustingTask(Task):
             self.log("warning", sentence)
 
     @on(LOG, Event)
-    def happened(self, packet: Packet) -> None:
-        """Hears of tasks and services that start and stop."""
+    def note_event(self, packet: Packet) -> None:
+        """Take the events of this agent: tasks and services that start and stop."""
         if agent_of(packet.source) == self.agent:
-            self.decider.happened(packet.body.kind, packet.body.fields)
+            self.decider.on_event(packet.body.kind, packet.body.fields)

@@ -1,7 +1,7 @@
 """Keep a mission alive as the battery empties: the task `energy.governor` (paper §3.4).
 
-`GovernorSettings` is what a user configures. `Governing` is the decision, without any input or output: readings and
-times in, orders out. `EnergyGovernor` is the task that carries it out.
+`GovernorSettings` is what a user configures. `GovernorDecider` decides, without any input or output: readings and
+times in, orders out. `EnergyGovernor` is the task that carries the orders out.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from typing import Any, Final, Literal
 from pancakes.control import Restart, Start, Stop
 from pancakes.devices import Battery, Load
 from pancakes.energy.adjusting_task import AdjustingTask
-from pancakes.energy.orders import ANSWER_S, Decider, Knob, Order, Range, RateRange, Share, Sleep
+from pancakes.energy.orders import ANSWER_S, Decider, Knob, Order, Range, RateRange, Sleep
 from pancakes.energy.policies import Feedback, FeedbackSettings, Step, Thresholds, faults_of
 from pancakes.packet import SYSTEM, Packet, agent_of
+from pancakes.settings import Share
 from pancakes.task import Tick, every, on
 
 NETWORK: Final = "network"
@@ -25,7 +26,7 @@ NETWORK: Final = "network"
 
 @dataclass
 class GovernorSettings:
-    """By which policy, and what may be turned down.
+    """Say by which policy, and what may be turned down.
 
     Attributes:
         policy: `thresholds` or `feedback`.
@@ -57,25 +58,25 @@ class GovernorSettings:
             raise ValueError("there is nothing to govern: name rates, values or sleep")
 
     def knobs(self) -> dict[Knob, Range]:
-        """Returns all knobs with their ranges."""
+        """Return all knobs with their ranges."""
         knobs: dict[Knob, Range] = {Knob(target, timer=rate.timer): rate for target, rate in self.rates.items()}
         for target, values in self.values.items():
             knobs.update({Knob(target, key): value for key, value in values.items()})
         return knobs
 
 
-class Governing(Decider):
-    """The decisions of a governor.
+class GovernorDecider(Decider):
+    """Decide for a governor: the effort, and the orders that follow from it.
 
     Args:
         settings: the policy and the knobs.
         now_s: the mission time.
-        effort: where to begin: what a governor before this one had decided.
+        effort: where to begin: what a governor before this one decided.
         doubt: whether there was one, so that nothing is known of where the knobs stand.
 
     Attributes:
         effort: what the robot may do now, from 0 to 1.
-        level: the battery's level, as last told; NaN before that.
+        level: the battery's level by the last reading; NaN before the first.
     """
 
     def __init__(self, settings: GovernorSettings, now_s: float, effort: float = 1.0, doubt: bool = False) -> None:
@@ -96,7 +97,7 @@ class Governing(Decider):
         self._sleep_refusal = ""
 
     def battery(self, now_s: float, level: float) -> None:
-        """Takes a reading of the battery; one that is no number says nothing."""
+        """Take a reading of the battery's level; NaN is ignored."""
         if math.isnan(level):
             return
         self.level = level
@@ -104,12 +105,12 @@ class Governing(Decider):
             self._feedback.battery(now_s, level)
 
     def load(self, cpu: float) -> None:
-        """Takes a reading of the processor's load."""
+        """Take a reading of the processor's load."""
         if self._feedback is not None and not math.isnan(cpu):
             self._feedback.load(cpu)
 
     def decide(self, now_s: float) -> list[Order]:
-        """Returns the orders that are due; the caller passes each that it publishes to `asked`."""
+        """Return the orders that are due; the caller passes each that it publishes to `asked`."""
         if math.isnan(self.level):
             return []
         if self._feedback is not None:
@@ -119,9 +120,8 @@ class Governing(Decider):
         self.book.want(self._values(self.effort))
         return [*self.book.due(now_s), *self._sleep(now_s)]
 
-    def give_back(self, now_s: float) -> list[Order]:
-        """Returns what restores everything: the governor is about to stop, and will hear no answers."""
-        orders = self.book.restore(self._values(1.0), now_s) if self.book.turned else []
+    def restore(self, now_s: float) -> list[Order]:
+        orders = super().restore(now_s)
         if not self._asleep:
             return orders
         if self.book.turned_in(NETWORK):
@@ -161,16 +161,16 @@ class Governing(Decider):
             return [f"the Network Service does not sleep: {reason}"]
         return []
 
-    def happened(self, kind: str, fields: Mapping[str, Any]) -> None:
-        super().happened(kind, fields)
+    def on_event(self, kind: str, fields: Mapping[str, Any]) -> None:
+        super().on_event(kind, fields)
         if fields.get("service") == NETWORK and kind in ("service_stopped", "service_started"):
             self._asleep = kind == "service_stopped"
 
 
 class EnergyGovernor(AdjustingTask):
-    """Watches the battery of its agent, and turns down rates, settings and the network, by its policy.
+    """Watch the battery of the agent, and turn down rates, settings and the network, by a policy.
 
-    All of it by control packets. It sets everything back when the battery has recovered, and when it is stopped. Event:
+    It sends control packets. It restores everything when the battery has recovered, and when it is stopped. Event:
     `effort_changed`.
     """
 
@@ -180,7 +180,7 @@ class EnergyGovernor(AdjustingTask):
 
     @dataclass
     class State:
-        """What outlives a restart.
+        """Keep what outlives a restart.
 
         Attributes:
             effort: what was decided last.
@@ -192,36 +192,34 @@ class EnergyGovernor(AdjustingTask):
 
     settings: GovernorSettings
     state: State
-    decider: Governing
+    decider: GovernorDecider
 
     def on_start(self) -> None:
-        self.decider = Governing(self.settings, self.now(), self.state.effort, self.state.turned)
+        self.decider = GovernorDecider(self.settings, self.now(), self.state.effort, self.state.turned)
 
     def on_settings(self) -> None:
-        # What the old settings turned down and the new ones do not name is set back first.
-        self.give_last(self.decider.give_back(self.now()))
-        self.decider = Governing(self.settings, self.now(), self.state.effort, True)
+        # First restore what the old settings turned down and the new ones may not name.
+        self.restore()
+        self.decider = GovernorDecider(self.settings, self.now(), self.state.effort, True)
 
     @on(SYSTEM, Battery, keep="latest")
     def measured(self, packet: Packet) -> None:
-        """Takes a reading of the battery."""
+        """Take a reading of the battery."""
         if agent_of(packet.source) == self.agent:
             self.decider.battery(self.now(), packet.body.level)
 
     @on(SYSTEM, Load, keep="latest")
     def loaded(self, packet: Packet) -> None:
-        """Takes a reading of the processor's load."""
+        """Take a reading of the processor's load."""
         if agent_of(packet.source) == self.agent:
             self.decider.load(packet.body.cpu)
 
     @every(hz=1)
     def decide(self, tick: Tick) -> None:
-        """Decides, and gives the orders that follow."""
+        """Decide, and publish the orders that follow."""
         orders = self.decider.decide(self.now())
         effort = self.decider.effort
         if effort != self.state.effort:
             self.state.effort = effort
-            told: dict[str, Any] = {"effort": effort, "level": self.decider.level, "policy": self.settings.policy}
-            self.event("effort_changed", **told)
-        self.give(orders)
-        self.state.turned = self.state.turned or self.decider.book.turned
+            self.event("effort_changed", effort=effort, level=self.decider.level, policy=self.settings.policy)
+        self.publish_orders(orders)

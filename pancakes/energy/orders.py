@@ -11,7 +11,6 @@ another value, or a task that has restarted.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, TypeAlias
@@ -19,11 +18,8 @@ from typing import Annotated, Any, Final, TypeAlias
 from msgspec import Meta
 
 from pancakes.control import Configure, Describe, Reschedule
+from pancakes.settings import PositiveShare
 
-Share: TypeAlias = Annotated[float, Meta(ge=0, le=1)]
-"""From 0 to 1."""
-PositiveShare: TypeAlias = Annotated[float, Meta(gt=0, le=1)]
-"""Above 0, up to 1."""
 Rate: TypeAlias = Annotated[float, Meta(ge=0, le=1000)]
 """Ticks for each second of mission time; 0 rests."""
 Duration: TypeAlias = Annotated[float, Meta(gt=0, le=1e9)]
@@ -58,7 +54,7 @@ class Range:
     Attributes:
         full: where it stands at effort 1, and again when the battery has recovered.
         least: where it stands at effort 0. For what costs less when it is larger, such as a period, it is the larger.
-        from_effort: it begins to move where the effort falls below this; above, it stands at `full`.
+        from_effort: it begins to move when the effort falls below this; above, it stands at `full`.
     """
 
     full: float
@@ -66,7 +62,7 @@ class Range:
     from_effort: PositiveShare = 1.0
 
     def at(self, effort: float) -> float:
-        """Returns where the knob stands at an effort."""
+        """Return where the knob stands at an effort."""
         share = _share(effort, self.from_effort)
         return self.full if share == 1.0 else round(self.least + share * (self.full - self.least), 6)
 
@@ -78,8 +74,8 @@ class RateRange(Range):
     Attributes:
         full: its rate at effort 1, in Hz, and again when the battery has recovered.
         least: its rate at effort 0, in Hz; 0 lets it rest.
-        from_effort: it begins to fall where the effort falls below this.
-        timer: which time-driven method, where the task has several; empty: the first.
+        from_effort: it begins to fall when the effort falls below this.
+        timer: which time-driven method, if the task has several; empty: the first.
     """
 
     full: Rate
@@ -98,7 +94,7 @@ class Sleep:
     Attributes:
         every_s: from the beginning of one sleep to that of the next.
         for_s: how long it sleeps each time at effort 0; less at a higher effort, and below 1 s not at all.
-        from_effort: it begins to sleep where the effort falls below this.
+        from_effort: it begins to sleep when the effort falls below this.
     """
 
     every_s: Duration
@@ -110,7 +106,7 @@ class Sleep:
             raise ValueError(f"for_s = {self.for_s:g} leaves no time awake in every_s = {self.every_s:g}")
 
     def at(self, effort: float) -> float:
-        """Returns how long it sleeps each time at an effort, in seconds; 0: not at all."""
+        """Return how long it sleeps each time at an effort, in seconds; 0: not at all."""
         for_s = self.for_s * (1.0 - _share(effort, self.from_effort))
         return round(for_s, 3) if for_s >= LEAST_SLEEP_S else 0.0
 
@@ -120,7 +116,7 @@ def _share(effort: float, from_effort: float) -> float:
 
 
 ANSWER_S: Final = 10.0
-"""An order that has not been answered in this time is given again: the task that it is for has failed."""
+"""An order without a reply after this time is given again: the task that it is for has failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +125,7 @@ class Order:
 
     Attributes:
         body: the packet's body.
-        values: where each knob is to stand; of a `Describe`, all knobs that it is asked about.
+        values: the value of each knob; of a `Describe`, all knobs that it asks about.
     """
 
     body: Any
@@ -137,7 +133,7 @@ class Order:
 
 
 class OrderBook:
-    """What is wanted of the knobs, and what is in force.
+    """Keep what is wanted of the knobs, and what is in force.
 
     Args:
         normal: where each knob stands before any order.
@@ -151,7 +147,7 @@ class OrderBook:
         self._said: dict[Knob, str] = {}
         self._doubted: dict[Knob, None] = {}
         self._asked: dict[int, tuple[Order, float]] = {}
-        self._closed: dict[str, None] = {}
+        self._stopped: dict[str, None] = {}
 
     @property
     def turned(self) -> bool:
@@ -159,21 +155,21 @@ class OrderBook:
         return bool(self._turned)
 
     def turned_in(self, service: str) -> bool:
-        """Returns whether any knob was ever turned of a task that is named as one of this service."""
+        """Return whether any knob of a task that is named as one of this service was ever turned."""
         return any(knob.target.rpartition("/")[0] == service for knob in self._turned)
 
     def doubt(self) -> None:
-        """Takes nothing for granted any more: an earlier book may have turned every knob."""
+        """Doubt every knob: an earlier book may have turned it."""
         for knob in self._wanted:
             self._turned[knob] = None
             self._doubted[knob] = None
 
     def want(self, values: Mapping[Knob, float]) -> None:
-        """Says where knobs are to stand; `due` then tells what must be asked for."""
+        """Set the wanted values of knobs; `due` then returns what must be ordered."""
         self._wanted.update(values)
 
     def due(self, now_s: float) -> list[Order]:
-        """Returns the orders that are due; the caller passes each that it publishes to `asked`.
+        """Return the orders that are due; the caller passes each that it publishes to `asked`.
 
         Several settings of one task become one order. Knobs in doubt are asked about first.
         """
@@ -184,7 +180,7 @@ class OrderBook:
         settings: dict[str, dict[Knob, float]] = {}
         orders = []
         for knob, value in self._wanted.items():
-            if knob in waiting or knob.target.rpartition("/")[0] in self._closed:
+            if knob in waiting or knob.target.rpartition("/")[0] in self._stopped:
                 continue
             if knob in self._doubted:
                 doubts.setdefault(knob.target, {})[knob] = value
@@ -199,12 +195,12 @@ class OrderBook:
         return [*orders, *(Order(Describe(target), knobs) for target, knobs in doubts.items())]
 
     def restore(self, values: Mapping[Knob, float], now_s: float) -> list[Order]:
-        """Returns all orders that bring knobs back, for a task that ends before the answers arrive.
+        """Return all orders that restore knobs, for a task that ends before the replies arrive.
 
         Whatever is in doubt, or not answered yet, is ordered at once.
 
         Args:
-            values: where they are to stand.
+            values: the values to restore.
             now_s: the mission time.
         """
         for knob in [*self._doubted, *(knob for order, _ in self._asked.values() for knob in order.values)]:
@@ -215,10 +211,10 @@ class OrderBook:
         return self.due(now_s)
 
     def asked(self, seq: int, order: Order, now_s: float) -> None:
-        """An order has been given.
+        """Note that an order was given.
 
         Args:
-            seq: the number of its packet, which the answer names.
+            seq: the number of its packet, which the reply names.
             order: the order.
             now_s: the mission time.
         """
@@ -228,10 +224,10 @@ class OrderBook:
             self._doubted.pop(knob, None)
 
     def answered(self, seq: int, ok: bool, reason: str, result: Any = None) -> list[str]:
-        """An order has been answered; answers to anything else are passed over.
+        """Take the reply to an order; replies to anything else are ignored.
 
         Returns:
-            Sentences for people: what was refused, and why, where that has not been said before.
+            Sentences for people: what was refused, and why, unless that was reported before.
         """
         order, _ = self._asked.pop(seq, (None, 0.0))
         if order is None:
@@ -253,25 +249,25 @@ class OrderBook:
                 news.append(f"{knob} was not set to {value:g}: {reason}")
         return news
 
-    def started(self, service: str, task: str) -> None:
-        """A task has started: what was refused before may work now, and what was in force may have been forgotten."""
+    def task_started(self, service: str, task: str) -> None:
+        """Note that a task has started: what it refused may work now, and what was in force may be forgotten."""
         for knob in self._wanted:
             if knob.target in (task, f"{service}/{task}"):
                 self._refused.pop(knob, None)
                 if knob in self._turned:
                     self._doubted[knob] = None
 
-    def closed(self, service: str) -> None:
-        """A service has stopped: its tasks, named as `service/task`, are asked for nothing until it runs again."""
-        self._closed[service] = None
+    def service_stopped(self, service: str) -> None:
+        """Note that a service has stopped: its tasks, named as `service/task`, get no orders until it runs again."""
+        self._stopped[service] = None
 
-    def opened(self, service: str) -> None:
-        """A service runs again."""
-        self._closed.pop(service, None)
+    def service_started(self, service: str) -> None:
+        """Note that a service runs again."""
+        self._stopped.pop(service, None)
 
 
-class Decider(ABC):
-    """What decides for a task that adjusts others, and keeps the book of its orders.
+class Decider:
+    """Decide for a task that adjusts others, and keep the book of its orders.
 
     Args:
         normal: where each knob stands before any order.
@@ -282,35 +278,36 @@ class Decider(ABC):
     """
 
     def __init__(self, normal: Mapping[Knob, float], doubt: bool) -> None:
+        self._normal = dict(normal)
         self.book = OrderBook(normal)
         if doubt:
             self.book.doubt()
 
-    @abstractmethod
-    def give_back(self, now_s: float) -> list[Order]:
-        """Returns what restores everything: the task is about to stop, and will hear no answers."""
+    def restore(self, now_s: float) -> list[Order]:
+        """Return the orders that restore everything, for a task that is about to stop and gets no more replies."""
+        return self.book.restore(self._normal, now_s) if self.book.turned else []
 
     def asked(self, seq: int, order: Order, now_s: float) -> None:
-        """An order has been given; see `OrderBook.asked`."""
+        """Note that an order was given; see `OrderBook.asked`."""
         self.book.asked(seq, order, now_s)
 
     def answered(self, seq: int, ok: bool, reason: str, result: Any = None) -> list[str]:
-        """An order has been answered. Returns sentences for people; see `OrderBook.answered`."""
+        """Take the reply to an order. Returns sentences for people; see `OrderBook.answered`."""
         return self.book.answered(seq, ok, reason, result)
 
-    def happened(self, kind: str, fields: Mapping[str, Any]) -> None:
-        """Takes an event of this agent: tasks and services that start and stop."""
+    def on_event(self, kind: str, fields: Mapping[str, Any]) -> None:
+        """Take an event of this agent: tasks and services that start and stop."""
         service = str(fields.get("service", ""))
         if kind == "task_started":
-            self.book.started(service, str(fields.get("task", "")))
+            self.book.task_started(service, str(fields.get("task", "")))
         elif kind == "service_stopped":
-            self.book.closed(service)
+            self.book.service_stopped(service)
         elif kind == "service_started":
-            self.book.opened(service)
+            self.book.service_started(service)
 
 
 def _found(knob: Knob, description: Any) -> float | None:
-    """Returns where a knob stands, by its task's description; None where that does not say."""
+    """Return where a knob stands, by its task's description; None if that does not say."""
     if not isinstance(description, Mapping):
         return None
     if knob.key:

@@ -19,7 +19,8 @@ from typing import Annotated, Final
 
 from msgspec import Meta
 
-from pancakes.energy.orders import Duration, PositiveShare, Share
+from pancakes.energy.orders import Duration
+from pancakes.settings import PositiveShare, Share
 
 
 @dataclass

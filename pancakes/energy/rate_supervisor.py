@@ -1,7 +1,7 @@
 """Lower or raise the rates of tasks by what sensors say: the task `energy.supervisor` (paper Figure 2).
 
-`SupervisorSettings` has the rules that a user writes. `RateSupervision` is the decision, without any input or output:
-readings and times in, orders out. `RateSupervisor` is the task that carries it out.
+`SupervisorSettings` has the rules that a user writes. `SupervisorDecider` decides, without any input or output:
+readings and times in, orders out. `RateSupervisor` is the task that carries the orders out.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class RatePair:
     Attributes:
         fast: its rate while something happens, in Hz; the rate that it begins with.
         slow: its rate while all is quiet, in Hz; 0 lets it rest.
-        timer: which time-driven method, where the task has several; empty: the first.
+        timer: which time-driven method, if the task has several; empty: the first.
     """
 
     fast: Rate
@@ -47,12 +47,12 @@ class Rule:
     Attributes:
         when: the type of the packets, such as `motion`.
         field: the field of their bodies, such as `detected`.
-        above: it happens where the field lies above this.
-        below: it happens where the field lies below this.
-        changes_by: it happens where the field is this far from what it was when it last happened.
-        channel: where the packets are: readings on `system`, commands to actuators on `ctrl`.
+        above: it happens if the field lies above this.
+        below: it happens if the field lies below this.
+        changes_by: it happens if the field is this far from what it was when it last happened.
+        channel: the channel of the packets: readings on `system`, commands to actuators on `ctrl`.
         foreign: whether packets of other agents count too.
-        quiet_after_s: it is quiet when it has not happened for so long.
+        quiet_after_s: it is quiet when it has not happened for this long.
         rates: the rates of tasks, by `task` or `service/task`.
     """
 
@@ -78,7 +78,8 @@ class SupervisorSettings:
     """The rules.
 
     Attributes:
-        rules: rules by a name of your own. Where several name the same task, it is fast while any of them says so.
+        rules: rules by a name of your own. If several name the same task, it is fast while any of them
+            makes it so.
     """
 
     rules: dict[str, Rule] = field(default_factory=dict)
@@ -95,7 +96,7 @@ class SupervisorSettings:
 
 
 def number_of(value: Any) -> float | None:
-    """Returns what a field says as one number; None where it says nothing.
+    """Return the value of a field as one number; None if it has none.
 
     Raises:
         ValueError: it is no number, and no list of numbers.
@@ -111,7 +112,7 @@ def number_of(value: Any) -> float | None:
 
 
 class Activity:
-    """Whether something happens, by one rule. At first it does: the tasks are fast until the rule knows better.
+    """Decide whether something happens, by one rule. At first it does: tasks are fast until the rule knows better.
 
     Args:
         rule: the rule.
@@ -124,7 +125,7 @@ class Activity:
         self._value: float | None = None
 
     def read(self, value: float | None, now_s: float) -> None:
-        """Takes what the field says."""
+        """Take the value of the field."""
         if value is not None and self._counts(value):
             self._last_s = now_s
             self._value = value
@@ -138,12 +139,12 @@ class Activity:
         return self._value is None or abs(value - self._value) >= (rule.changes_by or 0.0)
 
     def busy(self, now_s: float) -> bool:
-        """Returns whether it has happened within `quiet_after_s`."""
+        """Return whether it has happened within `quiet_after_s`."""
         return now_s - self._last_s < self._rule.quiet_after_s
 
 
-class RateSupervision(Decider):
-    """The decisions of a supervisor.
+class SupervisorDecider(Decider):
+    """Decide for a supervisor: which tasks are fast, and the orders that follow from it.
 
     Args:
         settings: the rules.
@@ -166,7 +167,7 @@ class RateSupervision(Decider):
         self.busy = dict.fromkeys(settings.rules, True)
 
     def read(self, rule: str, body: Any, now_s: float) -> None:
-        """Takes a packet's body for a rule.
+        """Take a packet's body for a rule.
 
         Raises:
             AttributeError: it has no such field.
@@ -175,7 +176,7 @@ class RateSupervision(Decider):
         self._activities[rule].read(number_of(getattr(body, self._rules[rule].field)), now_s)
 
     def decide(self, now_s: float) -> list[Order]:
-        """Returns the orders that are due; the caller passes each that it publishes to `asked`."""
+        """Return the orders that are due; the caller passes each that it publishes to `asked`."""
         self.busy = {name: activity.busy(now_s) for name, activity in self._activities.items()}
         fast = {
             Knob(target, timer=pace.timer): None
@@ -186,25 +187,19 @@ class RateSupervision(Decider):
         self.book.want({knob: pace.fast if knob in fast else pace.slow for knob, pace in self._paces.items()})
         return self.book.due(now_s)
 
-    def give_back(self, now_s: float) -> list[Order]:
-        """Returns what restores everything: the supervisor is about to stop, and will hear no answers."""
-        if not self.book.turned:
-            return []
-        return self.book.restore({knob: pace.fast for knob, pace in self._paces.items()}, now_s)
-
 
 class RateSupervisor(AdjustingTask):
-    """Lets tasks be fast while something happens, and slow while all is quiet, as its rules say.
+    """Make tasks fast while something happens, and slow while all is quiet, by rules.
 
-    A task becomes fast with the very packet that says so, and slow at a tick. The supervisor sets everything back to
-    fast when it is stopped. Events: `busy` and `quiet`, with the `rule`.
+    A task becomes fast with the packet in which something happens, and slow at a tick. When the supervisor is stopped,
+    it makes all tasks fast again. Events: `busy` and `quiet`, with the `rule`.
     """
 
     Settings = SupervisorSettings
 
     @dataclass
     class State:
-        """What outlives a restart.
+        """Keep what outlives a restart.
 
         Attributes:
             turned: whether any rate was ever changed.
@@ -214,7 +209,7 @@ class RateSupervisor(AdjustingTask):
 
     settings: SupervisorSettings
     state: State
-    decider: RateSupervision
+    decider: SupervisorDecider
 
     def on_start(self) -> None:
         self._read: dict[tuple[str, str], None] = {}
@@ -227,31 +222,31 @@ class RateSupervisor(AdjustingTask):
         except PancakesError:
             self.settings = self._in_force
             raise
-        # What the old settings slowed down and the new ones do not name is set back first.
-        self.give_last(self.decider.give_back(self.now()))
+        # First restore what the old settings slowed down and the new ones may not name.
+        self.restore()
         self._begin(True)
 
     def _begin(self, doubt: bool) -> None:
         self._in_force = self.settings
-        self.decider = RateSupervision(self.settings, self.now(), doubt)
+        self.decider = SupervisorDecider(self.settings, self.now(), doubt)
         for rule in self.settings.rules.values():
             if (rule.channel, rule.when) not in self._read:
                 self._read[rule.channel, rule.when] = None
-                self.subscribe(rule.channel, rule.when, self._heard_on(rule.channel, rule.when), keep=LATEST)
+                self.subscribe(rule.channel, rule.when, self._reader(rule.channel, rule.when), keep=LATEST)
 
-    def _heard_on(self, channel: str, kind: str) -> Callable[[Packet], None]:
-        def heard(packet: Packet) -> None:
+    def _reader(self, channel: str, kind: str) -> Callable[[Packet], None]:
+        def read(packet: Packet) -> None:
             own = agent_of(packet.source) == self.agent
             for name, rule in self.settings.rules.items():
                 if (rule.channel, rule.when) == (channel, kind) and (own or rule.foreign):
                     self.decider.read(name, packet.body, self.now())
             self._decide()
 
-        return heard
+        return read
 
     @every(hz=2)
     def look(self, tick: Tick) -> None:
-        """Looks whether it has become quiet."""
+        """Check whether it has become quiet."""
         self._decide()
 
     def _decide(self) -> None:
@@ -260,12 +255,11 @@ class RateSupervisor(AdjustingTask):
         for name, busy in self.decider.busy.items():
             if busy != before[name]:
                 self.event("busy" if busy else "quiet", rule=name)
-        self.give(orders)
-        self.state.turned = self.state.turned or self.decider.book.turned
+        self.publish_orders(orders)
 
 
 def _check(settings: SupervisorSettings) -> None:
-    """Makes sure that the packets of all rules are known, and have their fields."""
+    """Check that the packets of all rules are known, and have their fields."""
     for name, rule in settings.rules.items():
         body = body_class(rule.when)
         if body is None:

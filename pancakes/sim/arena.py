@@ -1,4 +1,4 @@
-"""The arena: move solid discs among walls (pymunk), report contacts, and cast the rays of range sensors.
+"""The arena: move solid discs among walls (pymunk), report collisions, and cast the rays of range sensors.
 
 While no disc is near enough to touch anything, discs coast: each moves by itself, step by step as pymunk would move it,
 at a fraction of the cost. If a disc may touch something, pymunk moves all of them. `pymunk.batch` sets and reads all
@@ -15,7 +15,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy
 import pymunk
@@ -24,7 +24,7 @@ from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 from pancakes.sim.bodies import Disc
 from pancakes.sim.robot_models import RangeSensor
 
-__all__ = ["Arena", "Contact", "WALL"]
+__all__ = ["Arena", "Incident", "WALL"]
 
 
 _WALL_M = 0.05
@@ -266,18 +266,20 @@ _BY_X = attrgetter("x_m")
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
-    """Two things began to touch.
+class Incident:
+    """Something that must not happen in an arena.
 
     Attributes:
-        time_s: when.
-        names: what they are called, sorted.
-        x_m: where the first of them was, if it is no wall, else the other.
+        kind: `collision` or `out_of_bounds`.
+        time_s: mission time.
+        names: the bodies that were part of it, sorted; a wall is called `wall`.
+        x_m: where; of a collision, where the first body was that is no wall.
         y_m: see `x_m`.
     """
 
+    kind: Literal["collision", "out_of_bounds"]
     time_s: float
-    names: tuple[str, str]
+    names: tuple[str, ...]
     x_m: float
     y_m: float
 
@@ -303,7 +305,7 @@ class Arena:
         self._look_again_s = 0.0
         self._time_s = 0.0
         self._touching: dict[tuple[str, str], float] = {}
-        self._contacts: list[Contact] = []
+        self._collisions: list[Incident] = []
 
     def add(
         self, name: str, x_m: float, y_m: float, theta_rad: float, radius_m: float, mass_kg: float = math.inf
@@ -378,10 +380,10 @@ class Arena:
             self._sorted = True
         return self._by_x
 
-    def take_contacts(self) -> list[Contact]:
-        """Returns the contacts that began since the last call."""
-        contacts, self._contacts = self._contacts, []
-        return contacts
+    def take_collisions(self) -> list[Incident]:
+        """Return the collisions that began since the last call."""
+        collisions, self._collisions = self._collisions, []
+        return collisions
 
     def inside(self, disc: Disc) -> bool:
         """Returns whether a disc's centre lies within the walls."""
@@ -400,11 +402,11 @@ class Arena:
         return fan.ranges(disc, by_x[first:behind], self.half_width_m, self.half_height_m)
 
     def _begin(self, pair: tuple[str, str], place: tuple[float, float]) -> None:
-        # Solid bodies that press against each other part and touch again and again: that is one contact.
+        # Solid bodies that press against each other part and touch again and again: that is one collision.
         last_s = self._touching.get(pair, -math.inf)
         self._touching[pair] = self._time_s
         if self._time_s - last_s >= _TOUCH_AGAIN_S:
-            self._contacts.append(Contact(self._time_s, pair, *place))
+            self._collisions.append(Incident("collision", self._time_s, pair, *place))
 
     def _separate(self, pair: tuple[str, str]) -> None:
         self._touching[pair] = self._time_s

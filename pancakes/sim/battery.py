@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from pancakes.sim.quantities import NotNegative, Positive, Share
+from pancakes.settings import NotNegative, Positive, Share
 from pancakes.sim.world_state import Spent
 
 DEFAULT_SAMPLE_J: Final = {"ir": 0.01, "sonar": 0.03, "pose": 0.0, "battery": 0.0, "motion": 0.01}

@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from pancakes.errors import PancakesError
+from pancakes.settings import NotNegative, Positive
 from pancakes.sim.battery import BatteryModel, BatterySettings
 from pancakes.sim.pedestrian import MoverSettings, Obstacle, Wayfinder
-from pancakes.sim.quantities import NotNegative, Positive
 from pancakes.sim.robot_models import IrRing, RobotModel, SonarRing, Wheels, robot_model
 
 

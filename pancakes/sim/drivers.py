@@ -12,13 +12,13 @@ from typing import Any, ClassVar
 from pancakes.devices import Twist
 from pancakes.devices.driver import Actuator, DeviceContext, Sensor
 from pancakes.errors import PancakesError
+from pancakes.settings import Positive
 from pancakes.sim.hardware_bus import Attach, Attachment, BusClient, Drive, Halt, RawReading, Request, Sample
-from pancakes.sim.quantities import Positive
 from pancakes.sim.robot_models import robot_model
 
 
 class _BusDevice:
-    """What simulated sensors and actuators have in common: their place on the hardware bus."""
+    """Be the end of one simulated device at the hardware bus."""
 
     def __init__(self, context: DeviceContext, world: str) -> None:
         self._context = context
@@ -27,7 +27,7 @@ class _BusDevice:
         )
         self._refusal = ""
         self.waiting = False
-        """Whether a request is under way whose reply has not come."""
+        """Whether a request has no reply yet."""
 
     def attach(self, attach: Attach) -> None:
         self._bus.attach(Attachment(attach, self._reading, self._refused, self._lost))
@@ -58,8 +58,26 @@ class _BusDevice:
         self._refusal = ""
 
 
-class SimulatedSensor(Sensor):
-    """A sensor of a body in a simulated world."""
+class _SimulatedDevice:
+    """Open and close the hardware bus for a driver, whose settings say which world and which body."""
+
+    context: DeviceContext
+    settings: Any
+    type: ClassVar[str]
+    _bus: _BusDevice | None = None
+
+    def _attach(self, model: str = "") -> None:
+        self._body = self.settings.body or self.context.agent
+        self._bus = _BusDevice(self.context, self.settings.world)
+        self._bus.attach(Attach(self._body, self.context.device, self.type, model))
+
+    def close(self) -> None:
+        if self._bus is not None:
+            self._bus.detach()
+
+
+class SimulatedSensor(_SimulatedDevice, Sensor):
+    """Read a sensor of a body in a simulated world."""
 
     @dataclass
     class Settings:
@@ -74,24 +92,17 @@ class SimulatedSensor(Sensor):
         body: str = ""
 
     settings: Settings
-    tells_radio: ClassVar[bool] = False
-    _bus: _BusDevice | None = None
+    reports_radio: ClassVar[bool] = False
 
     def open(self) -> None:
-        self._body = self.settings.body or self.context.agent
-        self._bus = _BusDevice(self.context, self.settings.world)
-        self._bus.attach(Attach(self._body, self.context.device, self.type))
-
-    def close(self) -> None:
-        if self._bus is not None:
-            self._bus.detach()
+        self._attach()
 
     def sample(self) -> Any | None:
-        """Asks for a reading, which comes later. One question is under way at a time."""
+        """Ask for a reading, which comes later. One request is under way at a time."""
         bus = self._bus
         if bus is not None and not bus.waiting:
-            packets_sent = self.context.mission_packets_sent() if self.tells_radio else None
-            listening = self.context.network_awake() if self.tells_radio else None
+            packets_sent = self.context.mission_packets_sent() if self.reports_radio else None
+            listening = self.context.network_awake() if self.reports_radio else None
             bus.waiting = True  # before sending: the reply comes in another thread
             if not bus.send(Sample(self._body, self.context.device, self.type, packets_sent, listening)):
                 bus.waiting = False
@@ -109,7 +120,7 @@ class SimulatedBattery(SimulatedSensor):
     (`sim.battery`)."""
 
     type = "battery"
-    tells_radio = True
+    reports_radio = True
 
 
 class SimulatedInfrared(SimulatedSensor):
@@ -130,8 +141,8 @@ class SimulatedMotion(SimulatedSensor):
     type = "motion"
 
 
-class DifferentialDrive(Actuator):
-    """The two wheels of a robot (`sim.differential_drive`).
+class DifferentialDrive(_SimulatedDevice, Actuator):
+    """Drive the two wheels of a robot (`sim.differential_drive`).
 
     A command too fast for the wheels is slowed down with its curvature kept.
     """
@@ -159,36 +170,28 @@ class DifferentialDrive(Actuator):
             robot_model(self.model)  # an unknown one is a fault of the settings
 
     settings: Settings
-    _bus: _BusDevice | None = None
 
     def open(self) -> None:
-        settings = self.settings
-        model = robot_model(settings.model)
-        self._body = settings.body or self.context.agent
-        self._wheelwork = model.drive
-        if settings.wheel_base_m is not None:
-            self._wheelwork = replace(model.drive, wheel_base_m=settings.wheel_base_m)
-        self._bus = _BusDevice(self.context, settings.world)
-        self._bus.attach(Attach(self._body, self.context.device, self.type, model.name))
-
-    def close(self) -> None:
-        if self._bus is not None:
-            self._bus.detach()
+        model = robot_model(self.settings.model)
+        self._kinematics = model.drive
+        if self.settings.wheel_base_m is not None:
+            self._kinematics = replace(model.drive, wheel_base_m=self.settings.wheel_base_m)
+        self._attach(model.name)
 
     def apply(self, command: Twist, ttl_s: float, source: str) -> None:
-        """Runs the wheels; without a connection to the world the command is lost, as the wheels are."""
+        """Run the wheels. Without a connection to the world the command is lost, as the wheels are."""
         if self._bus is None:
             return
-        wheels = self._wheelwork.wheels(command)
+        wheels = self._kinematics.wheels(command)
         self._bus.send(
             Drive(self._body, self.context.device, wheels.left_mps, wheels.right_mps, ttl_s, source),
         )
 
     def holds_by_itself(self, hold_after_s: float) -> float:
-        """The world, which stands for the robot's firmware, counts each command's time to live."""
+        """Return the hold time: the world, in place of a firmware, counts each command's time to live."""
         return hold_after_s
 
     def hold(self) -> None:
-        """Stops the wheels at once."""
+        """Stop the wheels at once."""
         if self._bus is not None:
             self._bus.send(Halt(self._body, self.context.device))

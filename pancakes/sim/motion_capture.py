@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pancakes.devices import Pose
 from pancakes.devices.driver import Pace
 from pancakes.packet import SYSTEM, Packet
-from pancakes.sim.quantities import NotNegative, Positive
+from pancakes.settings import NotNegative, Positive
 from pancakes.sim.world_state import BodyState, WorldState
 from pancakes.task import Task, on
 

@@ -15,7 +15,7 @@ from typing import Final
 
 import msgspec
 
-from pancakes.sim.quantities import NotNegative, Positive
+from pancakes.settings import NotNegative, Positive
 
 DECIDE_EVERY_S: Final = 0.1
 """How often a mover decides where to go."""

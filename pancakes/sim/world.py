@@ -17,12 +17,12 @@ from typing import Any, Final, TypeVar
 from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar
 from pancakes.errors import PancakesError
 from pancakes.packet import SYSTEM
-from pancakes.sim.arena import Arena, Fan
+from pancakes.settings import Positive
+from pancakes.sim.arena import Arena, Fan, Incident
 from pancakes.sim.battery import BatteryModel
 from pancakes.sim.bodies import ContentSettings, Disc, NoiseSettings, Robot, SensorNode, Walker
 from pancakes.sim.hardware_bus import Attach, Attached, BusServer, Drive, Halt, Reading, Refused, Reply, Request, Sample
 from pancakes.sim.pedestrian import DECIDE_EVERY_S, Obstacle, Wayfinder
-from pancakes.sim.quantities import Positive
 from pancakes.sim.robot_models import IrRing, SonarRing, Wheels, robot_model
 from pancakes.sim.world_state import BodyState, Spent, WorldState
 from pancakes.task import Task, Tick, every
@@ -127,25 +127,6 @@ _LOOK_STEPS = round(DECIDE_EVERY_S / STEP_S)
 _WALKER_KG = 70.0
 
 
-@dataclass(frozen=True, slots=True)
-class Incident:
-    """Something that should not have happened.
-
-    Attributes:
-        kind: `collision` or `out_of_bounds`.
-        time_s: mission time.
-        names: the bodies that were part of it, sorted; a wall is called `wall`.
-        x_m: where.
-        y_m: where.
-    """
-
-    kind: str
-    time_s: float
-    names: tuple[str, ...]
-    x_m: float
-    y_m: float
-
-
 class Physics:
     """A world with everything that its settings put into it.
 
@@ -167,7 +148,7 @@ class Physics:
         self._standing: list[BodyState] = []  # of the sensors, which never move
         self._walkers: dict[str, Walker] = {}
         self._outside: dict[str, bool] = {}
-        self._happenings: list[Incident] = []
+        self._incidents: list[Incident] = []
         self._steps = 0
         self._fill()
         bodies: dict[str, Robot | SensorNode | Walker] = {**self._robots, **self._sensors, **self._walkers}
@@ -254,7 +235,7 @@ class Physics:
         for name, robot in self._robots.items():
             outside = not self._arena.inside(robot.disc)
             if outside and not self._outside.get(name, False):
-                self._happenings.append(Incident("out_of_bounds", self.time_s, (name,), *robot.disc.position))
+                self._incidents.append(Incident("out_of_bounds", self.time_s, (name,), *robot.disc.position))
             self._outside[name] = outside
 
     def drive(self, name: str, wheels: Wheels, ttl_s: float, source: str) -> None:
@@ -361,15 +342,13 @@ class Physics:
         bodies += [_body_state(walker.disc, "mover") for walker in self._walkers.values()]
         return WorldState(self.time_s, tuple(bodies))
 
-    def take_happenings(self) -> list[Incident]:
-        """Returns what has happened since the last call and should not have."""
-        contacts = self._arena.take_contacts()
-        if not contacts and not self._happenings:
+    def take_incidents(self) -> list[Incident]:
+        """Return the incidents since the last call, by time."""
+        collisions = self._arena.take_collisions()
+        if not collisions and not self._incidents:
             return []
-        happenings, self._happenings = self._happenings, []
-        for contact in contacts:
-            happenings.append(Incident("collision", contact.time_s, contact.names, contact.x_m, contact.y_m))
-        return sorted(happenings, key=lambda happening: happening.time_s)
+        incidents, self._incidents = self._incidents, []
+        return sorted([*incidents, *collisions], key=lambda incident: incident.time_s)
 
     def _robot(self, name: str) -> Robot:
         return _named(name, self._robots, "robot")
@@ -481,9 +460,9 @@ class World(Task):
             self.publish(SYSTEM, self._simulation.state())
             self._next_state_step += self._state_steps
         self._simulation.advance(now_s)
-        for happening in self._simulation.take_happenings():
-            fields = asdict(happening)
-            self.event(fields.pop("kind"), **{**fields, "names": list(happening.names)})
+        for incident in self._simulation.take_incidents():
+            fields = asdict(incident)
+            self.event(fields.pop("kind"), **{**fields, "names": list(incident.names)})
 
     def _serve(self, request: Request) -> Reply | None:
         """Answers a request of a simulated device, at the world's present."""

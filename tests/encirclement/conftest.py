@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.sim.csv_records import TRAJECTORY_HEADER
+from pancakes.sim.csv_records import Trajectory
 from pancakes.testing import AgentHandle, Fleet
 from pancakes.tools.demo import Run
 
@@ -126,7 +126,7 @@ class MadeUp:
 
     def write(self) -> Run:
         """Writes the mission's files, and returns the run that the judge is given."""
-        rows = [TRAJECTORY_HEADER]
+        rows = [Trajectory.header]
         for step in range(round(self.end_s * 10) + 1):
             t_s = step / 10
             for name, path in self.path_of.items():

@@ -103,7 +103,7 @@ class HandOver:
                     self.look(name, step, now_s)
                 twist = self.home(pose, now_s) if name == "agent1" else self.circle(pose, now_s)
                 self.world.drive(name, self.model.drive.wheels(twist), 0.5, f"{name}/client/Test")
-            trouble += [" with ".join(happening.names) for happening in self.world.take_happenings()]
+            trouble += [" with ".join(happening.names) for happening in self.world.take_incidents()]
             pose = self.world.sample("agent2", "pose")
             near = abs(math.hypot(pose.x_m, pose.y_m) - self.stage.radius_m) < 0.1 * self.stage.radius_m
             on_circle_s = on_circle_s + PERIOD_S if near else 0.0

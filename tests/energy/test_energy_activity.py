@@ -6,7 +6,7 @@ import pytest
 
 from pancakes.control import Reschedule
 from pancakes.devices import Infrared, Motion, Pose
-from pancakes.energy.rate_supervisor import Activity, RatePair, RateSupervision, Rule, SupervisorSettings, number_of
+from pancakes.energy.rate_supervisor import Activity, RatePair, Rule, SupervisorDecider, SupervisorSettings, number_of
 from pancakes.settings import SettingsError, make_settings
 
 RATES = {"device/ir": RatePair(10.0, 2.0)}
@@ -15,7 +15,7 @@ MOVES = Rule("motion", "detected", RATES, above=0.5, quiet_after_s=5.0)
 
 
 def supervision(**rules):
-    return RateSupervision(SupervisorSettings(rules), 0.0, doubt=False)
+    return SupervisorDecider(SupervisorSettings(rules), 0.0, doubt=False)
 
 
 def decide(made, now_s):
@@ -94,9 +94,9 @@ def test_a_task_of_two_rules_is_fast_while_either_says_so():
 
 def test_a_supervisor_that_stops_lets_all_be_fast():
     made = supervision(moves=MOVES)
-    assert made.give_back(1.0) == []
+    assert made.restore(1.0) == []
     decide(made, 5.0)
-    assert [order.body for order in made.give_back(6.0)] == [Reschedule("device/ir", 10.0)]
+    assert [order.body for order in made.restore(6.0)] == [Reschedule("device/ir", 10.0)]
 
 
 def test_a_field_that_is_not_there_is_an_error():

@@ -79,9 +79,9 @@ def test_a_refusal_is_said_once_and_not_tried_again_for_nothing():
 def test_a_refused_order_is_given_again_when_the_task_has_started():
     asker = Asker()
     asker.answer(asker.give(ir=2.0), ok=False, reason="it is stopped")
-    asker.book.started("device", "sonar")
+    asker.book.task_started("device", "sonar")
     assert asker.give() == {}
-    asker.book.started("device", "ir")
+    asker.book.task_started("device", "ir")
     given = asker.give()
     assert list(given.values()) == [Describe("device/ir")]
     asker.answer(given, result={"rate_hz": 10.0})
@@ -91,7 +91,7 @@ def test_a_refused_order_is_given_again_when_the_task_has_started():
 def test_a_task_that_has_started_anew_and_kept_its_rate_is_asked_for_nothing():
     asker = Asker()
     asker.answer(asker.give(sonar=1 / 3))
-    asker.book.started("device", "sonar")
+    asker.book.task_started("device", "sonar")
     given = asker.give()
     assert list(given.values()) == [Describe("sonar")]
     asker.answer(given, result={"rate_hz": 1 / (1 / (1 / 3))})
@@ -101,14 +101,14 @@ def test_a_task_that_has_started_anew_and_kept_its_rate_is_asked_for_nothing():
 def test_a_task_that_has_started_anew_and_forgot_its_settings_is_told_them_again():
     asker = Asker()
     asker.answer(asker.give(speed=0.05))
-    asker.book.started("client", "ScanTarget")
+    asker.book.task_started("client", "ScanTarget")
     asker.answer(asker.give(), result={"settings": {"speed_mps": 0.1, "radius_m": 0.55}})
     assert list(asker.give().values()) == [Configure("client/ScanTarget", {"speed_mps": 0.05})]
 
 
 def test_a_task_that_was_never_turned_may_start_as_it_likes():
     asker = Asker()
-    asker.book.started("device", "ir")
+    asker.book.task_started("device", "ir")
     assert asker.give() == {}
 
 
@@ -135,10 +135,10 @@ def test_one_of_several_timers_is_found_in_the_description():
 def test_a_service_that_sleeps_is_asked_for_nothing_until_it_wakes():
     beacons = Knob("network/Discovery")
     asker = Asker({beacons: 1.0, IR: 10.0})
-    asker.book.closed("network")
+    asker.book.service_stopped("network")
     asker.book.want({beacons: 0.1, IR: 2.0})
     assert list(asker.give().values()) == [Reschedule("device/ir", 2.0)]
-    asker.book.opened("network")
+    asker.book.service_started("network")
     assert list(asker.give().values()) == [Reschedule("network/Discovery", 0.1)]
 
 
@@ -155,7 +155,7 @@ def test_what_is_in_doubt_or_not_answered_is_restored_at_once():
     asker = Asker()
     assert asker.give(ir=2.0), "not answered yet"
     asker.answer(asker.give(sonar=1.0))
-    asker.book.started("device", "sonar")
+    asker.book.task_started("device", "sonar")
     orders = asker.book.restore(NORMAL, asker.now_s)
     assert [order.body for order in orders] == [Reschedule("device/ir", 10.0), Reschedule("sonar", 5.0)]
 

@@ -84,11 +84,11 @@ def test_a_wall_stops_a_body_and_is_told_once(arena):
     run(arena, 5.0)
     x_m, _ = disc.position
     assert x_m == pytest.approx(1.9, abs=0.003)
-    (contact,) = arena.take_contacts()
+    (contact,) = arena.take_collisions()
     assert contact.names == ("robot", "wall")
     assert contact.time_s == pytest.approx(2.0, abs=0.05)
     assert contact.x_m == pytest.approx(1.9, abs=0.01)
-    assert arena.take_contacts() == []
+    assert arena.take_collisions() == []
 
 
 def test_what_stands_for_good_is_solid(arena):
@@ -97,7 +97,7 @@ def test_what_stands_for_good_is_solid(arena):
     disc.roll(0.3, 0.0)
     run(arena, 6.0)
     assert math.dist(disc.position, (0.0, 0.0)) >= 0.155
-    assert [contact.names for contact in arena.take_contacts()] == [("robot", "sensor")]
+    assert [contact.names for contact in arena.take_collisions()] == [("robot", "sensor")]
 
 
 def test_a_second_collision_later_is_told_again(arena):
@@ -108,7 +108,7 @@ def test_a_second_collision_later_is_told_again(arena):
     run(arena, 2.0, 2.0)
     disc.roll(0.2, 0.0)
     run(arena, 4.0, 4.0)
-    assert len(arena.take_contacts()) == 2
+    assert len(arena.take_collisions()) == 2
 
 
 def test_a_walker_looks_where_it_goes(arena):

@@ -55,7 +55,7 @@ def test_a_robot_that_drives_from_afar_into_another_still_runs_into_it():
     far.roll(0.3, 0.0)
     for step in range(500):
         arena.step(step * 0.1 + DT_S, DT_S, 10)
-    contact = arena.take_contacts()[0]
+    contact = arena.take_collisions()[0]
     assert contact.names == ("far", "still")
     assert contact.time_s == pytest.approx(13.87 / 0.3, abs=0.1)
     assert still.x_m > 5.0, "what stands in the way is pushed on"
@@ -70,7 +70,7 @@ def test_many_robots_in_a_crowd_stay_apart_and_within_the_walls():
         for disc in discs:
             disc.roll(0.3, source.uniform(-1.0, 1.0))
         arena.step(step * 0.1 + DT_S, DT_S, 10)
-    assert len(arena.take_contacts()) > 20
+    assert len(arena.take_collisions()) > 20
     for number, disc in enumerate(discs):
         assert max(abs(disc.x_m), abs(disc.y_m)) < 2.0 - 0.06
         for other in discs[number + 1 :]:

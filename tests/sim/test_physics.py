@@ -277,9 +277,9 @@ def test_collisions_are_told_with_time_and_names():
     world = simulation(robots={"agent1": robot(0.0, 0.0), "agent2": robot(0.5, 0.0)})
     world.drive("agent1", Wheels(0.1, 0.1), 10.0, "x")
     world.advance(8.0)
-    (happening,) = world.take_happenings()
-    assert (happening.kind, happening.names) == ("collision", ("agent1", "agent2"))
-    assert happening.time_s == pytest.approx(3.7, abs=0.1)
+    (incident,) = world.take_incidents()
+    assert (incident.kind, incident.names) == ("collision", ("agent1", "agent2"))
+    assert incident.time_s == pytest.approx(3.7, abs=0.1)
 
 
 def test_the_state_lists_robots_then_sensors_then_movers():

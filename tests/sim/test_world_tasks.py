@@ -15,7 +15,7 @@ from pancakes.mesh.transport import Connection, ConnectionHandler
 from pancakes.packet import Packet
 from pancakes.settings import SettingsError, make_settings
 from pancakes.sim import hardware_bus
-from pancakes.sim.csv_records import TRAJECTORY_HEADER, Trajectory, row
+from pancakes.sim.csv_records import Trajectory, trajectory_row
 from pancakes.sim.motion_capture import MotionCapture, measured
 from pancakes.sim.world import World
 from pancakes.sim.world_state import BodyState, WorldState
@@ -189,7 +189,7 @@ def test_the_trajectory_has_a_row_for_each_body_ten_times_a_second(tmp_path):
     agent.trajectory.actor_ref.stop(block=False)
     agent.dispatcher.settle()
     lines = path.read_text().splitlines()
-    assert lines[0] == TRAJECTORY_HEADER
+    assert lines[0] == Trajectory.header
     rows = [line.split(",") for line in lines[1:]]
     assert len(rows) == 4 * 51
     assert [cells[1] for cells in rows[:4]] == ["agent1", "agent2", "sensor", "mover"]
@@ -223,7 +223,7 @@ def test_the_same_seed_writes_the_same_bytes(tmp_path):
 
 def test_a_row_never_shows_a_negative_zero():
     body = BodyState("agent1", "robot", -1e-9, -0.5, 0.0, -0.0, 0.0, 8.25, "GoHome")
-    assert row(12.3, body) == "12.300,agent1,0.000000,-0.500000,0.000000,0.000000,0.000000,8.2500,GoHome"
+    assert trajectory_row(12.3, body) == "12.300,agent1,0.000000,-0.500000,0.000000,0.000000,0.000000,8.2500,GoHome"
 
 
 def test_a_period_that_is_no_whole_number_of_steps_is_refused():

@@ -12,8 +12,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from pancakes.settings import NotNegative, Positive
 from pancakes_encirclement.angles import wrap
-from pancakes_encirclement.quantities import NotNegative, Positive
 
 Point = tuple[float, float]
 

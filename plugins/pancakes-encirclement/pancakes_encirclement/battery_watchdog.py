@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from msgspec import Meta
 
 from pancakes.control import Reply, Reschedule
 from pancakes.devices import Battery
 from pancakes.packet import SYSCTRL, SYSTEM, Packet
+from pancakes.settings import NotNegative
 from pancakes.task import Task, on
-from pancakes_encirclement.quantities import NotNegative, Share
 
 CHARGED_ABOVE = 0.02
 """The battery must rise this far above the threshold before falling below it counts anew."""
@@ -28,7 +31,7 @@ class BatteryWatchdog(Task):
             slow: the new rate of each task that is slowed down, in Hz, by `service/task`.
         """
 
-        below: Share = 0.90
+        below: Annotated[float, Meta(gt=0, lt=1)] = 0.90
         slow: dict[str, NotNegative] = field(default_factory=dict)
 
     @dataclass

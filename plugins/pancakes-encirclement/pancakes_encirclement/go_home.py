@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 from pancakes.devices import Pose, Twist
 from pancakes.packet import CTRL, SYSTEM, Packet
+from pancakes.settings import Positive
 from pancakes.task import on
 from pancakes_encirclement.angles import wrap
 from pancakes_encirclement.driving import DrivingTask
 from pancakes_encirclement.homing import Homing
-from pancakes_encirclement.quantities import Positive
 
 LEAVE_FACTOR = 3.0
 """A robot that is parked drives again where it is farther from home than this many times the tolerance."""

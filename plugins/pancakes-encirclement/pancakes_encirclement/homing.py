@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from pancakes.devices import Twist
-from pancakes_encirclement.quantities import Positive
+from pancakes.settings import Positive
 
 
 @dataclass(frozen=True)

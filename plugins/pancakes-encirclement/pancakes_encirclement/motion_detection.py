@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from pancakes.devices import Motion, Pose
 from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, agent_of
+from pancakes.settings import NotNegative
 from pancakes.task import Task, on
 from pancakes_encirclement.packets import MotionDetected
-from pancakes_encirclement.quantities import NotNegative
 
 
 def place_of(motion: Motion, pose: Pose) -> tuple[float, float] | None:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from pancakes.devices import Pose, Twist
 from pancakes.packet import CTRL, SYSTEM, Packet, agent_of
+from pancakes.settings import Positive
 from pancakes.task import on
 from pancakes_encirclement.circle import Point, curvature, gap_behind, spaced_speed
 from pancakes_encirclement.driving import DrivingTask
 from pancakes_encirclement.laps import Laps, on_circle
 from pancakes_encirclement.packets import MotionDetected, NeighbourPose
-from pancakes_encirclement.quantities import Positive
 
 NEW_CENTRE_M = 0.10
 """A report makes a new centre only where it lies farther than this from the present one."""

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Final, Literal
-
-from msgspec import Meta
+from typing import Final, Literal
 
 from pancakes.packet import LOG, NETWORK, SYSCTRL, SYSTEM
+from pancakes.settings import Positive
 from pancakes.util.text import fault_of_name
 from pancakes_mqtt.message import Qos
 from pancakes_mqtt.topics import fault_of_filter, fault_of_retained, fault_of_template
 
-Positive = Annotated[float, Meta(gt=0)]
 PLACES: Final = {
     "agent": "agent",
     "source": "agent/service/task",

@@ -9,14 +9,13 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
-
-from msgspec import Meta
+from typing import Any, ClassVar, Literal
 
 from pancakes.devices import Battery, Motion, Pose, Sonar, Temperature
 from pancakes.devices.driver import DeviceContext, Pace, Sensor
 from pancakes.devices.validation import level_of
 from pancakes.errors import PancakesError
+from pancakes.settings import Positive
 from pancakes_mqtt.broker_settings import BrokerSettings
 from pancakes_mqtt.forms import FORMS, FormName, Saying, fault_of_device, named
 from pancakes_mqtt.message import Message, Qos
@@ -25,7 +24,6 @@ from pancakes_mqtt.payloads import BadPayload, celsius_of, decoded, number_of, o
 from pancakes_mqtt.shared_broker import SharedBroker, shared_broker
 from pancakes_mqtt.topics import fault_of_filter, fault_of_retained, means
 
-Positive = Annotated[float, Meta(gt=0)]
 MOST_TOLD = 20
 """A device warns of no more than so many different things that are wrong in part."""
 

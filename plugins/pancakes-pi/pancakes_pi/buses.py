@@ -13,10 +13,10 @@ from pancakes.devices import Battery, Temperature
 from pancakes.devices.driver import Hardware, Sensor, why_not_opened
 from pancakes.devices.validation import level_at
 from pancakes.errors import PancakesError
+from pancakes.settings import Positive
 from pancakes_pi.real_hardware import refuse_virtual_time
 from pancakes_pi.registers import THERMOMETERS, VOLTMETERS, Chip, word_of
 
-Positive = Annotated[float, Meta(gt=0)]
 TRIES = 3
 """A chip is asked so often when its device is opened, before it is taken to be missing."""
 

@@ -14,12 +14,12 @@ from msgspec import Meta
 from pancakes.devices import Motion, Sonar, Twist
 from pancakes.devices.driver import Actuator, DeviceContext, Hardware, Sensor
 from pancakes.errors import PancakesError
+from pancakes.settings import Positive
 from pancakes.sim.robot_models import DriveKinematics
 from pancakes_pi.real_hardware import refuse_virtual_time
 
 Pin = Annotated[int, Meta(ge=0, le=27)]
 """A pin's number as the processor counts (BCM): GPIO17 is 17."""
-Positive = Annotated[float, Meta(gt=0)]
 GPIO = (Hardware("/dev/gpiochip0", "gpio"), Hardware("/dev/gpiomem", "gpio"))
 
 

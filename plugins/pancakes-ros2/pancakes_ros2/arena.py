@@ -14,10 +14,9 @@ import msgspec
 
 from pancakes.errors import PancakesError
 from pancakes.packet import SYSTEM
-from pancakes.settings import FilePath, plain_settings
+from pancakes.settings import FilePath, Positive, plain_settings
+from pancakes.sim.arena import Incident
 from pancakes.sim.bodies import ContentSettings
-from pancakes.sim.quantities import Positive
-from pancakes.sim.world import Incident
 from pancakes.sim.world_state import WorldState
 from pancakes.task import Task, Tick, every
 from pancakes.util import codecs

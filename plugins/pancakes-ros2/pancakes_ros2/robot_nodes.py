@@ -117,7 +117,7 @@ def _serve(
                 _say(TruthLine(state=physics.state()))
                 state_step += steps
             physics.advance(now_s)
-            for incident in physics.take_happenings():
+            for incident in physics.take_incidents():
                 _say(TruthLine(incident=incident))
             for each in robots:
                 each.publish(now_s)

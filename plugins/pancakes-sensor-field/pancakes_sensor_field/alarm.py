@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from pancakes.packet import NEIGHBOURS, SYSTEM, Packet
-from pancakes.sim.quantities import Positive
+from pancakes.settings import Positive
 from pancakes.task import Task, Tick, every, on
 from pancakes_sensor_field.fusion import FusionSettings, Situation, judge, remember
 from pancakes_sensor_field.packets import AlarmCleared, AlarmRaised, Report

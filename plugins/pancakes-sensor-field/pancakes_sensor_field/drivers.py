@@ -19,9 +19,8 @@ from pancakes.devices import Motion, Temperature
 from pancakes.devices.builtin_drivers import NetworkSensor
 from pancakes.devices.driver import Actuator, DeviceContext, Hardware, Sensor
 from pancakes.packet import SYSTEM, Packet, join
-from pancakes.settings import FilePath
+from pancakes.settings import FilePath, Positive
 from pancakes.sim.drivers import SimulatedSensor
-from pancakes.sim.quantities import Positive
 from pancakes_sensor_field.frame import SIREN, TEMPERATURE, Frame, encode
 from pancakes_sensor_field.lines import Line, Reply, SerialLine, TcpLine, UdpLine
 from pancakes_sensor_field.packets import LineReport, ReportPeriod, Siren

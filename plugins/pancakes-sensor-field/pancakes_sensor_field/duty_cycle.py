@@ -9,7 +9,7 @@ from pancakes.control import Describe, Reply, Reschedule, Start, Stop
 from pancakes.events import Event
 from pancakes.kernel.timer import OneShot
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of, join
-from pancakes.sim.quantities import NotNegative, Positive
+from pancakes.settings import NotNegative, Positive
 from pancakes.task import Task, on
 from pancakes_sensor_field.drivers import PeriodS
 from pancakes_sensor_field.duty import Duty

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from pancakes.packet import SYSTEM, Packet
-from pancakes.settings import FilePath
+from pancakes.settings import FilePath, Positive
 from pancakes.sim.csv_records import RowFile
-from pancakes.sim.quantities import Positive
 from pancakes.task import on
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth
 

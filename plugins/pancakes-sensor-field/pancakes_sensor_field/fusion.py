@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pancakes.sim.quantities import NotNegative, Positive
+from pancakes.settings import NotNegative, Positive
 from pancakes_sensor_field.packets import Report
 
 

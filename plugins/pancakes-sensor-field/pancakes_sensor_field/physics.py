@@ -6,8 +6,8 @@ import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
 
+from pancakes.settings import NotNegative, Positive
 from pancakes.sim.battery import BatterySettings
-from pancakes.sim.quantities import NotNegative, Positive
 
 
 @dataclass

@@ -19,7 +19,7 @@ from msgspec import Meta
 from pancakes.errors import PancakesError
 from pancakes.mesh.transport import Connection, ConnectionHandler
 from pancakes.packet import SYSTEM, Packet
-from pancakes.sim.quantities import Share
+from pancakes.settings import Share
 from pancakes.task import Task, Tick, every, on
 from pancakes_sensor_field.drivers import NodeNumber, PeriodS
 from pancakes_sensor_field.mote import Mote, spoilt
