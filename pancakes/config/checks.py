@@ -154,7 +154,7 @@ class _Check:
         self.faults.append(self._places.fault(key, problem, near))
 
     def _get(self, group: str, name: str, key: KeyPath) -> Any | None:
-        """Return a plug-in; None where there is none to be had, which is noted."""
+        """Return a plug-in; None if there is none to be had, which is noted."""
         try:
             return self._plugins.get(group, name)
         except UnknownPlugin as error:
@@ -170,7 +170,7 @@ class _Check:
         return None
 
     def _check_part(self, group: str, name: str, settings: Mapping[str, Any], table: KeyPath, key: str) -> Any | None:
-        """Check that a class exists and that its settings fit; return it where it can be used."""
+        """Check that a class exists and that its settings fit; return it if it can be used."""
         if not name:
             return None  # its absence has been reported
         found = self._get(group, name, (*table, key))
@@ -232,7 +232,7 @@ class _Check:
                 self._fault(("device", device.name, "service"), f"{device.service!r} is no service for devices")
 
     def _check_devices(self) -> list[str] | None:
-        """Check the devices and return their types; None where not all of them can be known."""
+        """Check the devices and return their types; None if not all of them can be known."""
         from pancakes.devices.driver import Actuator
 
         device_types: list[str] | None = []

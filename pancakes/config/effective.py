@@ -20,7 +20,7 @@ from pancakes.util.plugins import Plugins
 def created_tables(agent: str, records: Iterable[Record]) -> dict[str, dict[str, Any]]:
     """Return the tables `[task.NAME]` of the tasks that were born on an agent and are there, by name.
 
-    Those that its file names are among them where there are records of them.
+    Those that its file names are among them if there are records of them.
 
     Args:
         agent: the agent's name.

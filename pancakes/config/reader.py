@@ -248,7 +248,7 @@ class _ConfigReader:
         return not fault
 
     def _given(self, key: KeyPath) -> Any:
-        """What the file says under a key; None where it says nothing."""
+        """What the file says under a key; None if it says nothing."""
         value: Any = self._values
         for part in key:
             value = value.get(part) if isinstance(value, dict) else None

@@ -25,7 +25,7 @@ def default_state_dir(fleet: str, name: str) -> Path:
 
 
 def state_dir_of(config: Config) -> Path | None:
-    """Return the state directory of an agent; None where its role has none.
+    """Return the state directory of an agent; None if its role has none.
 
     A world or a terminal owns no task that could move, so nothing of it has to outlive the process.
 

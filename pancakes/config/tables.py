@@ -189,7 +189,7 @@ class TaskConfig(Struct, frozen=True):
             from its last checkpoint. 0: none does. See docs/guarded-tasks.md, as for the next four.
         lease_s: it stands still so long after more than half of its guardians have fallen silent, and another agent
             runs it a little later; in host seconds.
-        checkpoint_s: how often it is written down where it has changed, in host seconds.
+        checkpoint_s: how often it is written down if it has changed, in host seconds.
         guardians: agents that are to be its guardians before others.
         takeover: `ask`: another agent runs it only once a person says so (`pancakes task take`).
     """
@@ -224,7 +224,7 @@ class Config(Struct, frozen=True):
         agent: the table `[agent]`.
         access: the table `[access]`.
         clock: the table `[clock]`.
-        record: the table `[record]`; None where there is none.
+        record: the table `[record]`; None if there is none.
         channels: extra channels by name, in the order of the file (so are the next three).
         devices: devices by name.
         services: services by name; the four default ones are always there and come first.

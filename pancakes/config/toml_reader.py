@@ -54,7 +54,7 @@ def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | N
 
 
 def change_of(text: str) -> tuple[tuple[str, ...], Any] | None:
-    """Read `table.key=value`; return the keys and the value, None where it is no such text."""
+    """Read `table.key=value`; return the keys and the value, None if it is no such text."""
     pair = split_pair(text)
     return (pair[0], _value_of(pair[2])) if pair else None
 
@@ -70,7 +70,7 @@ def _value_of(text: str) -> Any:
 
 _POSITION = r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$"
 MOST_FAULTS: Final = 100
-"""So many lines that cannot be read are named; a file with more is no TOML at all."""
+"""At most this many lines that cannot be read are named; a file with more is no TOML at all."""
 AGAIN: Final = "a table for the second time"
 
 

@@ -251,7 +251,7 @@ class FileJournal(Journal):
     file of its own: it is written to a temporary file, fsynced, renamed over the old one, and the directory is fsynced,
     so a reader finds the old entry or the new one, never a part of either. As that costs several rounds of the disk for
     each entry, a batch is first appended to one file, with one fsync. What is in that gets files of its own once it is
-    long, when the disk has little room left, when the journal is closed, where that takes no time, and else at the next
+    long, when the disk has little room left, when the journal is closed, if that takes no time, and else at the next
     opening. All of that is done in the directory that was opened, never in another one that has its name since.
 
     Args:
@@ -445,7 +445,7 @@ class FileJournal(Journal):
 
     def _place(self, name: str) -> str:
         # Not by pathlib, which has Python keep each part of each path in one table for all: of names that come once,
-        # as those of accounts of moves do, the table grew, and was made anew again and again, up to 1 MiB.
+        # as those of accounts of moves do, the table grew, and was made again and again, up to 1 MiB.
         return os.path.join(self.directory, name)
 
     def _open_file(self, name: str, flags: int) -> int:

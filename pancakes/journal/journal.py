@@ -55,7 +55,7 @@ class SetAside(msgspec.Struct, frozen=True):
         name: where it lay.
         now: where it lies now; people may look at it, the journal never does.
         reason: why it was not believed.
-        kind: what it claims to be, as far as its name tells; empty where it does not.
+        kind: what it claims to be, as far as its name tells; empty if it does not.
         key: which of that kind, as far as its name tells.
         entry: what can be read of it all the same: it is whole, but of another journal; None: nothing.
         times: how often an entry of this name was set aside, this time included.
@@ -104,7 +104,7 @@ def unseal(journal: str, sealed: bytes) -> JournalEntry:
     """Return the entry that was stored.
 
     Args:
-        journal: id of the journal that must have stored it; empty where any will do.
+        journal: id of the journal that must have stored it; empty if any will do.
         sealed: what was read.
 
     Raises:
@@ -159,7 +159,7 @@ class Journal(ABC):
     Attributes:
         uuid: the journal's id.
         boot: how often it was opened, this time included.
-        life: drawn anew at each opening: two that have the same boot and another life are copies of one journal.
+        life: drawn again at each opening: two that have the same boot and another life are copies of one journal.
         copy: which copy of the journal this is, where a file at a time was copied, as backups and moves to another
             disk do; empty: the original. A copy of the whole disk is taken for what it is a copy of.
         copied: whether this opening is the first of that copy.
@@ -192,7 +192,7 @@ class Journal(ABC):
         return [entry for (has, _), entry in sorted(self._entries.items()) if has == kind]
 
     def read(self, kind: str, key: str) -> JournalEntry | None:
-        """Return one entry, or None where there is none."""
+        """Return one entry, or None if there is none."""
         return self._entries.get((kind, key))
 
     def write(self, batch: Sequence[JournalEntry]) -> None:

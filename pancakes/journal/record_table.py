@@ -36,7 +36,7 @@ class RecordTable(Generic[_T]):
     Args:
         disk: what the records are kept on; read once, here.
         kind: the kind of their journal entries, in lower-case letters.
-        decode: makes a record of the bytes that `codecs.encode` made of it; raises an error where it cannot.
+        decode: makes a record of the bytes that `codecs.encode` made of it; raises an error if it cannot.
         malformed: called, here, with the key of each record that cannot be read, and why.
 
     Attributes:
@@ -70,7 +70,7 @@ class RecordTable(Generic[_T]):
             key: the record's key.
             record: what to write.
             then: called, in the store's thread, when it is on disk for good.
-            failed: called instead, with the reason, where it could not be written.
+            failed: called instead, with the reason, if it could not be written.
             may: says, in the store's thread, whether it may be written once its turn has come; None: it may.
         """
         self._newest[key] = record

@@ -51,12 +51,12 @@ class Troubles:
         self._said_s = -SAID_EVERY_S
 
     def due_s(self, key: Key) -> float:
-        """Return when an entry may be written; 0 where it did not fail of late."""
+        """Return when an entry may be written; 0 if it did not fail of late."""
         trouble = self._troubles.get(key)
         return trouble.due_s if trouble is not None else 0.0
 
     def reason(self, key: Key) -> str:
-        """Return why an entry could not be written when that was tried last; empty where it could."""
+        """Return why an entry could not be written when that was tried last; empty if it could."""
         trouble = self._troubles.get(key)
         return trouble.reason if trouble is not None else ""
 
@@ -107,7 +107,7 @@ def _times(failures: int) -> str:
 Persisted = Callable[[], object]
 """Called when the entry is on disk for good."""
 Failed = Callable[[str], None]
-"""Called with the reason where it could not be written; the old entry may still be there, or the new one."""
+"""Called with the reason if it could not be written; the old entry may still be there, or the new one."""
 May = Callable[[], str]
 """Returns why an entry may not be written now; empty: it may. Asked right before it is written."""
 Say = Callable[[str, str], None]
@@ -165,7 +165,7 @@ class RecordStore(ABC):
         Args:
             entry: what to write.
             persisted: called once when it is on disk, after those of all earlier entries of its kind and key.
-            failed: called instead where it could not be written.
+            failed: called instead if it could not be written.
             may: says whether it may be written once its turn has come; None: it may.
         """
 

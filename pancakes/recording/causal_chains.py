@@ -25,7 +25,7 @@ class ChainStep(msgspec.Struct, frozen=True):
     Attributes:
         packet: the packet.
         time_ns: when it was first seen.
-        travel_s: how long it then took to the agent where it led to the next step; 0 where that was its own.
+        travel_s: how long it then took to the agent where it led to the next step; 0 if that was its own.
         handling_s: the time from there to the next step: it waited, and was handled. 0 for the last.
         sent: whether it was seen where it was published. Else no recorder ran there: it is known only from its arrival
             on, and `travel_s` is 0.
@@ -88,7 +88,7 @@ class Causes:
         self._seen_ns[key].setdefault(entry.agent, entry.time_ns)
 
     def chain(self, source: str, seq: int) -> Chain | None:
-        """Return the chain that ends with a packet; None where the packet is not known."""
+        """Return the chain that ends with a packet; None if the packet is not known."""
         keys: list[Cause] = []
         key: Cause | None = (source, seq)
         while key is not None and key in self._packets and key not in keys and len(keys) < LONGEST:
@@ -220,7 +220,7 @@ def body_text(body: Any, longest: int = BODY_CHARACTERS) -> str:
 
 
 def _items(value: Any) -> Iterable[tuple[Any, Any]] | None:
-    """Return the fields of a body, or of what is in one; None where it has none.
+    """Return the fields of a body, or of what is in one; None if it has none.
 
     It reads the fields themselves: making plain values of a body first is slower, and agents do this for each command
     while a page is open.

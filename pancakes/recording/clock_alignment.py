@@ -92,7 +92,7 @@ class ClockLife(msgspec.Struct):
 
 
 def row_of(host_s: float, links: Iterable[Mapping[str, object]]) -> dict[str, str]:
-    """Return a metadata record of how clocks stand; empty where nothing is known.
+    """Return a metadata record of how clocks stand; empty if nothing is known.
 
     Args:
         host_s: the host time.
@@ -116,7 +116,7 @@ class Alignment:
         lives: the lives that were recorded.
 
     Attributes:
-        shifts: by the key of the life; where there is none, the times stay.
+        shifts: by the key of the life; if there is none, the times stay.
         remarks: sentences on what was moved.
     """
 
@@ -209,13 +209,13 @@ def _shift(one: ClockLife, other: ClockLife) -> tuple[Shift, int]:
 AGREE_NS: Final = NANOSECONDS
 """Missions of agents that were begun together may have begun this far apart, in host time."""
 ENOUGH: Final = 20
-"""So many packets are compared: each is seen a moment after its stamp, and the shortest delay counts."""
+"""At most this many packets are compared: each is seen a moment after its stamp, and the shortest delay counts."""
 MOST: Final = 20_000
 """At most so many packets are looked at."""
 
 
 def speed_of(about: Mapping[str, str]) -> float:
-    """Return the mission seconds for each second of host time, as a recorder wrote it; 1 where that is no number."""
+    """Return the mission seconds for each second of host time, as a recorder wrote it; 1 if that is no number."""
     try:
         speed = float(about["speed"])
     except (KeyError, ValueError):
@@ -251,7 +251,7 @@ class MissionTime:
     def of(cls, files: Iterable[tuple[Mapping[str, str], Iterable[RecordedPacket]]]) -> MissionTime:
         """Find the mission time of a recording.
 
-        Where an agent was started again its clock began anew; what counts is its first life.
+        Where an agent was started again its clock began from scratch; what counts is its first life.
 
         Args:
             files: of each file what its recorder wrote about it, complete once its first packet has been taken, and

@@ -184,7 +184,7 @@ def scan(
 
     Returns:
         The first angle in whole degrees, and for each step of `STEP_DEG` from there the range and the intensity: 1
-        where a sensor sees something; 0, at the full range, where none does or none looks.
+        where a sensor sees something; 0, at the full range, if none does or none looks.
 
     Raises:
         ValueError: there are not as many ranges as bearings.

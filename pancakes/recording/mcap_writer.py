@@ -187,7 +187,7 @@ class RecordingParts:
     Args:
         path: the first file. Where it is there already, a number is added to the name: nothing is overwritten.
         about: see `RecordingWriter`.
-        split_mib: a new file begins where one has grown this large.
+        split_mib: a new file begins if one has grown this large.
         limit_mib: how large all of them may become; 0 for no limit.
         drop_oldest: whether the oldest file goes at the limit; otherwise the recording ends.
         free_mib: so much of the disk stays free.
@@ -250,7 +250,7 @@ class RecordingParts:
         """Give everything to the operating system, and begin a new file where it is time to.
 
         Returns:
-            Why the recording must end; empty where it may go on.
+            Why the recording must end; empty if it may go on.
 
         Raises:
             OSError: the disk is full, ...
@@ -285,7 +285,7 @@ class RecordingParts:
         """Bring what was flushed to the disk, and look how much room is left there. It may take long.
 
         Returns:
-            Why the recording must end; empty where it may go on.
+            Why the recording must end; empty if it may go on.
 
         Raises:
             OSError: the disk is full, ...

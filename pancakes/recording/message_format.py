@@ -60,7 +60,7 @@ def schema_for(type_name: str) -> dict[str, Any]:
 def viewable(
     schema: Mapping[str, Any], definitions: Mapping[str, Any], inside: tuple[str, ...] = ()
 ) -> dict[str, Any] | None:
-    """Return a schema in the words that viewers understand; None where it cannot be said in them.
+    """Return a schema in the words that viewers understand; None if it cannot be said in them.
 
     What may be missing (null) is described as what it is where it is there.
 
@@ -100,12 +100,12 @@ def _kept(schema: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _kind_of(values: Any) -> str:
-    """Return the type of all values that a field may have; empty where they have several."""
+    """Return the type of all values that a field may have; empty if they have several."""
     return next((kind for kind, cls in _SIMPLE.items() if values and all(type(it) is cls for it in values)), "")
 
 
 def _item_of(schema: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the schema of each item of an array; an empty one where they differ."""
+    """Return the schema of each item of an array; an empty one if they differ."""
     first, *others = schema.get("prefixItems") or [schema.get("items") or {}]
     found: Mapping[str, Any] = first if all(other == first for other in others) else {}
     return found
@@ -156,7 +156,7 @@ def _holds_body(data: bytes, body: Any) -> bool:
 
 @cache
 def _decode_of(cls: type) -> Callable[[bytes], Any] | None:
-    """Return what makes something with the body of a class of a message's data; None where that cannot be."""
+    """Return what makes something with the body of a class of a message's data; None if that cannot be."""
     try:
         alone: Any = msgspec.defstruct("_BodyAlone", [("body", cls if has_fields(cls) else Any)])
         decode: Callable[[bytes], Any] = codecs.json_decoder(alone)
@@ -188,7 +188,7 @@ _ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 
 
 def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
-    """Make a packet of the data of a message; its body becomes the registered dataclass, where there is one.
+    """Make a packet of the data of a message; its body becomes the registered dataclass, if there is one.
 
     Raises:
         RemoteProtocolError: it is no packet, or the body does not fit its type.

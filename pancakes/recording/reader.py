@@ -51,7 +51,7 @@ class FileReading:
     Attributes:
         path: the file.
         about: what the recorder wrote about the recording.
-        cut: why it could not be read to its end; empty where it could.
+        cut: why it could not be read to its end; empty if it could.
         damage: what could not be read before that.
         strange: sentences on messages that are no packets any more, such as of a type that has changed, and how often
             each has.

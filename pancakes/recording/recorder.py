@@ -42,7 +42,7 @@ class _TaskQuestion(msgspec.Struct, frozen=True):
     Attributes:
         target: the task that it is about; empty: what runs.
         seen: whether the recording saw that task start.
-        again: how often it is asked again where that is refused.
+        again: how often it is asked again if that is refused.
         asked_s: when it was asked, in host time.
     """
 

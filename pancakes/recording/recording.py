@@ -185,7 +185,7 @@ class Recording:
         """Write what has come since the last time.
 
         Returns:
-            Why the recording must end; empty where it may go on.
+            Why the recording must end; empty if it may go on.
         """
         now_s = self._kernel.host.now()
         if now_s - self._sampled_s >= SAMPLE_S:

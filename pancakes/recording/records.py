@@ -51,7 +51,7 @@ class RecordedPacket(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def task_id(self) -> str:
-        """The identity for life of the task that published it, whichever agent it was on; empty where none did."""
+        """The identity for life of the task that published it, whichever agent it was on; empty if none did."""
         return self.packet.fence.task_id if self.packet.fence is not None else ""
 
 
@@ -77,7 +77,7 @@ class TaskDescription(msgspec.Struct, frozen=True):
         time_ns: when it was as is said here, as the recording counts time (see `Entry`).
         began: where the recording saw it start: when that was (`time_ns`, `mission_s`), and what it began with
             (`settings` and `state`, both without what the class itself says; `periods_s` of its timers, `rate_hz` of
-            its configuration). None where it ran already.
+            its configuration). None if it ran already.
         seed: of the random numbers of its agent.
     """
 

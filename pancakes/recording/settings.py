@@ -23,7 +23,7 @@ class RecordingSettings(Struct):
         types: the packet types to record; empty: all.
         task: record only what this task (`birthplace/name`) reads and publishes, on whatever agent it is; empty:
             everything.
-        split_mib: a new file begins where one has grown this large.
+        split_mib: a new file begins if one has grown this large.
         limit_mib: how large the recording may become; 0 for no limit.
         at_limit: what happens then: it ends (`stop`), or its oldest file is removed (`drop_oldest`).
         free_mib: the recording ends before less than this is free on the disk, and does not begin where less is.

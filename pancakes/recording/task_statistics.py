@@ -48,7 +48,7 @@ def quantile_s(counts: Mapping[int, int], share: float) -> float | None:
         share: from 0 to 1.
 
     Returns:
-        The middle of the bucket that it lies in, in seconds; 0 in the lowest; None where there was no tick.
+        The middle of the bucket that it lies in, in seconds; 0 in the lowest; None if there was no tick.
     """
     left = share * sum(counts.values())
     for bucket, count in sorted(counts.items()):
@@ -155,7 +155,7 @@ class OneTask(msgspec.Struct, frozen=True):
 
     Attributes:
         task: its name, as `service/task`.
-        task_id: its identity for life; empty where it cannot move.
+        task_id: its identity for life; empty if it cannot move.
         incarnation: how often it was started.
         waiting: how many packets wait in its mailbox.
         dropped: how many packets it has lost so far, on channels of which it wants more than the newest.
@@ -175,7 +175,7 @@ class OneLink(msgspec.Struct, frozen=True):
 
     Attributes:
         peer: the other agent.
-        rtt_s: its smoothed round trip, in host time; None where it is not known yet.
+        rtt_s: its smoothed round trip, in host time; None if it is not known yet.
         packets_out: packets sent.
         bytes_out: bytes sent, those of the link's own messages too.
         packets_in: packets received.

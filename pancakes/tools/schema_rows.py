@@ -59,7 +59,7 @@ def rows_of(
 ) -> Iterator[dict[str, Any]]:
     """Yield a row for each key of an object, with those of the tables inside it after it.
 
-    A row has `param` (a key as TOML writes it; `NAME` stands for a name of one's own), `type`, `default` (None where
+    A row has `param` (a key as TOML writes it; `NAME` stands for a name of one's own), `type`, `default` (None if
     there is none), `required`, `bounds`, `unit` and `description`.
 
     Args:
@@ -84,7 +84,7 @@ def rows_of(
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that the name of a quantity ends with: `radius_m` is in metres; empty where it says none."""
+    """Return the unit that the name of a quantity ends with: `radius_m` is in metres; empty if it says none."""
     return next((unit for ending, unit in _UNITS.items() if name.endswith(f"_{ending}") or name == ending), "")
 
 

@@ -65,4 +65,4 @@ def test_clock_check_names_a_mission_of_its_own():
         "c",
         "its mission is 90.0 s behind that of a and b",
     )
-    assert found.advice == "restart c, where it is to be one mission: it goes on at the time of its fleet"
+    assert found.advice == "if it is meant to be one mission, restart c: it goes on at the time of its fleet"

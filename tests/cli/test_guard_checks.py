@@ -37,7 +37,7 @@ def test_guard_check_names_a_guardian_that_does_not_answer():
 
 def test_guard_check_names_a_task_with_too_few_guardians():
     ((level, _, text, advice),) = found({**owns(), "guardians": ["a"]})
-    assert level == "warning" and "by 3 agents, and is by 1" in text and "a witness will do" in advice
+    assert level == "warning" and "has 1 of the 3 guardians that it needs" in text and "a witness will do" in advice
 
 
 def test_guard_check_names_a_task_without_a_permit():

@@ -110,7 +110,7 @@ def test_replay_leaves_out_sources_that_run_and_names_unknown_agents(walk):
     nothing = walk.pancakes("replay", "r")
     assert (nothing.returncode, nothing.stderr) == (1, "nothing is left to be fed: its source runs\n")
     of_walk = {row["channel"]: row["done"] for row in rows(walk, "r", "--only", "a/client/Walk", "--dry-run")}
-    assert of_walk == {"log": "left out: agents take log from its publisher alone", "system": "dry run"}
+    assert of_walk == {"log": "left out: agents take log only from its publisher", "system": "dry run"}
     missing = walk.pancakes("replay", "r", "--as", "c")
     assert (missing.returncode, missing.stderr) == (3, "there is no agent 'c', only a\n")
 

@@ -68,7 +68,7 @@ def test_task_resolve_says_which_of_two_owners_lives(rig: Rig):
     assert [row["agent"] for row in listed] == ["a"]
     assert rig.pancakes("doctor").returncode == 0
     again = rig.pancakes("task", "resolve", "a/Count")
-    assert again.returncode == 1 and "is owned by a alone" in again.stderr
+    assert again.returncode == 1 and "is owned only by a" in again.stderr
     assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
 
 

@@ -146,7 +146,7 @@ def test_why_begins_a_chain_where_the_packet_arrived(recording):
     (it, *_) = json.loads(invoked(*arguments, "--type", "motors").stdout)
     assert it["latency_ms"] == 4.0 and it["chain"][0]["travel_ms"] is None
     shown = invoked("why", str(recording / "a.mcap"), "--seq", "3").stdout
-    assert "it was not recorded when the packet left" in shown
+    assert "nobody recorded when the packet left" in shown
 
 
 def test_why_knows_mission_time_of_an_agent_started_again(recording, found):

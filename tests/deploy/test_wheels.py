@@ -109,7 +109,7 @@ def test_the_platform_of_a_host_says_which_wheels_run_there():
         "musllinux_1_1_x86_64",
         "linux_x86_64",
     )
-    with pytest.raises(PancakesError, match="agents run on Linux alone, not on macosx"):
+    with pytest.raises(PancakesError, match="agents run only on Linux, not on macosx"):
         Platform.of([3, 12], "macosx-14.0-arm64", ["", ""])
 
 

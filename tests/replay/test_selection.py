@@ -36,7 +36,7 @@ def test_readings_news_and_own_channels_are_fed_and_control_is_not():
     assert told(entries) == [("a", "a/device/load", "system"), ("a", "a/device/load", "map")]
     assert told(entries, only=("a/ctrl/*",)) == []
     (left,) = Selection(live("a"), only=("a/ctrl/*",)).of(entries)
-    assert left.topic.left_out == "agents take ctrl from its publisher alone"
+    assert left.topic.left_out == "agents take ctrl only from its publisher"
     assert told(entries, only=("a/device/*",)) == told(entries)
 
 

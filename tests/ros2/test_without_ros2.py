@@ -233,7 +233,7 @@ def test_the_demo_runs_live_alone_and_the_list_says_so():
     assert any(line.startswith("ros2 ") and line.endswith("(live only)") for line in there.output.splitlines())
     refused = CliRunner().invoke(program, ["demo", "ros2", "--virtual"])
     assert refused.exit_code == 2
-    assert "the demo 'ros2' runs live alone: robots of ROS 2 do not live in virtual time" in refused.output
+    assert "the demo 'ros2' runs only live: robots of ROS 2 do not live in virtual time" in refused.output
 
 
 def test_the_verdict_knows_the_arena_as_a_world():

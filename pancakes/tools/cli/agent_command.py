@@ -57,7 +57,7 @@ def agent(
     SIGINT or SIGTERM stops it in good order; the same signal a second time ends it at once. SIGHUP does the same if its
     standard input is a terminal; else the agent begins its log file and its recording again if they were moved, and
     goes on.
-    The exit code is 0 where it was stopped, 1 where it cannot run, 4 where its configuration is bad.
+    The exit code is 0 if it was stopped, 1 if it cannot run, 4 where its configuration is bad.
 
     \b
     Example:

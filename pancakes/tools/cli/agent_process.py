@@ -114,7 +114,7 @@ SHOW_TRACEBACKS: Final = "service.log.settings.traceback=true"
 
 
 def run(path: str, sets: Sequence[str], check: bool, parent_pid: int | None, ready_fd: int | None) -> None:
-    """Run an agent until it is told to stop, or check its configuration. Ends the process where it has run.
+    """Run an agent until it is told to stop, or check its configuration. Ends the process if it has run.
 
     Args:
         path: the configuration file.
@@ -181,12 +181,12 @@ class Orders:
         sys.exit(code)
 
     def give_up(self, reason: str) -> None:
-        """End the wait with a reason, which is empty where the agent was asked to end. From any thread."""
+        """End the wait with a reason, which is empty if the agent was asked to end. From any thread."""
         self._reasons.append(reason)
         os.write(self._wake_writer, b"\0")
 
     def wait(self, every_s: float, meanwhile: Callable[[], None], at_hangup: Callable[[], None]) -> str:
-        """Wait until the agent is to stop; return why it cannot go on, empty where it was told to.
+        """Wait until the agent is to stop; return why it cannot go on, empty if it was told to.
 
         Args:
             every_s: how often `meanwhile` is called.

@@ -90,9 +90,9 @@ def request(client: Client, agent: str, body: Any) -> Reply:
 
 
 def resolve_fleet(client: Client, name: TaskName) -> TaskName:
-    """Return the task that is meant by a name, which may begin with a fleet where it has three parts.
+    """Return the task that is meant by a name, which may begin with a fleet if it has three parts.
 
-    `A/B/C` is the task C of the service B of the agent A, where there is such an agent. Otherwise it is the task C of
+    `A/B/C` is the task C of the service B of the agent A, if there is such an agent. Otherwise it is the task C of
     the agent B of the fleet A, and from then on the client speaks to that fleet alone.
     """
     if not name.service or client.is_reachable(name.agent) or not client.is_reachable(name.service, name.agent):
@@ -102,7 +102,7 @@ def resolve_fleet(client: Client, name: TaskName) -> TaskName:
 
 
 def resolve_service(client: Client, name: TaskName) -> TaskName:
-    """Return the name of a task with its service, which the agent is asked for where it was not said.
+    """Return the name of a task with its service, which the agent is asked for if it was not said.
 
     An agent would take the name of a service for that service, and stop it as a whole.
 
@@ -150,7 +150,7 @@ def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str,
         ask: how to print it.
         client: asks the agent.
         name: the task or the service.
-        done: what was done, where it was not only asked whether it would be.
+        done: what was done, if it was not only asked whether it would be.
         body: the control packet's body.
         others: what is shown besides.
     """

@@ -78,7 +78,7 @@ def show_in_foxglove(port: int | None, ask: Ask) -> None:
     """Serve the packets of a fleet to Foxglove until the program is interrupted.
 
     Args:
-        port: the port on this machine; None: the usual one, or a free one where that is taken.
+        port: the port on this machine; None: the usual one, or a free one if that is taken.
         ask: which agents, and how the address is printed.
 
     Raises:

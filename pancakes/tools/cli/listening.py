@@ -19,7 +19,7 @@ from pancakes.util.text import did_you_mean
 LOOK_S = 0.2
 """At least that often `listen` gives its caller a turn."""
 MOST_WAITING = 100_000
-"""So many packets wait for a terminal that is slow."""
+"""At most this many packets wait for a terminal that is slow."""
 
 Heard = Subscriber[ReceivedPacket[Any]]
 """What comes on a channel."""
@@ -56,7 +56,7 @@ def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[
 def listen(
     client: Client, subscriber: Heard, for_s: float | None = None, bounded: bool = False
 ) -> Iterator[ReceivedPacket[Any] | None]:
-    """Yield the packets as they come, and None now and then where none comes.
+    """Yield the packets as they come, and None now and then if none comes.
 
     Args:
         client: reaches the agents.

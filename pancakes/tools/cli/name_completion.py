@@ -43,7 +43,7 @@ def agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 
 def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
-    """Return what the agents (or only those named) say of themselves; nothing where none answers in time."""
+    """Return what the agents (or only those named) say of themselves; nothing if none answers in time."""
     from pancakes.client import Client
 
     try:
@@ -54,7 +54,7 @@ def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
 
 
 def answer(ctx: click.Context, agent: str, body: Any) -> Any:
-    """Return the result that an agent answers a control packet with; None where it gives none in time."""
+    """Return the result that an agent answers a control packet with; None if it gives none in time."""
     from pancakes.client import Client
 
     try:

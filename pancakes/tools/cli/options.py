@@ -29,7 +29,7 @@ class TaskName(NamedTuple):
 
     Attributes:
         agent: the agent that it is on.
-        service: its service; empty where that was not said.
+        service: its service; empty if that was not said.
         task: its name.
     """
 
@@ -151,7 +151,7 @@ SERVICE_NAME: Final = NameType("service", "AGENT/SERVICE", (2, 3), ServiceName)
 CHANNEL_NAME: Final = NameType("channel", "AGENT/CHANNEL", (2, 3), ChannelName)
 
 an_agent = click.argument("agent", metavar="[AGENT]", default="", type=AGENT_NAME)
-"""The argument `agent` of a verb about all agents, or one of them; a string, empty where it was left out."""
+"""The argument `agent` of a verb about all agents, or one of them; a string, empty if it was left out."""
 the_agent = click.argument("agent", metavar="AGENT", type=AGENT_NAME)
 """The argument `agent` of a verb about one agent; a string."""
 agents = click.argument("agents", metavar="[AGENT]...", nargs=-1, type=AGENT_NAME)
@@ -279,7 +279,7 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
     Its parameter is `ask`.
 
     Args:
-        timeout_s: the time limit where none is given.
+        timeout_s: the time limit if none is given.
     """
     options = (
         format_option,

@@ -28,7 +28,7 @@ def die_with_parent(expected_pid: int) -> None:
         PancakesError: the parent has ended already, or this system cannot do it.
     """
     if not sys.platform.startswith("linux"):
-        raise PancakesError(f"--die-with-parent works on Linux alone, not on {sys.platform}")
+        raise PancakesError(f"--die-with-parent works only on Linux, not on {sys.platform}")
     parent_pid = expected_pid or os.getppid()
     if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0) != 0:
         raise PancakesError(f"--die-with-parent cannot be had: {os.strerror(ctypes.get_errno())}")

@@ -120,9 +120,9 @@ def load_packets(plugins: Plugins | None = None) -> None:
 
 
 def count_option(what: str) -> Callable[[_F], _F]:
-    """Return the option `--count`; its parameter is `count`, None where it is not given."""
+    """Return the option `--count`; its parameter is `count`, None if it is not given."""
     return click.option("--count", metavar="N", type=click.IntRange(min=1), help=f"End after N {what}.")
 
 
 for_option = click.option("--for", "for_s", metavar="TIME", type=Duration(), help="End after this time: 30s.")
-"""The option `--for`; its parameter is `for_s`, None where it is not given."""
+"""The option `--for`; its parameter is `for_s`, None if it is not given."""

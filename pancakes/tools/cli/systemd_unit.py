@@ -22,7 +22,7 @@ from pancakes.util.files import at_home
 from pancakes.util.plugins import Plugins
 
 USER: Final = "pancakes"
-"""The user of the machine as which its agents run, where no other is named."""
+"""The user of the machine as which its agents run, if no other is named."""
 WATCHDOG_S: Final = 10
 OF_TERMINAL: Final = ("PANCAKES_RUNTIME_DIR", "PYTHONPATH", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME")
 """The variables of the environment that a service of one person has from the terminal where its unit is printed."""

@@ -68,7 +68,7 @@ def late_ones(ticks: Iterable[Ticks]) -> list[dict[str, Any]]:
 
 
 def how_slow(timing: Mapping[str, Any]) -> str:
-    """Return where the machine fell behind, as it stands in `timing.json`; empty where it kept up."""
+    """Return where the machine fell behind, as it stands in `timing.json`; empty if it kept up."""
     parts = []
     if timing.get("behind_max_s", 0.0) > BEHIND_S:
         parts.append(f"the world fell behind the clock by up to {timing['behind_max_s']:.2f} s of mission time")
@@ -206,7 +206,7 @@ class Mission:
         events: all events so far, as records.
         phase: `connecting`, `running`, `over` or `interrupted`.
         waiting_for: the agents that are not ready yet, and why.
-        ended_because: why it ended early; empty where it did not.
+        ended_because: why it ended early; empty if it did not.
         ticks: how the ticks of each task came as far as that is known, by agent (live only).
     """
 
@@ -255,7 +255,7 @@ class Conductor(Task):
         self._lost_s: dict[str, float] = {}
         self._away: set[str] = set()  # agents that were killed, and are not taken up again yet
         self._returned: set[str] = set()  # those of them that were started again
-        self._zero_s: dict[str, float] = {}  # the mission time at which the clock of such an agent began anew
+        self._zero_s: dict[str, float] = {}  # the mission time at which the clock of such an agent began from scratch
         self._file: TextIO | None = None
 
     def on_start(self) -> None:
@@ -433,7 +433,7 @@ class Conductor(Task):
     def _take_up(self, agent: str, description: Mapping[str, Any]) -> None:
         """An agent is back that was killed, and what it has said so far is asked for.
 
-        Its mission goes on at the fleet's time; where it could not hear that in time, it begins anew.
+        Its mission goes on at the fleet's time; if it could not hear that in time, it begins from scratch.
         """
         self._returned.discard(agent)
         self._away.discard(agent)

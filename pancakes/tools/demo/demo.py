@@ -19,7 +19,7 @@ class Run:
         seed: the run's seed.
         duration_s: how long the mission was to last, in mission seconds.
         ended_s: when it ended.
-        ended_because: why it ended early, as a sentence; empty where it did not.
+        ended_because: why it ended early, as a sentence; empty if it did not.
         configs: the configurations of the agents as they ran, by agent, as plain mappings.
     """
 
@@ -71,7 +71,7 @@ class Demo:
         records: the files that tasks of the world write, by the task's name.
         arrange: takes the folder of a run, and whether it is live; returns what is to be set in each agent's file for
             that, as `--set` takes it, by agent. None: nothing.
-        virtual: whether it runs in virtual time where nothing else is asked for.
+        virtual: whether it runs in virtual time if nothing else is asked for.
         loss: the agent that is killed on the way; None: none is, and one that ends by itself ends the mission.
         fastest: the most mission seconds a second that it can run with live, where something that it shows takes its
             time on the host's clock, as leases do.
@@ -123,7 +123,7 @@ class Comparison:
             of the whole, with `verdict`, `reasons` and, for the terminal, `said`.
         draw: takes the folder, the runs and the summary, and draws the picture.
         picture: the name of that picture.
-        virtual: whether it runs in virtual time where nothing else is asked for; live, it takes as long as all of its
+        virtual: whether it runs in virtual time if nothing else is asked for; live, it takes as long as all of its
             missions together.
     """
 

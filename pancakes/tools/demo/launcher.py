@@ -153,7 +153,7 @@ def make_plan(
 
 
 def _places(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim | None, Mapping[str, list[str]]]:
-    """Return what keeps other demos from the ports of a live one, and what is to be set where it has others."""
+    """Return what keeps other demos from the ports of a live one, and what is to be set if it has others."""
     try:
         tables = {agent: toml_values(path.read_text(encoding="utf-8")) for agent, path in files.items()}
     except (OSError, ValueError):
@@ -278,7 +278,7 @@ class Processes:
         process.wait()
 
     def gone(self) -> str:
-        """Return a sentence about an agent that has ended by itself; empty where all run."""
+        """Return a sentence about an agent that has ended by itself; empty if all run."""
         for agent, process in self._processes.items():
             if process.poll() is not None:
                 said = (self._plan.out / "logs" / f"{agent}.txt").read_text(encoding="utf-8", errors="replace").strip()
@@ -287,7 +287,7 @@ class Processes:
         return ""
 
     def stop(self) -> None:
-        """Stop them all: in good order where they can, by force where they do not in time."""
+        """Stop them all: in good order if they can, by force if they do not in time."""
         end_all(self._processes.values(), STOP_S)
         self._starter.close()
 
@@ -493,7 +493,7 @@ def _run_while(
 class NetworkFaults:
     """What goes wrong with the network of a virtual run, drawn from a seed.
 
-    Latency and jitter all the time; and now and then a link between two agents breaks and is made anew.
+    Latency and jitter all the time; and now and then a link between two agents breaks and is made again.
 
     Args:
         seed: draws when and where.

@@ -47,7 +47,7 @@ class MissionRecord:
         return [event.agent for event in self.told("roster") if task in event.fields.get("tasks", ())]
 
     def told(self, kind: str, agent: str = "", task: str = "") -> Iterator[MissionEvent]:
-        """Yield the events of a kind, of one agent and about one task where these are given."""
+        """Yield the events of a kind, of one agent and about one task if these are given."""
         for event in self.events:
             if event.kind == kind and agent in ("", event.agent) and task in ("", event.fields.get("task")):
                 yield event

@@ -130,7 +130,7 @@ class MissionOutcome:
     Attributes:
         seed: its seed.
         out: the folder with its results.
-        verdict: `PASS` or `FAIL`, as its judge says; `ERROR` where it could not be run to its end.
+        verdict: `PASS` or `FAIL`, as its judge says; `ERROR` if it could not be run to its end.
         reasons: why it is not `PASS`, as sentences.
         summary: what its judge says; empty for an `ERROR`.
         said: sentences on recordings that are not as they should be.

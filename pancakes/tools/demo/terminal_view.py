@@ -55,7 +55,7 @@ class PlainView:
 
 
 class LiveView:
-    """A table that is drawn anew several times a second. Meanwhile nothing else may write to the terminal.
+    """A table that is drawn again several times a second. Meanwhile nothing else may write to the terminal.
 
     Args:
         demo: what is shown.

@@ -27,7 +27,7 @@ class Steadiness:
 
     Args:
         before: the states of its tasks before, by name; what did not run then need not now.
-        calm_s: so long nothing may have begun anew.
+        calm_s: so long nothing may have begun again.
     """
 
     before: Mapping[str, str]
@@ -216,7 +216,7 @@ class TaskMoves:
         return found
 
     def away(self, agent: str) -> None:
-        """Move the running tasks of an agent to its neighbours, where these can take them; say which stay.
+        """Move the running tasks of an agent to its neighbours, if these can take them; say which stay.
 
         Those of others that wait there move on, and go home from where they are then.
         """
@@ -265,7 +265,7 @@ class TaskMoves:
         Args:
             agent: the agent.
             before: the states of its tasks before, by name.
-            calm_s: so long they have to run without one beginning anew.
+            calm_s: so long they have to run without one beginning from scratch.
             called_off: returns whether to wait no more.
         """
         steadiness, until_s = Steadiness(before, calm_s), self._now() + SETTLE_S
@@ -281,7 +281,7 @@ class TaskMoves:
                 if steadiness.look(tasks, self._now()):
                     return ""
                 if steadiness.is_hopeless(tasks) or self._now() >= until_s:
-                    return "; ".join(steadiness.faults(tasks)) or "its tasks begin anew again and again"
+                    return "; ".join(steadiness.faults(tasks)) or "its tasks begin again and again"
                 client.wait(lambda: False, LOOK_S)
         return ""
 

@@ -336,7 +336,7 @@ def _is_built_with_what_is_here(source: Path) -> bool:
 def _tags(platform: str, libc: Sequence[str]) -> Iterator[str]:
     system, _, machine = platform.partition("-")
     if system != "linux":
-        raise PancakesError(f"agents run on Linux alone, not on {platform}")
+        raise PancakesError(f"agents run only on Linux, not on {platform}")
     kind, version = libc[0], (libc[1] or "0.0").split(".")
     if kind == "glibc":
         for minor in range(int(version[1]), OLDEST_GLIBC - 1, -1):

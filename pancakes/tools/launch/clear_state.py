@@ -63,7 +63,7 @@ def empty_state(config: Config) -> Path | None:
     """Remove what an agent that does not run remembers.
 
     Returns:
-        Its state directory; None where there was nothing in it, or it has none.
+        Its state directory; None if there was nothing in it, or it has none.
 
     Raises:
         JournalError: the directory is in use, or cannot be changed.

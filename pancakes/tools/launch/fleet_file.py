@@ -275,7 +275,7 @@ class _Draft:
 
     Attributes:
         said_at: where a fleet file says what is set, by the place that its configuration will name.
-        after: None where no fleet file says it.
+        after: None if no fleet file says it.
         host: where it runs; empty: on this machine.
     """
 
@@ -302,7 +302,7 @@ def make_fleet(
 
     Args:
         paths: configuration files of agents, fleet files, and folders: of a folder its `fleet.toml` is read, or else
-            all of its `*.toml`, by name. Environments come first, where no fleet file gives the order.
+            all of its `*.toml`, by name. Environments come first, if no fleet file gives the order.
         extra: `[AGENT:]table.key=value` from the command line.
         policy: whether an agent is started again when it ends; None: as the fleet file says.
         plugins: where drivers and tasks come from; None leaves what they ask of the configurations unchecked, as that
@@ -360,7 +360,7 @@ def check_free(members: Sequence[Member]) -> Claim:
         What keeps other launchers from these ports.
 
     Raises:
-        PancakesError: one of them is in use; the sentence says which, and by which agent, where that is known.
+        PancakesError: one of them is in use; the sentence says which, and by which agent, if that is known.
     """
     there = entries()
     running = {(entry.fleet, entry.name): entry.pid for entry in there}

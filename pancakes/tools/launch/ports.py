@@ -47,7 +47,7 @@ def _with(value: Any, others: Mapping[Address, str]) -> Any:
 
 
 def _address(text: str) -> Address | None:
-    """Return the address that a text is; None where it is none with a port."""
+    """Return the address that a text is; None if it is none with a port."""
     try:
         found = parse_address(text)
     except ValueError:
@@ -100,7 +100,7 @@ class Claim:
 
     @classmethod
     def to(cls, ports: Iterable[int]) -> Claim | None:
-        """Claim ports; return None where another launcher has claimed one of them."""
+        """Claim ports; return None if another launcher has claimed one of them."""
         claim = cls([])
         if sys.platform != "linux":
             return claim  # which claims nothing: two launchers may find the ports free
@@ -148,7 +148,7 @@ def claim_ports(
 
 
 def listening_fault(host: str, port: int, scheme: str = "tcp") -> str:
-    """Return why no program could listen there now, as a phrase; empty where one could."""
+    """Return why no program could listen there now, as a phrase; empty if one could."""
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, _kind(scheme)) as probe:
         if scheme == "tcp":  # over UDP this would let two programs have one port
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -59,11 +59,11 @@ class ForkedProcess:
         return self.returncode
 
     def terminate(self) -> None:
-        """Send it SIGTERM, where it runs."""
+        """Send it SIGTERM, if it runs."""
         self._send(signal.SIGTERM)
 
     def kill(self) -> None:
-        """Send it SIGKILL, where it runs."""
+        """Send it SIGKILL, if it runs."""
         self._send(signal.SIGKILL)
 
     def _send(self, number: signal.Signals) -> None:
@@ -80,7 +80,7 @@ _PR_SET_CHILD_SUBREAPER: Final = 36  # from <linux/prctl.h>
 
 
 class ForkServer:
-    """The launcher's end of its fork server, which begins with the first agent, and anew where it has ended.
+    """The launcher's end of its fork server, which begins with the first agent, and anew if it has ended.
 
     To be used in one thread that stays: the fork server and the agents end with it.
 
@@ -226,7 +226,7 @@ class Starter:
 
 
 def end_all(processes: Iterable[AgentProcess], within_s: float) -> None:
-    """End processes, and wait for that: in good order where they can, by force where they do not in time."""
+    """End processes, and wait for that: in good order if they can, by force if they do not in time."""
     running = [process for process in processes if process.poll() is None]
     for process in running:
         process.terminate()

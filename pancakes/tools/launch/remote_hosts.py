@@ -118,7 +118,7 @@ def open_hosts(members: Sequence[Member]) -> Iterator[dict[str, Host]]:
     """Reach the hosts of agents, all at once, and let them go at the end.
 
     Yields:
-        The hosts by name; none where all agents run on this machine.
+        The hosts by name; none if all agents run on this machine.
 
     Raises:
         PancakesError: a host cannot be reached, or cannot run Pancakes; the sentences name all of these.
@@ -310,7 +310,7 @@ class HostAgents:
         return min([self._alive_s, *self._kill_s.values()])
 
     def start(self, name: str) -> None:
-        """Start an agent; the connection to its host is made anew where it was lost."""
+        """Start an agent; the connection to its host is made again where it was lost."""
         member, start = self._members[name], self._starts[name]
         link = self._links.get(member.host)
         if link is None or link.lost:

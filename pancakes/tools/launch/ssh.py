@@ -209,7 +209,7 @@ def sentence_of(host: str, code: int, said: str) -> str:
 
 
 def no_ssh(error: OSError) -> str:
-    """Return a sentence to say where there is no `ssh` on this machine."""
+    """Return a sentence to say if there is no `ssh` on this machine."""
     command = shlex.split(os.environ.get(VARIABLE) or "ssh")[0]
     why = (error.strerror or str(error)).lower()
     return f"{command} cannot be run ({why}): apt install openssh-client, or set {VARIABLE} to the command to use"

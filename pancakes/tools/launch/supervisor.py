@@ -97,7 +97,7 @@ class TellPerson:
     """Tell the person what has become of an agent.
 
     Attributes:
-        name: the agent; empty where it is about the fleet.
+        name: the agent; empty if it is about the fleet.
         event: what happened, in a word for programs.
         text: the same as a phrase for people, to be read after the agent's name.
     """
@@ -173,12 +173,12 @@ class LaunchPlan:
 
     @property
     def exit_code(self) -> int:
-        """0; 1 where an agent was given up, or never started."""
+        """0; 1 if an agent was given up, or never started."""
         return int(self._failed)
 
     @property
     def deadline_s(self) -> float | None:
-        """When `tick` is due; None where nothing is waited for."""
+        """When `tick` is due; None if nothing is waited for."""
         times = [it.kill_s for it in self._places.values() if it.runs and not it.killed and it.kill_s is not None]
         for place in self._places.values():
             if place.life.state is State.STARTING and not place.late:

@@ -87,7 +87,7 @@ def _has_keys(config: Config, there: bool | None) -> bool:
 
 
 def _is_keyed(config: Config, plugins: Plugins) -> bool:
-    """Return whether an agent, or a driver of it, is to connect by a way that is encrypted where there are keys."""
+    """Return whether an agent, or a driver of it, is to connect by a way that is encrypted if there are keys."""
     devices = (value for device in config.devices.values() for value in device.settings.values())
     tasks = (value for task in config.tasks.values() for value in task.settings.values())
     return bool(keyed_addresses(config.agent, plugins)) or any(

@@ -102,7 +102,7 @@ class LaunchedAgents:
         self._emit("ended", agent=name, code=code)
 
     def end_all(self) -> None:
-        """End all of them, by force where they do not in time, and remove what was written for them."""
+        """End all of them, by force if they do not in time, and remove what was written for them."""
         running = self.processes.processes()
         for process in running:
             process.terminate()
@@ -162,7 +162,7 @@ SILENCE_S = 20.0
 ALIVE_S = 5.0
 """So often the launcher hears that this program lives, also while it does something that takes long."""
 MOST_WAITING = 1 << 20
-"""So many bytes wait for the launcher; then the agents wait until they can print on."""
+"""At most this many bytes wait for the launcher; then the agents wait until they can print on."""
 _CHUNK = 65_536
 
 

@@ -34,7 +34,7 @@ STOP_S: Final = 20.0
 """A supervisor that has not ended after so long is killed, and its agent ends with it."""
 LOOK_S: Final = 0.05
 TAIL: Final = 12
-"""So many of the last lines of an agent are shown where it does not start."""
+"""So many of the last lines of an agent are shown if it does not start."""
 
 
 class ServiceManager(Protocol):
@@ -160,7 +160,7 @@ class Systemd:
 
 
 class OwnSupervisor:
-    """A process of ours that stands by the agent (`own_supervisor.py`), where no systemd does."""
+    """A process of ours that stands by the agent (`own_supervisor.py`), if no systemd does."""
 
     kind = "supervisor"
 

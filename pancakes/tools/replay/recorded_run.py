@@ -75,7 +75,7 @@ class Stay:
         task: what the task was at the beginning.
         from_ns: when it began, as the recording counts time.
         to_ns: when it ended, or the recording.
-        end: `stopped`, `failed`, or empty where the recording ended first.
+        end: `stopped`, `failed`, or empty if the recording ended first.
         reason: why it ended.
     """
 
@@ -88,7 +88,7 @@ class Stay:
 
     @property
     def task_id(self) -> str:
-        """What the task is called: its identity for life, or its address where it has none."""
+        """What the task is called: its identity for life, or its address if it has none."""
         return self.task.task_id or self.task.address
 
     @property

@@ -65,7 +65,7 @@ class Topic(NamedTuple):
         type: their type.
         source: the address of their publisher.
         agent: the agent that they are for.
-        left_out: why they are not fed; empty where they are.
+        left_out: why they are not fed; empty if they are.
     """
 
     recorded_on: str
@@ -147,7 +147,7 @@ class Selection:
         if name not in self.agents:
             return f"{name} is not there"
         if not may_be_replayed(packet.channel):
-            return f"agents take {packet.channel} from its publisher alone"
+            return f"agents take {packet.channel} only from its publisher"
         if self.only:
             return ""
         publisher = self.agents.get(agent_of(packet.source))
@@ -201,7 +201,7 @@ class Tally:
 
     Attributes:
         packets: the counts.
-        first_ns: when the first was seen that is fed; None where none is.
+        first_ns: when the first was seen that is fed; None if none is.
         last_ns: when the last was.
     """
 

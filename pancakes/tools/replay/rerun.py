@@ -126,7 +126,7 @@ class Outcome:
 
     Attributes:
         outputs: the packets that it published, in order.
-        failed: why it failed; empty where it did not.
+        failed: why it failed; empty if it did not.
         failed_s: when, in mission time.
         notes: sentences on what could not be done as it was.
     """

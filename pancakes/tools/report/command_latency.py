@@ -17,7 +17,7 @@ from pancakes.recording.records import RecordedPacket
 from pancakes.tools.report.time_series import Distribution
 
 MOST_EVEN: Final = 24_000
-"""The most commands that are kept, as many of each actuator; where there were more, each second one is left out, ..."""
+"""The most commands that are kept, as many of each actuator; if there were more, each second one is left out, ..."""
 MOST_EVEN_EACH: Final = 4000
 """... and the most of one actuator."""
 MOST_SLOW: Final = 50
@@ -45,7 +45,7 @@ class PickedCommand:
 
     @classmethod
     def of(cls, command: ActuatorCommand, time: MissionTime) -> PickedCommand:
-        """Make one of a command; not of its stamp, as an agent that is started again counts its time anew."""
+        """Make one of a command; not of its stamp, as an agent that is started again counts its time from scratch."""
         text = body_text(command.packet.body, BODY_CHARACTERS)
         return cls(time.at(command.time_ns), text, command.chain.steps, command.chain.latency_s)
 
@@ -260,7 +260,7 @@ class Reactions:
         return sorted(self._by_shape.values(), key=lambda it: (-it.count, it.steps))
 
     def alike(self, chain: Chain) -> Reaction | None:
-        """Return all chains of the shape of one; None where that is none that is told apart."""
+        """Return all chains of the shape of one; None if that is none that is told apart."""
         return self._by_shape.get(chain.shape)
 
     def _take(self, commands: list[ActuatorCommand]) -> None:

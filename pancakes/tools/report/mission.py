@@ -27,7 +27,7 @@ class Body:
 
     Attributes:
         name: what it is called; of an agent, the agent's name.
-        kind: `robot`, `sensor` or `mover` where the world says so; `agent` where only its own poses are known.
+        kind: `robot`, `sensor` or `mover` where the world says so; `agent` if only its own poses are known.
         path: time in seconds, x and y in metres, heading in radians.
     """
 
@@ -113,8 +113,8 @@ class Span:
     Attributes:
         from_s: when it began.
         to_s: when it ended, or the recording did.
-        epoch: how often it had been handed over; None where that is not known.
-        ended: how it ended; empty where it ran to the end.
+        epoch: how often it had been handed over; None if that is not known.
+        ended: how it ended; empty if it ran to the end.
     """
 
     from_s: float
@@ -131,7 +131,7 @@ class TaskLane:
         agent: the agent.
         task: the task's name.
         service: its service.
-        task_id: its identity for life; empty where it is not known.
+        task_id: its identity for life; empty if it is not known.
         spans: when it ran there.
     """
 

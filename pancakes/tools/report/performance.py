@@ -21,7 +21,7 @@ class AtRate:
 
     @property
     def achieved_hz(self) -> float | None:
-        """Ticks for each second; None where it was too short to tell."""
+        """Ticks for each second; None if it was too short to tell."""
         return self.ticks / self.during_s if self.during_s * self.asked_hz >= 3.0 else None
 
 
@@ -32,7 +32,7 @@ class TimerRates:
     Attributes:
         agent: the agent.
         task: the task, as `service/task`.
-        task_id: its identity for life; empty where it cannot move.
+        task_id: its identity for life; empty if it cannot move.
         timer: the method.
         at: what it did at each rate that it was asked for, in the order of time.
         ticks: how often it was called.
@@ -41,7 +41,7 @@ class TimerRates:
         lateness_max_s: the largest.
         lateness: over time, the mean of the ticks since the sample before, in seconds.
         lateness_counts: how many of the ticks were how late, by the number of the bucket (see `latenesses.bucket_of`);
-            empty where that was not recorded.
+            empty if that was not recorded.
     """
 
     agent: str
@@ -72,7 +72,7 @@ class TimerRates:
             self.lateness_counts[bucket] = self.lateness_counts.get(bucket, 0) + count
         before, self._before = self._before, (mission_s, incarnation, now)
         # Ticks before the recording began are no part of it; of the largest lateness the time is not known.
-        # Where mission time has gone back the agent was started again, and counts all anew.
+        # Where mission time has gone back the agent was started again, and counts all from scratch.
         if before is not None and (mission_s < before[0] or before[1] != incarnation or now.ticks < before[2].ticks):
             before = (mission_s, incarnation, TimerFigures(now.timer, now.rate_hz, 0, 0, 0.0, 0.0))
         if before is None:

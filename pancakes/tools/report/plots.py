@@ -173,7 +173,7 @@ MOST_MOVES = 12
 
 
 def draw_paths(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw where all bodies went, and which task drove them. None where nothing has a place."""
+    """Draw where all bodies went, and which task drove them. None if nothing has a place."""
     bodies = findings.paths.bodies()
     if not bodies:
         return None
@@ -256,7 +256,7 @@ def _path_legend(bodies: Sequence[Body], tasks: Sequence[str], palette: Palette)
 
 
 def draw_timeline(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw which agent ran which task. None where no task of a mission ran."""
+    """Draw which agent ran which task. None if no task of a mission ran."""
     lanes = [lane for _, lane in sorted(findings.timeline.lanes.items()) if lane.spans][:MOST_LANES]
     if not lanes:
         return None
@@ -291,7 +291,7 @@ def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
 
 
 def draw_batteries(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw what was left in the batteries. None where no agent has one."""
+    """Draw what was left in the batteries. None if no agent has one."""
     batteries = findings.paths.batteries
     if not batteries:
         return None
@@ -311,7 +311,7 @@ def draw_batteries(findings: Findings, palette: Palette, out: Path) -> Picture |
 
 
 def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw what the neighbours asked for in each move. None where no neighbour was asked."""
+    """Draw what the neighbours asked for in each move. None if no neighbour was asked."""
     moves = [move for move in findings.moves.moves if any(it.cost is not None for it in move.ledger.lines)][:MOST_MOVES]
     if not moves:
         return None
@@ -345,7 +345,7 @@ NEGLIGIBLE_S = 1e-9
 
 
 def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw the rates that were asked for and achieved. None where no figures were recorded."""
+    """Draw the rates that were asked for and achieved. None if no figures were recorded."""
     rows = [
         (timer, shown)
         for _, timer in sorted(findings.rates.timers.items())
@@ -379,7 +379,7 @@ def _timer_name(timer: TimerRates) -> str:
 
 
 def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw how late ticks were. None where nothing was, or no figures were recorded."""
+    """Draw how late ticks were. None if nothing was, or no figures were recorded."""
     timers = [timer for _, timer in sorted(findings.rates.timers.items()) if timer.ticks]
     late = sorted((timer for timer in timers if timer.lateness_max_s > NEGLIGIBLE_S), key=lambda it: -it.lateness_max_s)
     if not late:
@@ -417,7 +417,7 @@ def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | 
 
 
 def draw_drops(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw the packets that fell out of mailboxes. None where none did."""
+    """Draw the packets that fell out of mailboxes. None if none did."""
     drops = sorted((it for it in findings.rates.drops.values() if it.total), key=lambda it: -it.total)[:MOST_LINES]
     if not drops:
         return None
@@ -437,7 +437,7 @@ def draw_drops(findings: Findings, palette: Palette, out: Path) -> Picture | Non
 
 
 def draw_traffic(findings: Findings, out: Path, name: str, flow: Flow, of: str) -> Picture | None:
-    """Draw packets and bytes over time. None where nothing travelled.
+    """Draw packets and bytes over time. None if nothing travelled.
 
     Args:
         findings: from when to when the recording is.
@@ -476,7 +476,7 @@ def _line(axes: Axes, counts: Counts, kind: str, span_s: tuple[float, float], fa
 
 
 def draw_reactions(findings: Findings, out: Path) -> Picture | None:
-    """Draw the most frequent chains that led to commands. None where none has a cause."""
+    """Draw the most frequent chains that led to commands. None if none has a cause."""
     reactions = findings.reactions.reactions()[:MOST_SHAPES]
     if not reactions:
         return None

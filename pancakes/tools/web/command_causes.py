@@ -206,7 +206,7 @@ class CommandExplainer:
     def explain(
         self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
     ) -> dict[str, Any] | None:
-        """Return why a command was given, as plain values; None where there is none.
+        """Return why a command was given, as plain values; None if there is none.
 
         Args:
             agent: whose actuator was commanded.
@@ -221,7 +221,7 @@ class CommandExplainer:
             `body`, `at_ms` (since the first), `travel_ms` (to the next agent) and `handling_ms` (until the next was
             published); and `alike`: of the commands whose chain has the same shape `count`, `p50_ms`, `p90_ms`,
             `p99_ms`, `max_ms` from end to end, and `bars` of a histogram from `from_ms` to `to_ms`, the last with
-            all that took longer. It is None where the command answers no packet that is known.
+            all that took longer. It is None if the command answers no packet that is known.
         """
         found = self._find(agent, type_, t, command)
         if found is None:

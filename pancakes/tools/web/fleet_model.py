@@ -117,7 +117,7 @@ TRAIL: Final = 400
 TRAIL_STEPS: Final = 200
 """The points of a trail are at least the arena's width divided by this apart."""
 TRAIL_STEP_M: Final = 0.02
-"""The same where there is no arena."""
+"""The same if there is no arena."""
 RUNNING: Final = "running"
 _ENDS: Final = {"task_stopped": "stopped", "task_failed": "failed", "task_given_up": "failed"}
 

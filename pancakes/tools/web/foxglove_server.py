@@ -26,7 +26,7 @@ class FoxgloveServer:
 
     Args:
         name: what viewers show as its name.
-        port: the port; None: the usual one, or a free one where that is taken.
+        port: the port; None: the usual one, or a free one if that is taken.
 
     Attributes:
         address: where it listens, `ws://HOST:PORT`.

@@ -36,7 +36,7 @@ def fields_of(schema: Mapping[str, Any], settings: Mapping[str, Any]) -> tuple[l
 
     A field has `path` (the keys that lead to the value), `name` (the same as TOML writes it), `kind` (`number`,
     `integer`, `boolean`, `text`, `choice`, or `json` for all else), `type`, `bounds`, `unit`, `description` (for
-    people), `value`, `nullable`; and where there are such, `default`, `min`, `max`, `choices`. What is in a table of
+    people), `value`, `nullable`; and if there are such, `default`, `min`, `max`, `choices`. What is in a table of
     known keys has fields of its own. Where the value cannot be changed on a page, `fixed` says why, and `value` is a
     text.
 
@@ -57,7 +57,7 @@ def fields_of(schema: Mapping[str, Any], settings: Mapping[str, Any]) -> tuple[l
 
 
 def _changed_together(fields: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the fields of one table, which is set as a whole: where one cannot be changed, no other can be."""
+    """Return the fields of one table, which is set as a whole: if one cannot be changed, no other can be."""
     fixed = next((field for field in fields if "fixed" in field), None)
     if fixed is None:
         return fields
@@ -89,7 +89,7 @@ def _fields(
 def _arm(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> tuple[Mapping[str, Any], bool]:
     """Return the schema that a value has to fit where it is there, and whether it may be nothing instead.
 
-    Where there are several such schemas, the first is empty: no kind of field fits all of them.
+    If there are several such schemas, the first is empty: no kind of field fits all of them.
     """
     arms = arms_of(resolved(part, definitions), definitions)
     there = [arm for arm in arms if arm.get("type") != "null"]
@@ -253,7 +253,7 @@ def _fault_of(settings: Mapping[str, Any]) -> str:
 
 
 def _faults(value: Any, depth: int) -> Iterator[str]:
-    """Yield for each value in settings what is wrong with it; an empty text where nothing is."""
+    """Yield for each value in settings what is wrong with it; an empty text if nothing is."""
     if depth > MOST_DEEP:
         yield f"settings are nested more than {MOST_DEEP} deep"
     elif isinstance(value, Mapping):

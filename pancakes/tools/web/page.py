@@ -16,7 +16,7 @@ def open_page(shown: Shown, port: int | None) -> PageServer:
 
     Args:
         shown: what it shows.
-        port: the port; None: the usual one, or a free one where that is taken.
+        port: the port; None: the usual one, or a free one if that is taken.
 
     Raises:
         PancakesError: the port is taken, or the library is missing.

@@ -138,7 +138,7 @@ class TaskLooks:
         """Return what there is to be known of a task.
 
         That is `state`: its `rows`, whether they are `cut`, and at what moment `t` of the timeline it was seen with
-        them; None, and the sentence `no_state`, where it is not known. And of the present `settings` with the number
+        them; None, and the sentence `no_state`, if it is not known. And of the present `settings` with the number
         of those that are `left_out` (see `fields_of`), and `timers`.
 
         Args:
@@ -226,7 +226,7 @@ def _plain(seen_s: float, state: ShortState) -> dict[str, Any]:
 
 ADDRESS: Final = "127.0.0.1"
 PORT: Final = 7480
-"""The port of the page where no other is named and this one is free."""
+"""The port of the page if no other is named and this one is free."""
 SOCKET: Final = "/news"
 MOST_PAGES: Final = 32
 """The most pages that may be open."""
@@ -253,7 +253,7 @@ class PageServer:
     """Show a fleet to any number of pages, in a thread of its own.
 
     A page gets what changed since it got something last, whenever it has taken that: so a page that is slow gets less,
-    and delays no other. It is answered only where it came from this server, under a name of the loopback interface:
+    and delays no other. It is answered only if it came from this server, under a name of the loopback interface:
     a foreign site that a browser shows at the same time can neither look nor ask. And it must show the token that is in
     the address which a person was given: other users of the machine reach the loopback too.
 
@@ -503,7 +503,7 @@ _Number = Annotated[int, msgspec.Meta(ge=0, le=2**53)] | None
 
 
 def _moment_of(asked: dict[str, Any]) -> float:
-    """Return the moment on the timeline that a page asks for; 0 where it is none, such as a number of 400 digits."""
+    """Return the moment on the timeline that a page asks for; 0 if it is none, such as a number of 400 digits."""
     try:
         return codecs.convert(asked.get("t"), float)
     except msgspec.ValidationError:

@@ -37,7 +37,7 @@ class Board:
         self._entries.move_to_end(key)
 
     def get(self, key: str) -> Any:
-        """Return a value, None where there is none."""
+        """Return a value, None if there is none."""
         entry = self._entries.get(key)
         return entry[1] if entry is not None else None
 
@@ -119,7 +119,7 @@ class FrameHistory:
     def at(self, t: float) -> bytes:
         """Return the piece around `t` as JSON: `begin`, `end`, `open` (whether it still grows), `key`, `frames`.
 
-        Before the beginning that is the first one, after the end the last; `null` where there is none.
+        Before the beginning that is the first one, after the end the last; `null` if there is none.
         """
         if not self._chunks:
             return b"null"
@@ -186,7 +186,7 @@ class StateHistory:
             self._forget_oldest()
 
     def at(self, task: str, t: float) -> tuple[float, ShortState] | None:
-        """Return when a task was seen last, at `t` or before, and with which state; None where it was not."""
+        """Return when a task was seen last, at `t` or before, and with which state; None if it was not."""
         for seen in reversed(self._seen.get(task, ())):
             if seen.first_s <= t:
                 return min(t, seen.last_s), seen.state

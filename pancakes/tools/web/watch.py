@@ -27,7 +27,7 @@ SILENT_S: Final = 2.5
 DETAIL_S: Final = 10.0
 """How often a task is asked for its settings and state; after an event about it at the next `LOOK_S`."""
 RETRY_S: Final = 0.5
-"""How long to wait before agents are looked for again where there are none."""
+"""How long to wait before agents are looked for again if there are none."""
 RECALL_S: Final = 600.0
 """How far back, in mission time, a newly met agent is asked for its log."""
 MOST_ANSWERS: Final = 20
@@ -238,7 +238,7 @@ class Watch:
         self._take_commands()
 
     def _look_who_is_there(self, session: Session) -> None:
-        """Say that the fleet has ended where it has: until an agent comes back."""
+        """Say that the fleet has ended if it has: until an agent comes back."""
         now_s = session.now()
         if any(fleet.agents() or fleet.asleep() for fleet in session.fleets()):
             self._seen_s = now_s

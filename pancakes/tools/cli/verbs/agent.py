@@ -29,7 +29,7 @@ def agent() -> None:
 def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
     """List the agents that run, or those that are named.
 
-    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
+    An agent that does not answer in time is named on standard error; the exit code is 3 if none answers.
 
     \b
     Example:
@@ -74,7 +74,7 @@ def info(agent: str, ask: Ask) -> None:
 def reload_keys(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
     """Have agents take a new key that `pancakes fleet join` has put in the place of the old one.
 
-    An agent looks for one each minute by itself. New links use it, and the old ones are made anew, one after the other.
+    An agent looks for one each minute by itself. New links use it, and the old ones are replaced one by one.
 
     \b
     Example:
@@ -153,7 +153,7 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
 
 
 def _few(few: dict[str, int] | None) -> dict[str, str]:
-    """How many links an agent keeps, where it does not keep one to each."""
+    """How many links an agent keeps, if it does not keep one to each."""
     return {"keeps links to": f"{few['links']} of {few['known']} agents that it knows"} if few is not None else {}
 
 

@@ -128,7 +128,7 @@ def check_clocks(facts: Facts) -> Iterator[Finding]:
         yield Finding("error" if abs(drift) >= LEASE_DRIFT else "warning", name, text, advice)
     for name, ahead_s, others in _off(_told(agents, "mission_ahead_s"), MISSION_S):
         text = f"its mission is {_apart(ahead_s)} that of {others}"
-        advice = f"restart {name}, where it is to be one mission: it goes on at the time of its fleet"
+        advice = f"if it is meant to be one mission, restart {name}: it goes on at the time of its fleet"
         yield Finding("warning", name, text, advice)
 
 
@@ -245,7 +245,7 @@ def _check_owned(owner: dict[str, Any], known: Sequence[dict[str, Any]]) -> Iter
         text = "stands still: more than half of its guardians do not answer it"
         yield Finding("error", about, text, f"see which: pancakes task guards {owner['agent']}")
     elif len(guardians) < owner["guard"]:
-        text = f"is to be guarded by {owner['guard']} agents, and is by {len(guardians)}: it does not outlive its agent"
+        text = f"has {len(guardians)} of the {owner['guard']} guardians that it needs: it does not outlive its agent"
         yield Finding("warning", about, text, "link it to more agents that may guard it; a witness will do")
     elif silent:
         text = f"has a guardian that does not answer: {', '.join(silent)}"
@@ -255,7 +255,7 @@ def _check_owned(owner: dict[str, Any], known: Sequence[dict[str, Any]]) -> Iter
 
 def _check_machine(about: str, owner: dict[str, Any]) -> Iterator[Finding]:
     if devices := ", ".join(owner.get("no_dead_man", ())):
-        text = f"commands {devices}, whose hardware does not hold by itself: it goes on as it was where its agent dies"
+        text = f"commands {devices}, whose hardware does not hold by itself: it goes on as it was if its agent dies"
         yield Finding("warning", about, text, "docs/writing-a-driver.md says what a dead-man switch must do")
     if steps := owner.get("clock_steps", 0):
         times = "once" if steps == 1 else f"{steps} times"
@@ -409,7 +409,7 @@ def check_agent(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
         yield Finding("warning", name, text, advice)
     if agent["held"]:
         text = "its mission waits at 0, so nothing of it moves"
-        yield Finding("warning", name, text, "it begins when its launcher says so, as pancakes launch does")
+        yield Finding("warning", name, text, "it begins when its launcher lets it, as pancakes launch does")
     if agent["insecure"]:
         text = f"speaks over {agent['insecure']} without keys: all that reach it can read what it says, and command it"
         yield Finding("warning", name, text, "pancakes fleet join, and take insecure = true out of its file")
@@ -443,7 +443,7 @@ def check_peers(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
             text = f"is not connected to its peer {peer}" + (f": {known['refused']}" if known["refused"] else "")
             advice = "start that agent, or correct peers in [agent]"
             if "certificate" in known["refused"]:
-                advice = "pancakes fleet list, and enrol it again if it is to belong to the fleet"
+                advice = "pancakes fleet list, and enrol it again if it belongs to the fleet"
             yield Finding("warning", name, text, advice)
     for peer in mesh["peers"]:
         lost = sum(peer["dropped"].values())

@@ -35,7 +35,7 @@ from pancakes.tools.cli.verbs.publish import pub
 from pancakes.util.text import hint_of
 
 WINDOW: Final = 1000
-"""So many of the newest packets of one source and type are looked at, where nothing else is said."""
+"""So many of the newest packets of one source and type are looked at, if nothing else is said."""
 
 
 def size_of(packet: Packet) -> int:
@@ -86,7 +86,7 @@ class Throughput:
         it = self._series.get(key)
         time_s = at_s if self._arrivals else packet.stamp
         if it is None or time_s < it.newest[-1].time_s:
-            # A mission time that goes back is that of an agent that was started anew.
+            # A mission time that goes back is that of an agent that was started again.
             it = self._series[key] = _PacketSeries(deque(maxlen=self._window))
         it.newest.append(_Arrival(time_s, at_s, size))
         it.packets += 1
@@ -102,7 +102,7 @@ class Throughput:
 
         Returns:
             For each `source`, `type`, `packets` (all of them), `window` (those that the rest is about), `rate_hz`,
-            `min_s`, `max_s` and `std_dev_s` of the intervals (None where there is none), `bytes_per_s` of host time,
+            `min_s`, `max_s` and `std_dev_s` of the intervals (None if there is none), `bytes_per_s` of host time,
             `min_bytes`, `mean_bytes` and `max_bytes`.
         """
         rows = []
@@ -399,7 +399,7 @@ class FieldPaths:
         self._told: set[str] = set()
 
     def pick(self, record: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return the fields of a packet by their paths, null where it has not all of them; None where it has none."""
+        """Return the fields of a packet by their paths, null if it has not all of them; None if it has none."""
         found = {path: _at(record, path) for path in self._paths}
         own = all(path.startswith(HEADER) for path in self._paths)
         if own or any(it for path, it in found.items() if not path.startswith(HEADER)):
@@ -419,7 +419,7 @@ class FieldPaths:
 
 
 def _at(record: Mapping[str, Any], path: str) -> tuple[Any, ...]:
-    """Return what is at a path, as the only item of a tuple; an empty one where there is nothing."""
+    """Return what is at a path, as the only item of a tuple; an empty one if there is nothing."""
     if path.startswith(HEADER):
         value, steps = dict(record), path.removeprefix(HEADER).split(".")
     else:

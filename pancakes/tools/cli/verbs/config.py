@@ -25,7 +25,7 @@ Origin = Callable[[tuple[str, ...]], str]
 
 
 class FileOrAgent(click.ParamType):
-    """A file, or the name of an agent where there is no such file and the name could not be one of a configuration.
+    """A file, or the name of an agent if there is no such file and the name could not be one of a configuration.
 
     A folder may bear the name of an agent, as that of its distribution does.
     """

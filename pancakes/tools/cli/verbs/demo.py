@@ -177,7 +177,7 @@ class DemoNames(click.ParamType):
 @click.option("--view", "view_", is_flag=True, help="Show it on a page in the browser, which stays until Ctrl-C.")
 @click.option("--control", is_flag=True, help="Let that page move and stop tasks and change settings (live).")
 @port_option
-@click.option("--local", is_flag=True, help="The agents speak within this machine alone, and take no port (live).")
+@click.option("--local", is_flag=True, help="The agents speak only within this machine, and take no port (live).")
 @click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")
 @format_option
 @click.pass_context
@@ -225,7 +225,7 @@ def demo(
         raise click.UsageError("--control does not go with --virtual: such a run repeats, and takes no orders")
     mission = _mission(found)
     if virtual and mission.live_only:
-        raise click.UsageError(f"the demo {name!r} runs live alone: {mission.live_only}")
+        raise click.UsageError(f"the demo {name!r} runs only live: {mission.live_only}")
     if seeds is None and (jobs is not None or printer.is_json):
         raise click.UsageError("--jobs and --format are about many missions: they need --seeds")
     if seeds is not None:
@@ -366,7 +366,7 @@ def _interrupted_late(out: Path) -> int:
 
 
 def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
-    """Run one mission, and judge it; return None where it was interrupted."""
+    """Run one mission, and judge it; return None if it was interrupted."""
     from pancakes.tools.demo.conductor import Mission, how_slow
     from pancakes.tools.demo.launcher import (
         RECORDING,

@@ -80,13 +80,13 @@ def deploy(
     machine.
     All hosts are prepared before anything that runs is touched: wheels are brought, an environment is made of them,
     and each configuration is checked in it. Then one agent after the other gives its tasks to neighbours, is stopped,
-    switched and started, and gets its tasks back. Where one does not become ready, or its tasks do not run, all agents
+    switched and started, and gets its tasks back. If one does not become ready, or its tasks do not run, all agents
     go back to the versions that they had. The exit code is then 1.
 
     Configurations are checked first, with what is brought. What a person has changed on a host is told, and made as it
     is deployed. Extras of Pancakes that the configurations need come along.
 
-    An agent is kept running by the systemd of its user, or by a supervisor of Pancakes where there is none.
+    An agent is kept running by the systemd of its user, or by a supervisor of Pancakes if there is none.
 
     \b
     Example:

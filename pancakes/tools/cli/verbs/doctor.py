@@ -31,7 +31,7 @@ def doctor(no_machine: bool, ask: Ask) -> None:
     On the machine: Python and its libraries, plug-ins, the directories that agents use, open files, clock, loopback.
     In agents: those that do not answer, are suspended, or have another's name or version; peers that are away;
     services and tasks that were given up or are stuck; missed ticks and lost packets; actuators that refuse a task;
-    clocks that are off (time of day, rate, mission time). The exit code is 1 where there is an error.
+    clocks that are off (time of day, rate, mission time). The exit code is 1 if there is an error.
 
     \b
     Example:

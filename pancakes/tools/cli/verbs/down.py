@@ -54,7 +54,7 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
     if ask.where.addresses and not agents and not all_:
         raise click.UsageError("name the agents to end, or say --all for those that are found through --at")
     if all_ and (agents or not ask.where.addresses):
-        raise click.UsageError("--all goes with --at alone: without both, all agents of this machine end")
+        raise click.UsageError("--all goes only with --at: without both, all agents of this machine end")
     here = {
         (entry.fleet, entry.name): entry
         for entry in entries()

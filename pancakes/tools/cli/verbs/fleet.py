@@ -62,8 +62,8 @@ told_at = click.option(
 def fleet() -> None:
     """Who belongs to a fleet, and what its members may do.
 
-    Agents speak over tcp:// to bearers of the certificates of their fleet alone. The authority of the fleet gives those
-    out: it is a key in ~/.config/pancakes/fleets/FLEET, which `init` makes, and which no robot needs. Robots and other
+    Over tcp://, agents speak only to those that have certificates of their fleet. The authority of the fleet gives
+    them out: a key in ~/.config/pancakes/fleets/FLEET, which `init` makes, and which no robot needs. Robots and other
     people `join`, with a code that `enrol` shows or with a folder that it writes.
     """
 
@@ -389,7 +389,7 @@ def allow(
 def can(who: str, right: Right, on: str, at: str, fleet_name: str, printer: Printer) -> None:
     """Say whether a member of the fleet may do something, and by which rule. No agent is asked.
 
-    It goes by the roster that was signed last. The exit code is 1 where the answer is no.
+    It goes by the roster that was signed last. The exit code is 1 if the answer is no.
 
     \b
     Example:

@@ -44,7 +44,7 @@ def founded(name: str) -> Path:
 
 
 def opened(name: str) -> Authority:
-    """Open the folder of a fleet that was founded here, and ask for its password where it has one.
+    """Open the folder of a fleet that was founded here, and ask for its password if it has one.
 
     Raises:
         PancakesError: there is none, or the password does not fit.

@@ -56,7 +56,7 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
 )
 @force_option
 @click.option(
-    "--local", is_flag=True, help="Let the agents speak within this machine alone, by local://, without ports."
+    "--local", is_flag=True, help="Let the agents speak only within this machine, by local://, without ports."
 )
 @click.option("--dry-run", is_flag=True, help="Only check everything, and show what would be started.")
 @format_option
@@ -87,8 +87,8 @@ def launch(
     needs --force if this is no terminal.
 
     An agent that fails is started again, at most three times within a minute unless the fleet file says otherwise.
-    SIGINT or SIGTERM stops all of them in order, the same again at once. The exit code is 0 where all were stopped or
-    ended in order, 1 where one was given up or cannot run, 4 where a configuration is bad.
+    SIGINT or SIGTERM stops all of them in order, the same again at once. The exit code is 0 if all were stopped or
+    ended in order, 1 if one was given up or cannot run, 4 where a configuration is bad.
 
     \b
     Example:

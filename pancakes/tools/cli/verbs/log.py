@@ -124,7 +124,7 @@ def text_of(record: Record) -> str:
 
 
 def colour_of(record: Record) -> str | None:
-    """Return the colour of its line; it stays only where it can be seen."""
+    """Return the colour of its line; it stays only if it can be seen."""
     return COLOURS.get(level_of(record)) if "NO_COLOR" not in os.environ else None
 
 
@@ -134,7 +134,7 @@ def with_traceback(record: Record) -> str:
     return "\n".join([text_of(record), *(printable(f"          {row}") for row in rows)])
 
 
-# Where it comes from ---------------------------------------------------------------------------------------------
+# Where it comes from ------------------------------------------------------------------------------------------
 
 
 def _history(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
@@ -213,7 +213,7 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
 
 
 class Known:
-    """Which records of one agent have been shown, so that none is shown twice where it comes in two ways."""
+    """Which records of one agent have been shown, so that none is shown twice if it comes in two ways."""
 
     def __init__(self) -> None:
         self._shown: deque[str] = deque(maxlen=2 * REMEMBERED)

@@ -70,7 +70,7 @@ def check_plugins(plugins: Plugins | None = None) -> Iterator[Finding]:
     plugins = plugins or Plugins()
     rows = [row for group in GROUPS for row in rows_of(plugins, group)]
     for problem in plugins.unreadable():
-        yield Finding("error", "plug-ins", str(problem), "install that distribution anew")
+        yield Finding("error", "plug-ins", str(problem), "install that distribution again")
     for row in rows:
         if row["state"] == "broken":
             advice = f"mend or uninstall {row['distribution']}: what it offers does not run"
@@ -203,7 +203,7 @@ def _check_journal(directory: Path) -> Finding:
 
 
 def _holder(directory: Path) -> str:
-    """The process that has a state directory locked; empty where none has."""
+    """The process that has a state directory locked; empty if none has."""
     with contextlib.suppress(OSError), (directory / "lock").open("rb") as lock:
         if is_locked(lock):
             return lock.read(32).decode("ascii", "replace").strip() or "?"

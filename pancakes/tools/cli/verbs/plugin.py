@@ -29,7 +29,7 @@ def plugin() -> None:
 def list_(group: tuple[str, ...], broken: bool, printer: Printer) -> None:
     """List all plug-ins of this Python environment: its name, its distribution, and whether it can be used.
 
-    All of them are imported for that. The exit code is 1 where one is broken.
+    All of them are imported for that. The exit code is 1 if one is broken.
 
     \b
     Example:

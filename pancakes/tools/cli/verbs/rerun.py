@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 SHOWN: Final = 10
 LONGEST: Final = 100
-"""So many characters of a packet's body are shown in a line."""
+"""At most this many characters of a packet's body are shown in a line."""
 
 
 @click.command()
@@ -68,10 +68,10 @@ def rerun(
 ) -> None:
     """Run a recorded task through its present code, and show where its packets differ from the recorded ones.
 
-    TASK is the task's identity for life, BIRTHPLACE/NAME, or its name where only one task bears it. It is run in
+    TASK is the task's identity for life, BIRTHPLACE/NAME, or its name if only one task bears it. It is run in
     virtual time, alone: it gets the packets that it got then, at their times, its timers tick as they did, and what was
-    changed while it ran is changed again. Each of its stays on an agent is run by itself. Exit code 0 where all that it
-    publishes is as it was, 1 where not.
+    changed while it ran is changed again. Each of its stays on an agent is run by itself. Exit code 0 if all that it
+    publishes is as it was, 1 if not.
 
     \b
     Example:

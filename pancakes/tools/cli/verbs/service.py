@@ -41,7 +41,7 @@ def service() -> None:
 def list_(agents: tuple[str, ...], state: str | None, ask: Ask) -> None:
     """List the services of all agents, or of those that are named.
 
-    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
+    An agent that does not answer in time is named on standard error; the exit code is 3 if none answers.
 
     \b
     Example:

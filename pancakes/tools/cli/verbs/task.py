@@ -125,7 +125,7 @@ def create(
 def remove(name: TaskName, force: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a task that no configuration file names, and forget it: its state is gone.
 
-    A later task of its name begins anew. One that a file names is refused, as it would be back with its agent.
+    A later task of its name begins from scratch. One that a file names is refused, as it would be back with its agent.
 
     \b
     Example:
@@ -176,7 +176,7 @@ task.add_command(take)
 def list_(agents: tuple[str, ...], service: str, type_: str, state: str | None, long: bool, ask: Ask) -> None:
     """List the tasks of all agents, or of those that are named.
 
-    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
+    An agent that does not answer in time is named on standard error; the exit code is 3 if none answers.
 
     \b
     Example:
@@ -253,7 +253,7 @@ def start(name: TaskName, sets: Changes, dry_run: bool, ask: Ask) -> None:
 def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
     """Stop a task once it has finished what it has in hand, and wait for that.
 
-    It stays stopped, also when its agent is started anew.
+    It stays stopped, also when its agent is started again.
 
     \b
     Example:
@@ -294,7 +294,7 @@ def restart(name: TaskName, keep_state: bool, force: bool, dry_run: bool, ask: A
     metavar="METHOD",
     default="",
     shell_complete=timers,
-    help="Which of its timers, where it has several.",
+    help="Which of its timers, if it has several.",
 )
 @dry_run_option
 @orders_agents

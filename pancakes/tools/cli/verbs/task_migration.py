@@ -72,7 +72,7 @@ def _birthplace_option(help_: str) -> Callable[[_F], _F]:
 def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: Ask) -> None:
     """Move a running task to the neighbour that takes it for the lowest cost, and wait until it runs there.
 
-    Shows which agents were asked, what each answered, and why the others did not get it. The exit code is 1 where no
+    Shows which agents were asked, what each answered, and why the others did not get it. The exit code is 1 if no
     agent takes it; the task has then never stopped.
 
     \b
@@ -123,15 +123,15 @@ def migrations(agents: tuple[str, ...], ask: Ask) -> None:
 def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask) -> None:
     """Run a task on AGENT that rests there because AGENT cannot know where it is. You know: it runs nowhere else.
 
-    This is the one act that can make two of a task: where it runs elsewhere after all, or comes back on an agent that
+    This is the one act that can make two of a task: if it runs elsewhere after all, or comes back on an agent that
     is off. So see first, with `pancakes task list`, that it runs nowhere. It is said what it would mean, and asked; if
     this is no terminal, nothing is done without --force, and the exit code is 1.
 
     Where its hand-off to another agent is in doubt, that agent must be gone for good: switch it off, adopt, and only
-    then set it up anew, with an empty state_dir. It is refused while the other agent is connected.
+    then set it up again, with an empty state_dir. It is refused while the other agent is connected.
 
     Where AGENT's own record of it was lost, it goes on from what can be read of that, or else begins as its
-    configuration says, without its state. Where it does run elsewhere, see `pancakes task forget`.
+    configuration says, without its state. If it does run elsewhere, see `pancakes task forget`.
 
     \b
     Example:
@@ -157,7 +157,7 @@ def forget(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask
 
     An agent whose record of a task is damaged cannot know whether it gave the task away. It does not start it, however
     often it is started itself, until you decide: `forget` where the task runs elsewhere, or is not wanted any more;
-    `pancakes task adopt` where it runs nowhere, and shall run on AGENT.
+    `pancakes task adopt` if it runs nowhere, and shall run on AGENT.
 
     What was forgotten can still be moved to AGENT, and `pancakes task adopt` takes the decision back.
 

@@ -68,7 +68,7 @@ GUARD_COLUMNS: Final = ("task_id", "owner", "permit_s", "guardian", "checkpoint"
 def guards(agents: tuple[str, ...], ask: Ask) -> None:
     """List the guarded tasks of all agents, or of those that are named, with a line for each of their guardians.
 
-    A guardian that does not answer is listed as silent. `permit_s` says for how long the owner may act yet: empty where
+    A guardian that does not answer is listed as silent. `permit_s` says for how long the owner may act yet: empty if
     it may not. `age_s` says how long ago the task was known to be as the guardian's newest checkpoint says, and
     `silent_s` how long the guardian has not heard the owner.
 
@@ -132,7 +132,11 @@ RUNS = ("running", "starting", "restarting", "stuck")
 @click.command()
 @a_task
 @click.option(
-    "--config", "path", metavar="FILE", default="", help="Begin anew, as FILE says: the lost agent's configuration."
+    "--config",
+    "path",
+    metavar="FILE",
+    default="",
+    help="Begin from scratch, as FILE says (configuration of the lost agent).",
 )
 @click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what FILE has. Repeatable."
@@ -152,8 +156,8 @@ def revive(
 ) -> None:
     """Run a task on AGENT whose own agent is gone for good: from the newest checkpoint that any agent holds of it.
 
-    Guardians hold checkpoints of guarded tasks, and agents whose hand-off is in doubt hold that of any task. Where no
-    agent holds one, --config says with what it begins anew: its state is lost then.
+    Guardians hold checkpoints of guarded tasks, and agents whose hand-off is in doubt hold that of any task. If no
+    agent holds one, --config says with what it begins from scratch: its state is lost then.
 
     It runs under an epoch above all that can be known of it, so actuators obey it, and packets for it come to AGENT.
     Where the lost agent comes back, its copy stands still once the two are linked. It is said which checkpoint it would
@@ -196,7 +200,7 @@ def revive(
 
 
 def _configured(path: str, sets: Sequence[str], name: TaskName, birthplace: str) -> tuple[Revive, float | None]:
-    """Return how the task begins anew, and at what rate; None: as its class says."""
+    """Return how the task begins from scratch, and at what rate; None: as its class says."""
     from pancakes.config import load
     from pancakes.util.plugins import Plugins
 
@@ -295,7 +299,7 @@ def _from_newest(client: Client, name: TaskName, held: Sequence[dict[str, Any]])
     if not held:
         raise ControlRefused(
             f"no agent that answers holds a checkpoint of {name.task}: with --config FILE, where FILE is the"
-            f" configuration of the agent that is lost, it begins anew on {name.agent}"
+            f" configuration of the agent that is lost, it begins from scratch on {name.agent}"
         )
     ids = sorted({row["task_id"] for row in held})
     if len(ids) > 1:
@@ -346,7 +350,7 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
         owners = [owner for owner in others if owner is not None]
         rests = here["rest"] == DISPUTED
         if not owners and not rests:
-            raise ControlRefused(f"{name} is owned by {name.agent} alone, as far as the agents that answer know")
+            raise ControlRefused(f"{name} is owned only by {name.agent}, as far as the agents that answer know")
         if not owners and not force:
             raise ControlRefused(
                 f"the other owner of {name} does not answer: {here['reason']}. With --force it lives here all the same,"
@@ -413,7 +417,7 @@ def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) ->
 
     With --set the actuator goes to its safe hold, and the fence is set to the epoch under which the task runs now. The
     agent of the actuator asks all agents that it is connected to. It refuses where one of them does not answer, and
-    where none has the task; of two that have it, the higher epoch counts. See first, with `pancakes task list`, that
+    if none has the task; of two that have it, the higher epoch counts. See first, with `pancakes task list`, that
     the task runs once. It asks first; if this is no terminal, nothing is done without --force.
     `pancakes task migrations` keeps the account.
 

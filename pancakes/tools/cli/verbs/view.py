@@ -30,7 +30,7 @@ port_option = click.option(
 def view(control: bool, foxglove: bool, port: int | None, open_: bool, ask: Ask) -> None:
     """Show a fleet on a page in the browser, until Ctrl-C.
 
-    It shows the arena with its robots (or the mesh, where there are no poses), the agents with their tasks, what
+    It shows the arena with its robots (or the mesh, if there are no poses), the agents with their tasks, what
     happens, and the last ten minutes on a timeline. The page is served on this machine's loopback interface only. From
     another machine: ssh -L 7480:127.0.0.1:7480 HOST. The address that is printed has a token, without
     which the page shows nothing; with --control a user who has it may change what the agents do.

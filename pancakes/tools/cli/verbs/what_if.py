@@ -75,7 +75,7 @@ def what_if() -> None:
 def move(name: TaskName, to: str, cost: str, for_s: float, ask: Ask) -> None:
     """A running task moves to another agent.
 
-    Its neighbours are asked for bids first, as the move itself would. The exit code is 1 where none would take it.
+    Its neighbours are asked for bids first, as the move itself would. The exit code is 1 if none would take it.
 
     \b
     Example:

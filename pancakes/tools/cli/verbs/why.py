@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pancakes.tools.report.command_latency import Reaction, Reactions
 
 LONGEST: Final = 100
-"""So many characters of what a packet says are shown in a line."""
+"""At most this many characters of what a packet says are shown in a line."""
 MOST_ALIKE: Final = 50
 """So many commands that fit are shown with their chains; --list shows all."""
 
@@ -47,7 +47,7 @@ def why(path: Path, list_: bool, printer: Printer, **asked: Any) -> None:
     the command. With --at, --seq or --slowest it shows single commands: the chain of packets back to the sensor
     reading, with what each said, its time on its way between agents, and the time until the next one was published,
     in which it waited in a mailbox and was handled. Mission time is the recording's, as in its report: an agent that is
-    started again does not begin anew.
+    started again does not begin from scratch.
 
     \b
     Example:
@@ -256,7 +256,7 @@ def _parts(row: dict[str, Any]) -> Iterator[Part]:
     ]
     yield Rows(steps, list(steps[0]))
     if any(step["travel_ms"] is None for step in row["chain"]):
-        yield "where nothing stands under `on its way`, it was not recorded when the packet left: it took longer"
+        yield "if nothing stands under `on its way`, nobody recorded when the packet left: it took longer"
     alike = row["alike"]
     if alike is not None:
         yield (
