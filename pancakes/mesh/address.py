@@ -58,7 +58,7 @@ class Address(msgspec.Struct, frozen=True):
 
     @property
     def everywhere(self) -> bool:
-        """Whether it stands for all interfaces of a computer."""
+        """Whether it means all interfaces of a computer."""
         return self.host in ("0.0.0.0", "::")
 
     @property
@@ -118,7 +118,7 @@ def fault_of_interface(text: str) -> str:
     """Returns what an address of one network lacks so that it leads anywhere, as a phrase; empty: nothing.
 
     Raises:
-        ValueError: it is no address.
+        ValueError: it is not an address.
     """
     there = parse_address(text)
     if not there.link_local or "%" in there.host:
@@ -168,7 +168,7 @@ def fleet_in(address: str) -> str:
 
 
 def is_local(address: str) -> bool:
-    """Returns whether an address is for this machine alone, and names no port."""
+    """Returns whether an address is only for this machine, and names no port."""
     return address.startswith(f"{LOCAL}://")
 
 

@@ -18,7 +18,7 @@ from pancakes.mesh.address import parse_address
 
 
 class Bucket:
-    """Lets so many through at once, and so many in each second after that.
+    """Let a number of events through at once, and a number in each second after that.
 
     Args:
         at_once: how many, at first and after a pause.
@@ -45,7 +45,7 @@ class Bucket:
 MOST_UNFINISHED: Final = 64
 """Of more, the oldest is given up. A handshake that is meant takes some milliseconds."""
 RATE_HZ: Final = 200.0
-"""How many may begin in a second."""
+"""How many handshakes may begin in a second."""
 AT_ONCE: Final = 50.0
 """How many of them may begin at once."""
 
@@ -68,7 +68,7 @@ class Handshakes(Generic[_T]):
         return self._beginning.take(1, now_s)
 
     def begun(self, connection: _T) -> _T | None:
-        """A handshake begins; returns the connection that is to be given up for it, None: none."""
+        """A handshake begins; returns the connection that must be given up for it, None: none."""
         oldest = next(iter(self._unfinished)) if len(self._unfinished) >= MOST_UNFINISHED else None
         self._unfinished[connection] = None
         return oldest
@@ -79,7 +79,7 @@ class Handshakes(Generic[_T]):
 
 
 IDLE_S: Final = 10.0
-"""A client that neither asked nor was sent anything for so long, in host time, gives its place up to another. One that
+"""A client that neither asked nor was sent anything for this time (host time) gives its place to another. One that
 follows a channel asks again after half of it; one that has never asked for anything is idle at once.
 """
 KEPT_FOR_THIS_MACHINE: Final = 8
@@ -92,7 +92,7 @@ class ClientPlace(msgspec.Struct, frozen=True):
 
     Attributes:
         link: its link.
-        machine: where it is, see `machine_of`.
+        machine: the machine that it is on, see `machine_of`.
         quiet_s: for how long no packet went either way, in host time; infinite if it never asked for anything.
     """
 
@@ -116,7 +116,7 @@ def client_to_end(machine: str, places: Sequence[ClientPlace]) -> int | None:
     """Returns the link of the client whose place a new client gets.
 
     Args:
-        machine: where the new client is.
+        machine: the machine that the new client is on.
         places: all places, the oldest first; none is free.
 
     Returns:

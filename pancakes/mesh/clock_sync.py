@@ -29,16 +29,16 @@ SOON_S: Final = 0.5
 """Answers must be further apart than this to tell much about the drift."""
 MOST_KEPT: Final = 32
 LONGEST_SLOT_S: Final = 5.0
-"""Of the answers in so long a time one is kept at least."""
+"""Of the answers in this time at least one is kept."""
 SLOTS: Final = 8
-"""How many are kept of the time that has passed, where that is less than as many of the longest slots."""
+"""How many are kept of the time that has passed, if that is less than as many of the longest slots."""
 
 
 class ClockOffset(msgspec.Struct, frozen=True):
-    """How a peer's host clock stands to one's own.
+    """The offset of a peer's host clock from one's own.
 
     Attributes:
-        at_s: the moment at which it stands so, in one's own host time.
+        at_s: the moment of that offset, in one's own host time.
         offset_s: how far the peer's clock is ahead then, in seconds.
         bound_s: the truth lies no further from it.
         drift: how many seconds the peer's clock gains in each second of one's own.
@@ -84,7 +84,7 @@ class ClockEstimate:
     """What is believed of one peer's host clock. One thread.
 
     Attributes:
-        found: how it stands to one's own; None: that was never measured.
+        found: its offset from one's own; None: never measured.
         kept: the answers that it rests on, the oldest first.
     """
 
@@ -193,7 +193,7 @@ class PeerClock(msgspec.Struct, frozen=True):
     """What is known of the clocks of a peer.
 
     Attributes:
-        offset: how its host clock stands to one's own.
+        offset: the offset of its host clock from one's own.
         timebase: what its mission time and its time of day are, as its host clock counts.
     """
 
@@ -243,7 +243,7 @@ class PeerMission(msgspec.Struct, frozen=True):
 
     Attributes:
         peer: the peer.
-        zero_s: the host time of the agent that asks at which it was 0; negative where that was before its clock began.
+        zero_s: the host time of the agent that asks at which it was 0; negative if that was before its clock began.
         bound_s: the truth lies no further from it, in host seconds.
         speed: mission seconds for each host second.
     """
@@ -255,7 +255,7 @@ class PeerMission(msgspec.Struct, frozen=True):
 
 
 def mission_of_fleet(missions: Sequence[PeerMission], speed: float) -> PeerMission | None:
-    """Returns the mission that goes on here: that of the most peers, so that no single one misleads; of two, the older.
+    """Returns the mission to join: that of the most peers, so that no single one misleads; of two, the older.
 
     Args:
         missions: those of the peers.

@@ -125,14 +125,14 @@ MAX_ARRAY_LENGTH: Final = 65_536
 MAX_MAP_LENGTH: Final = 4_096
 
 BODY_DEPTH: Final = 3
-"""The level at which a body stands."""
+"""The level of a body."""
 
 _LEAVES: Final = frozenset((str, int, float, bool, bytes, type(None)))
 _STRINGS: Final = frozenset((str,))
 
 
 def encodable(body: Any) -> Any:
-    """Returns a body as msgspec may encode it: plain values, which are parts of it where they can be.
+    """Returns a body as msgspec may encode it: plain values, which are parts of it if they can be.
 
     Raises:
         LocalProtocolError: a part of it does not travel; the sentence says where.
@@ -229,7 +229,7 @@ def unpacked(data: bytes | memoryview | msgspec.Raw) -> Any:
 
 
 def received_body(kind: str, plain: Any, source: str) -> Any:
-    """Makes the body of a packet of the type `kind` from what came in; where the type is unknown it stays plain.
+    """Makes the body of a packet of the type `kind` from what came in; if the type is unknown it stays plain.
 
     Raises:
         RemoteProtocolError: a part of it may not be in a packet, or it does not fit its type.
@@ -391,7 +391,7 @@ def encode_link_message(message: LinkMessage) -> bytes:
 def of_agent(packet: bytes, agent: str, restamped: Callable[[str, float], float]) -> bytes:
     """Returns a packet, as `encode_packet` made it, of which the source has moved to another agent.
 
-    What is no packet stays as it is.
+    What is not a packet stays as it is.
 
     Args:
         packet: the packet.
@@ -432,7 +432,7 @@ def packet_from_row(row: list[Any]) -> Packet:
     """Makes a packet from the array that came in; its body becomes the registered dataclass.
 
     Raises:
-        RemoteProtocolError: the array is no packet, or the body does not fit its type.
+        RemoteProtocolError: the array is not a packet, or the body does not fit its type.
     """
     try:
         it = codecs.convert(row, _PacketRow)
@@ -523,7 +523,7 @@ class RowEncoder:
     Attributes:
         closed: the class of the last body whose class was closed and small: such a body needs no look before it is
             encoded, and no care for how much memory that takes.
-        most: so many bytes a row may have.
+        most: how many bytes a row may have.
     """
 
     __slots__ = ("closed", "most")
@@ -586,7 +586,7 @@ def messages_from_payload(payload: bytes | memoryview) -> list[PacketRun | LinkM
 
 
 def foreign_version(payload: bytes | memoryview, own: int) -> object:
-    """Returns the version that the hello of a payload bears where that is not ours; None in any other case.
+    """Returns the version in the hello of a payload if that is not ours; None in any other case.
 
     The hello of another version may have any form behind its version.
     """

@@ -43,12 +43,12 @@ class BusyPoll:
     """Waits until sockets are ready.
 
     It gives way to any other process that wants the core, so that agents that share cores cost each other nothing.
-    Where the system knows no way to give way, it always sleeps.
+    If the system has no way to yield, it always sleeps.
 
     Args:
-        poll: waits for sockets, so many seconds or, with None, for ever.
+        poll: waits for sockets, for a number of seconds or, with None, for ever.
         now: the host clock.
-        busy_poll_s: so long it stays awake; 0: it always sleeps. May be changed.
+        busy_poll_s: how long it stays awake; 0: it always sleeps. May be changed.
     """
 
     def __init__(self, poll: Callable[[float | None], Ready], now: Callable[[], float], busy_poll_s: float) -> None:
@@ -80,7 +80,7 @@ READ: Final = selectors.EVENT_READ
 WRITE: Final = selectors.EVENT_WRITE
 
 READING_S: Final = 0.0002
-"""After so much reading, the components that got packets have their turns before more is read: what was just
+"""After this much reading, the components that got packets have their turns before more is read: what was just
 decoded is then still in the processor's cache, and little waits in mailboxes. Measured with eight agents that send as
 fast as they can to one: 2.1 µs of its processor time a packet, where reading them all first took 2.9.
 """
@@ -141,7 +141,7 @@ class Loop:
         self.busy_poll.busy_poll_s = busy_poll_s
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> TimerHandle:
-        """Runs `function` in the loop's thread in `delay_s` seconds, or in turn where that is 0. From any thread.
+        """Runs `function` in the loop's thread in `delay_s` seconds, or in turn if that is 0. From any thread.
 
         After `stop` nothing is run any more.
         """
@@ -224,7 +224,7 @@ class Loop:
                 self._over.set()
 
     def _serve(self) -> bool:
-        """Does all that is to be done, until the end or until another thread takes over; returns whether one does."""
+        """Does all work that is due, until the end or until another thread takes over; returns whether one does."""
         guest: Guest | None = None
         timers, now, wait = self._timers, self._now, self.busy_poll.wait
         while not self._ended:

@@ -23,7 +23,7 @@ TO_ONE: Final = 32
 """How many agents are in a beacon to one peer: of a thousand, each agent hears of each within half a minute."""
 
 _EVERYWHERE: Final = (LOCAL, "tcp")
-"""Each agent dials these; other schemes those agents alone that are linked by them, or listen at them."""
+"""Each agent dials these; other schemes only agents that are linked by them, or listen at them."""
 
 
 class Says(Protocol):
@@ -41,7 +41,7 @@ class Gossiper:
         links: its links.
         say: sends what it tells.
         transport: knows the ways to addresses.
-        few: knows all agents, where this one keeps links to a few alone; None: it tells of those that are linked.
+        few: knows all agents, if this one keeps only a few links; None: it tells of those that are linked.
     """
 
     def __init__(self, role: Role, links: Links, say: Says, transport: Transport, few: FewLinks | None) -> None:

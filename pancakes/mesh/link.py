@@ -48,7 +48,7 @@ from pancakes.packet import Packet
 PATIENCE: Final = 1.2
 """How much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
 PACE: Final = 1.5
-"""Each of the first pings comes so much longer after the one before."""
+"""The factor by which the pause between the first pings grows."""
 MOST_UNANSWERED: Final = 8
 """An answer to an older ping says nothing about the link of today."""
 RESTED: Final = 40
@@ -62,7 +62,7 @@ class LinkTimes(msgspec.Struct, frozen=True):
     Attributes:
         hello_s: how long a peer may take for its hello.
         heartbeat_s: a ping is sent when nothing else was for so long.
-        missed: so many heartbeats without a byte, and the peer is gone: after `heartbeat_s * missed`, 2.0 s.
+        missed: after this many heartbeats without a byte the peer is gone: after `heartbeat_s * missed`, 2.0 s.
         measure_s: a busy link sends a ping that often all the same, to measure the round trip and the peer's clock.
         first_s: the first of these goes once the link is up, the next one so much later, the others ever later.
         stuck_s: a peer that takes none of the bytes that wait for it for so long is closed.
@@ -114,7 +114,7 @@ class Greeted(msgspec.Struct, frozen=True):
 
 
 class Up(msgspec.Struct, frozen=True):
-    """The link stands: packets may flow."""
+    """The link is up: packets may flow."""
 
 
 class PacketsReceived(msgspec.Struct, frozen=True):
@@ -154,7 +154,7 @@ class Over(msgspec.Struct, frozen=True):
 
     Attributes:
         reason: a sentence for people.
-        refused: the peer's refusal of us, where that was the end, and the peer had said hello.
+        refused: the peer's refusal of us, if that was the end, and the peer had said hello.
         refusing: our refusal of the peer, likewise.
         goodbye: the peer's goodbye, likewise.
         broken: whether the peer broke the protocol.
@@ -182,7 +182,7 @@ class Link:
         answers: whether the other side dialled, so that it says hello first.
 
     Attributes:
-        state: where it is.
+        state: its state.
         peer: what the peer said about itself, once it has.
         rtt_s: smoothed round trip time, once measured.
         sent_s: when something was last sent, which makes a heartbeat needless; set by each thread that sends packets.
@@ -197,7 +197,7 @@ class Link:
         self._own = own
         self._times = times
         self._answers = answers
-        self._quiet_s = times.heartbeat_s  # so long this side is silent before it sends a ping
+        self._quiet_s = times.heartbeat_s  # how long this side is silent before it sends a ping
         self._opened_s = now_s
         self._heard_s = now_s
         self.sent_s = now_s
@@ -209,7 +209,7 @@ class Link:
         self._reader = FrameReader()
 
     def open(self, now_s: float) -> list[Action]:
-        """Begins: to be called once, when the connection stands."""
+        """Begins; call it once, when the connection is open."""
         return [] if self._answers else [self._send(self._own, now_s)]
 
     def due_s(self) -> float:
@@ -229,7 +229,7 @@ class Link:
         Of two silent agents the one with the lower name comes first, and the other's answer is its sign of life: half
         as many heartbeats.
         """
-        # A side that waits for the other's pings measures nothing: the round trip is to be known first.
+        # A side that waits for the other's pings measures nothing: the round trip must be known first.
         patient = self.peer is not None and self.rtt_s is not None and self._own.name > self.peer.name
         self._quiet_s = self._times.heartbeat_s * (PATIENCE if patient else 1.0)
 
@@ -244,7 +244,7 @@ class Link:
                 return self._over(self._silence())
             self._excused_s = now_s
             if not is_late:
-                # Perhaps this thread had to wait since it looked what there is to read: it is to look again.
+                # Perhaps this thread had to wait since it last read: it must read again first.
                 return []
             # We are late ourselves, for want of processor time, and so perhaps is what the peer has sent.
             self._patient_until_s = now_s + self._times.heartbeat_s
@@ -279,7 +279,7 @@ class Link:
         return actions
 
     def answer(self, now_s: float) -> list[Action]:
-        """Says hello, after `Greeted`, where the other side has dialled and its hello is accepted."""
+        """Says hello, after `Greeted`, if the other side has dialled and its hello is accepted."""
         if self.state is not LinkState.MET or not self._answers:
             return []
         self._answers = False
@@ -298,7 +298,7 @@ class Link:
             code: why, for programs.
             reason: why, for people here.
             now_s: host time.
-            told: what a stranger is told in place of the reason: nothing of this agent; empty: the reason.
+            told: the reason for a stranger, which must tell nothing of this agent; empty: `reason`.
         """
         if self.state is LinkState.OVER:
             return []
@@ -311,7 +311,7 @@ class Link:
         return [self._send(goodbye, now_s), *self._over("this agent said goodbye")]
 
     def rest(self, goodbye: Goodbye, now_s: float) -> list[Action]:
-        """Says goodbye as the last thing, and goes on to hear what the peer has sent before it hears that."""
+        """Says goodbye as the last message, and still reads what the peer sends before it gets that."""
         return [self._send(goodbye, now_s)]
 
     def hurry(self) -> None:
@@ -319,7 +319,7 @@ class Link:
         self.pace_s = self._times.first_s
 
     def tell(self, message: LinkNews, now_s: float) -> list[Action]:
-        """Tells the peer something about the fleet, where the link is up."""
+        """Tells the peer something about the fleet, if the link is up."""
         return [self._send(message, now_s)] if self.state is LinkState.UP else []
 
     def _up(self, now_s: float) -> Up:

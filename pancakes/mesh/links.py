@@ -24,7 +24,8 @@ class Links:
 
     Args:
         change: takes the sessions over which packets go from now on, as `Sending.change`: before other threads find a
-            link that stands, and after they find one no more. So what they send to a peer that they find has a way.
+            link that is up, and after they no longer find one. So there is a way for what they send to a peer that they
+            find.
     """
 
     def __init__(self, change: Callable[[Mapping[str, Session], tuple[Session, ...]], None]) -> None:
@@ -43,7 +44,7 @@ class Links:
         return len(self._up)
 
     def add(self, session: Session, hello: Hello) -> None:
-        """A link stands, to the agent that said `hello`."""
+        """A link to the agent that said `hello` is up."""
         session.on_link_up(hello, self._counters.of(hello.name, self._up))
         up = {**self._up, hello.name: session}
         self._change(up, _neighbours(up))
@@ -79,7 +80,7 @@ class Links:
         return session.link.rtt_s if session is not None and session.link is not None else None
 
     def announced(self, peers: int) -> None:
-        """An announcement went to so many peers."""
+        """An announcement went to this many peers."""
         with self._lock:
             self._mission_packets += peers
 
@@ -125,12 +126,12 @@ class LinkLog:
         self._last_reason: dict[tuple[str, str], tuple[str, float, int]] = {}
 
     def on_link_up(self, session: Session, hello: Hello) -> None:
-        """A link stands."""
+        """A link is up."""
         level = "debug" if hello.role == "client" else "info"
         self._say(level, f"{hello.name} ({hello.role}, {session.remote}) is connected")
 
     def on_link_ended(self, session: Session, over: Over) -> None:
-        """A link that stood has ended."""
+        """A link that was up has ended."""
         is_client = session.role == "client"
         why = over.refused or over.refusing
         # A client gives its place up to another as often as one comes: nothing to warn of each time.
@@ -185,7 +186,7 @@ class LinkLog:
             session.refused_said_s = now_s
 
     def attempt(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Calls what the mesh was given; its failure is told, and must not cost a link."""
+        """Calls a callback of the mesh's user; its failure is logged, and must not cost a link."""
         try:
             function(*arguments)
         except Exception as error:  # whatever it is, it belongs in the log

@@ -49,7 +49,7 @@ class LocalTransport(StreamTransport):
         """How it connects.
 
         Attributes:
-            group: members of this group may connect as well; `[agent] local_group` says which. Empty: its user alone.
+            group: members of this group may connect as well; `[agent] local_group` says which. Empty: only its user.
             directory: where the directory `local` with the sockets is; empty: in the runtime directory.
         """
 
@@ -152,7 +152,7 @@ class LocalTransport(StreamTransport):
 
 @contextlib.contextmanager
 def _short(path: Path) -> Iterator[str]:
-    """Gives a path by which the operating system takes a socket: through its open directory where it is too long."""
+    """Gives a path by which the operating system takes a socket: through its open directory if it is too long."""
     if len(os.fsencode(path)) <= _LONGEST_PATH:
         yield str(path)
         return
@@ -178,7 +178,7 @@ def _clear_away(path: Path, short: str) -> None:
     """Removes the socket of an agent that has died.
 
     Raises:
-        PancakesError: an agent that lives has it, or it is no socket.
+        PancakesError: a running agent has it, or it is not a socket.
     """
     if not os.path.lexists(path):
         return

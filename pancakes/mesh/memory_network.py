@@ -19,7 +19,7 @@ from pancakes.mesh.address import LOCAL, is_local, is_loopback, parse_address
 from pancakes.mesh.transport import Connection, ConnectionHandler, Scheduled, Transport
 
 _FIRST_FREE_PORT: Final = 49_152
-_TRICKLE_S: Final = 0.05  # of sending go into one portion, where the rate is limited
+_TRICKLE_S: Final = 0.05  # of sending go into one portion, if the rate is limited
 _DIAL_TIMEOUT_S: Final = 5.0  # after which a dial into a partition fails
 
 
@@ -119,7 +119,7 @@ class MemoryNetwork:
 
         Args:
             one: names of agents.
-            other: names of the agents that they do not hear; all that are not in `one` where it is None.
+            other: names of the agents that they do not hear; all that are not in `one` if it is None.
             from_s: virtual time at which it begins; None: at once.
             until_s: virtual time at which it heals.
             at_once: whether both ends of each connection see it break when it begins. Otherwise they have only

@@ -75,7 +75,7 @@ def why_lost(
 
 
 MAX_HANDSHAKES: Final = 256
-"""Most connections from others that are no links yet. One more takes the place of the oldest that said no hello."""
+"""Most incoming connections that are not links yet. One more replaces the oldest that has not said hello."""
 
 
 def handshake_to_end(sessions: Iterable[Session]) -> Session | None:
@@ -115,18 +115,18 @@ class Mesh:
         on_packets: takes (peer's name, packets, their bytes on the wire): all of one channel, type, source and
             destination, in their order.
         on_unfit: takes (peer's name, packet, reason) of a packet that does not fit its type, or asks for too much.
-        on_peer_up: takes the peer's hello when a link stands.
+        on_peer_up: takes the peer's hello when a link is up.
         on_peer_down: takes (name, reason, seconds it sleeps): None if it does not sleep on purpose, infinity
-            where it did not say for how long.
+            if it did not say for how long.
         on_log: takes (level, text).
-        defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
+        defer: runs a function at the end of the calling actor's turn, in the same thread and even if the turn
             fails, or at once outside of one; so several packets of a turn leave with one system call.
         gate: is asked about what is sent under a right.
         times: the times of links and membership.
         access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
         keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
         timebase: returns what its mission time and time of day are; None: it is a terminal, which tells none.
-        links: to so many agents it keeps links, and to others while there is something for them; None: to all.
+        links: the number of links that it keeps; it makes others while it has something to send. None: links to all.
 
     Attributes:
         clocks: the clocks of its peers.
@@ -185,7 +185,7 @@ class Mesh:
 
     @property
     def listen(self) -> tuple[str, ...]:
-        """The addresses that it listens at, the best first; none where it does not, or not yet."""
+        """The addresses that it listens at, the best first; none if it does not listen, or not yet."""
         return self._own.listen
 
     def start(self) -> None:
@@ -202,7 +202,7 @@ class Mesh:
         self._post(self._begin)
 
     def send(self, packet: Packet, retry: bool = False) -> int:
-        """Sends a packet to the agent in its destination, or to all neighbours where that is `*`.
+        """Sends a packet to the agent in its destination, or to all neighbours if that is `*`.
 
         Args:
             packet: what to send.
@@ -246,7 +246,7 @@ class Mesh:
     def sleep(self, for_s: float | None = None) -> None:
         """Says goodbye for `for_s` seconds of host time (None: for a time unknown), and closes all links.
 
-        An agent that dials in the meantime is told the same. It lasts until `wake`.
+        An agent that dials in the meantime gets the same goodbye. It lasts until `wake`.
         """
         self._post(self._sleep, for_s)
 

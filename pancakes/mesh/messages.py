@@ -29,7 +29,7 @@ Role = Literal["agent", "environment", "client"]
 Refusal = Literal["version", "fleet", "name", "self", "old", "duplicate", "full", "protocol"]
 """Why a link was refused, for programs; the sentence beside it is for people.
 
-`version`, `fleet`: other than ours. `name`: borne by another agent. `self`: we dialled ourselves. `old`: a later
+`version`, `fleet`: other than ours. `name`: taken by another agent. `self`: we dialled ourselves. `old`: a later
 boot of that agent is connected. `duplicate`: another connection to that agent stays. `full`: no room for more
 peers. `protocol`: the peer broke the protocol.
 """

@@ -15,15 +15,15 @@ from typing import Final
 import msgspec
 
 MOST_KNOWN: Final = 4096
-"""How many agents are known at most, ..."""
+"""At most this many agents are known, ..."""
 MOST_OF_PEER: Final = 1024
-"""... and so many of which one peer alone has told, and to which there was no link."""
+"""... and this many that only one peer has named, and to which there was no link."""
 FRESH_S: Final = 120.0
-"""An agent of which nothing was heard for so long is told of to no peer, and is not dialled unasked."""
+"""An agent of which nothing was heard for this time is named to no peer, and is not dialled unasked."""
 FORGOTTEN_S: Final = 600.0
-"""It is forgotten after so long."""
+"""It is forgotten after this time."""
 LOOK_S: Final = 3.0
-"""How often it is looked whether links are too few or too many."""
+"""How often the number of links is checked."""
 SOON_S: Final = 0.2
 """If links are missing and nothing more was known, it is looked so soon after an agent was heard of: peers tell of
 many at once, and the links are drawn from all of them."""
@@ -31,14 +31,14 @@ LATE_S: Final = 2.0
 """A link that takes longer to be made counts as missing at the next look: the agent may be dead, and another one is
 drawn as well."""
 MADE_S: Final = 10.0
-"""How long a link may take to be made; packets for the agent wait so long."""
+"""How long a link may take to be made; packets for the agent wait that long."""
 AVOIDED_S: Final = 60.0
-"""An agent to which no link came to stand is not dialled unasked for so long."""
+"""An agent to which no link could be made is not dialled unasked for this time."""
 MANY: Final = 2
 """Links end if there are so many times more than are to be kept: else the other agent has too few, and makes one to
 a third, which has too many then."""
 REST_S: Final = 30.0
-"""They end where no packet has gone over them for so long."""
+"""Surplus links end if no packet has gone over them for this time."""
 WALK_S: Final = 300.0
 """How often a link to another agent is made unasked, so that two halves of a fleet that were parted meet again."""
 
@@ -47,7 +47,7 @@ Sighting = tuple[str, tuple[str, ...], float]
 
 
 class MakeLink(msgspec.Struct, frozen=True):
-    """Dial an agent at these addresses, until a link to it stands or `DropWaiting` comes."""
+    """Dial an agent at these addresses, until a link to it is up or `DropWaiting` comes."""
 
     name: str
     listen: tuple[str, ...]
@@ -91,7 +91,7 @@ class FewLinks:
     """Decides which links there are.
 
     Args:
-        most: so many links to agents it keeps, if there are so many agents.
+        most: how many links to agents it keeps, if there are that many agents.
         source: random numbers, which draw the agents: so that all links of a fleet together join all of it.
         now_s: host time.
     """
@@ -162,7 +162,7 @@ class FewLinks:
         return [self._make(name, now_s)] if name not in self._wanted else []
 
     def on_link_up(self, name: str) -> None:
-        """A link to an agent stands. If it ends soon, another one is made for what comes then."""
+        """A link to an agent is up. If it ends soon, another one is made for what comes then."""
         self._wanted.pop(name, None)
 
     def tick(self, now_s: float, linked: Mapping[str, LinkUse]) -> list[FewDecision]:

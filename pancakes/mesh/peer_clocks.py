@@ -20,7 +20,7 @@ from pancakes.util.timebase import Timebase
 DAY_STEP_S: Final = 0.01
 """A time of day that was set by less is not told again."""
 MOST_REMEMBERED: Final = 512
-"""The clocks of so many peers are known at most, those whose links have ended among them."""
+"""At most this many peers' clocks are known, also of peers whose links have ended."""
 
 
 class _PeerKnown(msgspec.Struct):
@@ -105,7 +105,7 @@ class PeerClocks:
         return tuple(found), unknown
 
     def on_link_up(self, session: Session) -> None:
-        """A link stands."""
+        """A link is up."""
         hello = session.hello
         assert hello is not None
         life = (hello.journal, hello.boot, hello.life)
@@ -133,7 +133,7 @@ class PeerClocks:
     def on_answer(self, session: Session, what: Measured | Timebase) -> None:
         """A peer has answered a ping, or tells of its clocks."""
         known = self._known.get(session.peer)
-        if known is None or not session.is_up:  # before the link stands it is not known whose clock that is
+        if known is None or not session.is_up:  # before the link is up it is not known whose clock that is
             return
         if isinstance(what, Timebase):
             known.timebase = what
@@ -145,7 +145,7 @@ class PeerClocks:
             self._clocks[session.peer] = PeerClock(known.estimate.found, known.timebase)
 
     def _tell_own(self, session: Session) -> None:
-        """Tells a peer of one's own clocks, where it does not know them as they are."""
+        """Tells a peer this agent's clocks, if it does not know their present values."""
         if self._own is None:
             return
         own, told = self._own(), session.told_timebase

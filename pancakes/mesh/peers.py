@@ -40,7 +40,7 @@ class Admit(msgspec.Struct, frozen=True):
 
 
 class TurnDown(msgspec.Struct, frozen=True):
-    """Refuse `link`, or end it where it is up: the peer is told the code and the reason."""
+    """Refuse `link`, or end it if it is up: the peer gets the code and the reason."""
 
     link: int
     code: Refusal
@@ -48,7 +48,7 @@ class TurnDown(msgspec.Struct, frozen=True):
 
 
 class Rest(msgspec.Struct, frozen=True):
-    """End `link`, which is up: the agent goes on, and may be dialled again when there is something to say."""
+    """End `link`, which is up: the agent stays, and may be dialled again when there is something to send."""
 
     link: int
 
@@ -61,10 +61,10 @@ MAX_LEARNT: Final = 512
 MOST_OF_PEER: Final = 16
 """Most addresses that one peer has named and at which no agent is connected."""
 FORGET_AFTER: Final = 20
-"""A learnt address that failed so often in a row is forgotten; the longest wait is reached at the eighth."""
+"""A learnt address is forgotten after this many failures in a row; the longest wait is reached at the eighth."""
 
 RESTS_S: Final = 600.0
-"""A static address whose agent has ended the link as one too many is dialled again after so long."""
+"""A static address whose agent has ended a surplus link is dialled again after this time."""
 
 
 class KnownAddress(msgspec.Struct):
@@ -144,7 +144,7 @@ class AddressBook:
         ]
 
     def are_awaited(self) -> bool:
-        """Returns whether there is a static address with no agent connected, where no dial failed yet. Any thread."""
+        """Returns whether a static address has no agent yet, and no dial to it has failed. Any thread."""
         known = list(self._known.values())
         return any(it.static and not (it.ours or it.failures or it.refused or self._is_up(it.name)) for it in known)
 
@@ -214,7 +214,7 @@ class AddressBook:
         it.due_s = now_s + self._random.uniform(0.0, bound_s)
 
     def make_due(self, address: str, now_s: float) -> None:
-        """Has an address dialled now, where it is known."""
+        """Makes an address due now, if it is known."""
         if (it := self._known.get(address)) is not None:
             it.due_s = min(it.due_s, now_s)
 
@@ -224,7 +224,7 @@ class AddressBook:
             it.failures, it.due_s = 0, now_s
 
     def is_wanted(self, it: KnownAddress) -> bool:
-        """Returns whether an address is to be dialled when it is due."""
+        """Returns whether an address should be dialled when it is due."""
         return it.link is None and not self._is_up(it.name) and it.due_s != math.inf
 
     def _unmet(self, peer: str) -> int:
@@ -237,7 +237,7 @@ MAX_AGENTS: Final = 256
 MAX_CLIENTS: Final = 64
 """Most clients connected to one agent; see `pancakes.mesh.admission` for the next one."""
 QUIET_S: Final = 5.0
-"""An agent that keeps a few links alone gives the place of one that is unused for so long to a newcomer."""
+"""An agent that keeps only a few links gives the place of one that is unused for this time to a newcomer."""
 MOST_DIALS: Final = 8
 """How many learnt addresses are dialled at a time."""
 
@@ -248,7 +248,7 @@ class _Candidate(msgspec.Struct):
     link: int
     hello: Hello
     address: str  # that we dialled, or empty
-    machine: str  # where it is
+    machine: str  # the machine that it is on
     is_news: bool  # no peer had named an address at which it listens
     up_s: float | None = None
     until_s: float = math.inf  # when waiting for our own dial ends
@@ -265,7 +265,7 @@ class Peers:
         times: the times of membership.
         now_s: host time.
         quiet_s: takes a link and the host time, and returns for how long no packet has gone over it either way;
-            infinite for a client of which none ever came in.
+            infinite for a client that never sent one.
         may_be_named: returns whether a peer may name an address.
         reach: returns from how far an address can be dialled.
         few: decides which links there are; None: there is one to each agent.
@@ -324,7 +324,7 @@ class Peers:
         return [it for _, it in sorted(self._up.items()) if it.hello.role != "client"]
 
     def _unused_s(self, it: _Candidate, now_s: float) -> float:
-        """Returns for how long no packet has gone over a link; over none of them before it stood."""
+        """Returns for how long no packet has gone over a link, at most since it came up."""
         return min(self._quiet_s(it.link, now_s), now_s - it.up_s if it.up_s is not None else 0.0)
 
     def knows(self, name: str) -> bool:
@@ -332,7 +332,7 @@ class Peers:
         return self._few is not None and self._few.knows(name)
 
     def seek(self, name: str, now_s: float) -> list[Decision]:
-        """There is something for an agent: dials it, if there is no link to it."""
+        """Dials an agent that something waits for, if there is no link to it."""
         if self._few is None or name in self._up:
             return []
         return self._carry_out(self._few.seek(name, now_s), now_s)
@@ -464,7 +464,7 @@ class Peers:
         ]
 
     def on_link_up(self, link: int, now_s: float) -> list[Decision]:
-        """A link stands on both sides, or will when the peer has our welcome. Older ones to that peer end."""
+        """A link is up on both sides, or will be when the peer has our welcome. Older ones to that peer end."""
         candidate = self._candidates[link]
         name = candidate.hello.name
         known = self._up.get(name)
@@ -502,7 +502,7 @@ class Peers:
             refused: why it was refused, by either side.
             goodbye: what the peer said, if it left on purpose.
             broken: whether it broke the protocol.
-            refusal: the peer's sentence, where the peer refused.
+            refusal: the peer's sentence, if the peer refused.
         """
         hopeless = refused in ("version", "fleet", "name", "full", "old") or broken
         candidate = self._candidates.pop(link, None)
@@ -593,7 +593,7 @@ class Peers:
         self._book.all_due(now_s)
 
     def _wanted(self, address: str, it: KnownAddress) -> bool:
-        # The peer that we met there has still to say whether the link stands, or when to dial again.
+        # The peer at that address has yet to tell whether the link stays, or when to dial again.
         return self._book.is_wanted(it) and address not in self._met_at
 
     def _learnt_dials(self) -> int:
@@ -627,7 +627,7 @@ class Peers:
         return TurnDown(link, "self", f"{self._own.name} dialled itself")
 
     def _full(self, hello: Hello) -> str:
-        """Returns why there is no room for one more peer, or an empty string."""
+        """Returns why there is no room for one more peer; empty: there is room."""
         clients = sum(candidate.hello.role == "client" for candidate in self._up.values())
         if hello.role == "client":
             reason = f"{self._own.name} is full: it has {clients} clients, and all of them are in use"
@@ -638,9 +638,9 @@ class Peers:
         return f"{self._own.name} is full: it is in a mesh of {agents} already" if agents >= most else ""
 
     def _make_room(self, newcomer: _Candidate, now_s: float) -> list[Decision]:
-        """Ends the link of a client whose place a new client gets; none if there is no such client.
+        """Ends the link of a client that gives its place to a new one; none if no client does.
 
-        Where a few links are enough, an agent gets the place of that link to an agent that is used least: of an unused
+        If only a few links are kept, a new agent gets the place of the least used link to an agent: of an unused
         one, or of any if there is something here for the newcomer.
         """
         if newcomer.hello.role != "client":
@@ -680,7 +680,7 @@ class Peers:
 
 
 def is_namesake(link: int, decisions: Sequence[Decision]) -> bool:
-    """Returns whether a connection is refused for the name of its peer, which is then told nothing of this agent."""
+    """Returns whether a connection is refused for the name of its peer, which then learns nothing of this agent."""
     return any(isinstance(it, TurnDown) and (it.link, it.code) == (link, "name") for it in decisions)
 
 

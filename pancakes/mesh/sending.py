@@ -24,7 +24,7 @@ MOST_WAYS: Final = 4096
 MOST_WAITING_BYTES: Final = 256 * 1024
 """How much may wait for an agent to which a link is being made, ..."""
 MOST_WAITED_FOR: Final = 64
-"""... and for so many agents at a time."""
+"""... and for how many agents at a time."""
 
 Key = tuple[str, str, str, str]
 Defer = Callable[[Callable[[], None]], None]
@@ -36,7 +36,7 @@ class Way(msgspec.Struct, frozen=True, eq=False):
     Attributes:
         channel: the channel.
         fence: the fence.
-        right: the same, where what is sent rests on it: what a task says on `log` does not.
+        right: the same, if what is sent needs it: lines of a task on `log` do not.
         place: the name of the one agent, or `NEIGHBOURS`: ways of different places do not get in each other's way.
         head: what their runs begin with.
         sessions: the peers.

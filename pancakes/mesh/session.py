@@ -38,7 +38,7 @@ class Gate(NamedTuple):
 
     Attributes:
         may_leave: returns whether what is sent under a right may leave now.
-        held_back: told of a right that has ended, and how many packets under it were given up.
+        held_back: takes a right that has ended, and how many packets under it were given up.
     """
 
     may_leave: Callable[[Fence], bool] = lambda fence: True
@@ -87,7 +87,7 @@ class Counters(msgspec.Struct):
 
 
 class PeerCounters:
-    """The counters of all peers. One that comes back goes on with its own, unless too many have come and gone since."""
+    """The counters of all peers. A peer that comes back keeps its own, unless too many others have come and gone."""
 
     def __init__(self) -> None:
         self._of: dict[str, Counters] = {}  # in the order in which they came, the last at the end
@@ -144,7 +144,7 @@ class _ChannelBuffer:
         """Adds a packet; `counters` counts what falls out for it.
 
         Raises:
-            PeerBusy: there is no room, and nothing may fall out.
+            PeerBusy: there is no room, and nothing may be dropped.
         """
         if self.channel == LOG:
             self._append(message)
@@ -155,7 +155,7 @@ class _ChannelBuffer:
             self._append(message)
 
     def pop(self) -> Message:
-        """Takes out what is to go next."""
+        """Takes out what goes next."""
         message = self._waiting.popleft()
         self.bytes -= len(message.data)
         return message
@@ -219,7 +219,7 @@ class SendBuffer:
         counters: where drops are counted.
 
     Attributes:
-        held_back: the rights of packets that were given up because their right had ended, until that is told.
+        held_back: the rights of packets that were given up because their right had ended, until that is logged.
     """
 
     def __init__(self, peer: str, counters: Counters) -> None:
@@ -249,10 +249,10 @@ class SendBuffer:
             self._turns.append(lane)
 
     def take(self, limit_bytes: int, may_leave: Callable[[Fence], bool] = lambda fence: True) -> list[Message]:
-        """Takes what is to be sent next, at least one message if any waits that may be sent.
+        """Takes what is sent next, at least one message if any waits that may be sent.
 
         Args:
-            limit_bytes: after so many bytes no other is taken.
+            limit_bytes: after this many bytes no other is taken.
             may_leave: returns whether what is sent under a right may be sent now; what may not is given up.
         """
         messages: list[Message] = []
@@ -289,7 +289,7 @@ class SendBuffer:
 
 BATCH_BYTES: Final = 16 * 1024
 """How much is handed to a connection at a time when the link is busy. What is urgent waits for no more than that (or
-one packet, where that is larger); much smaller, and the system calls would cost more than the packets.
+one packet, if that is larger); much smaller, and the system calls would cost more than the packets.
 """
 MOST_UNSENT_BYTES: Final = 512 * 1024
 """If more waits in the connection, the link sends no messages of its own: a peer that sends pings all the time
@@ -305,7 +305,7 @@ class Train(msgspec.Struct, gc=False):
         head: what their run begins with.
         sessions: the peers.
         rows: the encoded packets.
-        retries: how many of them are no mission packets, because they were sent before.
+        retries: how many of them are not mission packets, because they were sent before.
         fence: the right under which they are sent; None: they need none.
         run: all of them as one message, made when it is first sent.
     """
@@ -343,7 +343,7 @@ class Owner(Protocol):
     """What a session tells the mesh."""
 
     def session_opened(self, session: Session) -> None:
-        """Its connection stands."""
+        """Its connection is open."""
 
     def session_received(self, session: Session, data: bytes) -> None:
         """Bytes came in."""
@@ -554,7 +554,7 @@ class Session(ConnectionHandler):
     def quiet_s(self, now_s: float) -> float:
         """Returns for how long no packet has gone either way, as far as that was looked at.
 
-        Infinite for a client of which none came in.
+        Infinite for a client that never sent one.
         """
         packets = (self.counters.packets_in, self.counters.packets_out)
         if packets != self._used[:2]:

@@ -198,7 +198,7 @@ _ROUND_TRIP: Final = struct.Struct("68xI")  # tcpi_rtt of Linux's tcp_info, in m
 
 
 def bound_buffers(sock: socket.socket) -> None:
-    """Bounds the buffers of a connection that has just come to stand; leaves them alone where the system cannot."""
+    """Bounds the buffers of a new connection; does nothing if the system cannot."""
     if not hasattr(socket, "TCP_NOTSENT_LOWAT") or not hasattr(socket, "TCP_INFO"):
         return
     with contextlib.suppress(OSError):  # it may be gone already, which its next use shows
@@ -209,7 +209,7 @@ def bound_buffers(sock: socket.socket) -> None:
 
 
 IDLE_S: Final = 5
-"""After so long without a word the other side is asked, and then as often."""
+"""After this time without a byte the kernel asks the other side, and then as often."""
 TRIES: Final = 3
 
 

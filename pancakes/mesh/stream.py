@@ -148,7 +148,7 @@ class KeptConnection(Connection, Disposable):
         return "the other side closed the connection"
 
     def _take(self, data: memoryview) -> None:
-        """Bytes have come in; they are to be copied before the next ones."""
+        """Bytes have come in; copy them before the next ones."""
         if not self._closing:
             self._handler.received(bytes(data))
 
@@ -329,7 +329,7 @@ class StreamTransport(SchemeTransport):
         """How it connects.
 
         Attributes:
-            dial_s: so long a dial may take, in seconds of host time, for all addresses of a name together; that begins
+            dial_s: how long a dial may take, in seconds of host time, for all addresses of a name together; that begins
                 once the name was looked up.
         """
 
@@ -408,7 +408,7 @@ class StreamTransport(SchemeTransport):
 
     @abstractmethod
     def prepare(self, sock: socket.socket, dialled: str) -> str:
-        """A connection stands; returns why there shall be none with what is at its other end, empty if it may be.
+        """A connection is open; returns why it is refused for what is at its other end, empty if it is not.
 
         Args:
             sock: its socket.
@@ -418,7 +418,7 @@ class StreamTransport(SchemeTransport):
     def connection(
         self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
     ) -> StreamConnection:
-        """Makes the connection of a socket that stands."""
+        """Makes the connection of an open socket."""
         return StreamConnection(self, sock, remote, handler)
 
     def connect(self, sock: socket.socket, place: Any) -> None:
@@ -431,7 +431,7 @@ class StreamTransport(SchemeTransport):
 
 
 class _Listener(Disposable):
-    """Takes connections at an address, with another socket where others do not find the one before any more."""
+    """Takes connections at an address, with a new socket if others do not find the last one any more."""
 
     def __init__(
         self, transport: StreamTransport, address: str, bound: Bound, accept: Callable[[], ConnectionHandler]
@@ -451,7 +451,7 @@ class _Listener(Disposable):
     def end(self) -> None:
         """Takes no more connections; its place is free at once. Any thread."""
         self._ended = True
-        # The socket is the loop's, which alone may close it; one that was shut down is in nobody's way.
+        # Only the loop may close its socket; one that was shut down is in nobody's way.
         with contextlib.suppress(OSError):
             self._bound.sock.shutdown(socket.SHUT_RDWR)
         self._transport.loop.call_later(0.0, lambda: self.dispose("nothing listens any more"))
@@ -581,7 +581,7 @@ class _Connecting(Disposable):
             sock.setblocking(False)
             self._transport.connect(sock, place)
         except BlockingIOError as error:
-            if error.errno == errno.EAGAIN:  # within one machine a connection stands at once, or not at all
+            if error.errno == errno.EAGAIN:  # within one machine a connection is open at once, or not at all
                 self._drop(sock)
                 self._failed("it has no room for one more that waits")
                 return

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pancakes.security.keys import Keys
 
 
-_USER_TIMEOUT_MS: Final = 5000  # the kernel gives up a connection whose bytes are not acknowledged for so long
+_USER_TIMEOUT_MS: Final = 5000  # the kernel gives up a connection whose bytes are not acknowledged for this time
 
 
 class TcpTransport(StreamTransport):

@@ -57,13 +57,13 @@ HANDSHAKE_S: Final = 5.0
 RECORD_BYTES: Final = 16 * 1024
 """How much is encrypted or decrypted at a time: OpenSSL keeps what memory it was once given."""
 MOST_BYTES: Final = 2**38
-"""A connection is given up after so many bytes, and dialled again: Python renews no AES-GCM key (RFC 8446, 5.5)."""
+"""A connection is given up after this many bytes, and dialled again: Python renews no AES-GCM key (RFC 8446, 5.5)."""
 
 
 class TlsLayer(KeptConnection):
-    """One encrypted connection; `certified` is known when its handler hears that it stands.
+    """One encrypted connection; `certified` is known when its handler hears that it is open.
 
-    It stands before the class that carries the bytes in the bases of a connection.
+    It comes before the class that carries the bytes in the bases of a connection.
 
     Args:
         carried: what the class that carries the bytes takes.

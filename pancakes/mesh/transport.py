@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 UNSAID: Final = "the other side closed the connection, and did not say who it is"
-"""Why a connection never came to stand that the other side gave up: a terminal that ends does so, or a second dial."""
+"""Why a connection was never opened: a terminal that ends gives it up, or the side of a second dial."""
 
 
 class Connection(ABC):
@@ -43,7 +43,7 @@ class Connection(ABC):
 
     @abstractmethod
     def send(self, data: bytes) -> int:
-        """Sends `data`, at once where that needs no waiting, else as soon as there is room. Never blocks.
+        """Sends `data`, at once if that needs no waiting, else as soon as there is room. Never blocks.
 
         Returns:
             As `unsent`.
@@ -55,18 +55,18 @@ class Connection(ABC):
 
     @abstractmethod
     def close(self, reason: str = "") -> None:
-        """Closes the connection; `reason` is what this side's handler is told. A second call does nothing."""
+        """Closes the connection; `reason` goes to this side's handler. A second call does nothing."""
 
 
 class ConnectionHandler(Protocol):
     """What a user of a connection implements."""
 
     def comes_from(self, remote: str) -> None:
-        """A connection came in from there; called before it is known whether it comes to stand."""
+        """A connection came in from there; called before it is known whether it will be opened."""
         return
 
     def opened(self, connection: Connection) -> None:
-        """The connection stands."""
+        """The connection is open."""
         ...
 
     def received(self, data: bytes) -> None:
@@ -74,11 +74,11 @@ class ConnectionHandler(Protocol):
         ...
 
     def closed(self, reason: str) -> None:
-        """The connection is gone; called last, once. Also called where it never came to stand."""
+        """The connection is gone; called last, once. Also called if it was never opened."""
         ...
 
     def last_words(self, fault: str) -> bytes:
-        """Returns what the other side is told whose certificate is of the fleet, and is not believed all the same.
+        """Returns the last message to a peer whose certificate is of the fleet, and is not believed all the same.
 
         Args:
             fault: why, as a clause. The connection ends without having been `opened`.
@@ -94,7 +94,7 @@ class ConnectionHandler(Protocol):
 
 
 class Scheduled(Protocol):
-    """A call that was put off."""
+    """A call that is due later."""
 
     def cancel(self) -> None:
         """Makes sure that the call does not happen, if it has not begun."""
@@ -165,7 +165,7 @@ class Transport(ABC):
             The address with the port that was really taken.
 
         Raises:
-            PancakesError: the address is in use, or is no address; a sentence that says which.
+            PancakesError: the address is in use, or is not an address; the sentence says which.
         """
 
     @abstractmethod
@@ -173,7 +173,7 @@ class Transport(ABC):
         """Takes no more connections at `address`, which is free once this returns; open connections stay.
 
         Args:
-            address: what `listen` returned. One at which nothing listens is left alone.
+            address: what `listen` returned. Nothing happens if nothing listens there.
         """
 
     @abstractmethod
@@ -217,7 +217,7 @@ class SocketTransport(Transport):
 
     Args:
         clock: the host clock.
-        name: the agent's name, which the thread bears.
+        name: the agent's name, which the thread is named after.
         plugins: where transports are found.
         settings: the settings of transports, by scheme; they have been checked.
         keys: the certificate of this agent or person, and those that it believes; None: it has no keys.

@@ -99,7 +99,7 @@ class Trust:
         self._log = log
         self._checking: set[str] = set()  # the peers whose rosters are being checked
         self._unkept = False  # the roster in force is not on disk yet
-        self._old_links: deque[Session] = deque()  # those that are to be made again with a new key
+        self._old_links: deque[Session] = deque()  # links that must be made again with a new key
         self.roster_fault: RosterFault | None = None
         if access is not None:
             access.bearer_of = self._bearer_of
@@ -183,7 +183,7 @@ class Trust:
             self._not_taken(session, roster, fault)
             return
         if session.peer in self._checking or len(self._checking) >= MOST_CHECKS:
-            return  # it is told the number again, and gives the roster again
+            return  # the peer will hear the number again, and send the roster again
         self._checking.add(session.peer)
 
         def check() -> None:

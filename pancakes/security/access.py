@@ -17,7 +17,7 @@ from pancakes.security.roster import AccessRule, Bearer, Right, Roster, allows
 def fault_of_source(own_role: str, peer: str, role: str, packet: Packet) -> str:
     """Returns why a peer may not send packets of the source of this one, as a sentence; empty if it may.
 
-    The packets of an agent come over the link to that agent alone. But on `system`, and on channels that are no core
+    The packets of an agent come only over the link to that agent. But on `system`, and on channels that are no core
     channels, a client replays what others once said (`pancakes replay`), and follows what others say to its peer.
 
     Args:
@@ -57,7 +57,7 @@ def asks(packet: Packet) -> bool:
 def needs(packet: Packet) -> tuple[Right, tuple[str, ...]] | None:
     """Returns the right that a packet of a peer needs to be let in, and what for; None: none here.
 
-    A control packet is looked at where it is known what it is about; so is a hand-off, and a letter to a task.
+    A control packet is checked later, when its target is known; so is a hand-off, and a letter to a task.
     """
     channel, kind = packet.channel, packet.type
     if channel == SYSCTRL and kind in _CONTROL_TYPES:
@@ -105,7 +105,7 @@ class Access:
         Args:
             peer: the name of the peer; the agent itself may do all.
             right: the right that it needs.
-            on: what for; where that has several names, one of them is enough.
+            on: what for; if that has several names, one of them is enough.
         """
         if peer == self._agent:
             return ""

@@ -200,8 +200,8 @@ class Authority:
         """Signs a new roster.
 
         Args:
-            force: whether it is to be believed whatever its date.
-            register: the register that it is made of; None: as it stands.
+            force: whether agents must believe it whatever its date.
+            register: the register that it is made of; None: the present one.
 
         Raises:
             PancakesError: the clock of this machine, or that of the last signing, is not believed; or it is too large.

@@ -49,7 +49,7 @@ _PEM: Final = serialization.Encoding.PEM
 _NO_CODE: Final = "is no join code: copy it whole, from the terminal of the operator that shows it"
 
 Certify = Callable[[ec.EllipticCurvePublicKey, str], KeyFiles]
-"""Takes the newcomer's public key and where it comes from; returns what is to lie in its folder, without its key."""
+"""Takes the newcomer's public key and where it comes from; returns the contents of its folder, without its key."""
 
 
 class JoinCode(NamedTuple):
@@ -204,10 +204,10 @@ def join(text: str) -> KeyFiles:
         text: the code.
 
     Returns:
-        What is to lie in its folder with keys.
+        The contents of its folder with keys.
 
     Raises:
-        PancakesError: it is no code, the operator's machine cannot be reached, or is another, or does not agree.
+        PancakesError: it is not a code, the operator's machine cannot be reached, or is another, or does not agree.
     """
     code = JoinCode.parse(text)
     place = f"{code.host}:{code.port}"

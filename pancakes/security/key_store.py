@@ -1,4 +1,4 @@
-"""Folders with keys on disk: where they are, their files, and the operator's register and access rules.
+"""Read and write the folders with keys: their paths and files, and the operator's register and access rules.
 
 The folder of an agent or a person has its certificate and private key, the certificate of the authority, and the last
 roster. No configuration names a key: the fleet and the name of an agent determine its folder. The operator's folder
@@ -53,7 +53,7 @@ class KeyFiles(NamedTuple):
     key: bytes = b""
 
     def write(self, folder: Path) -> None:
-        """Writes a folder with keys; the key last, so that it never stands beside an older fleet's certificate.
+        """Writes a folder with keys; the key last, so that it is never beside an older fleet's certificate.
 
         A later roster that is there stays: what it revokes is not to be believed again.
 
@@ -82,7 +82,7 @@ class KeyFiles(NamedTuple):
         """Returns what has travelled, with the key that has not.
 
         Raises:
-            KeyError, AttributeError: a part is missing, or is no text.
+            KeyError, AttributeError: a part is missing, or is not text.
         """
         certificate, authority, roster = (text[name].encode() for name in ("certificate", "authority", "roster"))
         return cls(str(text["fleet"]), str(text["role"]), str(text["name"]), certificate, authority, roster, key)
@@ -104,7 +104,7 @@ def _number(text: bytes) -> int:
 
 
 def write_private(path: Path, data: bytes) -> None:
-    """Writes a file that its user alone can read, in a directory that is that user's alone: all of it or nothing.
+    """Write a file that only its user can read, in a directory of only that user: all of it or nothing.
 
     Raises:
         OSError: it cannot be written.
@@ -243,7 +243,7 @@ class Register(msgspec.Struct, frozen=True):
         """Checks that a name is free in a fleet.
 
         Raises:
-            PancakesError: it is borne already.
+            PancakesError: it is taken.
         """
         for it in self.of(name):
             raise PancakesError(

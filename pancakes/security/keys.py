@@ -130,7 +130,7 @@ def certificate_shown(side: ssl.SSLObject) -> Certified:
 def _context(protocol: int, folder: Path) -> ssl.SSLContext:
     context = ssl.SSLContext(protocol)
     context.minimum_version = ssl.TLSVersion.TLSv1_3
-    context.check_hostname = False  # the name stands in the certificate's URI, and the hello is held against it
+    context.check_hostname = False  # the name is in the certificate's URI, and the hello is compared with it
     context.verify_mode = ssl.CERT_REQUIRED
     context.verify_flags = ssl.VerifyFlags(int(context.verify_flags) | _NO_CHECK_TIME)
     for file, load in ((FLEET, context.load_verify_locations), (KEY, context.load_cert_chain)):
@@ -155,7 +155,7 @@ def _shown_to_itself(listening: ssl.SSLContext, folder: Path) -> ssl.SSLObject:
     """
     dialling = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     dialling.check_hostname = False
-    dialling.verify_mode = ssl.CERT_NONE  # a person's certificate is for dialling alone
+    dialling.verify_mode = ssl.CERT_NONE  # a person's certificate is only for dialling
     dialling.load_cert_chain(folder / KEY)
     to_listener, to_dialler = ssl.MemoryBIO(), ssl.MemoryBIO()
     sides = (

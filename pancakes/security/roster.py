@@ -40,7 +40,7 @@ class Certified(msgspec.Struct, frozen=True):
     Attributes:
         fleet: the fleet.
         role: what its bearer is.
-        name: its bearer's name on the mesh; a person's terminals bear it with a dot and more.
+        name: its bearer's name on the mesh; a person's terminals have it with a dot and more.
         groups: by which rules may name its bearer.
         serial: its number, by which it is revoked.
         ends_s: when it ends, in seconds since 1970; infinite: it does not.
@@ -123,7 +123,7 @@ class Bearer(NamedTuple):
     """To whom rules apply.
 
     Attributes:
-        name: the name: that in the certificate, which a person's terminals bear with a dot and more.
+        name: the name: that in the certificate, which a person's terminals have with a dot and more.
         role: `agent`, `environment`, `operator` or `observer`.
         groups: the groups.
     """
@@ -165,7 +165,7 @@ def allows(rules: Iterable[AccessRule], who: Bearer, right: Right, on: Iterable[
         rules: the rules.
         who: the bearer.
         right: the right.
-        on: what it is for; where that has several names, one of them is enough.
+        on: what it is for; if that has several names, one of them is enough.
         at: the agent at which it would be done.
     """
     return any(
@@ -229,7 +229,7 @@ class Roster(msgspec.Struct, frozen=True):
         signed_s: when it was signed, in seconds since 1970.
         revoked: the certificates that are believed no more.
         allow: what its members may do.
-        forced: whether it is to be believed whatever its date.
+        forced: whether agents must believe it whatever its date.
     """
 
     fleet: Text
