@@ -1,29 +1,38 @@
-"""Stop agents in good order: ask them, wait until they are gone, and end by a signal those that do not answer."""
+"""Stop agents in good order: ask them, wait until they are gone, and end by a signal those that do not answer.
+
+`GracefulStop` ends agents group by group: first those that act, then a simulated world; of a fleet file, first those
+that come after others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pancakes.client import Client, Where
 from pancakes.control import Shutdown
-from pancakes.errors import NoAnswer, Unreachable
+from pancakes.errors import NoAnswer, PancakesError, Unreachable
 from pancakes.tools.cli.exit_codes import OK, REFUSED, UNREACHABLE
 from pancakes.tools.cli.output import DRY_RUN, show_text
-from pancakes.util.runtime_dir import RunningAgent
+from pancakes.util.runtime_dir import RunningAgent, entries
 
 if TYPE_CHECKING:
     import psutil
 
+    from pancakes.tools.launch.fleet_file import Member
+    from pancakes.tools.launch.remote_hosts import Host
+
 
 @dataclass
 class Target:
-    """One agent that is to end.
+    """One agent that has to end.
 
     Attributes:
-        process: its process, where that is one of this machine.
-        host: the other host on which it runs; empty: this machine, or it is not known.
+        process: its process, if that is one of this machine.
+        host: the other host on which it runs; None: this machine, or it is not known.
         gone: whether it has ended.
     """
 
@@ -31,7 +40,7 @@ class Target:
     fleet: str
     role: str
     process: psutil.Process | None
-    host: str = ""
+    host: Host | None = None
     gone: bool = False
 
 
@@ -54,126 +63,204 @@ class GracefulStop:
         self.rows: list[dict[str, Any]] = []
         self.code = OK
 
-    def end_all(self, here: dict[tuple[str, str], RunningAgent], fleet: str) -> None:
-        """End the agents of this machine, or of one fleet on it; those on other machines are left alone."""
+    def end_all(self, here: Mapping[tuple[str, str], RunningAgent], fleet: str) -> None:
+        """End the agents of this machine, or of one fleet on it; those on other machines go on."""
         reached = list(here.values())
         names = [entry.name for entry in reached]
         if len(set(names)) < len(names):
             # Agents of several fleets have the same name: their addresses tell them apart.
             for entry in sorted(reached, key=lambda entry: (entry.role == "environment", entry.fleet, entry.name)):
-                self.end(Where(entry.listen[:1], entry.fleet), [entry.name], here)
+                self.end_named(Where(entry.listen[:1], entry.fleet), [entry.name], here)
         elif names:
-            self.end(Where(fleet=fleet), names, here)
+            self.end_named(Where(fleet=fleet), names, here)
 
-    def end(self, at: Where, names: Sequence[str], here: dict[tuple[str, str], RunningAgent]) -> None:
+    def end_named(self, at: Where, names: Sequence[str], here: Mapping[tuple[str, str], RunningAgent]) -> None:
         """End agents that are found from some addresses (none: on this machine)."""
         with Client(at, self.timeout_s) as client:
             described, silent = _described(client, names)
             answered = {(told["fleet"], told["agent"]) for told in described}
             # An agent that was named together with an address may be on another machine. Its namesake here is another.
             mute = [] if at.addresses else [it for key, it in here.items() if it.name in names and key not in answered]
-            for sentence in silent:
-                show_text(sentence, err=True)
             if len(silent) > len(mute):
                 self.code = UNREACHABLE
-            self._end_processes(client, mute)
             targets = [_target(told, here) for told in described]
             worlds = [target for target in targets if target.role == "environment"]
-            for group in ([target for target in targets if target not in worlds], worlds):
-                self.end_some(client, group)
+            self._end_group(client, [it for it in targets if it not in worlds], [_target_of(entry) for entry in mute])
+            self._end_group(client, worlds)
 
-    def _end_processes(self, client: Client, mute: Sequence[RunningAgent]) -> None:
-        """End agents of this machine that do not answer, such as those whose network sleeps: by their processes."""
-        import psutil
+    def end_fleet(self, file: Path, names: Sequence[str]) -> None:
+        """End those agents of a fleet file that run, or those of them that are named.
 
-        targets = []
-        for entry in mute:
-            target = Target(entry.name, entry.fleet, entry.role, None)
-            if self.dry_run:
-                self.done(target, DRY_RUN)
-                continue
-            try:
-                target.process = psutil.Process(entry.pid)
-                target.process.terminate()
-            except psutil.NoSuchProcess:
-                target.gone = True
-            except psutil.AccessDenied:
-                self.fail(f"{entry.name} (process {entry.pid}) belongs to another user", REFUSED)
-                continue
-            show_text(f"{entry.name} is told to end by a signal to its process {entry.pid}", err=True)
-            targets.append(target)
-        self._await(client, targets)
+        Raises:
+            PancakesError: the file is not sound, it has no agent of a name, or a host cannot be reached.
+        """
+        from pancakes.tools.launch.fleet_file import make_fleet
+        from pancakes.tools.launch.remote_hosts import open_hosts, tunnels
 
-    def end_some(self, client: Client, targets: Sequence[Target]) -> None:
-        """End agents that a client reaches, and wait until they are gone."""
-        self._await(client, [target for target in targets if self._ask(client, target)])
+        members = make_fleet([file], (), None, None)
+        if unknown := [name for name in names if all(member.name != name for member in members)]:
+            known = ", ".join(member.name for member in members)
+            raise PancakesError(f"{file} has no agent {unknown[0]!r}, only {known}")
+        wanted = [member for member in members if not names or member.name in names]
+        here = {(entry.fleet, entry.name): entry for entry in entries()}
+        with open_hosts(wanted) as hosts, tunnels(hosts.values()) as ways, ExitStack() as stack:
+            targets: dict[str, Target] = {}
+            addresses: dict[str, list[str]] = {}
+            for member in wanted:
+                fleet, role = member.config.agent.fleet, member.config.agent.role
+                entry = None if member.host else here.get((fleet, member.name))
+                if member.host and hosts[member.host].runs(member):
+                    targets[member.name] = Target(member.name, fleet, role, None, hosts[member.host])
+                    addresses.setdefault(fleet, []).append(ways[member.name])
+                elif entry is not None:
+                    targets[member.name] = _target_of(entry)
+                    addresses.setdefault(fleet, []).extend(entry.listen[:1])
+            if not targets:
+                show_text(f"nothing of {file} runs", err=True)
+            clients = {
+                fleet: stack.enter_context(Client(Where(tuple(at), fleet), self.timeout_s))
+                for fleet, at in addresses.items()
+            }
+            for wave in waves([member for member in wanted if member.name in targets]):
+                for fleet, client in clients.items():
+                    group = [targets[member.name] for member in wave if member.config.agent.fleet == fleet]
+                    described, _ = _described(client, [target.name for target in group]) if group else ([], [])
+                    told = {it["agent"] for it in described}
+                    self._end_group(
+                        client, [it for it in group if it.name in told], [it for it in group if it.name not in told]
+                    )
+
+    def _end_group(self, client: Client, answering: Sequence[Target], mute: Sequence[Target] = ()) -> None:
+        """End agents at the same time, and wait until they are gone: those that do not answer by a signal."""
+        ending = [target for target in mute if self._signal(target)]
+        ending += [target for target in answering if self._ask(client, target)]
+
+        def all_gone() -> bool:
+            for target in ending:
+                # What was seen to be gone may come back: its launcher may start it again.
+                target.gone = target.gone or _is_gone(client, target)
+            return all(target.gone for target in ending)
+
+        client.wait(all_gone, self.timeout_s)
+        for target in ending:
+            if target.gone:
+                self._done(target, "ended")
+            else:
+                process = f" (process {target.process.pid})" if target.process is not None else ""
+                self._fail(f"{target.name}{process} has not ended within {self.timeout_s:g} s", UNREACHABLE)
 
     def _ask(self, client: Client, target: Target) -> bool:
         """Ask an agent to end; return whether it does."""
         try:
             reply = client.request(target.name, Shutdown(self.dry_run))
         except NoAnswer as error:
-            self.fail(str(error), UNREACHABLE)
+            self._fail(str(error), UNREACHABLE)
             return False
         if not reply.ok:
-            self.fail(f"{target.name} does not end: {reply.reason}", REFUSED)
+            self._fail(f"{target.name} does not end: {reply.reason}", REFUSED)
             return False
         if self.dry_run:
-            self.done(target, DRY_RUN)
+            self._done(target, DRY_RUN)
         return not self.dry_run
 
-    def _await(self, client: Client, targets: Sequence[Target]) -> None:
-        def all_gone() -> bool:
-            for target in targets:
-                # What was seen to be gone may come back: its launcher may start it again.
-                target.gone = target.gone or _is_gone(client, target)
-            return all(target.gone for target in targets)
+    def _signal(self, target: Target) -> bool:
+        """End an agent that does not answer, such as one whose network sleeps; return whether to wait for its end."""
+        if self.dry_run:
+            self._done(target, DRY_RUN)
+            return False
+        if target.host is not None:
+            self._end_there(target, target.host)
+            return False
+        import psutil
 
-        client.wait(all_gone, self.timeout_s)
-        for target in targets:
-            if target.gone:
-                self.done(target, "ended")
-            else:
-                process = f" (process {target.process.pid})" if target.process is not None else ""
-                self.fail(f"{target.name}{process} has not ended within {self.timeout_s:g} s", UNREACHABLE)
+        if target.process is None:
+            target.gone = True
+            return True
+        pid = target.process.pid
+        try:
+            target.process.terminate()
+        except psutil.NoSuchProcess:
+            target.gone = True
+            return True
+        except psutil.AccessDenied:
+            self._fail(f"{target.name} (process {pid}) belongs to another user", REFUSED)
+            return False
+        show_text(f"{target.name} is told to end by a signal to its process {pid}", err=True)
+        return True
 
-    def done(self, target: Target, done: str) -> None:
-        """An agent has ended, or would."""
-        row = {"agent": target.name, "fleet": target.fleet, "role": target.role, "host": target.host, "done": done}
+    def _end_there(self, target: Target, host: Host) -> None:
+        from pancakes.tools.launch.ssh import HostError
+
+        try:
+            gone = host.link.obtain("end_process", fleet=target.fleet, name=target.name, within=self.timeout_s)
+        except HostError as error:
+            self._fail(str(error), REFUSED)
+            return
+        if gone:
+            self._done(target, "ended")
+        else:
+            self._fail(f"{target.name} has not ended on {host.name} within {self.timeout_s:g} s", UNREACHABLE)
+
+    def _done(self, target: Target, done: str) -> None:
+        host = target.host.name if target.host is not None else ""
+        row = {"agent": target.name, "fleet": target.fleet, "role": target.role, "host": host, "done": done}
         self.rows.append(row)
 
-    def fail(self, sentence: str, code: int) -> None:
-        """Something went wrong, which the exit code tells."""
+    def _fail(self, sentence: str, code: int) -> None:
         show_text(sentence, err=True)
         self.code = max(self.code, code)
 
 
+def waves(members: Sequence[Member]) -> Iterator[list[Member]]:
+    """Yield agents in the order in which they end: each once those that come after it have ended."""
+    left = list(members)
+    while left:
+        needed = {other for member in left for other in member.after}
+        wave = [member for member in reversed(left) if member.name not in needed] or left
+        yield wave
+        left = [member for member in left if member not in wave]
+
+
 def _described(client: Client, names: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
     """Return what agents say of themselves, and a sentence for each that says nothing; one hides no other."""
+    found, silent = _survey(client, names)
+    for sentence in silent:
+        show_text(sentence, err=True)
+    return found, silent
+
+
+def _survey(client: Client, names: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
     try:
         found = client.survey(*names)
     except Unreachable as error:
         if len(names) < 2:
             return [], str(error).splitlines()
-        parts = [_described(client, [name]) for name in names]
+        parts = [_survey(client, [name]) for name in names]
         return [told for part, _ in parts for told in part], [sentence for _, part in parts for sentence in part]
     return list(found.agents), list(found.silent)
 
 
-def _target(described: dict[str, Any], here: dict[tuple[str, str], RunningAgent]) -> Target:
-    import psutil
-
+def _target(described: dict[str, Any], here: Mapping[tuple[str, str], RunningAgent]) -> Target:
     name, fleet = described["agent"], described["fleet"]
     entry = here.get((fleet, name))
     # An agent of this name may run here and another one elsewhere: only its own word says which was asked.
     told = described["process"]
-    process = None
-    if entry is not None and told is not None and told["pid"] == entry.pid:
-        try:
-            process = psutil.Process(entry.pid)
-        except psutil.NoSuchProcess:  # it has ended already
-            process = None
-    return Target(name, fleet, described["role"], process)
+    own = entry is not None and told is not None and told["pid"] == entry.pid
+    return Target(name, fleet, described["role"], _process(entry.pid) if own and entry is not None else None)
+
+
+def _target_of(entry: RunningAgent) -> Target:
+    return Target(entry.name, entry.fleet, entry.role, _process(entry.pid))
+
+
+def _process(pid: int) -> psutil.Process | None:
+    """Return a process; None: it has ended already."""
+    import psutil
+
+    try:
+        return psutil.Process(pid)
+    except psutil.NoSuchProcess:
+        return None
 
 
 def _is_gone(client: Client, target: Target) -> bool:

@@ -62,11 +62,9 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
     }
     stop = GracefulStop(ask.timeout_s, dry_run)
     if file is not None:
-        from pancakes.tools.cli.graceful_stop_fleet import end_fleet
-
-        end_fleet(stop, file, agents)
+        stop.end_fleet(file, agents)
     elif ask.where.addresses or agents:
-        stop.end(ask.where, agents, here)
+        stop.end_named(ask.where, agents, here)
     else:
         if not here:
             fleet = ask.where.fleet
