@@ -297,7 +297,7 @@ class Mesh:
             "state": self._state,
             "peers": self.links(),
             "asleep": [{"name": name, "for_s": None if for_s == math.inf else for_s} for name, for_s in asleep.items()],
-            "addresses": self._peers.describe() if self._peers is not None else [],
+            "addresses": self._peers.book.describe() if self._peers is not None else [],
             "few": self._few.describe() if self._few is not None else None,
             "mission_packets_sent": self.mission_packets_sent(),
         }
@@ -309,7 +309,7 @@ class Mesh:
 
     def awaits_peers(self) -> bool:
         """See `AddressBook.are_awaited`. Any thread."""
-        return self._peers.are_awaited() if self._peers is not None else bool(self._static)
+        return self._peers.book.are_awaited() if self._peers is not None else bool(self._static)
 
     def _lost(self, packet: Packet) -> PancakesError:
         """Returns why a packet cannot go to its agent."""

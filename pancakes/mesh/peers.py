@@ -269,6 +269,9 @@ class Peers:
         may_be_named: returns whether a peer may name an address.
         reach: returns from how far an address can be dialled.
         few: decides which links there are; None: there is one to each agent.
+
+    Attributes:
+        book: the addresses that are known. Any thread may read it.
     """
 
     def __init__(
@@ -294,7 +297,7 @@ class Peers:
         self._candidates: dict[int, _Candidate] = {}
         self._up: dict[str, _Candidate] = {}
         static = tuple(map(spelt, static))
-        self._book = AddressBook(own.listen, static, source, times, now_s, self._up.__contains__, may_be_named)
+        self.book = AddressBook(own.listen, static, source, times, now_s, self._up.__contains__, may_be_named)
         self._asleep: dict[str, float] = {}
         self._last_link = 0
         self._self_dials = 0  # connections from this agent to itself, as seen from the end that was dialled
@@ -342,39 +345,31 @@ class Peers:
         for it in decisions:
             if isinstance(it, MakeLink):
                 for address in it.listen:
-                    self._book.learn(address, now_s, it.name)
-                    self._book.make_due(address, now_s)
+                    self.book.learn(address, now_s, it.name)
+                    self.book.make_due(address, now_s)
             elif isinstance(it, EndLink):
                 self._up[it.name].rests = True
                 done.append(Rest(self._up[it.name].link))
             else:
                 for address in it.listen:
-                    self._book.forget(address)
+                    self.book.forget(address)
                 done.append(it)
         return [*done, *self._dial(now_s)]
 
     def _look_at_few(self, few: FewLinks, now_s: float) -> list[Decision]:
         linked: dict[str, LinkUse] = {}
         for it in self._linked():
-            known = self._book.get(it.address)
+            known = self.book.get(it.address)
             may_end = known is not None and not known.static
             linked[it.hello.name] = LinkUse(may_end, self._unused_s(it, now_s))
             few.on_sighting(it.hello.name, it.hello.listen, 0.0, now_s)
         return self._carry_out(few.tick(now_s, linked), now_s)
 
-    def are_awaited(self) -> bool:
-        """Returns whether an agent that is always dialled may be reached yet: no dial has failed so far. Any thread."""
-        return self._book.are_awaited()
-
-    def describe(self) -> list[dict[str, Any]]:
-        """Returns each known address with what is known of it."""
-        return self._book.describe()
-
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do."""
         few_s = self._few.due_s if self._few is not None else math.inf
         busy = self._learnt_dials() >= MOST_DIALS
-        wanted = [it for address, it in self._book.items() if it.link is None and self._wanted(address, it)]
+        wanted = [it for address, it in self.book.items() if it.link is None and self._wanted(address, it)]
         dials = [it.due_s for it in wanted if not (busy and it.by)]
         if len(self._candidates) == len(self._up):  # as nearly always
             return min((*dials, few_s))
@@ -394,7 +389,7 @@ class Peers:
     def _dial(self, now_s: float) -> list[Decision]:
         decisions: list[Decision] = []
         free = MOST_DIALS - self._learnt_dials()
-        for address, it in self._book.items():
+        for address, it in self.book.items():
             if self._wanted(address, it) and now_s >= it.due_s and not (it.by and free <= 0):
                 free -= bool(it.by)
                 it.link = self.new_link()
@@ -413,19 +408,19 @@ class Peers:
         """
         address = self._dials.pop(link, "")
         if address:
-            self._book[address].link = None
-            self._book[address].ours = False
+            self.book[address].link = None
+            self.book[address].ours = False
         own, name = self._own, hello.name
         if name == own.name:
             return self._namesake(link, hello, address, now_s)
         if address:
-            self._book[address].name = name
+            self.book[address].name = name
         listen = tuple(filter(None, (reachable(it, remote) for it in hello.listen)))
         machine = machine_of(remote)
         if machine != THIS_MACHINE:  # what listens here on all interfaces, others find at the address that they see
             hello = replace(hello, listen=listen)
         named = nameable_from(remote, listen, self._reach) if hello.role != "client" else ()
-        learnt = [self._book.learn(it, now_s, name, name) for it in named]
+        learnt = [self.book.learn(it, now_s, name, name) for it in named]
         self._asleep.pop(name, None)
         is_news = any(learnt) if self._few is None else not self._few.knows(name)
         candidate = self._candidates[link] = _Candidate(link, hello, address, machine, is_news)
@@ -475,7 +470,7 @@ class Peers:
         self._up[name] = candidate
         if self._few is not None:
             self._few.on_link_up(name)
-        known_address = self._book.get(candidate.address)
+        known_address = self.book.get(candidate.address)
         if known_address is not None:
             known_address.refused, known_address.rests = "", False
         decisions: list[Decision] = []
@@ -510,9 +505,9 @@ class Peers:
             address = self._dials.pop(link, "")
             if not address:
                 return []
-            self._book[address].link = None
-            self._book[address].refused = refusal
-            self._book.failed(address, now_s, hopeless)
+            self.book[address].link = None
+            self.book[address].refused = refusal
+            self.book.failed(address, now_s, hopeless)
             self._freed(address, now_s)
             return []
         self._met_at.pop(candidate.address, None)
@@ -528,11 +523,11 @@ class Peers:
             if len(self._asleep) > MAX_LEARNT:  # some of them never wake
                 del self._asleep[next(iter(self._asleep))]
         rests = candidate.rests or (goodbye is not None and goodbye.why == "rest")
-        for address, it in list(self._book.items()):
+        for address, it in list(self.book.items()):
             if it.name != name or it.link is not None or (candidate.address != address and not was_up):
                 continue
             if rests:
-                self._book.rest(address, now_s)
+                self.book.rest(address, now_s)
                 continue
             it.refused = refusal if hopeless else ""
             if goodbye is not None and goodbye.why == "sleep" and goodbye.for_s is not None:
@@ -542,9 +537,9 @@ class Peers:
                 it.due_s = now_s + self._times.retry_longest_s
             elif candidate.up_s is not None and now_s - candidate.up_s >= self._times.gone_s:
                 it.failures = 0
-                self._book.retry(it, now_s)
+                self.book.retry(it, now_s)
             else:
-                self._book.failed(address, now_s, False)
+                self.book.failed(address, now_s, False)
         if not was_up:
             return []
         heirs = [other for other in self._candidates.values() if other.hello.name == name and other.up_s is None]
@@ -580,8 +575,8 @@ class Peers:
         """
         addresses = [spelt(address) for address in addresses]
         # Beacons name what is known already, from each peer and all the time.
-        unknown = [address for address in addresses if address not in self._book]
-        new = [address for address in unknown if self._book.learn(address, now_s, by=peer)]
+        unknown = [address for address in addresses if address not in self.book]
+        new = [address for address in unknown if self.book.learn(address, now_s, by=peer)]
         return self.tick(now_s) if new else []
 
     def is_news(self, link: int) -> bool:
@@ -590,18 +585,18 @@ class Peers:
 
     def redial(self, now_s: float) -> None:
         """Makes all addresses due now (this agent woke up)."""
-        self._book.all_due(now_s)
+        self.book.all_due(now_s)
 
     def _wanted(self, address: str, it: KnownAddress) -> bool:
         # The peer at that address has yet to tell whether the link stays, or when to dial again.
-        return self._book.is_wanted(it) and address not in self._met_at
+        return self.book.is_wanted(it) and address not in self._met_at
 
     def _learnt_dials(self) -> int:
         """Returns how many addresses are dialled now that peers have named."""
-        return sum(bool(self._book[address].by) for address in self._dials.values())
+        return sum(bool(self.book[address].by) for address in self._dials.values())
 
     def _dialling(self, listen: Sequence[str]) -> bool:
-        known = [it for it in map(self._book.get, listen) if it is not None]
+        known = [it for it in map(self.book.get, listen) if it is not None]
         return any(it.link is not None for it in known)
 
     def _namesake(self, link: int, hello: Hello, address: str, now_s: float) -> list[Decision]:
@@ -610,7 +605,7 @@ class Peers:
             self._self_dials += is_own
             return [self._self_dial(link) if is_own else TurnDown(link, "name", _taken(own.name))]
         self._freed(address, now_s)
-        it = self._book[address]
+        it = self.book[address]
         it.due_s = now_s + self._times.retry_longest_s
         if not is_own:  # the agent that dials is the newcomer, and waits to be told
             it.refused = _taken(own.name)

@@ -191,7 +191,7 @@ SHARED = tuple(
 MAY_CALL = {
     "pancakes/durable/host_state.py: self._reservations": "a table that this lock guards",
     "pancakes/durable/host_state.py: self._kernel.host": "the clock",
-    "pancakes/durable/courier.py: self._encoder": "it is pure",
+    "pancakes/durable/courier.py: encode_packet": "it is pure",
     "pancakes/durable/courier.py: self._outbox": "it is pure, and this lock guards it",
     "pancakes/kernel/mailbox.py: bounded": "the limits of this queue",
     "pancakes/kernel/dead_letters.py: queue": "the keep of a queue is data",

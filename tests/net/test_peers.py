@@ -43,7 +43,7 @@ def connect(it, name, now_s=0.0, **more):
 
 
 def addresses(it):
-    return [known["address"] for known in it.describe()]
+    return [known["address"] for known in it.book.describe()]
 
 
 def dials(decisions):
@@ -59,16 +59,16 @@ def test_all_static_addresses_are_dialled_side_by_side_at_once():
 
 def test_an_agent_is_awaited_until_a_dial_to_it_has_failed_or_it_is_there():
     it = peers("tcp://a:1")
-    assert it.are_awaited()
+    assert it.book.are_awaited()
     (dial,) = it.tick(0.0)
     it.on_link_over(dial.link, 0.0)
-    assert not it.are_awaited()
+    assert not it.book.are_awaited()
     it = peers("tcp://a:1")
     (dial,) = it.tick(0.0)
     it.on_hello(dial.link, hello("a"), "tcp://a:1", 0.0)
     it.on_link_up(dial.link, 0.0)
-    assert not it.are_awaited()
-    assert not peers().are_awaited()
+    assert not it.book.are_awaited()
+    assert not peers().book.are_awaited()
 
 
 def test_waits_double_from_a_tenth_of_a_second_to_ten_seconds_with_full_jitter():
@@ -241,7 +241,10 @@ def test_an_address_at_which_a_program_repeats_our_hello_is_not_ours():
     (turned,) = it.on_hello(dial.link, hello("m"), "tcp://squatter:1", 0.0)
     assert (turned.code, turned.reason) == ("name", "what listens there repeats what m says")
     it.on_link_over(dial.link, 0.0, refused="name")
-    assert [(known["address"], known["refused"]) for known in it.describe()] == [("tcp://squatter:1", turned.reason)]
+    (known,) = it.book.describe()
+    assert (known["address"], known["refused"]) == ("tcp://squatter:1", turned.reason)
+        ("tcp://squatter:1", turned.reason)
+    ]
     assert dials(it.tick(10.0)) == ["tcp://squatter:1"]
 
 
@@ -249,7 +252,7 @@ def test_a_newcomer_that_finds_its_name_taken_waits_to_be_told():
     it = peers("tcp://rival:1")
     (dial,) = it.tick(0.0)
     assert it.on_hello(dial.link, hello("m", journal="another journal"), "tcp://rival:1", 0.0) == []
-    assert "the name m is already borne by another agent" in it.describe()[0]["refused"]
+    assert "the name m is already borne by another agent" in it.book.describe()[0]["refused"]
 
 
 def test_who_says_that_it_listens_at_a_static_address_keeps_nobody_from_dialling_it():
@@ -349,7 +352,7 @@ def test_a_link_that_flaps_waits_longer_each_time_one_that_lasted_begins_anew():
         it.on_link_up(dial.link, now_s)
         now_s += seconds
         it.on_link_over(dial.link, now_s)
-        (known,) = it.describe()
+        (known,) = it.book.describe()
         return known["failures"]
 
     assert [live_for(0.1), live_for(0.1), live_for(60.0), live_for(0.1)] == [1, 2, 0, 1]
@@ -458,11 +461,11 @@ def test_the_sentence_with_which_an_agent_refuses_us_is_kept_until_it_takes_us()
     (dial,) = it.tick(0.0)
     it.on_hello(dial.link, hello("z"), "", 0.0)
     it.on_link_over(dial.link, 0.0, refused="full", refusal="z is full")
-    assert [(known["name"], known["refused"]) for known in it.describe()] == [("z", "z is full")]
+    assert [(known["name"], known["refused"]) for known in it.book.describe()] == [("z", "z is full")]
     (dial,) = it.tick(10.0)
     it.on_hello(dial.link, hello("z"), "", 10.0)
     it.on_link_up(dial.link, 10.0)
-    assert [known["refused"] for known in it.describe()] == [""]
+    assert [known["refused"] for known in it.book.describe()] == [""]
 
 
 @pytest.mark.parametrize(
