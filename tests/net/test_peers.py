@@ -243,8 +243,6 @@ def test_an_address_at_which_a_program_repeats_our_hello_is_not_ours():
     it.on_link_over(dial.link, 0.0, refused="name")
     (known,) = it.book.describe()
     assert (known["address"], known["refused"]) == ("tcp://squatter:1", turned.reason)
-        ("tcp://squatter:1", turned.reason)
-    ]
     assert dials(it.tick(10.0)) == ["tcp://squatter:1"]
 
 
