@@ -40,7 +40,7 @@ LOWEST_READY_FD: Final = 3
     "--ready-fd",
     metavar="FD",
     type=click.IntRange(min=LOWEST_READY_FD),
-    help="Write a line to this file descriptor, and close it, once all that is to run at the start does.",
+    help="Write a line to this file descriptor, and close it, once all tasks that run from the start do.",
 )
 @version_option("pancakes-agent")
 def agent(

@@ -100,7 +100,7 @@ def fleet_of_command(option: str) -> str:
 
 
 class NameType(click.ParamType):
-    """Read a name, with its fleet before it or without; also good as the type of an option.
+    """Read a name, with or without its fleet before it; also the type of an option.
 
     Args:
         noun: what bears such a name: `agent`, `task`, `service` or `channel`.

@@ -48,7 +48,7 @@ of_fleet = click.option(
     "--fleet", "fleet_name", metavar="NAME", default="", help="The fleet. [default: the only one that is founded here]"
 )
 may_be_dry = click.option("--dry-run", is_flag=True, help="Only say what would be done, and ask for no password.")
-any_date_option = click.option("--any-date", is_flag=True, help="Agents are to believe it whatever its date.")
+any_date_option = click.option("--any-date", is_flag=True, help="Have agents believe it whatever its date is.")
 told_at = click.option(
     "--tell",
     "addresses",

@@ -48,7 +48,7 @@ class Pattern(click.ParamType):
     type=click.Choice(LEVELS),
     default="info",
     show_default=True,
-    help="Only lines of this level and above; events count as info, or as debug where a line says the same.",
+    help="Only lines of this level and above; events count as info, or as debug if a line says the same.",
 )
 @from_option
 @click.option("--since", "since_s", metavar="TIME", type=Duration(), help="Only what was said in the last 30s.")

@@ -27,7 +27,7 @@ LOADED = ("agent", "service", "task", "params", "done", "reason")
 
 @click.group()
 def param() -> None:
-    """Settings of tasks; a device is a task too, and bears the device's name."""
+    """Settings of tasks; a device is a task too, with the device's name."""
 
 
 @param.command("list")

@@ -100,7 +100,7 @@ def replay(
     if bool(configs) != bool(out):
         raise click.UsageError("--config and --out go together: the result is recorded into --out")
     if configs and ask.where != Where():
-        raise click.UsageError("--at and --fleet name agents that run, --config such as are to run: say one of them")
+        raise click.UsageError("--at and --fleet name agents that run, --config agents to start: give one of them")
     if to_s is not None and to_s <= (from_s or 0.0):
         raise click.UsageError(f"--to {to_s:g}s is not after --from {from_s or 0.0:g}s")
     plugins = Plugins()

@@ -82,7 +82,7 @@ def info(name: ServiceName, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def start(name: ServiceName, dry_run: bool, ask: Ask) -> None:
-    """Start a service that stands still, and wait until it and its tasks run.
+    """Start a stopped service, and wait until it and its tasks run.
 
     \b
     Example:

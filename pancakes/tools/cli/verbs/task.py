@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 )
 @set_option("Give it this setting. Repeatable.")
 @click.option("--rate", "rate_hz", metavar="HZ", type=FiniteRange(min=0.0), help="How often it ticks; 0: not yet.")
-@click.option("--guard", type=click.Choice(["3", "5"]), help="Have so many agents guard it.")
+@click.option("--guard", type=click.Choice(["3", "5"]), help="How many agents guard it.")
 @click.option("--lease", "lease_s", metavar="TIME", type=Duration(), help="How long its leases are.")
 @click.option(
     "--key",
@@ -149,7 +149,7 @@ STATES = ("stopped", "starting", "running", "stopping", "stuck", "restarting", "
 
 @click.group()
 def task() -> None:
-    """Tasks that agents have; a device is a task too, and bears the device's name."""
+    """Tasks that agents have; a device is a task too, with the device's name."""
 
 
 task.add_command(create)
@@ -231,7 +231,7 @@ def info(name: TaskName, with_state: bool, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def start(name: TaskName, sets: Changes, dry_run: bool, ask: Ask) -> None:
-    """Start a task that stands still, and wait until it runs.
+    """Start a stopped task, and wait until it runs.
 
     A value of --set that reads as TOML is taken as such (5, true, [1, 2]), anything else as a string.
 

@@ -14,7 +14,7 @@ from pancakes.tools.cli.streaming import event_at
 port_option = click.option(
     "--port",
     type=click.IntRange(1, 65535),
-    help="The page's port on this machine. [default: 7480, or a free one where that is taken]",
+    help="The page's port on this machine. [default: 7480, or a free one if that is taken]",
 )
 """The option `--port` of every verb that shows a page."""
 
