@@ -33,7 +33,7 @@ __all__ = ["DriveToGoal"]
 
 @packet_type("simulation.wheels")
 class WheelSpeeds(msgspec.Struct, frozen=True):
-    """How fast a robot's wheels are to run from now on.
+    """The speeds of a robot's wheels from now on.
 
     Attributes:
         left_mps: speed of the left wheel over the ground, forward.
@@ -45,7 +45,7 @@ class WheelSpeeds(msgspec.Struct, frozen=True):
 
 
 class Pilot(Task):
-    """Drives as the newest `WheelSpeeds` on `ctrl` say, until others come; keeps the newest readings.
+    """Drive at the newest `WheelSpeeds` on `ctrl`, until others come, and keep the newest readings.
 
     Attributes:
         pose: the newest pose; None: there is none yet.
@@ -56,7 +56,7 @@ class Pilot(Task):
 
     @dataclass
     class Settings:
-        """What it drives.
+        """Say which robot it drives.
 
         Attributes:
             model: the kind of robot.
@@ -73,27 +73,27 @@ class Pilot(Task):
     _wheels = STILL
 
     @on(CTRL, WheelSpeeds, keep="latest")
-    def steered(self, packet: Packet) -> None:
-        """Follows new speeds."""
+    def set_speeds(self, packet: Packet) -> None:
+        """Drive at new speeds."""
         self._wheels = Wheels(packet.body.left_mps, packet.body.right_mps)
         self._drive()
 
     @every(hz=10)
-    def go_on(self, tick: Tick) -> None:
-        """Says them again: a command is good for half a second."""
+    def repeat(self, tick: Tick) -> None:
+        """Publish the speeds again: a command is good for half a second."""
         self._drive()
 
     def _drive(self) -> None:
         self.publish(CTRL, robot_model(self.settings.model).drive.twist(self._wheels))
 
     @on(SYSTEM, Pose, keep="latest")
-    def located(self, packet: Packet) -> None:
-        """Keeps the newest pose."""
+    def keep_pose(self, packet: Packet) -> None:
+        """Keep the newest pose."""
         self.pose = packet.body
 
     @on(SYSTEM, Infrared, keep="latest")
-    def swept(self, packet: Packet) -> None:
-        """Keeps the newest sweep of the infrared ring."""
+    def keep_infrared(self, packet: Packet) -> None:
+        """Keep the newest sweep of the infrared ring."""
         self.infrared = packet.body
 
 
@@ -103,7 +103,7 @@ with needing_extra("no learning environment can be made"):
 _TOP_MPS = KHEPERA_III.drive.max_wheel_mps
 _POST_M = 0.06
 _APART_M = 0.35
-"""Starts, goals and posts are drawn so far from each other and from the walls."""
+"""Start, goals and posts are drawn so far from each other and from the walls."""
 _BUS = "tcp://world:7499"
 _PIXELS_PER_M = 100
 _FLOOR, _GOAL, _POST, _ROBOT, _NOSE = (
@@ -119,16 +119,16 @@ class DriveToGoal(gymnasium.Env[_Floats, _Floats]):
     - **Action**: `float32[2]`, the speeds of the left and the right wheel over the ground in m/s, forward, each at most
       0.333 either way. They hold until the next step.
     - **Observation**: `float32[11]`, from the robot's own readings: where the goal is in the robot's frame, ahead and
-      to the left, in m; then the ranges of its nine infrared sensors in m, the full range where one sees nothing.
+      to the left, in m; then the ranges of its nine infrared sensors in m, the full range if one sees nothing.
     - **Reward**: metres that the robot came nearer to the goal, plus 1 at the goal, minus `collision_cost` for each
       contact that begins with a post or a wall.
-    - **Ends**: terminated where its centre is within `goal_m` of the goal. `gymnasium.make` truncates after 600 steps.
+    - **Ends**: terminated when its centre is within `goal_m` of the goal. `gymnasium.make` truncates after 600 steps.
     - **info**: `time_s` (mission time), `distance_m` (true distance to the goal), `collisions` (so far).
 
     Args:
         width_m: size of the arena along x.
         height_m: size along y.
-        posts: so many posts stand about.
+        posts: how many posts stand about.
         goal_m: how near is near enough.
         step_s: seconds of simulated time for each step.
         collision_cost: see above.
@@ -181,7 +181,7 @@ class DriveToGoal(gymnasium.Env[_Floats, _Floats]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[_Floats, dict[str, Any]]:
-        """Draws an arena and starts its agents.
+        """Draw an arena and start its agents.
 
         Args:
             seed: draws everything; None: the next arena of the series that the last seed began.
@@ -211,7 +211,7 @@ class DriveToGoal(gymnasium.Env[_Floats, _Floats]):
         return self._observe(), self._info()
 
     def _places(self, count: int) -> list[tuple[float, float]]:
-        """Draws places that are apart from each other and from the walls."""
+        """Draw places that are apart from each other and from the walls."""
         places: list[tuple[float, float]] = []
         half_x_m, half_y_m = (0.5 * size_m - _APART_M for size_m in self._size_m)
         for _ in range(10_000):
@@ -228,7 +228,7 @@ class DriveToGoal(gymnasium.Env[_Floats, _Floats]):
         )
 
     def step(self, action: _Floats) -> tuple[_Floats, float, bool, bool, dict[str, Any]]:
-        """Lets the wheels run at these speeds for `step_s`; see the class.
+        """Let the wheels run at these speeds for `step_s`; see the class.
 
         Raises:
             SimulationError: the action is not two finite numbers, or the environment was not reset.
@@ -272,7 +272,7 @@ class DriveToGoal(gymnasium.Env[_Floats, _Floats]):
         }
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """Returns the arena from above, x to the right and y up: `uint8[height, width, 3]`.
+        """Return the arena from above, x to the right and y up: `uint8[height, width, 3]`.
 
         None without the render mode `rgb_array`.
         """
@@ -303,7 +303,7 @@ class DriveToGoal(gymnasium.Env[_Floats, _Floats]):
         disc(body.x_m + ahead_x_m, body.y_m + ahead_y_m, 0.3 * radius_m, _NOSE)
 
     def close(self) -> None:
-        """Ends the simulation."""
+        """End the simulation."""
         self.simulation.close()
 
 

@@ -37,14 +37,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--pancakes-seed",
         type=int,
         metavar="SEED",
-        help="The seed of the fixture `fleet`, where a test has none of its own. [default: 0]",
+        help="The seed of the fixture `fleet`, for tests without a seed of their own. [default: 0]",
     )
     group.addoption(
         "--pancakes-seeds",
         type=int,
         default=1,
         metavar="COUNT",
-        help="Run each test that uses the fixture `fleet` under so many seeds. [default: 1]",
+        help="Run each test that uses the fixture `fleet` under this many seeds. [default: 1]",
     )
 
 
@@ -64,7 +64,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
-    """Shows the end of every agent's log with a test that has failed."""
+    """Show the end of every agent's log with a test that has failed."""
     outcome: Any = yield
     report = outcome.get_result()
     if report.passed or call.when == "teardown":
@@ -80,7 +80,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 
 def _marks(node: pytest.Item) -> dict[str, Any]:
-    """Returns what the marker says of a test; what is nearest to it counts."""
+    """Return the arguments of the markers of a test; the nearest marker counts."""
     known = ("seed", "leaks", *_QUALITY)
     said: dict[str, Any] = {}
     for mark in node.iter_markers(MARKER):
@@ -100,7 +100,7 @@ def _first_seed(node: pytest.Item) -> int:
 
 @pytest.fixture
 def no_leaks(request: pytest.FixtureRequest) -> Iterator[Leaks]:
-    """Fails the test where it leaves a thread, an actor, a socket or an open file behind.
+    """Fail the test if it leaves a thread, an actor, a socket or an open file behind.
 
     All other fixtures of Pancakes use it. `@pytest.mark.pancakes(leaks=False)` switches it off for a test.
     """
@@ -138,7 +138,7 @@ def fleet(request: pytest.FixtureRequest, no_leaks: Leaks, pancakes_seed: int) -
 
 @pytest.fixture
 def virtual_agent(fleet: Fleet) -> StartAgent:
-    """Starts agents of `fleet`: `virtual_agent(name="a", text="", tasks=..., devices=..., services=..., ...)`."""
+    """Start agents of `fleet`: `virtual_agent(name="a", text="", tasks=..., devices=..., services=..., ...)`."""
 
     def start(name: str = "a", text: str = "", **arguments: Any) -> AgentHandle:
         return fleet.start(name, text, **arguments)
@@ -148,7 +148,7 @@ def virtual_agent(fleet: Fleet) -> StartAgent:
 
 @pytest.fixture
 def threaded_agent(no_leaks: Leaks) -> Iterator[StartAgent]:
-    """Starts agents on threads and in real time, with the same arguments as `virtual_agent`; the test ends them."""
+    """Start agents on threads and in real time, with the same arguments as `virtual_agent`; the test ends them."""
     from pancakes.testing import threaded_agent
 
     started: list[AgentHandle] = []
@@ -164,14 +164,14 @@ def threaded_agent(no_leaks: Leaks) -> Iterator[StartAgent]:
 
 @pytest.fixture(params=["virtual", "threads"])
 def any_agent(request: pytest.FixtureRequest) -> StartAgent:
-    """Runs the test twice: once as `virtual_agent`, once as `threaded_agent`."""
+    """Run the test twice: once as `virtual_agent`, once as `threaded_agent`."""
     start: StartAgent = request.getfixturevalue("virtual_agent" if request.param == "virtual" else "threaded_agent")
     return start
 
 
 @pytest.fixture
 def probe(no_leaks: Leaks) -> ProbeOn:
-    """Lets one more probe listen: `probe(agent, "ctrl", "system")`; without channels to all. The agent must run."""
+    """Add a probe: `probe(agent, "ctrl", "system")`; without channels it listens to all. The agent must run."""
     from pancakes.packet import join
     from pancakes.simulation.agent_handle import Probe
 
@@ -191,7 +191,7 @@ def probe(no_leaks: Leaks) -> ProbeOn:
 
 @pytest.fixture
 def virtual_clock() -> VirtualClock:
-    """A clock that stands still at 0 s until a test moves it with `advance_to`."""
+    """Return a clock that stays at 0 s until a test moves it with `advance_to`."""
     from pancakes.util.clock import VirtualClock
 
     return VirtualClock()

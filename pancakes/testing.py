@@ -14,7 +14,7 @@
 
 pytest finds the fixtures (docs/testing.md) by the entry point `pancakes.pytest_plugin`. Everything works without pytest
 too: `Fleet` runs any number of agents in virtual time on one thread; `threaded_agent` runs one agent as it runs
-on a robot. Both hand out an `AgentHandle`, so one test can cover both. No shipped module imports this one.
+on a robot. Both return an `AgentHandle`, so one test can cover both. No shipped module imports this one.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def threaded_agent(
 
 @cache
 def _sockets() -> tempfile.TemporaryDirectory[str]:
-    """Returns where agents of this process find each other, apart from all others of the machine."""
+    """Return the folder in which only agents of this process find each other."""
     return tempfile.TemporaryDirectory(prefix="pancakes-test-")
 
 
@@ -103,13 +103,13 @@ def _apart(config: Config) -> Config:
 
 
 LEAK_PATIENCE_S = 2.0
-"""How long, in seconds of the host, what was told to end may take for that."""
+"""How long, in seconds of the host, threads and actors may take to end."""
 LOOK_S = 0.01
 DESCRIPTORS = "/proc/self/fd"
 
 
 class Leaks:
-    """Compares what there is with what there was when this object was made.
+    """Find threads, actors and open files that were not there when this object was made.
 
     Threads and open files count for the whole process; actors only for the agents that it watches.
     """
@@ -120,21 +120,21 @@ class Leaks:
         self._agents: list[Callable[[], Iterable[AgentHandle]]] = []
 
     def watch(self, agents: Callable[[], Iterable[AgentHandle]]) -> None:
-        """Tells of agents that should have ended; `agents` is asked for them each time."""
+        """Check agents that should have ended as well; `agents` is called for them each time."""
         self._agents.append(agents)
 
     def agents(self) -> list[AgentHandle]:
-        """Returns the agents that it watches."""
+        """Return the agents that it watches."""
         return [agent for ask in self._agents for agent in ask()]
 
-    def left(self, at_most_s: float = LEAK_PATIENCE_S) -> str:
-        """Waits until nothing is left, or the time is up, and says what is left then; empty: nothing."""
+    def left(self, at_most_s: float = LEAK_PATIENCE_S, *, only_threads: bool = False) -> str:
+        """Wait until nothing is left, or the time is up; return a sentence about what is left, empty if nothing is."""
         clock = MonotonicClock()
         until_s = clock.now() + at_most_s
         collected = False
         pause = threading.Event()
         while True:
-            left = self._left()
+            left = self._left(only_threads)
             if not left or clock.now() >= until_s:
                 return left
             if not collected:
@@ -144,8 +144,10 @@ class Leaks:
                 continue
             pause.wait(LOOK_S)
 
-    def _left(self) -> str:
+    def _left(self, only_threads: bool) -> str:
         threads = [thread.name for thread in threading.enumerate() if thread not in self._threads]
+        if only_threads:
+            return f"threads are left: {', '.join(threads)}" if threads else ""
         actors = [address for agent in self.agents() for address in agent.still_running()]
         before = set(self._open)
         files = [
@@ -158,7 +160,7 @@ class Leaks:
 
 
 def _open_descriptors() -> list[tuple[int, str]]:
-    """Returns the open file descriptors of this process, and what they lead to; nothing where Linux does not tell."""
+    """Return the open file descriptors of this process, and their targets; none if `/proc` is missing."""
     found = []
     try:
         numbers = sorted(int(name) for name in os.listdir(DESCRIPTORS))
@@ -174,7 +176,7 @@ def _open_descriptors() -> list[tuple[int, str]]:
 
 @contextmanager
 def no_leak(at_most_s: float = LEAK_PATIENCE_S) -> Iterator[Leaks]:
-    """Fails where threads, sockets or files that came to be inside of the `with` are still there shortly after it.
+    """Fail if threads, sockets or files that were made inside of the `with` are still there shortly after it.
 
     Agents that the `Leaks` watches must have ended too, with all of their actors.
 
@@ -192,16 +194,11 @@ def no_leak(at_most_s: float = LEAK_PATIENCE_S) -> Iterator[Leaks]:
 
 @contextmanager
 def no_thread_left(at_most_s: float = LEAK_PATIENCE_S) -> Iterator[None]:
-    """Fails where threads that began inside of the `with` have not ended at its end, or shortly after."""
-    before = threading.enumerate()
+    """Fail if threads that began inside of the `with` have not ended shortly after it; see `no_leak`."""
+    leaks = Leaks()
     yield
-    clock = MonotonicClock()
-    until_s = clock.now() + at_most_s
-    left = [thread for thread in threading.enumerate() if thread not in before]
-    for thread in left:
-        thread.join(max(0.0, until_s - clock.now()))
-    names = [thread.name for thread in left if thread.is_alive()]
-    assert not names, f"threads are left: {', '.join(names)}"
+    left = leaks.left(at_most_s, only_threads=True)
+    assert not left, left
 
 
 MOST_SHOWN = 20
@@ -217,23 +214,23 @@ def assert_published(
     times: int | None = None,
     within_s: float | None = None,
 ) -> Packet:
-    """Asserts that a packet is published, and returns the last one that fits.
+    """Assert that a packet is published, and return the last one that fits.
 
     Without `times` it waits for the first packet that fits, if there is none yet. With `times` it looks at what there
-    is at the end of `within_s`: all that has been heard so far counts.
+    is at the end of `within_s`: all that was received so far counts.
 
     Args:
         probe: the probe that listens, or the agent that has it.
         body: its type.
-        where: says yes to its body.
-        channel: where it is published.
+        where: returns whether its body fits.
+        channel: the channel on which it is published.
         source: the address of its publisher.
         times: how many there must be, neither more nor fewer; None: one or more.
         within_s: how long to wait, in virtual time or, on threads, in seconds of the host; None: 10 s, and with
             `times` not at all.
 
     Returns:
-        The packet; one without a body where `times` is 0.
+        The packet; one without a body if `times` is 0.
 
     Raises:
         AssertionError: names what was published instead.
@@ -264,7 +261,7 @@ def assert_published(
 
 
 def _instead(listener: Probe, name: str, same: Sequence[Packet]) -> str:
-    """Says what was published instead: packets of the same type, or else what there was of each type."""
+    """Return what was published instead: packets of the same type, else what there was of each type."""
     if same:
         first = f"of the type {name!r} there were {len(same)}, the last of them:\n"
         return first + "\n".join(_document(listener.agent, packet) for packet in same[-MOST_SHOWN:])
@@ -282,12 +279,12 @@ def _instead(listener: Probe, name: str, same: Sequence[Packet]) -> str:
 
 
 def _document(agent: str, packet: Packet, before: str = "") -> str:
-    """Returns a packet as `pancakes channel echo` shows it, under a line that says where it went."""
-    from pancakes.tools.cli.verbs.channel import record_of, text_of  # only where something went wrong
+    """Return a packet as `pancakes channel echo` shows it, under a line with its channel and destination."""
+    from pancakes.tools.cli.verbs.channel import record_of, text_of  # only for a test that fails
 
     to = f" to {packet.destination}" if packet.destination else ""
     try:
         text = text_of(record_of(agent, packet))
-    except (TypeError, ValueError):  # what is published on one agent alone may contain anything
+    except (TypeError, ValueError):  # what is published within one agent may contain anything
         text = f"type: {packet.type}\nsource: {packet.source}\nstamp: {packet.stamp:.9g}\nbody: {packet.body!r}\n---"
     return f"# {before}on {packet.channel}{to}\n{text}"

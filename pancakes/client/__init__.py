@@ -1,4 +1,4 @@
-"""How programs that are no agents reach agents: a script, a notebook, the command line (docs/client.md)."""
+"""Reach agents from a program that is not an agent: a script, a notebook, the command line (docs/client.md)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Imports asyncio only where it is used: it takes longer than all the rest of a short command."""
+    """Import asyncio only if it is used: its import takes longer than all the rest of a short command."""
     if name == "AsyncClient":
         from pancakes.client.async_client import AsyncClient
 

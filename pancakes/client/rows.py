@@ -1,4 +1,4 @@
-"""What a client hands out: agents, tasks, events and packets as typed rows, and events as sentences for people.
+"""What a client returns: agents, tasks, events and packets as typed rows, and events as sentences for people.
 
 Pure: no threads, no sockets, no time. The page and the demos use the sentences too.
 """
@@ -19,12 +19,12 @@ Body = TypeVar("Body")
 
 @dataclass(frozen=True, slots=True)
 class ReceivedPacket(Generic[Body]):
-    """A packet that came.
+    """A packet that was received.
 
     Attributes:
         agent: on whose channel it was published.
         packet: the packet; its destination is this program.
-        at_s: when it came, in host time (`Client.now`).
+        at_s: when it was received, in host time (`Client.now`).
     """
 
     agent: str
@@ -33,7 +33,7 @@ class ReceivedPacket(Generic[Body]):
 
     @property
     def body(self) -> Body:
-        """What it says: an instance of its type's class, or a plain mapping where the type is not known here."""
+        """Its body: an instance of its type's class, or a plain mapping if the type is not known here."""
         return cast("Body", self.packet.body)
 
     @property
@@ -88,7 +88,7 @@ class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
         agent, service, task: where it is, and its name.
         type: the name of its class, such as `sim.battery`.
         state: `running`, `stopped`, `failed` and so on.
-        rest: why it rests, in a word, where its agent knows more than its state says; else empty.
+        rest: why it does not run, in a word, if its agent knows more than its state says; else empty.
         reason: why it stopped or failed, as a sentence; else empty.
         rate_hz: ticks for each second of mission time; None: it has no timer.
         ticks, missed: how many came since it began, and how many did not, as it was late.
@@ -130,12 +130,12 @@ QUIET: Final = (
     "task_frozen",
     "safe_hold",
 )
-"""Kinds of events that a person need not see."""
+"""Kinds of events that most people need not see."""
 _ENVELOPE: Final = ("t_s", "agent", "source", "kind", "number", "entry")
 
 
 def is_quiet(record: Mapping[str, Any]) -> bool:
-    """Returns whether a person need not see a record of a log (`pancakes.events.record_of`)."""
+    """Return whether a person need not see a record of a log (`pancakes.events.record_of`)."""
     kind = record["kind"]
     if kind == "line":
         return record.get("level") not in ("warning", "error")
@@ -143,7 +143,7 @@ def is_quiet(record: Mapping[str, Any]) -> bool:
 
 
 def sentence_of(record: Mapping[str, Any]) -> str:
-    """Returns a record of a log as a short line."""
+    """Return a record of a log as a short line."""
     kind = record["kind"]
     agent = str(record["agent"])
     make = _SENTENCES.get(kind)
@@ -213,9 +213,9 @@ class EventRow(msgspec.Struct, frozen=True, kw_only=True):
     fields: Mapping[str, Any] = {}
 
     @classmethod
-    def of(cls, heard: ReceivedPacket[Any]) -> EventRow:
-        """Returns what a packet of `log` says."""
-        packet = heard.packet
+    def of(cls, received: ReceivedPacket[Any]) -> EventRow:
+        """Return the row of a packet on `log`."""
+        packet = received.packet
         if isinstance(packet.body, Event):
             kind, fields = packet.body.kind, packet.body.fields
         else:

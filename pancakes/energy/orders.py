@@ -270,8 +270,8 @@ class Decider:
     """Decide for a task that adjusts others, and keep the book of its orders.
 
     Args:
-        normal: where each knob stands before any order.
-        doubt: whether another one decided before this one, so that nothing is known of where the knobs stand.
+        normal: the value of each knob before any order.
+        doubt: whether another decider ran before this one, so that the values of the knobs are not known.
 
     Attributes:
         book: what was asked of which task.

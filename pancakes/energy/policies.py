@@ -28,7 +28,7 @@ class Step:
     """One threshold.
 
     Attributes:
-        below: it counts from where the battery's level falls below this.
+        below: it is in force once the battery's level falls below this.
         effort: what the robot may still do then, from 0 to 1.
     """
 
@@ -37,9 +37,9 @@ class Step:
 
 
 class Thresholds:
-    """Knows on which step the battery stands.
+    """Find the step on which the battery stands.
 
-    It goes down a step as soon as the level lies below it, and up again only where the level has risen `hysteresis`
+    It goes down a step as soon as the level lies below it, and up again only when the level has risen `hysteresis`
     above it. So a level that wavers by less than that changes nothing.
 
     Args:
@@ -53,11 +53,11 @@ class Thresholds:
         self._passed = 0
 
     def resume(self, effort: float) -> None:
-        """Goes on where a policy stood that had decided on an effort, so that hysteresis outlives a restart."""
+        """Continue from the effort that an earlier policy decided on, so that hysteresis outlives a restart."""
         self._passed = sum(1 for step in self._steps if step.effort >= effort)
 
     def decide(self, level: float) -> float:
-        """Returns the effort for a level of the battery, both from 0 to 1."""
+        """Return the effort for a level of the battery, both from 0 to 1."""
         while self._passed < len(self._steps) and level < self._steps[self._passed].below:
             self._passed += 1
         while self._passed > 0 and level >= self._steps[self._passed - 1].below + self._hysteresis:
@@ -66,7 +66,7 @@ class Thresholds:
 
 
 def faults_of(steps: Sequence[Step], hysteresis: float) -> str:
-    """Returns what is wrong with thresholds, as a sentence; empty: nothing."""
+    """Return what is wrong with thresholds, as a sentence; empty: nothing."""
     for higher, lower in zip(steps, steps[1:], strict=False):
         if lower.below >= higher.below or lower.effort >= higher.effort:
             return "the thresholds must go down, each with a lower effort than the one before"
@@ -85,15 +85,15 @@ LOAD_WEIGHT: Final = 0.2
 
 @dataclass
 class FeedbackSettings:
-    """What the battery is to last for, and how that is regulated.
+    """Say until when the battery must last, and how that is regulated.
 
     Attributes:
-        until_s: the mission time until which it is to last.
-        reserve: the level that it is to have then.
+        until_s: the mission time until which it must last.
+        reserve: the level that it must have then.
         period_s: from one decision to the next. In it the battery must lose more than its readings are off by.
         gain: how strongly an error is acted on.
-        least_change: the effort stays as it is where it would change by less, so that not every tremor is an order.
-        load_at_most: the share of the processor's time that may be in use, as the device `load` tells it; None: any.
+        least_change: the effort stays as it is if it would change by less, so that noise causes no orders.
+        load_at_most: the share of the processor's time that may be in use, as the device `load` measures it; None: any.
     """
 
     until_s: Duration
@@ -105,7 +105,7 @@ class FeedbackSettings:
 
 
 class Feedback:
-    """The two loops.
+    """Regulate the effort by two loops.
 
     Args:
         settings: what is wanted.
@@ -113,7 +113,7 @@ class Feedback:
         effort: where to begin.
 
     Attributes:
-        effort: what was decided last.
+        effort: the last decision.
     """
 
     def __init__(self, settings: FeedbackSettings, now_s: float, effort: float = 1.0) -> None:
@@ -126,15 +126,15 @@ class Feedback:
         self.effort = effort
 
     def battery(self, now_s: float, level: float) -> None:
-        """Takes a reading of the battery's level."""
+        """Take a reading of the battery's level."""
         self._readings.append((now_s, level))
 
     def load(self, cpu: float) -> None:
-        """Takes a reading of the processor's load, from 0 to 1."""
+        """Take a reading of the processor's load, from 0 to 1."""
         self._load = cpu if self._load is None else self._load + LOAD_WEIGHT * (cpu - self._load)
 
     def decide(self, now_s: float) -> float:
-        """Returns the effort; it changes once in a period at the most."""
+        """Return the effort; it changes at most once in a period."""
         settings = self._settings
         if now_s < self._next_s:
             return self.effort
@@ -145,9 +145,9 @@ class Feedback:
         if settings.load_at_most is not None and self._load is not None:
             error = (settings.load_at_most - self._load) / settings.load_at_most
             self._by_load = _within(self._by_load + settings.gain * _bounded(error))
-        wish = min(self._by_battery, self._by_load)
-        if abs(wish - self.effort) >= settings.least_change or (wish in (0.0, 1.0)):
-            self.effort = wish
+        effort = min(self._by_battery, self._by_load)
+        if abs(effort - self.effort) >= settings.least_change or effort in (0.0, 1.0):
+            self.effort = effort
         return self.effort
 
     def _regulate_consumption(self, readings: Sequence[tuple[float, float]], now_s: float) -> None:
@@ -162,7 +162,7 @@ class Feedback:
 
 
 def slope(points: Sequence[tuple[float, float]]) -> float:
-    """Returns the slope of the straight line that fits points (x, y) best, by least squares."""
+    """Return the slope of the straight line that fits points (x, y) best, by least squares."""
     count = len(points)
     mean_x = sum(x for x, _ in points) / count
     mean_y = sum(y for _, y in points) / count

@@ -31,7 +31,7 @@ _WALL_M = 0.05
 _PUSH = BodyFields.FORCE | BodyFields.TORQUE
 _MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 WALL = "wall"
-"""The name of a wall, where one is run into."""
+"""The name of a wall in a collision."""
 
 
 class Solver:
@@ -40,7 +40,7 @@ class Solver:
     Args:
         half_width_m: walls stand at this and at minus this along x.
         half_height_m: the same along y.
-        began: takes the names of two things that begin to touch, and where the first is that is no wall.
+        began: takes the names of two things that begin to touch, and the position of the first that is no wall.
         ended: takes the names of two things that part.
     """
 
@@ -77,7 +77,7 @@ class Solver:
             self._space.add(wall)
 
     def add(self, disc: Disc) -> None:
-        """Puts a disc among the solid things."""
+        """Put a disc among the solid things."""
         if math.isinf(disc.mass_kg):
             shape = pymunk.Circle(self._space.static_body, disc.radius_m, disc.position)
             self._space.add(shape)
@@ -101,12 +101,12 @@ class Solver:
         self._pushed.set_float_buf(self._pushes)
 
     def load(self) -> None:
-        """Takes over where all discs are, and how they move."""
+        """Read positions and velocities of all discs."""
         for disc, body in zip(self._discs, self._bodies, strict=True):
             _place(disc, body)
 
     def step(self, dt_s: float) -> None:
-        """Moves everything by `dt_s`."""
+        """Move everything by `dt_s`."""
         if self._discs:
             self._asked[:-1] = [disc.asked_for() for disc in self._discs]
         forward_mps, omega_radps, walks = self._asked[:, 0], self._asked[:, 1], self._asked[:, 2:]
@@ -124,12 +124,12 @@ class Solver:
         self._space.step(dt_s)
 
     def unload(self) -> None:
-        """Tells all discs where they are now, and how they move."""
+        """Write positions and velocities back to all discs."""
         for disc, row in zip(self._discs, self._motion().tolist(), strict=False):
             disc.moved(*row)
 
     def _motion(self) -> Any:
-        """Returns position, angle, velocity and turning rate of all bodies, until the next call."""
+        """Return position, angle, velocity and turning rate of all bodies, until the next call."""
         self._read.clear()
         get_space_bodies(self._space, _MOTION, self._read)
         return numpy.frombuffer(self._read.float_buf()).reshape(-1, 6)
@@ -195,7 +195,7 @@ class Fan:
         )
 
     def ranges(self, disc: Disc, others: Sequence[Disc], half_width_m: float, half_height_m: float) -> list[float]:
-        """Returns for each sensor the distance to the nearest thing in its cone, infinity where there is none.
+        """Return for each sensor the distance to the nearest thing in its cone, infinity if there is none.
 
         Args:
             disc: what carries the sensors; it does not see itself.
@@ -310,7 +310,7 @@ class Arena:
     def add(
         self, name: str, x_m: float, y_m: float, theta_rad: float, radius_m: float, mass_kg: float = math.inf
     ) -> Disc:
-        """Puts a disc into the arena; without a mass it never moves."""
+        """Put a disc into the arena; without a mass it never moves."""
         disc = Disc(name, radius_m, x_m, y_m, theta_rad, mass_kg)
         self._solver.add(disc)
         if not math.isinf(mass_kg):
@@ -322,7 +322,7 @@ class Arena:
         return disc
 
     def step(self, time_s: float, dt_s: float, steps: int = 1) -> None:
-        """Moves everything by so many steps of `dt_s`, the first of which ends at `time_s`."""
+        """Move everything by `steps` steps of `dt_s`; the first ends at `time_s`."""
         self._sorted = False
         if self._can_coast(time_s, steps * dt_s):
             for disc in self._moving:
@@ -334,7 +334,7 @@ class Arena:
         self._solver.unload()
 
     def _can_coast(self, time_s: float, for_s: float) -> bool:
-        """Returns whether nothing can touch anything in the next `for_s`; makes ready for that, or for the other."""
+        """Return whether nothing can touch anything in the next `for_s`; prepares for that, or for the solver."""
         if time_s < self._look_again_s:
             return False
         top_mps = 0.0
@@ -355,7 +355,7 @@ class Arena:
         return can
 
     def _measure_room_m(self) -> float:
-        """Returns how far every disc can go before any of them may touch something; 0 where that is little."""
+        """Return how far every disc can go before any of them may touch something; 0 if that is little."""
         room_m = math.inf
         by_x = self._discs_by_x()
         for index, disc in enumerate(by_x):
@@ -386,14 +386,14 @@ class Arena:
         return collisions
 
     def inside(self, disc: Disc) -> bool:
-        """Returns whether a disc's centre lies within the walls."""
+        """Return whether a disc's centre lies within the walls."""
         return abs(disc.x_m) <= self.half_width_m and abs(disc.y_m) <= self.half_height_m
 
     def ranges(self, disc: Disc, fan: Fan) -> list[float]:
-        """Casts the rays of a ring of sensors on a disc.
+        """Cast the rays of a ring of sensors on a disc.
 
         Returns:
-            For each sensor the distance to the nearest thing in its cone, infinity where there is none.
+            For each sensor the distance to the nearest thing in its cone, infinity if there is none.
         """
         by_x = self._discs_by_x()
         reach_m = fan.reach_m + self._widest_m

@@ -80,7 +80,7 @@ class BatteryModel:
         return self._charge_j <= 0.0
 
     def level_at(self, voltage_v: float) -> float:
-        """Returns the level that a measured voltage means, from 0 to 1: only its noise is beyond that."""
+        """Return the level that a measured voltage means, from 0 to 1: only its noise is beyond that."""
         return min(max((voltage_v - self._empty_v) / (self._full_v - self._empty_v), 0.0), 1.0)
 
     def passed(self, elapsed_s: float, rolled_m: float) -> None:
@@ -91,11 +91,11 @@ class BatteryModel:
             self._listening_j += self._take(self._settings.listen_w * elapsed_s)
 
     def sampled(self, device_type: str) -> None:
-        """A sensor of this type brought a reading."""
+        """Count a reading of a sensor of this type."""
         self._sensing_j += self._take(self._settings.sample_j.get(device_type, 0.0))
 
     def packets_sent(self, total: int) -> None:
-        """The agent has sent `total` mission packets so far. A lower number than before is a new agent's count."""
+        """Take how many mission packets the agent has sent so far; fewer than before is a new agent's count."""
         new = total - self._packets if total >= self._packets else total
         self._packets = total
         self._sending_j += self._take(self._settings.packet_j * new)
@@ -106,7 +106,7 @@ class BatteryModel:
         return Spent(self._idle_j, self._motion_j, self._sensing_j, self._listening_j, self._sending_j)
 
     def _take(self, energy_j: float) -> float:
-        """Takes energy, as far as there is any; returns how much."""
+        """Take energy, as far as there is any; return how much."""
         taken_j = energy_j if energy_j < self._charge_j else self._charge_j
         self._charge_j -= taken_j
         return taken_j

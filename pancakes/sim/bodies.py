@@ -54,12 +54,12 @@ class Disc:
         self._looks_rad = angle_rad
 
     def roll(self, v_mps: float, omega_radps: float) -> None:
-        """Moves along its heading from now on, turning at `omega_radps`."""
+        """Move along its heading from now on, turning at `omega_radps`."""
         self._forward_mps, self._omega_radps, self._walk = v_mps, omega_radps, None
         self.top_mps = max(self.top_mps, abs(v_mps))
 
     def walk(self, vx_mps: float, vy_mps: float) -> None:
-        """Moves with a velocity along the arena's axes from now on, and looks where it goes."""
+        """Move with a velocity along the arena's axes from now on, and looks where it goes."""
         self._walk = (vx_mps, vy_mps)
         self.top_mps = max(self.top_mps, math.hypot(vx_mps, vy_mps))
         if vx_mps or vy_mps:
@@ -81,13 +81,13 @@ class Disc:
         return math.pi - (math.pi - theta_rad) % math.tau
 
     def course(self) -> tuple[float, float, float]:
-        """Returns its heading, its true speed along that, and its true turning rate: all of them for one call."""
+        """Return its heading, its true speed along that, and its true turning rate: all of them for one call."""
         theta_rad = self.theta_rad
         v_mps = self.vx_mps * math.cos(theta_rad) + self.vy_mps * math.sin(theta_rad)
         return theta_rad, v_mps, 0.0 if self._walk is not None else self.turning_radps
 
     def asked_for(self) -> tuple[float, float, float, float]:
-        """Returns its forward speed, its turning rate, and its velocity along the axes, as asked for."""
+        """Return its forward speed, its turning rate, and its velocity along the axes, as asked for."""
         if self._walk is not None:
             return 0.0, 0.0, *self._walk
         return self._forward_mps, self._omega_radps, 0.0, 0.0
@@ -95,7 +95,7 @@ class Disc:
     def moved(
         self, x_m: float, y_m: float, angle_rad: float, vx_mps: float, vy_mps: float, turning_radps: float
     ) -> None:
-        """Takes over what became of it in a step."""
+        """Take over what became of it in a step."""
         self.x_m, self.y_m, self.angle_rad = x_m, y_m, angle_rad
         self.vx_mps, self.vy_mps, self.turning_radps = vx_mps, vy_mps, turning_radps
         asked_mps = math.hypot(*self._walk) if self._walk is not None else abs(self._forward_mps)
@@ -103,7 +103,7 @@ class Disc:
         self.top_mps = asked_mps if asked_mps > true_mps else true_mps
 
     def coast(self, steps: int, dt_s: float) -> None:
-        """Moves by so many steps of `dt_s`, where it meets nothing."""
+        """Move by this many steps of `dt_s`, without touching anything."""
         vx_mps, vy_mps, turning_radps = self.vx_mps, self.vy_mps, self.turning_radps
         x_m, y_m, angle_rad = self.x_m, self.y_m, self.angle_rad
         if self._walk is not None:
@@ -178,11 +178,11 @@ class MotionSettings:
     Attributes:
         range_m: how far it sees.
         field_of_view_rad: how wide it sees, around the heading of its body.
-        locates: whether it can tell where the motion is.
+        locates: whether it can measure where the motion is.
         sees_robots: whether it takes notice of robots too.
         least_speed_mps: what is slower does not move, for it.
-        bearing_noise_rad: standard deviation of the bearing that it tells.
-        range_noise_m: standard deviation of the range that it tells.
+        bearing_noise_rad: standard deviation of the bearing that it measures.
+        range_noise_m: standard deviation of the range that it measures.
     """
 
     range_m: Positive = 2.0
@@ -267,7 +267,7 @@ class Robot:
     """A robot's wheels and battery, and the body they move.
 
     The wheels follow the newest command for as long as it is good, then they stand: the safe hold that still
-    works where the robot's agent is dead.
+    works if the robot's agent is dead.
 
     Args:
         model: see below.
@@ -297,7 +297,7 @@ class Robot:
         self._rolled_m = 0.0
 
     def infrared_ring(self) -> IrRing:
-        """Returns its infrared ring.
+        """Return its infrared ring.
 
         Raises:
             PancakesError: robots of its kind have none.
@@ -307,7 +307,7 @@ class Robot:
         return self.model.ir
 
     def sonar_ring(self) -> SonarRing:
-        """Returns its sonar ring.
+        """Return its sonar ring.
 
         Raises:
             PancakesError: robots of its kind have none.
@@ -317,7 +317,7 @@ class Robot:
         return self.model.sonar
 
     def drive(self, wheels: Wheels, until_s: float, source: str) -> None:
-        """Follows a command.
+        """Follow a command.
 
         Args:
             wheels: how fast both wheels are to run.
@@ -344,19 +344,19 @@ class Robot:
         self.driven_by = ""
 
     def before_step(self, time_s: float) -> float:
-        """A step begins at `time_s`. Returns when its command ceases to be good; infinity where it has none."""
+        """Begin a step at `time_s`; return when its command expires, infinity if it has none."""
         if self._good_until_s <= time_s:
             self.hold()
         return self._good_until_s
 
     def rolls(self, steps: int, dt_s: float) -> None:
-        """Its wheels roll for so many steps."""
+        """Roll the wheels for this many steps."""
         if self._rolling_mps:
             for _ in range(steps):
                 self._rolled_m += self._rolling_mps * dt_s
 
     def settle(self, elapsed_s: float) -> None:
-        """Takes from the battery what the last `elapsed_s` cost."""
+        """Take from the battery what the last `elapsed_s` cost."""
         self.battery.passed(elapsed_s, self._rolled_m)
         self._rolled_m = 0.0
         if self.battery.empty:

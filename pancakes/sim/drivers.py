@@ -110,7 +110,7 @@ class SimulatedSensor(_SimulatedDevice, Sensor):
 
 
 class SimulatedPose(SimulatedSensor):
-    """The true pose of a body: for a robot alone, without a motion capture (`sim.pose`)."""
+    """The true pose of a body: for a robot by itself, without a motion capture (`sim.pose`)."""
 
     type = "pose"
 
@@ -157,7 +157,7 @@ class DifferentialDrive(_SimulatedDevice, Actuator):
             world: address of the world's hardware bus, such as `tcp://127.0.0.1:7499`.
             body: the robot's name in the world; empty means the agent's name.
             model: what kind of robot it is; the world refuses another than its own.
-            wheel_base_m: the distance between the wheels as it was measured on this robot, where that differs
+            wheel_base_m: the distance between the wheels as it was measured on this robot, if that differs
                 from the model's.
         """
 

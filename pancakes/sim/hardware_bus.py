@@ -24,7 +24,7 @@ from pancakes.util.codecs import MALFORMED, why_malformed
 
 
 class Attach(msgspec.Struct, tag_field="is", tag="attach", array_like=True, frozen=True):
-    """A device begins to use a body; refused where that cannot be.
+    """A device begins to use a body; refused if it cannot.
 
     Attributes:
         body: the body's name.
@@ -40,7 +40,7 @@ class Attach(msgspec.Struct, tag_field="is", tag="attach", array_like=True, froz
 
 
 class Drive(msgspec.Struct, tag_field="is", tag="drive", array_like=True, frozen=True):
-    """The wheels are to run.
+    """Run the wheels.
 
     Attributes:
         body: the robot's name.
@@ -60,22 +60,22 @@ class Drive(msgspec.Struct, tag_field="is", tag="drive", array_like=True, frozen
 
 
 class Halt(msgspec.Struct, tag_field="is", tag="halt", array_like=True, frozen=True):
-    """The wheels are to stand at once."""
+    """Stop the wheels at once."""
 
     body: str
     device: str
 
 
 class Sample(msgspec.Struct, tag_field="is", tag="sample", array_like=True, frozen=True):
-    """A sensor is asked.
+    """Ask a sensor for a reading.
 
     Attributes:
         body: the body's name.
         device: the device's name.
         type: the device's type.
-        packets_sent: how many mission packets the body's agent has sent so far, told by the device that
+        packets_sent: how many mission packets the body's agent has sent so far, reported by the device that
             measures the battery.
-        listening: whether the agent's Network Service is awake, told by the same device.
+        listening: whether the agent's Network Service is awake, reported by the same device.
     """
 
     body: str
@@ -107,7 +107,7 @@ class RawReading(msgspec.Struct, tag_field="is", tag="reading", array_like=True,
     value: msgspec.Raw
 
     def body(self) -> Any:
-        """Returns the body of the packet; plain values where its type is unknown here.
+        """Return the body of the packet; plain values if its type is unknown here.
 
         Raises:
             RemoteProtocolError: the value does not fit the type.
@@ -140,12 +140,12 @@ def _decoder(cls: Any) -> Callable[[Any], Any]:
 
 
 def encode(message: Request | Reply) -> bytes:
-    """Returns a message as a frame."""
+    """Return a message as a frame."""
     return frame([codecs.encode(message)])
 
 
 class BusReader(Generic[_Message]):
-    """Makes messages of the bytes that come from the other end; see `RequestReader` and `ReplyReader`.
+    """Make messages of the bytes that come from the other end; see `RequestReader` and `ReplyReader`.
 
     Args:
         decode: makes the messages of a frame.
@@ -158,7 +158,7 @@ class BusReader(Generic[_Message]):
         self._called = called
 
     def feed(self, data: bytes) -> list[_Message]:
-        """Takes bytes, and returns the messages that are now complete.
+        """Take bytes, and return the messages that are now complete.
 
         Raises:
             RemoteProtocolError: the bytes are no such messages.
@@ -170,9 +170,9 @@ class BusReader(Generic[_Message]):
 
 
 RequestReader: Final = partial(BusReader[Request], _REQUESTS, "request to a simulated world")
-"""Makes requests of the bytes that come from one client."""
+"""Make requests of the bytes that come from one client."""
 ReplyReader: Final = partial(BusReader[Replied], _REPLIES, "reply of a simulated world")
-"""Makes replies of the bytes that come from a world."""
+"""Make replies of the bytes that come from a world."""
 
 
 _FIRST_RETRY_S = 0.1
@@ -190,7 +190,7 @@ class Attachment:
         attach: says which device uses which body.
         reading: takes a reading.
         refused: takes the reason why a request was refused.
-        lost: told that the world is gone: what was asked for will not come.
+        lost: called when the world is gone: replies that are due will not come.
     """
 
     attach: Attach
@@ -200,7 +200,7 @@ class Attachment:
 
 
 class BusClient:
-    """Keeps a connection to a simulated world, and dials again where there is none.
+    """Keep a connection to a simulated world, and dial again if it is lost.
 
     `attach`, `detach`, `send` and `close` may be called from any thread.
 
@@ -226,18 +226,18 @@ class BusClient:
         self._transport.dial(address, _DialedConnection(self))
 
     def attach(self, attachment: Attachment) -> None:
-        """Lets a device use a body, from now on and after each reconnection."""
+        """Let a device use a body, from now on and after each reconnection."""
         with self._lock:
             self._attachments = {**self._attachments, attachment.attach.device: attachment}
         self.send(attachment.attach)
 
     def detach(self, device: str) -> None:
-        """Forgets a device: it gets no more replies."""
+        """Forget a device: it gets no more replies."""
         with self._lock:
             self._attachments = {name: one for name, one in self._attachments.items() if name != device}
 
     def send(self, request: Request) -> bool:
-        """Sends a request; returns whether there is a connection for it. Without one it is dropped."""
+        """Send a request; return whether there is a connection for it. Without one it is dropped."""
         connection = self._connection
         if connection is None:
             return False
@@ -245,7 +245,7 @@ class BusClient:
         return True
 
     def close(self) -> None:
-        """Closes the connection and dials no more."""
+        """Close the connection and dials no more."""
         with self._lock:
             self._closed = True
         retry, connection = self._retry, self._connection
@@ -256,7 +256,7 @@ class BusClient:
             connection.close("the devices are closed")
 
     def opened(self, connection: Connection) -> None:
-        """A connection stands; called in the transport's thread, as are the two below."""
+        """Take a connection; called in the transport's thread, as are the two below."""
         if self._closed:
             connection.close("the devices are closed")
             return
@@ -265,7 +265,7 @@ class BusClient:
             self.send(attachment.attach)
 
     def replied(self, reply: Replied) -> None:
-        """The world has answered."""
+        """Take the world's replies."""
         if not self._reached:
             self._reached = True
             self._retry_s, self._waited_s, self._warned = _FIRST_RETRY_S, 0.0, False
@@ -279,7 +279,7 @@ class BusClient:
             attachment.refused(reply.reason)
 
     def lost(self, reason: str) -> None:
-        """The connection is gone, or could not be made."""
+        """Take that the connection is gone, or could not be made."""
         was_reached, self._reached = self._reached, False
         self._connection = None
         if self._closed:
@@ -333,7 +333,7 @@ Log = Callable[[str, str], None]
 
 
 class BusServer:
-    """Takes requests from simulated devices and carries them to the actor that owns the world.
+    """Take requests from simulated devices and pass them to the actor that owns the world.
 
     Args:
         transport: where connections come in.
@@ -351,7 +351,7 @@ class BusServer:
         self._address = ""
 
     def listen(self, address: str) -> str:
-        """Takes connections at `address` from now on; returns the address that was really taken.
+        """Take connections at `address` from now on; return the address that was really taken.
 
         Raises:
             PancakesError: the address is in use, or is no address.
@@ -360,7 +360,7 @@ class BusServer:
         return self._address
 
     def close(self) -> None:
-        """Answers nothing more, frees its address, and closes the connections: so the devices learn of it.
+        """Answer nothing more, free the address, and close the connections, which tells the devices.
 
         A world that is started again can listen there.
         """
@@ -404,13 +404,13 @@ class _BusConnection(ConnectionHandler):
         self._server.clients.pop(self, None)
 
     def close(self, reason: str) -> None:
-        """Ends the connection. Any thread."""
+        """End the connection. Any thread."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close(reason)
 
     def _serve(self, connection: Connection, requests: list[Request]) -> None:
-        """Runs in the world's actor."""
+        """Run in the world's actor."""
         replies = []
         for request in requests:
             serve = self._server.serve

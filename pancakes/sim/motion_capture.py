@@ -18,7 +18,7 @@ from pancakes.task import Task, on
 
 
 def measured(body: BodyState, noise_m: float, noise_rad: float, normal: Callable[[], float]) -> Pose:
-    """Returns where cameras see a body, which is a little off; `normal` draws, with mean 0 and deviation 1."""
+    """Return where cameras see a body, which is a little off; `normal` draws, with mean 0 and deviation 1."""
     theta_rad = body.theta_rad + noise_rad * normal()
     return Pose(
         body.x_m + noise_m * normal(),
@@ -28,7 +28,7 @@ def measured(body: BodyState, noise_m: float, noise_rad: float, normal: Callable
 
 
 class MotionCapture(Task):
-    """Sends the poses of bodies to the agents that they belong to.
+    """Send the poses of bodies to the agents that they belong to.
 
     Needs the task `sim.world` on the same agent, and can send no more often than that publishes its state.
     """
@@ -62,7 +62,7 @@ class MotionCapture(Task):
 
     @on(SYSTEM, WorldState)
     def seen(self, packet: Packet) -> None:
-        """Sends the poses, when it is time."""
+        """Send the poses, when it is time."""
         state: WorldState = packet.body
         if not self._pace.due(state.time_s):
             return

@@ -36,14 +36,14 @@ class MoverSettings:
         y_m: where it stands at first.
         radius_m: its size, as a disc.
         min_speed_mps: the slowest speed drawn for a leg of its way.
-        max_speed_mps: the fastest one, and its speed where it gets out of the way.
+        max_speed_mps: the fastest one, and its speed when it gets out of the way.
         max_pause_s: the longest that it rests at a waypoint.
         starts_s: when it begins to walk.
-        clearance_m: gap between its edge and a robot's that it keeps, where the robot leaves it any way to.
+        clearance_m: gap between its edge and a robot's that it keeps, if the robot leaves it a way to.
         keep_out_m: distance that its centre keeps from the centre of a sensor node. Larger than the circle on
             which robots go round the node, it does not walk among them.
         wall_m: gap between its edge and a wall.
-        waypoints: the places it walks to, in turn, over and over; the seed draws places where there are none.
+        waypoints: the places it walks to, in turn, over and over; the seed draws places if there are none.
     """
 
     x_m: float = 0.0
@@ -82,7 +82,7 @@ class Obstacle(msgspec.Struct, frozen=True, gc=False):
 
 
 class Wayfinder:
-    """Decides where a person walks.
+    """Decide where a person walks.
 
     Args:
         settings: how it walks.
@@ -109,7 +109,7 @@ class Wayfinder:
     def decide(
         self, time_s: float, x_m: float, y_m: float, robots: Sequence[Obstacle], fixed: Sequence[Obstacle]
     ) -> tuple[float, float]:
-        """Returns the velocity to walk with from now on, in m/s along the arena's axes.
+        """Return the velocity to walk with from now on, in m/s along the arena's axes.
 
         Args:
             time_s: mission time.
@@ -169,7 +169,7 @@ class Wayfinder:
         return x_m, y_m
 
     def _get_away(self, x_m: float, y_m: float, obstacles: Sequence[Obstacle]) -> tuple[float, float]:
-        """Returns the velocity, of all there are, that leaves the most room."""
+        """Return the velocity, of all there are, that leaves the most room."""
         best, best_room_m = (0.0, 0.0), self._room(x_m, y_m, 0.0, 0.0, obstacles)
         for turn in range(_TURNS):
             angle_rad = turn * math.tau / _TURNS
@@ -194,7 +194,7 @@ class Wayfinder:
         return self._slack(x_m, y_m, vx_mps, vy_mps, obstacles) + 0.5 * end_m
 
     def _slack(self, x_m: float, y_m: float, vx_mps: float, vy_mps: float, obstacles: Sequence[Obstacle]) -> float:
-        """Returns by how much the least of all distances on this way exceeds what it should be."""
+        """Return by how much the least of all distances on this way exceeds what it should be."""
         wall_s = DECIDE_EVERY_S * 2
         over_x_m = abs(x_m + vx_mps * wall_s) - self._reach_x_m
         over_y_m = abs(y_m + vy_mps * wall_s) - self._reach_y_m

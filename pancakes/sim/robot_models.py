@@ -48,7 +48,7 @@ class DriveKinematics:
     units_per_mps: float
 
     def wheels(self, twist: Twist) -> Wheels:
-        """Returns the wheel speeds for a command, within every limit.
+        """Return the wheel speeds for a command, within every limit.
 
         Where a limit is in the way, the whole command is scaled down, so that the robot is slower on the same
         path: its curvature is kept.
@@ -71,14 +71,14 @@ class DriveKinematics:
         return Wheels(left_mps, right_mps)
 
     def twist(self, wheels: Wheels) -> Twist:
-        """Returns the body's motion that wheel speeds make."""
+        """Return the body's motion that wheel speeds make."""
         return Twist(
             0.5 * (wheels.left_mps + wheels.right_mps),
             (wheels.right_mps - wheels.left_mps) / self.wheel_base_m,
         )
 
     def carried_out(self, wheels: Wheels) -> Wheels:
-        """Returns what the motor controller makes of wheel speeds: whole units, and no faster than it can."""
+        """Return what the motor controller makes of wheel speeds: whole units, and no faster than it can."""
         return Wheels(self._whole_units(wheels.left_mps), self._whole_units(wheels.right_mps))
 
     def _whole_units(self, speed_mps: float) -> float:
@@ -108,11 +108,11 @@ class IrCurve:
     farthest_m: float
 
     def raw(self, distance_m: float) -> float:
-        """Returns what the sensor says of something at `distance_m`; infinity means that it sees nothing."""
+        """Return what the sensor says of something at `distance_m`; infinity means that it sees nothing."""
         return self.peak_raw * math.exp(-self.decay_per_m * (max(distance_m, self.nearest_m) - self.nearest_m))
 
     def distance(self, raw: float) -> float:
-        """Returns the distance that `raw` means, in metres, within the sensor's range."""
+        """Return the distance that `raw` means, in metres, within the sensor's range."""
         if raw <= 0.0:
             return self.farthest_m
         distance_m = self.nearest_m + math.log(self.peak_raw / raw) / self.decay_per_m
@@ -275,7 +275,7 @@ class UnknownRobotModel(PancakesError, ValueError):
 
 
 def robot_model(name: str) -> RobotModel:
-    """Returns the kind of robot that a configuration calls `name`.
+    """Return the kind of robot that a configuration calls `name`.
 
     Raises:
         UnknownRobotModel: there is none of that name.

@@ -38,7 +38,7 @@ def _fan(ring: IrRing | SonarRing, rays: int, limit_m: float) -> Fan:
 
 
 class Senses:
-    """Reads the sensors of the bodies in an arena, at the moment they are asked.
+    """Read the sensors of the bodies in an arena, at the moment they are asked.
 
     Args:
         arena: where the bodies are.
@@ -52,12 +52,12 @@ class Senses:
         self._normal = random.gauss
 
     def battery(self, robot: Robot, noise_v: float) -> Battery:
-        """Measures a robot's battery."""
+        """Measure a robot's battery."""
         voltage_v = robot.battery.voltage_v + noise_v * self._normal()
         return Battery(voltage_v, robot.battery.level_at(voltage_v))
 
     def infrared(self, robot: Robot) -> Infrared:
-        """Asks a robot's infrared ring. Distances come from the raw values, noise and rounding included.
+        """Ask a robot's infrared ring. Distances come from the raw values, noise and rounding included.
 
         Raises:
             PancakesError: robots of this kind have none.
@@ -75,7 +75,7 @@ class Senses:
         return Infrared(fan.bearings_rad, tuple(map(curve.distance, raw)), curve.farthest_m, tuple(raw))
 
     def sonar(self, robot: Robot) -> Sonar:
-        """Asks a robot's sonar ring.
+        """Ask a robot's sonar ring.
 
         Raises:
             PancakesError: robots of this kind have none.
@@ -91,7 +91,7 @@ class Senses:
         return Sonar(fan.bearings_rad, tuple(ranges_m), limit_m)
 
     def motion(self, sensor: SensorNode, discs: Sequence[Disc]) -> Motion:
-        """Asks a motion sensor which of some discs move where it looks.
+        """Ask a motion sensor which of some discs move in its field of view.
 
         Returns:
             Whether there is one; where the nearest is, if the sensor can tell.
@@ -188,13 +188,13 @@ class Physics:
         return self._steps * STEP_S
 
     def advance(self, to_s: float) -> None:
-        """Goes on in whole steps until the next would lie beyond `to_s`. Never goes back."""
+        """Advance in whole steps until the next would lie beyond `to_s`. Never goes back."""
         last_step = math.floor((to_s + EARLY_S) / STEP_S)
         while self._steps < last_step:
             self._go(last_step)
 
     def _go(self, last_step: int) -> None:
-        """Goes on by as many steps as no command begins or ends in, up to `last_step`."""
+        """Advance by as many steps as no command begins or ends in, up to `last_step`."""
         steps = self._steps
         time_s = steps * STEP_S
         if steps % _LOOK_STEPS == 0:
@@ -239,7 +239,7 @@ class Physics:
             self._outside[name] = outside
 
     def drive(self, name: str, wheels: Wheels, ttl_s: float, source: str) -> None:
-        """Lets a robot's wheels run for the next `ttl_s` seconds, or until the next command.
+        """Let a robot's wheels run for the next `ttl_s` seconds, or until the next command.
 
         Args:
             name: the robot.
@@ -250,13 +250,15 @@ class Physics:
         Raises:
             PancakesError: there is no such robot, or one of the numbers is none.
         """
-        told = (wheels.left_mps, wheels.right_mps, ttl_s)
-        if not all(map(math.isfinite, told)):  # the whole world would stand still for one of them
-            raise PancakesError(f"the wheels of {name} cannot run at {told[0]:g} and {told[1]:g} m/s for {ttl_s:g} s")
+        numbers = (wheels.left_mps, wheels.right_mps, ttl_s)
+        if not all(map(math.isfinite, numbers)):  # one of them would stop the whole world
+            raise PancakesError(
+                f"the wheels of {name} cannot run at {wheels.left_mps:g} and {wheels.right_mps:g} m/s for {ttl_s:g} s"
+            )
         self._robot(name).drive(wheels, self.time_s + ttl_s, source)
 
     def hold(self, name: str) -> None:
-        """Stops a robot's wheels.
+        """Stop a robot's wheels.
 
         Raises:
             PancakesError: there is no such robot.
@@ -264,7 +266,7 @@ class Physics:
         self._robot(name).hold()
 
     def check(self, name: str, device_type: str, model: str = "") -> None:
-        """Makes sure that a body has a device of a type.
+        """Make sure that a body has a device of a type.
 
         Args:
             name: the body.
@@ -293,7 +295,7 @@ class Physics:
                 raise PancakesError(f"the simulated world has no device of the type {device_type!r}")
 
     def sample(self, name: str, device_type: str) -> Any:
-        """Asks a body's sensor, which takes from its battery.
+        """Ask a body's sensor, which takes from its battery.
 
         Returns:
             The reading, a body of the packet type `device_type`.
@@ -321,19 +323,19 @@ class Physics:
         return reading
 
     def packets_sent(self, name: str, total: int) -> None:
-        """A robot's agent has sent `total` mission packets so far, which takes from its battery."""
+        """Take how many mission packets a robot's agent has sent so far, which drains its battery."""
         robot = self._robots.get(name)
         if robot is not None:
             robot.battery.packets_sent(total)
 
     def listens(self, name: str, listening: bool) -> None:
-        """A robot's agent says whether its radio listens, which takes from its battery."""
+        """Take whether the radio of a robot's agent listens, which drains its battery."""
         robot = self._robots.get(name)
         if robot is not None:
             robot.battery.listening = listening
 
     def state(self) -> WorldState:
-        """Returns what all bodies do now."""
+        """Return what all bodies do now."""
         bodies = [
             _body_state(robot.disc, "robot", robot.battery.voltage_v, robot.driven_by, robot.battery.spent)
             for robot in self._robots.values()
@@ -357,7 +359,7 @@ class Physics:
         return _named(name, self._sensors, "sensor node")
 
     def _moving_discs(self, sensor_name: str) -> list[Disc]:
-        """Returns what a motion sensor takes notice of, if it moves."""
+        """Return what a motion sensor takes notice of, if it moves."""
         discs = [walker.disc for walker in self._walkers.values()]
         if self._sensor(sensor_name).motion.sees_robots:
             discs += [robot.disc for robot in self._robots.values()]
@@ -437,7 +439,7 @@ class World(Task):
         self.log("warning", "a world that runs keeps its contents: its new settings count from its next start")
 
     def truth(self) -> WorldState:
-        """Returns what all bodies do, as of the newest step. To be read between two turns, in virtual time."""
+        """Return what all bodies do, as of the newest step. To be read between two turns, in virtual time."""
         return self._simulation.state()
 
     def initial_period_s(self, method: str, period_s: float) -> float:
@@ -446,7 +448,7 @@ class World(Task):
 
     @every(hz=20)
     def advance(self, tick: Tick) -> None:
-        """Goes on to the present."""
+        """Advance to the present."""
         self._advance()
 
     def _advance(self) -> None:
@@ -465,7 +467,7 @@ class World(Task):
             self.event(fields.pop("kind"), **{**fields, "names": list(incident.names)})
 
     def _serve(self, request: Request) -> Reply | None:
-        """Answers a request of a simulated device, at the world's present."""
+        """Answer a request of a simulated device, at the world's present."""
         self._advance()
         simulation = self._simulation
         try:

@@ -40,9 +40,9 @@ class BodyState(msgspec.Struct, frozen=True):
         theta_rad: its heading, in (-pi, pi].
         v_mps: its speed along its heading.
         omega_radps: its turning rate.
-        battery_v: true voltage of its battery; None where it has none.
+        battery_v: true voltage of its battery; None if it has none.
         driven_by: the task whose command its wheels follow; empty in safe hold.
-        spent: what its battery has given; None where it has none.
+        spent: what its battery has given; None if it has none.
     """
 
     name: str

@@ -29,7 +29,7 @@ LOOK_S = 0.02
 """How often, in host time, a wait on threads checks its condition if no packet comes."""
 
 BodyTest = Callable[[Any], bool]
-"""Returns whether a packet's body is the one that is meant."""
+"""Return whether a packet's body is the one that is meant."""
 
 
 class Probe(Component):

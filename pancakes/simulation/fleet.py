@@ -558,7 +558,7 @@ class Faults:
         return lambda: self._packet_faults.remove(fault) if fault in self._packet_faults else None
 
     def delivered(self, agent: str, packets: Sequence[Packet]) -> Sequence[Packet]:
-        """Return the packets that arrive of those that come to an agent, each as often as it does; draws that."""
+        """Return the packets that arrive of those that come to an agent, each as often as it does."""
         if not self._packet_faults:
             return packets
         return [packet for packet in packets for _ in range(self._copies(agent, packet))]

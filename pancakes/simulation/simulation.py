@@ -25,17 +25,17 @@ from pancakes.util.plugins import Plugins
 READY_S = 120.0
 """How long, in virtual time, the agents have at a reset to become ready and to meet."""
 MOST_NAMED = 8
-"""So many agents that another one has not met are named."""
+"""At most this many agents that another one has not met are named."""
 COUNTDOWN_S = 0.25
-"""How long, in virtual time, before the mission begins all agents are told."""
+"""How long before the mission begins all agents get the order to begin, in virtual time."""
 DIGITS = 7
-"""Mission time is told and stepped in so many decimals: what many small steps lose of them does not add up."""
+"""Mission time is rounded to this many decimals, so that rounding errors of many small steps do not add up."""
 LATE_S = 1e-8
-"""A step ends by this much late, so that it has all that happens at its very end, however its time is rounded."""
+"""A step ends this much late, so that it includes what happens at its very end, however its time is rounded."""
 
 
 class Simulation:
-    """Agents and their world in virtual time, which a program builds once, and resets and steps as often as it likes.
+    """Run agents and their world in virtual time: build once, reset and step as often as you like.
 
     First it is built: by `add` in code, by `load` from a configuration file, by `of_demo` from a demo. `reset` starts
     all agents, waits until they are ready and have met, and lets their mission clocks begin, together, at 0. `step`
@@ -64,7 +64,7 @@ class Simulation:
 
     @classmethod
     def of_demo(cls, name: str, sets: Sequence[str] = (), *, out: str | PathLike[str] = "", **options: Any) -> Self:
-        """Returns a simulation of the agents of a demo that is installed; of a comparison, those of its mission.
+        """Return a simulation of the agents of a demo that is installed; of a comparison, those of its mission.
 
         It has no launcher: nothing ends it, judges it or kills an agent.
 
@@ -75,7 +75,7 @@ class Simulation:
             options: as for `Simulation`.
 
         Raises:
-            PancakesError: there is no such demo, or what is set is not sound.
+            PancakesError: there is no such demo, or a change of its configurations is refused.
         """
         from pancakes.tools.demo import Comparison
         from pancakes.tools.demo.launcher import find_configs, fresh, make_plan
@@ -106,7 +106,7 @@ class Simulation:
         classes: Mapping[str, type] | None = None,
         **agent: Any,
     ) -> Self:
-        """Adds an agent that is made in code. It takes part from the next `reset` on.
+        """Add an agent that is made in code. It takes part from the next `reset` on.
 
         Args:
             name: its name. An agent of this name that was added before is replaced.
@@ -114,7 +114,7 @@ class Simulation:
             tasks: tasks by name, besides those of `text`: a class, or a mapping with a class or entry point name as
                 `type` and the other keys of `[task.NAME]`.
             devices: devices by name, likewise with drivers.
-            services: services by name, likewise; a default service may be given with its settings alone.
+            services: services by name, likewise; a default service may be given with only its settings.
             classes: classes that `text` names, by name.
             agent: keys of `[agent]`. Without `listen` it listens at `tcp://NAME:7400` and knows those added before.
 
@@ -131,18 +131,18 @@ class Simulation:
     def load(
         self, path: str | PathLike[str], sets: Sequence[str] = (), *, classes: Mapping[str, type] | None = None
     ) -> Self:
-        """Adds the agent of a configuration file, with its own address and its own peers.
+        """Add the agent of a configuration file, with its own address and its own peers.
 
         Args:
             path: the file.
             sets: changes of it, each as `table.key=value`.
-            classes: classes that it names, by name, where they are not installed.
+            classes: classes that it names, by name, if they are not installed.
 
         Returns:
             The simulation.
 
         Raises:
-            ConfigError: the file is not sound; the message names every fault.
+            ConfigError: the file has faults; the message names every one.
         """
         self._classes.update(classes or {})
         self._enter(silent(load(path, ["agent.birth_wait_s=0", *sets], registered(self._classes))))
@@ -154,7 +154,7 @@ class Simulation:
     # How it runs -------------------------------------------------------------------------------------------------
 
     def reset(self, seed: int = 0) -> None:
-        """Ends the agents that run, and starts all anew on empty disks; the mission then stands at 0.
+        """End the agents that run, and start all again on empty disks; the mission is then held at 0.
 
         Args:
             seed: draws all that is drawn: noise, starts, the order of the actors, jitter, faults.
@@ -181,13 +181,13 @@ class Simulation:
         self._zero_s = fleet.now()
 
     def _begin(self, names: Sequence[str]) -> None:
-        """Waits until agents are ready and have met all others, and lets their clocks begin."""
+        """Wait until agents are ready and have met all others, and start their mission clocks."""
         fleet, late = self._running(), list(names)
         members: dict[str, dict[str, None]] = {}
         for name in self.agents:
             members.setdefault(self._configs[name].agent.fleet, {})[name] = None
 
-        def there() -> bool:  # asked after each event, so it looks at all of a large fleet only where need be
+        def there() -> bool:  # called after each event, so it checks all of a large fleet only if it must
             while late and self._is_there(late[-1], members):
                 late.pop()
             late.extend([] if late else [name for name in names if not self._is_there(name, members)])
@@ -204,7 +204,7 @@ class Simulation:
         fleet.run_for(COUNTDOWN_S)
 
     def _is_there(self, name: str, members: Mapping[str, Collection[str]]) -> bool:
-        """Returns whether an agent is ready, and has met enough others; `members`: the agents of each fleet."""
+        """Return whether an agent is ready, and has met enough others; `members`: the agents of each fleet."""
         found, config = self.agents[name].agent, self._configs[name].agent
         fleet = members[config.fleet]
         met = found.mesh.connected()
@@ -213,7 +213,7 @@ class Simulation:
         return has_met(config.links, sum(other in fleet for other in met), len(fleet) - 1)
 
     def _lacks(self, name: str, members: Mapping[str, Collection[str]]) -> str:
-        """Returns what an agent waits for that is not there yet."""
+        """Return what an agent waits for that is not there yet."""
         found = self.agents[name].agent
         if not found.ready.is_set():
             return "is not ready"
@@ -223,7 +223,7 @@ class Simulation:
         return f"has not met {', '.join(unmet[:MOST_NAMED])}{more}"
 
     def step(self, seconds: float) -> None:
-        """Runs all agents for so many seconds of virtual time.
+        """Run all agents for this many seconds of virtual time.
 
         Raises:
             SimulationError: it was not reset, or `seconds` is less than 0 or endless.
@@ -234,10 +234,10 @@ class Simulation:
         fleet.run_to(self._zero_s + round(self.now_s + seconds, DIGITS) + LATE_S)
 
     def step_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S) -> bool:
-        """Runs all agents until a condition is true.
+        """Run all agents until a condition is true.
 
         Args:
-            condition: is asked after each thing that happens.
+            condition: is checked after each event.
             at_most_s: how long at most, in virtual seconds.
 
         Returns:
@@ -246,17 +246,17 @@ class Simulation:
         return self._running().run_until(condition, at_most_s)
 
     def crash(self, name: str) -> None:
-        """Ends an agent as a power cut does; what its disk has not yet got is lost."""
+        """End an agent as a power cut does; what its disk has not yet got is lost."""
         self._handle(name)
         self._running().crash(name)
 
     def stop(self, name: str) -> None:
-        """Stops an agent in good order."""
+        """Stop an agent gracefully."""
         self._handle(name)
         self._running().stop(name)
 
     def restart(self, name: str) -> AgentHandle:
-        """Starts an agent again that was stopped or has crashed, on its disk.
+        """Start an agent again that was stopped or has crashed, on its disk.
 
         Virtual time passes until it is ready and has met the others. Its mission goes on at the time of its fleet.
         """
@@ -282,25 +282,25 @@ class Simulation:
 
     @property
     def faults(self) -> Faults:
-        """What may be let go wrong, until the next reset."""
+        """Injects faults, until the next reset."""
         return self._running().faults
 
     def tasks(self) -> list[dict[str, Any]]:
-        """Returns what is to be known about each task of each agent, as `pancakes task list --json` tells it."""
+        """Return a description of each task of each agent, as `pancakes task list --json` prints it."""
         return [task for handle in self.agents.values() for task in handle.tasks()]
 
     def task(self, agent: str, name: str, service: str = "client") -> Any:
-        """Returns the actor of a task that runs: read its `state` and `settings`, and change nothing."""
+        """Return the actor of a task that runs: read its `state` and `settings`, and change nothing."""
         return self._handle(agent).task(name, service)
 
     def where(self, task: str) -> list[str]:
-        """Returns the agents on which a task of the user's runs now."""
+        """Return the agents on which a user's task runs now."""
         return [name for name, handle in self.agents.items() if task in handle.running()]
 
     def world(self) -> WorldState:
-        """Returns the truth: what all bodies of the simulated world do, as of its newest step.
+        """Return the truth: what all bodies of the simulated world do, as of its newest step.
 
-        The world goes on each time that it publishes its state (`state_hz`, 20 Hz) or is asked by a device.
+        The world advances each time that it publishes its state (`state_hz`, 20 Hz) or is asked by a device.
 
         Raises:
             SimulationError: no agent runs a task of the type `sim.world`.
@@ -313,7 +313,7 @@ class Simulation:
         raise SimulationError("no agent of this simulation runs a task of the type 'sim.world'")
 
     def body(self, name: str) -> BodyState:
-        """Returns the truth about one body of the simulated world."""
+        """Return the truth about one body of the simulated world."""
         bodies = {body.name: body for body in self.world().bodies}
         if name not in bodies:
             raise SimulationError(f"the simulated world has no body {name!r}, only {', '.join(bodies) or 'none'}")
@@ -341,7 +341,7 @@ class Simulation:
             fleet.close()
 
     def close(self) -> None:
-        """Stops all agents; what was built stays, so that it may be reset again, without the files of a demo."""
+        """Stop all agents. What was built stays, so it may be reset again, without the files of a demo."""
         self._end()
         if self._folder is not None:
             self._folder.cleanup()
