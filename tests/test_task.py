@@ -140,7 +140,7 @@ def test_settings_are_replaced_as_a_whole_and_the_task_is_told(fleet):
     assert agent.events("told", gain=3.0)
     assert before.gain == 1.0
     with pytest.raises(SettingsError, match="bad settings for Told: gian: unknown key"):
-        agent.task("Told").change_settings({"gian": 1.0})
+        agent.component("client/Told").change_settings({"gian": 1.0})
 
 
 def test_a_task_inherits_what_its_base_listens_to(fleet):

@@ -174,6 +174,9 @@ class Driver(ABC):
     rate: ClassVar[Rate] = "optional"
     _made_as: ClassVar[Made] = Made(("context", "settings"), "a driver", "`def open(self)`")
 
+    context: DeviceContext
+    settings: Any
+
     @dataclass
     class Settings:
         """The driver's settings, from `[device.NAME] settings`; a driver replaces this dataclass by its own."""

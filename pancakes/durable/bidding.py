@@ -37,11 +37,12 @@ from pancakes.durable.rules import Cost, CostChoice, CostFacts, appraise, cost_t
 from pancakes.durable.snapshot import offer_of
 from pancakes.durable.store import Ledgers
 from pancakes.errors import MigrationError
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import LATEST, on, reliable
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.mesh import Mesh
 from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
+from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task
 
 APPRAISER: Final = "kernel/Appraiser"
@@ -77,7 +78,7 @@ class Appraised(msgspec.Struct, frozen=True):
     refusal: str
 
 
-class Appraiser(Component):
+class Appraiser(ActorCore):
     """Calls cost functions in a thread of its own: one that waits holds up no other actor.
 
     Args:
@@ -113,7 +114,7 @@ LOOK_S = 2.0
 """How often, in host time, the load of this agent is measured. A bid tells the last measurement, and waits for none."""
 
 
-class TaskMigrator(Task):
+class TaskMigrator(TaskCore, Task):
     """Asks all neighbours for bids, and answers theirs.
 
     Which task may run where is not decided here but by the hand-off of the service that owns it.

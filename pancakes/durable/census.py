@@ -33,7 +33,7 @@ from pancakes.durable.record import TaskId
 from pancakes.durable.store import Records, Registers
 from pancakes.errors import PancakesError
 from pancakes.journal import Disk, RecordTable
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import on, queue
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.mesh import Mesh
@@ -178,7 +178,7 @@ class BootMemory:
 KEEP: Final = queue(256)
 
 
-class Census(Component):
+class Census(ActorCore):
     """Tells neighbours what this agent owns and knows, and its services what neighbours own and know.
 
     It belongs to no service: what a service owns that does not run now is owned all the same.

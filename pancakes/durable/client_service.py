@@ -41,12 +41,14 @@ from pancakes.durable.store import Ledgers, Records, RecordWritten
 from pancakes.errors import MigrationError
 from pancakes.kernel.handlers import on, queue, reliable
 from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.registry import TaskEntry
 from pancakes.mesh.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, join
 from pancakes.service import Service
 from pancakes.supervision.lifecycle import RESTS, Answer, News, Request, State, Tell, request_of
 from pancakes.supervision.messages import Carried, HasNoPermit, LetterGiven, Looked, PeerDown, Stood
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.supervision.slots import Slot, tell_of_task
 from pancakes.task import TaskSpec
 from pancakes.util.text import fault_of_name
@@ -113,13 +115,12 @@ PROMISED_S: Final = 2 * Times().slot_s
 """A place that was promised is forgotten if nothing has come of it after so long, in host time."""
 
 
-class ClientService(Service):
-    """Loads the user's tasks, and spawns channels for what they say among each other.
+class ClientServiceCore(ServiceCore):
+    """Runs a Client Service.
 
     Each of its tasks has a durable record: it outlives a crash of its agent, and can move to another one. What may
     happen to it is decided by `pancakes.durable.state_machine`; this actor is the one place where the events of a
-    task come together, and where the effects are carried out, strictly in order. A service of one's own whose tasks are
-    to be durable subclasses it.
+    task come together, and where the effects are carried out, strictly in order.
 
     Args:
         records: where the records are kept.
@@ -135,19 +136,6 @@ class ClientService(Service):
         places: all tasks that it has ever had to do with.
         residents: the names of those that its configuration has.
     """
-
-    class Settings(msgspec.Struct):
-        """What it brings besides the tasks of the configuration.
-
-        Attributes:
-            channels: channels that are opened with the service.
-        """
-
-        channels: list[str] = []
-
-        def __post_init__(self) -> None:
-            if faults := [fault for fault in map(fault_of_name, self.channels) if fault]:
-                raise ValueError(f"channels: {faults[0]}")
 
     keeps_changes: ClassVar[bool] = True
     # A record must have been taken up before anything else is heard of its task.
@@ -193,11 +181,6 @@ class ClientService(Service):
         self._creations = Creations(self, records, self._arrivals, self._disputes, ledgers, described)
 
     # Its own life ----------------------------------------------------------------------------------------------
-
-    def on_start(self) -> None:
-        if isinstance(self.settings, ClientService.Settings):  # a subclass may have settings of its own
-            for channel in self.settings.channels:
-                self.open_channel(channel)
 
     def specs(self) -> Sequence[TaskSpec]:
         self.state.begin(self.name)
@@ -561,3 +544,34 @@ class ClientService(Service):
         state: HostState = arguments["state"]
         moving = state.under_way(name)
         return f"{join(kernel.agent, name)} must not stop while {moving[0]} is being handed over" if moving else ""
+
+
+class ClientService(Service):
+    """Loads the user's tasks, and spawns channels for what they say among each other.
+
+    Each of its tasks has a durable record: it outlives a crash of its agent, and can move to another one. A service of
+    one's own whose tasks are to be durable subclasses it.
+    """
+
+    class Settings(msgspec.Struct):
+        """What it brings besides the tasks of the configuration.
+
+        Attributes:
+            channels: channels that are opened with the service.
+        """
+
+        channels: list[str] = []
+
+        def __post_init__(self) -> None:
+            if faults := [fault for fault in map(fault_of_name, self.channels) if fault]:
+                raise ValueError(f"channels: {faults[0]}")
+
+    _actor: ClientServiceCore
+
+    def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None, **others: Any) -> None:
+        ClientServiceCore(kernel, address, mailbox, facade=self, **others)
+
+    def on_start(self) -> None:
+        if isinstance(self.settings, ClientService.Settings):  # a subclass may have settings of its own
+            for channel in self.settings.channels:
+                self.open_channel(channel)

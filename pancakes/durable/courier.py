@@ -34,7 +34,7 @@ from pancakes.durable.record import Phase, Record, TaskId
 from pancakes.durable.snapshot import Posted
 from pancakes.durable.store import Records
 from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, RemoteProtocolError
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import on, queue
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.codec import MAX_MESSAGE_BYTES, encode_packet, of_agent, packet_from_row, rows_from_payload
@@ -254,7 +254,7 @@ SOUGHT_IN_VAIN: Final = 3
 _ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 
 
-class Courier(Component):
+class Courier(ActorCore):
     """Sends what this agent's tasks have for others until it is acknowledged, and takes in what comes for tasks here.
 
     It belongs to no service: what goes from task to task on one agent needs no network, which may sleep.

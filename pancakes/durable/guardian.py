@@ -69,7 +69,7 @@ from pancakes.durable.rules import CostChoice, GuardRule, MigrationRule, is_of_c
 from pancakes.durable.snapshot import Snapshot
 from pancakes.durable.store import Records, Registers, RegisterWritten
 from pancakes.errors import ControlRefused, MigrationError
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import on, queue
 from pancakes.kernel.mailbox import tell
 from pancakes.kernel.timer import OneShot
@@ -186,7 +186,7 @@ class Takeovers:
         talk: how it talks to other agents.
     """
 
-    def __init__(self, guardian: Component, talk: PeerTalk) -> None:
+    def __init__(self, guardian: ActorCore, talk: PeerTalk) -> None:
         self._guardian = guardian
         self._talk = talk
         self._orphans: dict[TaskId, _Orphan] = {}
@@ -473,7 +473,7 @@ class _Guarded(msgspec.Struct):
     told: CheckpointId = NO_CHECKPOINT
 
 
-class Guardian(Component):
+class Guardian(ActorCore):
     """Answers the owners of tasks, and the agents that are to take them (docs/protocol.md, guardians).
 
     It belongs to no service: an agent that hosts no task may guard those of others.

@@ -26,7 +26,7 @@ from pancakes.durable.negotiation import HOST_ROLE, Capability, Reservation, Res
 from pancakes.durable.record import TaskId
 from pancakes.durable.rules import HostLoad
 from pancakes.durable.store import Records
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.kernel.timer import TaskTimer
@@ -165,7 +165,7 @@ class Imported(msgspec.Struct, frozen=True):
     waiting: Any
 
 
-class Importer(Component):
+class Importer(ActorCore):
     """Imports task types in a thread of its own: the actors that answer other agents, and keep leases, wait for none.
 
     It belongs to no service. In virtual time there is none.

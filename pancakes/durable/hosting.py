@@ -42,7 +42,7 @@ from pancakes.durable.rules import GuardRule
 from pancakes.durable.snapshot import Posted, Snapshot, cut, why_unwritable
 from pancakes.durable.state_machine import AnyEvent, Standing
 from pancakes.errors import MigrationError, PancakesError
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.dead_letters import MOST_KNOWN
 from pancakes.kernel.handlers import Keep
 from pancakes.kernel.kernel import Kernel
@@ -718,7 +718,7 @@ class PeerTalk:
         boot: which life of this agent this is.
     """
 
-    def __init__(self, speaker: Component | HostingService, mesh: Mesh) -> None:
+    def __init__(self, speaker: ActorCore | HostingService, mesh: Mesh) -> None:
         self.me = GuardianId(speaker.agent, mesh.identity.journal, mesh.identity.copy)
         self.boot = mesh.identity.boot
         self._speaker = speaker

@@ -1,9 +1,11 @@
 """Actors: the base of tasks and services, a pykka actor that talks by packets (paper §3, Figure 2).
 
-`Component` handles one mailbox, in turns that its dispatcher gives, one at a time; it never blocks. Other actors know
-it as a `Reference`. They give it data with `tell`, never a function; `Call` and `Told` wait in the control lane and
-are dropped with their actor, so a successor at the same address never gets them. Its docstrings say which methods
-other threads may call.
+`Component` is what users derive from: it has the documented methods, and one private object, `_actor`. That is an
+`ActorCore`, which handles one mailbox, in turns that its dispatcher gives, one at a time; it never blocks. An actor of
+Pancakes' own derives from `ActorCore` instead, and is its own core.
+
+Other actors know a core as a `Reference`. They give it data with `tell`, never a function; `Call` and `Told` wait in
+the control lane and are dropped with their actor, so a successor at the same address never gets them.
 """
 
 from __future__ import annotations
@@ -25,13 +27,14 @@ from pancakes.kernel.handlers import (
     NO_HANDLERS,
     Handlers,
     Keep,
+    Plan,
     Subscription,
     keep_of,
     period_of,
     plan_of,
 )
 from pancakes.kernel.mailbox import Call, ChannelQueue, Mailbox, Told
-from pancakes.kernel.pykka_actor import Flag, PykkaActor
+from pancakes.kernel.pykka_actor import Flag, PykkaActor, handle_envelope
 from pancakes.kernel.timer import TaskTimer
 from pancakes.packet import CTRL, LOG, READER, Cause, Fence, LocalTime, Packet, type_name, type_of
 from pancakes.util.class_checks import check_called, check_marks, check_overrides
@@ -52,10 +55,10 @@ COMPONENT_HOOKS: Final = ("on_start", "on_stop", "on_failure", "on_receive", "bl
 
 
 class Component(PykkaActor):
-    """A task or a service: an actor with an address, driven by packets and by time.
+    """The base of what users derive from: an actor with an address, driven by packets and by time.
 
-    Its methods run one at a time, in turns that its dispatcher gives; it never blocks. What another
-    thread may call is said so: `call`, `log`, `event`, and all of its pykka ref.
+    Its methods run one at a time, in turns that its dispatcher gives; it never blocks. Any thread may call `call`,
+    `log`, `event`, and all of its pykka ref.
 
     Args:
         kernel: the kernel it belongs to.
@@ -63,21 +66,20 @@ class Component(PykkaActor):
         mailbox: the mailbox of its slot; None: one of its own.
 
     Attributes:
+        address: its address.
         agent: the agent's name.
         name: the last part of the address.
-        after_turn: called in the actor after each of its turns; None: nothing is.
     """
 
     blocking: bool = False
     """Whether it may wait, and therefore needs a thread of its own."""
 
+    address: str
+    agent: str
+    name: str
     actor_inbox: Mailbox  # type: ignore[assignment]
     actor_stopped: Flag  # type: ignore[assignment]
-
-    # In the class, as few ever rest: it saves each actor three attributes.
-    __paused = False
-    __frozen = False
-    __held: Sequence[Call] = ()
+    _actor: ActorCore
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raises `ClassError` where a method cannot be called as Pancakes calls it."""
@@ -88,28 +90,11 @@ class Component(PykkaActor):
 
     def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None) -> None:
         # pykka's own __init__ would make a UUID and an Event, the most of an actor's cost.
-        self.kernel = kernel
-        self.address = address
-        self.agent = kernel.agent
-        self.name = address.rpartition("/")[2]
-        self.actor_inbox = mailbox if mailbox is not None else Mailbox()
-        self.actor_inbox.closed = False
-        self.actor_stopped = Flag()
-        self.timers: dict[str, TaskTimer] = {}
-        self.fence: Fence | None = None
-        self.exited: Callable[[Any, BaseException | None], None] = _ignore_end
-        self.after_turn: Callable[[], None] | None = None
-        self.__handlers = plan_of(type(self)).handlers
-        self.__shares_handlers = True
-        self.__started = False
-        self.__seq = kernel.seq_of(address)
-        self.__in_hand: Packet | None = None
-
-    # What a component uses -------------------------------------------------------------------------------------
+        ActorCore(kernel, address, mailbox, facade=self)
 
     def now(self) -> float:
         """Returns the mission time in seconds. Any thread."""
-        return self.kernel.now()
+        return self._actor.kernel.now()
 
     def local_time(self, packet: Packet) -> LocalTime | None:
         """Returns when a packet was published, on this agent's own mission clock, and how well that is known.
@@ -122,12 +107,13 @@ class Component(PykkaActor):
             None where that is not known: there was no link to that agent in its present life, or no heartbeat has come
             back on it yet; one of the missions is held; the packet is from an earlier life of that agent.
         """
-        return self.kernel.local_time(packet)
+        return self._actor.kernel.local_time(packet)
 
     @cached_property
     def random(self) -> random.Random:
         """Random numbers of this component's own, seeded from the agent's seed and the address."""
-        return self.kernel.random_for(self.address)
+        core = self._actor
+        return core.kernel.random_for(self.address) if core is self else core.random
 
     def publish(self, channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
         """Publishes a packet.
@@ -148,40 +134,30 @@ class Component(PykkaActor):
             LocalProtocolError: the body is of no registered type, or too large to travel.
             NoPermit: a guarded task does not know now whether another agent runs it.
         """
-        fence = self.fence
+        core = self._actor
+        kernel, fence, in_hand = core.kernel, core.fence, core.in_hand
         if fence is not None and channel != LOG:
-            permits = self.kernel.permits
+            permits = kernel.permits
             if not permits.may_act(fence):
                 permits.hold_back(fence, "packets")
                 raise NoPermit(f"{self.address} may not act until its guardians answer")
             if channel == CTRL and to:
                 fence = permits.limited(fence, math.inf)
-        in_hand = self.__in_hand
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
-        sent_s, seq = self.kernel.now(), self.__seq.take()
+        sent_s, seq = kernel.now(), core.seq.take()
         packet = Packet(channel, type_of(body), self.address, to, sent_s, seq, body, cause, fence)
-        self.kernel.stream.publish(packet)
+        kernel.stream.publish(packet)
         return packet
 
     @cached_property
     def log(self) -> Log:
         """Publishes lines for people on `log`: `self.log.warning("no echo")`. Any thread."""
-        return Log(self.__say)
-
-    def __say(self, level: str, text: str, traceback: str) -> None:
-        self.__tell_log(LogLine(level, text, traceback))
+        return Log(self._actor.log_line)
 
     def event(self, kind: str, /, **fields: Any) -> None:
         """Publishes an event for programs on `log`. Any thread."""
-        self.__tell_log(Event(kind, fields))
-
-    def __tell_log(self, body: Any) -> None:
-        try:
-            self.publish(LOG, body)
-        except PancakesError:
-            # No component may fail because a reader of `log` has no room, or because the stream is being taken down.
-            self.kernel.stream.undelivered += 1
+        self._actor.tell_log(Event(kind, fields))
 
     def subscribe(
         self,
@@ -200,15 +176,11 @@ class Component(PykkaActor):
         kept = keep_of(keep)
         check_called(handler, ("packet",), "subscribe calls it with a packet", "def handle(packet: Packet) -> None")
         name = body if body is None or isinstance(body, str) else type_name(body)
-        if self.__shares_handlers:
-            self.__handlers = {channel: Handlers(shared) for channel, shared in self.__handlers.items()}
-            self.__shares_handlers = False
-        self.__handlers.setdefault(channel, Handlers()).add(name, lambda component, packet: handler(packet))
-        self.kernel.stream.subscribe(self.address, self.actor_inbox, Subscription(channel, name, kept))
+        self._actor.add_handler(Subscription(channel, name, kept), handler)
 
     def open_channel(self, name: str) -> None:
         """Adds a channel to the information stream; one that is there already is left alone."""
-        self.kernel.stream.open(name)
+        self._actor.kernel.stream.open(name)
 
     def close_channel(self, name: str) -> None:
         """Removes a channel that was added; the five core channels stay.
@@ -216,20 +188,20 @@ class Component(PykkaActor):
         Raises:
             UnknownChannel: there is no such channel, or it is a core channel.
         """
-        self.kernel.stream.close(name)
+        self._actor.kernel.stream.close(name)
 
     def after(self, delay_s: float, function: Callable[[], None]) -> OneShot:
         """Calls `function` in this actor in `delay_s` seconds of mission time."""
-        return self.kernel.timer.after(delay_s, lambda: self.call(function))
+        return self._actor.kernel.timer.after(delay_s, lambda: self.call(function))
 
     def after_host(self, delay_s: float, function: Callable[[], None]) -> OneShot:
         """Calls `function` in this actor in `delay_s` seconds of host time (for time-outs between agents)."""
-        return self.kernel.timer.after_host(delay_s, lambda: self.call(function))
+        return self._actor.kernel.timer.after_host(delay_s, lambda: self.call(function))
 
     def call(self, function: Callable[[], None]) -> None:
         """Calls `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it."""
         if not self.actor_stopped.is_set():
-            self.actor_inbox.put(Call(self, function))
+            self.actor_inbox.put(Call(self._actor, function))
 
     def reschedule(self, rate_hz: float, timer: str = "") -> None:
         """Changes the rate of a time-driven method, from its next tick on.
@@ -241,9 +213,155 @@ class Component(PykkaActor):
         Raises:
             ValueError: the rate is no rate, or the component has no such timer.
         """
-        changed = self.timer_of(rate_hz, timer)
+        core = self._actor
+        changed = core.timer_of(rate_hz, timer)
         changed.period_s = period_of(rate_hz)
-        self.__tick(changed)
+        core.set_timer(changed)
+
+    def pause(self) -> None:
+        """Handles no tick and no packet until `resume`; calls (`after`) go on, packets wait. In the actor.
+
+        A pause does not move with a task: on the other agent it runs.
+        """
+        core = self._actor
+        core.is_paused = True
+        core.enter_pause()
+
+    def resume(self) -> None:
+        """Goes on after `pause`, unless Pancakes has frozen it meanwhile, to move it for instance. In the actor."""
+        core = self._actor
+        core.is_paused = False
+        core.leave_pause()
+
+    # Hooks -----------------------------------------------------------------------------------------------------
+
+    def on_start(self) -> None:
+        """Called first, in the actor. An error here ends it."""
+
+    def on_stop(self) -> None:
+        """Called last, in the actor, where it was stopped and did not fail."""
+
+    def on_failure(
+        self,
+        exception_type: type[BaseException] | None,
+        exception_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Called in the actor where one of its methods raised; it ends after that, and its service decides."""
+
+    def on_receive(self, message: Any) -> Any:
+        """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
+        raise TypeError(f"{self.address} takes packets, not {message!r}")
+
+    # What pykka calls ------------------------------------------------------------------------------------------
+
+    @property
+    def actor_urn(self) -> str:  # type: ignore[override]
+        """The address: pykka's name for an actor."""
+        return self.address
+
+    @cached_property
+    def _actor_ref(self) -> pykka.ActorRef[Any]:  # type: ignore[override]
+        # Components talk by packets; few are ever asked for the pykka ref that pykka makes for each.
+        return pykka.ActorRef(self._actor.facade)
+
+    @staticmethod
+    def _create_actor_inbox() -> Any:
+        return Mailbox()
+
+    def _start_actor_loop(self) -> None:
+        self._actor.kernel.attach(self._actor)
+
+    def _stop(self) -> None:
+        self._actor.end_loop()
+
+
+def core_of(component: Component) -> ActorCore:
+    """Returns what runs a component: for Pancakes' own parts that made it."""
+    return component._actor  # noqa: SLF001
+
+
+class ActorCore(Component):
+    """Runs one actor: its mailbox, its turns, its timers and handlers, how it begins and ends.
+
+    It calls the hooks and handlers of its facade, which is the object that a user wrote. A class of Pancakes' own
+    derives from it, and is its own facade.
+
+    Args:
+        kernel: the kernel it belongs to.
+        address: its address; also its pykka URN.
+        mailbox: the mailbox of its slot; None: one of its own.
+        facade: the user's object; None: itself.
+
+    Attributes:
+        kernel: the kernel.
+        facade: the object whose hooks and handlers it calls.
+        timers: what ticks, by the name of the method.
+        fence: the right under which it speaks; None: it needs none.
+        seq: counts its packets.
+        in_hand: the packet that it handles now.
+        is_paused: whether its author has paused it.
+        exited: called when it has ended, with its facade, and the error if it failed.
+        after_turn: called in the actor after each of its turns; None: nothing is.
+    """
+
+    # In the class, as few ever rest: it saves each actor three attributes.
+    is_paused = False
+    __frozen = False
+    __held: Sequence[Call] = ()
+
+    def __init__(
+        self, kernel: Kernel, address: str, mailbox: Mailbox | None = None, *, facade: Component | None = None
+    ) -> None:
+        self.kernel = kernel
+        self.facade = self if facade is None else facade
+        inbox, stopped, name = mailbox if mailbox is not None else Mailbox(), Flag(), address.rpartition("/")[2]
+        inbox.closed = False
+        for one in (self,) if facade is None else (self, facade):
+            one._actor = self  # noqa: SLF001
+            one.address, one.agent, one.name = address, kernel.agent, name
+            one.actor_inbox, one.actor_stopped = inbox, stopped
+        self.timers: dict[str, TaskTimer] = {}
+        self.fence: Fence | None = None
+        self.seq = kernel.seq_of(address)
+        self.in_hand: Packet | None = None
+        self.exited: Callable[[Any, BaseException | None], None] = _ignore_end
+        self.after_turn: Callable[[], None] | None = None
+        self.__handlers = self.__plan().handlers
+        self.__shares_handlers = True
+        self.__started = False
+
+    def __plan(self) -> Plan:
+        facade = self.facade
+        return plan_of(type(facade), None if facade is self else type(self))
+
+    @property
+    def author_class(self) -> type:
+        """The class of which its author would say that it is theirs: a failure shows a line of its package."""
+        return type(self.facade)
+
+    # What its facade asks of it --------------------------------------------------------------------------------
+
+    def log_line(self, level: str, text: str, traceback: str) -> None:
+        """Publishes a line on `log`. Any thread."""
+        self.tell_log(LogLine(level, text, traceback))
+
+    def tell_log(self, body: Any) -> None:
+        """Publishes on `log`, and never fails. Any thread."""
+        try:
+            self.publish(LOG, body)
+        except PancakesError:
+            # No component may fail because a reader of `log` has no room, or because the stream is being taken down.
+            self.kernel.stream.undelivered += 1
+
+    def add_handler(self, subscription: Subscription, handler: Callable[[Packet], None]) -> None:
+        """Calls `handler` with the packets of a subscription from now on. In the actor."""
+        if self.__shares_handlers:
+            self.__handlers = {channel: Handlers(shared) for channel, shared in self.__handlers.items()}
+            self.__shares_handlers = False
+        handlers = self.__handlers.setdefault(subscription.channel, Handlers())
+        handlers.add(subscription.type, lambda component, packet: handler(packet))
+        self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
 
     def timer_of(self, rate_hz: float, timer: str = "") -> TaskTimer:
         """Returns the timer that `reschedule` would change; see there."""
@@ -261,52 +379,9 @@ class Component(PykkaActor):
         def refuse(channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
             raise ControlRefused(f"{self.address} was stopped and may publish nothing more")
 
-        self.publish = refuse  # type: ignore[method-assign]
-
-    def pause(self) -> None:
-        """Handles no tick and no packet until `resume`; calls (`after`) go on, packets wait. In the actor.
-
-        A pause does not move with a task: on the other agent it runs.
-        """
-        self.__paused = True
-        self.__rest()
-
-    def resume(self) -> None:
-        """Goes on after `pause`, unless Pancakes has frozen it meanwhile, to move it for instance. In the actor."""
-        self.__paused = False
-        self.__go_on()
-
-    # Hooks -----------------------------------------------------------------------------------------------------
-
-    def on_start(self) -> None:
-        """Called first, in the actor. An error here ends it."""
-
-    def on_stop(self) -> None:
-        """Called last, in the actor, where it was stopped and did not fail."""
+        self.publish = self.facade.publish = refuse  # type: ignore[method-assign]
 
     # How it runs -----------------------------------------------------------------------------------------------
-
-    @property
-    def author_class(self) -> type:
-        """The class of which its author would say that it is theirs: a failure shows a line of its package."""
-        return type(self)
-
-    @property
-    def actor_urn(self) -> str:  # type: ignore[override]
-        """The address: pykka's name for an actor."""
-        return self.address
-
-    @cached_property
-    def _actor_ref(self) -> pykka.ActorRef[Any]:  # type: ignore[override]
-        # Components talk by packets; few are ever asked for the pykka ref that pykka makes for each.
-        return pykka.ActorRef(self)
-
-    @staticmethod
-    def _create_actor_inbox() -> Any:
-        return Mailbox()
-
-    def begin_loop(self) -> None:
-        self.kernel.attach(self)
 
     def take_turn(self, slice_s: float | None) -> None:
         """Handles what waits, control first; then hands the token of the mailbox back.
@@ -380,19 +455,19 @@ class Component(PykkaActor):
 
     def __begin(self) -> None:
         self.__started = True
-        # Its predecessor may have ended while it stood still.
+        # Its predecessor may have ended while it was paused.
         self.actor_inbox.paused = False
-        plan = plan_of(type(self))
+        plan, facade = self.__plan(), self.facade
         self.before_start()
         for subscription in plan.subscriptions:
             self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
-        self.on_start()
+        facade.on_start()
         for method, period in plan.periods.items():
             period_s = self.initial_period_s(method, period.period_s)
-            timer = TaskTimer(self, method, getattr(type(self), method), period_s, self.kernel)
+            timer = TaskTimer(self, method, getattr(type(facade), method), period_s, self.kernel)
             self.timers[method] = timer
             self.kernel.task_timers.add(timer)
-            self.__tick(timer)
+            self.set_timer(timer)
         self.after_start()
 
     def freeze(self) -> None:
@@ -401,7 +476,7 @@ class Component(PykkaActor):
         It is apart from `pause`, so that an author's `resume` does not end it, nor `thaw` an author's pause.
         """
         self.__frozen = True
-        self.__rest()
+        self.enter_pause()
 
     def thaw(self) -> None:
         """For subclasses: goes on after `freeze`. In the actor."""
@@ -409,23 +484,25 @@ class Component(PykkaActor):
         held, self.__held = self.__held, ()
         for call in held:
             self.actor_inbox.put(call)
-        self.__go_on()
+        self.leave_pause()
 
     @property
     def is_frozen(self) -> bool:
         return self.__frozen
 
-    def __rest(self) -> None:
+    def enter_pause(self) -> None:
+        """Lets no tick and no packet be handled until `leave_pause`. In the actor."""
         self.actor_inbox.paused = True
         for timer in self.timers.values():
             self.kernel.timer.cancel(timer)
 
-    def __go_on(self) -> None:
-        if self.__paused or self.__frozen or not self.actor_inbox.paused:
+    def leave_pause(self) -> None:
+        """Goes on if it is neither paused nor frozen. In the actor."""
+        if self.is_paused or self.__frozen or not self.actor_inbox.paused:
             return
         self.actor_inbox.paused = False
         for timer in self.timers.values():
-            self.__tick(timer)
+            self.set_timer(timer)
 
     def acts(self) -> bool:
         """For subclasses: returns whether the next tick or packet may be handled. In the actor."""
@@ -441,7 +518,8 @@ class Component(PykkaActor):
         """For subclasses: the period that a time-driven method begins with; `period_s` is what the class says."""
         return period_s
 
-    def __tick(self, timer: TaskTimer) -> None:
+    def set_timer(self, timer: TaskTimer) -> None:
+        """Lets a timer tick at its period from now on, unless all of them rest. In the actor."""
         if timer.period_s < math.inf and not self.actor_inbox.paused:
             self.kernel.timer.every(timer, timer.period_s)
         else:
@@ -468,7 +546,7 @@ class Component(PykkaActor):
                     else:
                         item.function()
             else:
-                self.handle_envelope(item)
+                handle_envelope(self.facade, item)
 
     def __handle_data(self, until_s: float) -> None:
         mailbox = self.actor_inbox
@@ -497,25 +575,22 @@ class Component(PykkaActor):
         return True
 
     def __handle(self, packet: Packet) -> None:
-        self.__in_hand = packet
+        self.in_hand = packet
+        facade = self.facade
         for handler in self.__handlers.get(packet.channel, NO_HANDLERS)[packet.type]:
-            handler(self, packet)
-        self.__in_hand = None
+            handler(facade, packet)
+        self.in_hand = None
 
     def take_message(self, message: Any) -> Any:
         """For subclasses: handles what `tell` has brought. In the actor."""
         raise TypeError(f"{self.address} knows nothing of {message!r}")
-
-    def on_receive(self, message: Any) -> Any:
-        """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
-        raise TypeError(f"{self.address} takes packets, not {message!r}")
 
     def run_handlers(self, packet: Packet) -> None:
         """Handles a packet at once, past the queues and their bounds. In the actor."""
         try:
             self.__handle(packet)
         finally:
-            self.__in_hand = None
+            self.in_hand = None
 
     def drain(self) -> None:
         """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
@@ -526,24 +601,25 @@ class Component(PykkaActor):
     # How it ends -----------------------------------------------------------------------------------------------
 
     def end_loop(self) -> None:
+        """Ends the actor, which was asked to. In the actor."""
         error: BaseException | None = None
         try:
-            self.on_stop()
+            self.facade.on_stop()
         except BaseException as failure:  # SystemExit, too, ends no more than this actor
             self.__raise_to_program(failure)
             error = failure
         self.end_actor(error)
 
     def __fail(self, error: BaseException) -> None:
-        packet = self.__in_hand
+        packet = self.in_hand
         if packet is not None:  # else it was a tick or a call
-            self.__in_hand = None
+            self.in_hand = None
             self.kernel.dead_letters.failed(self.address, self.actor_inbox.queues[packet.channel], packet)
         if self.actor_stopped.is_set():
             self.__tell_failure(f"{self.address} failed while it stopped", error)
             return
         try:
-            self.on_failure(type(error), error, error.__traceback__)
+            self.facade.on_failure(type(error), error, error.__traceback__)
         except BaseException as second:
             self.__raise_to_program(second)
             self.__tell_failure(f"on_failure of {self.address} failed as well", second)
@@ -552,15 +628,8 @@ class Component(PykkaActor):
     def __tell_failure(self, what: str, error: BaseException) -> None:
         self.kernel.log("error", f"{what}: {describe(error, self.author_class)}", traceback_of(error))
 
-    def on_failure(
-        self,
-        exception_type: type[BaseException] | None,
-        exception_value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Called in the actor where one of its methods raised; it ends after that, and its service decides."""
-
     def end_actor(self, error: BaseException | None) -> None:
+        """For subclasses: ends the actor for good, after its hooks; `error` says why, if it failed. In the actor."""
         self.actor_stopped.set()
         for timer in self.timers.values():
             self.kernel.timer.cancel(timer)
@@ -571,4 +640,4 @@ class Component(PykkaActor):
         mailbox.component = None
         mailbox.closed = True
         mailbox.clear_control()
-        self.exited(self, error)
+        self.exited(self.facade, error)

@@ -326,16 +326,27 @@ class Plan(NamedTuple):
 
 
 @lru_cache(maxsize=MOST_PLANS)
-def plan_of(cls: type) -> Plan:
-    """Returns what the methods of a class react to; each class is read once."""
+def plan_of(cls: type, core: type | None = None) -> Plan:
+    """Returns what the methods of a class react to; each class is read once.
+
+    Args:
+        cls: the class of a component.
+        core: the class of its core, where that is an object of its own: what it reacts to comes first.
+    """
     handlers: dict[str, Handlers] = {}
-    marked = subscriptions_of(cls)
-    for subscription, method in marked:
-        handler = getattr(cls, method)
-        if subscription.addressed:
-            handler = only_addressed(handler)
-        handlers.setdefault(subscription.channel, Handlers()).add(subscription.type, handler)
+    marked = [(subscription, getattr(cls, method)) for subscription, method in subscriptions_of(cls)]
+    if core is not None:
+        of_core = subscriptions_of(core)
+        marked = [*((it, _by_core(getattr(core, method))) for it, method in of_core), *marked]
+    for subscription, handler in marked:
+        handle = only_addressed(handler) if subscription.addressed else handler
+        handlers.setdefault(subscription.channel, Handlers()).add(subscription.type, handle)
     return Plan(tuple(subscription for subscription, _ in marked), handlers, periods_of(cls))
+
+
+def _by_core(handler: Handler) -> Handler:
+    """Calls a handler with the core of the component."""
+    return lambda component, packet: handler(component._actor, packet)  # noqa: SLF001
 
 
 def only_addressed(handler: Handler) -> Handler:

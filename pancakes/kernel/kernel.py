@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from pancakes.errors import PancakesError, package_of
 from pancakes.events import LogLine
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore, Component, core_of
 from pancakes.kernel.dead_letters import DeadLetters, Unheard
 from pancakes.kernel.dispatchers import Dispatcher, Guest, PinnedDispatcher, PoolDispatcher
 from pancakes.kernel.mailbox import Reference, Runnable, tell
@@ -235,10 +235,11 @@ class Kernel:
         check_loaded(cls)
         component = cls(self, address, **arguments)
         check_instance(cls, component)
+        core = core_of(component)
         if exited is not None or not keeps_subscriptions:
-            component.exited = exited or self._release
-        self.registry.add(component)
-        self.attach(component)
+            core.exited = exited or self._release
+        self.registry.add(core)
+        self.attach(core)
         return component
 
     def guest(self, relieve: Callable[[], None]) -> Guest:
@@ -246,9 +247,9 @@ class Kernel:
         assert isinstance(self._shared, PoolDispatcher)
         return Guest(self._shared, relieve)
 
-    def attach(self, component: Component) -> None:
+    def attach(self, core: ActorCore) -> None:
         """Puts a component on the dispatcher that suits it."""
-        (self._pinned if component.blocking else self._shared).attach(component)
+        (self._pinned if core.facade.blocking else self._shared).attach(core)
 
     def actor(self, path: str) -> Reference | None:
         """Returns the actor at a path of this agent, such as `network/TaskMigrator`; None: none runs there."""

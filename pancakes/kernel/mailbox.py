@@ -168,7 +168,11 @@ class ChannelQueue:
 
 
 class Runnable(Protocol):
-    """What gets turns: what the kernel knows of a component."""
+    """What gets turns: what the kernel knows of a component's core."""
+
+    @property
+    def facade(self) -> Any:
+        """The object whose methods it calls; see `ActorCore`."""
 
     @property
     def address(self) -> str:
@@ -176,7 +180,7 @@ class Runnable(Protocol):
 
     @property
     def author_class(self) -> type:
-        """See `Component.author_class`."""
+        """See `ActorCore.author_class`."""
 
     @property
     def blocking(self) -> bool:
@@ -194,7 +198,7 @@ class Runnable(Protocol):
         """Returns whether its next tick or packet may be handled. In its turn."""
 
     def take_turn(self, slice_s: float | None) -> None:
-        """Handles what waits; see `Component.take_turn`."""
+        """Handles what waits; see `ActorCore.take_turn`."""
 
 
 class Dispatch(Protocol):

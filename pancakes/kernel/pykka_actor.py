@@ -17,7 +17,6 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-from abc import abstractmethod
 from typing import Any
 
 import pykka
@@ -58,23 +57,9 @@ class PykkaActor(pykka.Actor):
 
     __slots__ = ()
 
-    @abstractmethod
-    def begin_loop(self) -> None:
-        """Lets the actor run from now on."""
-
-    @abstractmethod
-    def end_loop(self) -> None:
-        """Ends the actor, which was asked to. In the actor."""
-
     @staticmethod
     def _create_future() -> pykka.Future[Any]:
         return pykka.ThreadingFuture()
-
-    def _start_actor_loop(self) -> None:
-        self.begin_loop()
-
-    def _stop(self) -> None:
-        self.end_loop()
 
     def stop(self) -> None:
         """Ends this actor after what it is doing now. Any thread; one that has ended already is left alone."""
@@ -82,24 +67,25 @@ class PykkaActor(pykka.Actor):
         if not self.actor_stopped.is_set():
             self.actor_inbox.put(Envelope(ActorStop()))
 
-    def handle_envelope(self, envelope: Envelope[Any]) -> None:
-        """Handles what came by a reference: `tell`, `ask`, a proxy's call, `stop`. In the actor."""
-        try:
-            response = self._handle_receive(envelope.message)
-        except BaseException as error:
-            if envelope.reply_to is None:
-                raise
-            # As in pykka: the caller gets the error, and the actor lives.
-            envelope.reply_to.set_exception(sys.exc_info())
-            if not isinstance(error, Exception):
-                raise
-            return
-        if envelope.reply_to is not None:
-            envelope.reply_to.set(response)
+
+def handle_envelope(actor: pykka.Actor, envelope: Envelope[Any]) -> None:
+    """Handles what came by a reference: `tell`, `ask`, a proxy's call, `stop`. In the actor."""
+    try:
+        response = actor._handle_receive(envelope.message)  # noqa: SLF001
+    except BaseException as error:
+        if envelope.reply_to is None:
+            raise
+        # As in pykka: the caller gets the error, and the actor lives.
+        envelope.reply_to.set_exception(sys.exc_info())
+        if not isinstance(error, Exception):
+            raise
+        return
+    if envelope.reply_to is not None:
+        envelope.reply_to.set(response)
 
 
 def is_envelope(item: Any) -> bool:
-    """Returns whether something that came in an inbox is for `PykkaActor.handle_envelope`."""
+    """Returns whether something that came in an inbox is for `handle_envelope`."""
     return isinstance(item, Envelope)
 
 

@@ -26,7 +26,7 @@ import msgspec
 from pancakes.kernel.dispatchers import GUEST_S, Guest, PoolDispatcher
 from pancakes.kernel.handlers import Tick
 from pancakes.kernel.mailbox import Inbox, Runnable
-from pancakes.kernel.pykka_actor import PykkaActor, dismiss, is_envelope
+from pancakes.kernel.pykka_actor import PykkaActor, dismiss, handle_envelope, is_envelope
 from pancakes.kernel.virtual_time import VirtualCall, VirtualDispatcher
 from pancakes.util.clock import Clock, MissionClock, SkewedClock
 
@@ -278,7 +278,8 @@ class TaskTimer:
         deadline_s = self.deadline_s
         missed, self.missed = self.missed, 0
         self.pending = False
-        if self.component.actor_inbox.paused or not self.component.acts():
+        component = self.component
+        if component.actor_inbox.paused or not component.acts():
             return
         lateness_s = max(0.0, self._ticker.now() - deadline_s)
         self.ticks += 1
@@ -290,9 +291,9 @@ class TaskTimer:
             heard((self, tick, self.period_s))
         meter = self._ticker.meter
         begun_s = thread_time() if meter is not None else 0.0
-        self._handler(self.component, tick)
+        self._handler(component.facade, tick)
         if meter is not None:
-            meter.tick(self.component.address, self.method, thread_time() - begun_s)
+            meter.tick(component.address, self.method, thread_time() - begun_s)
 
 
 class TimerTable:
@@ -424,15 +425,12 @@ class Timer(PykkaActor):
 
     def launch(self) -> None:
         """Starts the timer's thread."""
-        self.begin_loop()
-
-    def begin_loop(self) -> None:
         self._thread = threading.Thread(target=self._run, name=f"{self._name}-timer", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
         wake_on_time()
-        guest = Guest(self._pool, self.begin_loop) if self._pool is not None else None
+        guest = Guest(self._pool, self.launch) if self._pool is not None else None
         inbox = self.actor_inbox
         serve = partial(self._serve, guest)
         while not self.actor_stopped.is_set() and (guest is None or guest.stays):
@@ -441,13 +439,16 @@ class Timer(PykkaActor):
             message: Any = serve if inbox.empty() else inbox.get()
             try:
                 if is_envelope(message):
-                    self.handle_envelope(message)
+                    handle_envelope(self, message)
                 else:
                     message()
             except Exception:  # a fault in one call must not end the ticks of all
                 _LOG.exception("a call of the timer failed")
 
-    def end_loop(self) -> None:
+    def _start_actor_loop(self) -> None:
+        self.launch()
+
+    def _stop(self) -> None:
         self.actor_stopped.set()
         while not self.actor_inbox.empty():
             dismiss(self.actor_inbox.get())

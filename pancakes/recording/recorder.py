@@ -91,15 +91,15 @@ class Recorder(Task):
     def on_start(self) -> None:
         from pancakes.recording.recording import Recording  # only now: most agents record nothing
 
-        take_seq = self.kernel.seq_of(self.address).take
+        take_seq = self._actor.kernel.seq_of(self.address).take
         goes_on = Path(self.state.goes_on) if self.state.goes_on else None
-        recording = Recording(self.kernel, self.settings, self.log, take_seq, self.address, goes_on)
+        recording = Recording(self._actor.kernel, self.settings, self.log, take_seq, self.address, goes_on)
         self.state.goes_on = ""
         recording.asking = lambda: bool(self._asked)
         self._recording = recording
         self._first = recording.first
         self.event("recording_started", path=str(self._first))
-        service = self.kernel.registry.get(self.address.rpartition("/")[0])
+        service = self._actor.kernel.registry.get(self.address.rpartition("/")[0])
         if service is not None:
             tell(service, RecordingBegan(self._first))
         self._ask(_TaskQuestion(""))
@@ -108,7 +108,7 @@ class Recorder(Task):
     def _write(self) -> None:
         """Write what has come since the last time."""
         assert self._recording is not None
-        host = self.kernel.host
+        host = self._actor.kernel.host
         now_s = host.now()
         self._asked = {seq: asked for seq, asked in self._asked.items() if asked.asked_s > now_s - PATIENCE_S}
         soon = self._recording.waits() > MANY or bool(self._asked)
@@ -147,7 +147,7 @@ class Recorder(Task):
     def _ask(self, question: _TaskQuestion) -> None:
         about = Describe(question.target, state=bool(question.target), began=question.seen)
         seq = self.publish(SYSCTRL, about).seq
-        self._asked[seq] = _TaskQuestion(question.target, question.seen, question.again, self.kernel.host.now())
+        self._asked[seq] = _TaskQuestion(question.target, question.seen, question.again, self._actor.kernel.host.now())
 
     def _ask_about(self, target: str, seen: bool) -> None:
         if is_described(target):

@@ -13,10 +13,10 @@ from pancakes.packet import LOG, Packet, agent_of, join
 from pancakes.recording.recording import Recording
 from pancakes.recording.records import is_described
 from pancakes.recording.settings import RecordingSettings
-from pancakes.service import Service
 from pancakes.supervision.lifecycle import State
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.supervision.slots import Slot
-from pancakes.task import Task
+from pancakes.supervision.task_core import TaskCore
 
 WRITE_S: Final = 0.25
 """How often, in virtual time, the packets that wait are written."""
@@ -48,7 +48,7 @@ class VirtualRecorder:
         self._recording = Recording(kernel, settings, lambda level, text: say(text), Counter(1).take, source)
         kernel.stream.tap(LOG, self._hear)
         for component in kernel.registry.components():
-            if isinstance(component, Service):
+            if isinstance(component, ServiceCore):
                 for slot in component.slots.values():
                     self._describe(component, slot, seen=False)
         self._write_later()
@@ -67,17 +67,17 @@ class VirtualRecorder:
             return
         name = str(event.fields.get("task"))
         service = self._kernel.actor(str(event.fields.get("service")))
-        if not isinstance(service, Service) or name not in service.slots:
+        if not isinstance(service, ServiceCore) or name not in service.slots:
             return
         if event.kind == "task_started":
             self._describe(service, service.slots[name], seen=True)
         elif event.kind == "task_stopped":
             self._recording.ended(service.slots[name].address)
 
-    def _describe(self, service: Service, slot: Slot, seen: bool) -> None:
+    def _describe(self, service: ServiceCore, slot: Slot, seen: bool) -> None:
         task = slot.task
         described_as = f"{service.name}/{slot.name}"
-        if not isinstance(task, Task) or slot.life.state is not State.RUNNING or not is_described(described_as):
+        if not isinstance(task, TaskCore) or slot.life.state is not State.RUNNING or not is_described(described_as):
             return
         try:
             asked = Describe(slot.name, state=True, began=seen)

@@ -27,7 +27,9 @@ from pancakes.service import Service
 from pancakes.services.fence import ActuatorFence, FencesOfAgent
 from pancakes.supervision.messages import ChangeTask
 from pancakes.supervision.restart import RestartSpec
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.supervision.slots import Slot
+from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, TaskSpec
 
 if TYPE_CHECKING:
@@ -150,7 +152,7 @@ class TaskContext:
         return self._shared.get(key, make)
 
 
-class DeviceTask(Task):
+class DeviceTask(TaskCore, Task):
     """One device: samples a sensor at its rate, or carries out what an actuator's holder commands.
 
     A reading that fails, or whose numbers are none, is missed and counted; so is a command that the hardware does not
@@ -460,7 +462,7 @@ class DeviceTask(Task):
                 self.kernel.registry.release(holder)
 
 
-class DeviceService(Service):
+class DeviceService(ServiceCore, Service):
     """Creates the device tasks and schedules them (paper §3.3).
 
     Args:

@@ -22,7 +22,7 @@ from pancakes.durable.record import Record, TaskId
 from pancakes.durable.store import Ledgers, Records
 from pancakes.errors import MigrationError, PancakesError
 from pancakes.journal import Disk, RecordTable
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.services.fence_rule import (
     AskAgent,
@@ -151,7 +151,7 @@ class ActuatorFence:
 
     def __init__(
         self,
-        task: Component,
+        task: ActorCore,
         shared: FencesOfAgent,
         good_for_s: float,
         obey: Callable[[Packet], None],

@@ -33,6 +33,7 @@ from pancakes.settings import FilePath
 from pancakes.supervision.lifecycle import Answer, Finished, Request, State, Written
 from pancakes.supervision.messages import Carried
 from pancakes.supervision.restart import RestartSpec
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.supervision.slots import Slot
 from pancakes.supervision.supervisor import ANSWERED_S
 from pancakes.task import TaskSpec
@@ -145,7 +146,7 @@ LONGEST = 20_000
 """Of a line that is longer only that is told."""
 
 
-class LogService(Service):
+class LogService(ServiceCore, Service):
     """Listens to `log` (paper §3.3), and records what is said on all channels where that is asked for.
 
     A recording that a control packet began goes on in a further file when its agent comes back from a crash or a

@@ -144,16 +144,16 @@ class LogFile(LogWriter):
 
     def put(self, packet: Packet) -> int:
         broken_until_s = self._broken_until_s
-        if broken_until_s is not None and self.kernel.host.now() < broken_until_s:
+        if broken_until_s is not None and self._actor.kernel.host.now() < broken_until_s:
             self._missing += 1
             return 0
-        record, utc_s = record_of(packet), self.kernel.utc_s(packet.stamp)
+        record, utc_s = record_of(packet), self._actor.kernel.utc_s(packet.stamp)
         line = line_of(record if utc_s is None else {**record, "utc": utc_text(utc_s)})
         try:
             self._file.write(line)
         except OSError as error:
             self._missing += 1
-            self._broken_until_s = self.kernel.host.now() + RETRY_S
+            self._broken_until_s = self._actor.kernel.host.now() + RETRY_S
             if broken_until_s is None:
                 self.log(
                     "error",

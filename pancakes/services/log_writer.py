@@ -141,12 +141,12 @@ class LogWriter(Task):
         self._waits = False
 
     def on_settings(self) -> None:
-        self._tell(self._shares.stopped(self.kernel.host.now()))
+        self._tell(self._shares.stopped(self._actor.kernel.host.now()))
         self._shares = Shares(self.settings.share_kib_s * KIB)
 
     def on_stop(self) -> None:
-        self.drain()
-        self._tell(self._shares.stopped(self.kernel.host.now()))
+        self._actor.drain()
+        self._tell(self._shares.stopped(self._actor.kernel.host.now()))
 
     @abstractmethod
     def put(self, packet: Packet) -> int:
@@ -154,7 +154,7 @@ class LogWriter(Task):
 
     def write_some(self, packet: Packet) -> None:
         """Writes a packet where its source has something left of its share, or counts it."""
-        now_s = self.kernel.host.now()
+        now_s = self._actor.kernel.host.now()
         self._tell(self._shares.ended(now_s))
         kind = Kind(packet.source, level_of(packet.body) in ("warning", "error"))
         if self._shares.admits(kind, now_s):
@@ -167,10 +167,10 @@ class LogWriter(Task):
         until_s = self._shares.next_s()
         self._waits = until_s is not None
         if until_s is not None:
-            self.after_host(max(0.0, until_s - self.kernel.host.now()), self._time_has_passed)
+            self.after_host(max(0.0, until_s - self._actor.kernel.host.now()), self._time_has_passed)
 
     def _time_has_passed(self) -> None:
-        self._tell(self._shares.ended(self.kernel.host.now()))
+        self._tell(self._shares.ended(self._actor.kernel.host.now()))
         self._wait()
 
     def _tell(self, told: list[LeftOut]) -> None:

@@ -20,7 +20,7 @@ from pancakes.durable.census import CENSUS, NetworkBegan
 from pancakes.durable.host_state import HostState
 from pancakes.durable.store import Ledgers
 from pancakes.errors import ControlRefused, PancakesError, PeerLost, UnknownChannel
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import Tick, every
 from pancakes.kernel.kernel import Kernel
 from pancakes.mesh.event_loop import BUSY_POLL_S
@@ -31,6 +31,7 @@ from pancakes.service import Service
 from pancakes.settings import FilePath
 from pancakes.supervision.lifecycle import Request
 from pancakes.supervision.messages import PeerDown
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.supervision.slots import Slot
 from pancakes.task import Task, TaskSpec
 
@@ -61,7 +62,7 @@ class Follower:
         most_hz: at most so many packets a second of each source and type, `LEAST_HZ` or more; 0: all.
     """
 
-    def __init__(self, owner: Component, mesh: Mesh, agent: str, foreign: bool, most_hz: float) -> None:
+    def __init__(self, owner: ActorCore, mesh: Mesh, agent: str, foreign: bool, most_hz: float) -> None:
         self._owner = owner
         self._mesh = mesh
         self._agent = agent
@@ -143,14 +144,14 @@ class NetworkClient(Task):
         self._mesh = mesh
 
     def on_start(self) -> None:
-        self.kernel.stream.gateway = self.send
-        self.kernel.tell(CENSUS, NetworkBegan())
+        self._actor.kernel.stream.gateway = self.send
+        self._actor.kernel.tell(CENSUS, NetworkBegan())
 
     def on_stop(self) -> None:
-        self.kernel.stream.gateway = None
+        self._actor.kernel.stream.gateway = None
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
-        self.kernel.stream.gateway = None
+        self._actor.kernel.stream.gateway = None
 
     def send(self, packet: Packet) -> None:
         """Sends a packet. In the publisher's thread.
@@ -165,8 +166,8 @@ class NetworkClient(Task):
         try:
             self._mesh.send(packet)
         except PeerLost:
-            self.kernel.stream.undelivered += 1
-            self.kernel.unheard.elsewhere(packet, self._mesh.connected())
+            self._actor.kernel.stream.undelivered += 1
+            self._actor.kernel.unheard.elsewhere(packet, self._mesh.connected())
 
 
 class Discovery(Task):
@@ -182,7 +183,7 @@ class Discovery(Task):
         self._mesh.announce()
 
 
-class NetworkService(Service):
+class NetworkService(ServiceCore, Service):
     """Enables communication with other agents (paper §3.3)."""
 
     # There is one mesh, and other agents know the Task Migrator by its address.

@@ -50,7 +50,7 @@ from pancakes.control import (
 )
 from pancakes.durable.host_state import processor_time_s
 from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.dispatchers import defer
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.registry import TaskEntry
@@ -96,7 +96,7 @@ class Measuring:
         battery: returns what is left of the agent's battery; None: it has none, or has not read it.
     """
 
-    def __init__(self, root: Component, battery: Callable[[], float | None]) -> None:
+    def __init__(self, root: ActorCore, battery: Callable[[], float | None]) -> None:
         self._root = root
         self._kernel: Kernel = root.kernel
         self._battery = battery
@@ -197,7 +197,7 @@ NETWORK = "network"
 CLIENT_SERVICE = "client"
 
 
-class Root(Component):
+class Root(ActorCore):
     """Starts the services in order, stands by them, and takes all control packets.
 
     Args:

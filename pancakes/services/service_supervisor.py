@@ -14,7 +14,7 @@ import msgspec
 
 from pancakes.control import Command, Refusal
 from pancakes.errors import ClassError, PancakesError, describe, traceback_of
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore, core_of
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.kernel.timer import OneShot
@@ -94,9 +94,9 @@ class MissionStart:
         self._hold = hold
         self._until_s = kernel.host.now() + join_s
         self._comes_back = comes_back
-        self._tell: Callable[[Component], None] = lambda root: None
+        self._tell: Callable[[ActorCore], None] = lambda root: None
 
-    def begin(self, root: Component, then: Callable[[], None]) -> None:
+    def begin(self, root: ActorCore, then: Callable[[], None]) -> None:
         """Looks at the fleet until its mission is known, or need not be waited for any more; then it goes on.
 
         Args:
@@ -115,7 +115,7 @@ class MissionStart:
             self._decide(missions)
         then()
 
-    def tell(self, root: Component) -> None:
+    def tell(self, root: ActorCore) -> None:
         """Tells on `log` how it came out, once there is a Log Service to hear it."""
         self._tell(root)
 
@@ -205,7 +205,7 @@ class ServiceKeeper:
     """
 
     def __init__(
-        self, root: Component, answering: Answering, specs: Sequence[ServiceSpec], ready: Callable[[], None]
+        self, root: ActorCore, answering: Answering, specs: Sequence[ServiceSpec], ready: Callable[[], None]
     ) -> None:
         self._root = root
         self._answering = answering
@@ -305,7 +305,7 @@ class ServiceKeeper:
     def spawn(self, place: ServicePlace) -> None:
         spec = place.spec
         try:
-            service = self._root.kernel.spawn(
+            made = self._root.kernel.spawn(
                 spec.cls,
                 place.address,
                 settings=spec.settings,
@@ -319,7 +319,7 @@ class ServiceKeeper:
             return
         # Not before: the next try begins with the same where its constructor fails.
         place.kept, place.fresh = {}, False
-        place.service = service
+        place.service = core_of(made)
 
     def halt(self, place: ServicePlace) -> None:
         service, asker = place.service, place.life.asker
@@ -404,7 +404,7 @@ CLOSER_LOOK_S: Final = 0.01
 """How often, in host time, it looks whether the service that it stops has ended."""
 
 
-class Closer(Component):
+class Closer(ActorCore):
     """Stops services, the last first, each once the one before has ended, and then ends itself.
 
     Args:

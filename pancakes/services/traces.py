@@ -14,7 +14,7 @@ import msgspec
 
 from pancakes.control import Traces
 from pancakes.errors import ControlRefused
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.payload_size import weight_of
 from pancakes.packet import LOG, SYSCTRL, Cause, Packet, agent_of
 from pancakes.recording.causal_chains import LONGEST, body_text, is_command
@@ -172,7 +172,7 @@ class Tracing:
         owner: the component in whose turns questions are answered.
     """
 
-    def __init__(self, owner: Component) -> None:
+    def __init__(self, owner: ActorCore) -> None:
         self._owner = owner
         self._packets: TracedPackets | None = None
         self._taps: dict[str, Callable[[Packet], None]] = {}

@@ -25,6 +25,7 @@ from pancakes.sim.hardware_bus import Attach, Attached, BusServer, Drive, Halt, 
 from pancakes.sim.pedestrian import DECIDE_EVERY_S, Obstacle, Wayfinder
 from pancakes.sim.robot_models import IrRing, SonarRing, Wheels, robot_model
 from pancakes.sim.world_state import BodyState, Spent, WorldState
+from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, Tick, every
 
 _IR_RAYS = 3
@@ -391,7 +392,7 @@ def _body_state(
     return BodyState(disc.name, kind, disc.x_m, disc.y_m, theta_rad, v_mps, omega_radps, battery_v, driven_by, spent)
 
 
-class World(Task):
+class World(TaskCore, Task):
     """The simulated world.
 
     Publishes a `world_state` packet on `system` at exact multiples of its period in mission time, and the events

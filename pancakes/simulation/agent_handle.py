@@ -9,19 +9,19 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Self, cast
+from typing import Any, Final, Self
 
 from pancakes.agent.agent import Agent
 from pancakes.control import Reply
 from pancakes.durable.bidding_messages import MIGRATOR
 from pancakes.errors import PancakesError
 from pancakes.events import Event, LogLine, line_of, record_of
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import Subscription, queue
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import LOG, SYSCTRL, Packet, covers, join, type_name
-from pancakes.service import Service
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.supervision.slots import Slot, describe_task
 
 KEEP = queue(1_000_000)
@@ -32,7 +32,7 @@ BodyTest = Callable[[Any], bool]
 """Return whether a packet's body is the one that is meant."""
 
 
-class Probe(Component):
+class Probe(ActorCore):
     """Listen to channels as an actor, and record every packet in the order in which it came.
 
     Any thread may read the recorded packets, and publish.
@@ -196,9 +196,9 @@ class AgentHandle:
         """The agent's kernel."""
         return self.agent.kernel
 
-    def component(self, path: str) -> Component | None:
-        """Return the actor that runs at `service` or `service/task`."""
-        return cast("Component | None", self.kernel.registry.get(join(self.name, path)))  # it looks inside
+    def component(self, path: str) -> Any:
+        """Return the core of the service or task at `service` or `service/task`; None: it does not run."""
+        return self.kernel.registry.get(join(self.name, path))
 
     def task(self, name: str, service: str = "client") -> Any:
         """Return the actor of a running task.
@@ -208,7 +208,7 @@ class AgentHandle:
         found = self.component(join(service, name))
         if found is None:
             raise NotInTime(f"{name} does not run on {self.name}, only {self.running()}")
-        return found
+        return found.facade
 
     def running(self, service: str = "client") -> list[str]:
         """Return the names of the tasks of a service that have an actor."""
@@ -303,7 +303,7 @@ class AgentHandle:
     def slot(self, name: str, service: str = "client") -> Slot:
         """Return the slot of a task in its service."""
         owner = self.component(service)
-        assert isinstance(owner, Service), f"{self.name} has no service {service}"
+        assert isinstance(owner, ServiceCore), f"{self.name} has no service {service}"
         return owner.slots[name]
 
     def stop(self) -> None:

@@ -32,7 +32,7 @@ from pancakes.control import (
     Stop,
 )
 from pancakes.errors import ControlRefused
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import reliable
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox, Reference, tell
@@ -117,7 +117,7 @@ class Startup:
     """
 
     def __init__(
-        self, service: Component, at_once: int, start: Callable[[Slot], None], ready: Callable[[], None]
+        self, service: ActorCore, at_once: int, start: Callable[[Slot], None], ready: Callable[[], None]
     ) -> None:
         self._service = service
         self._at_once = at_once
@@ -173,7 +173,7 @@ class Closing:
 
     def __init__(
         self,
-        service: Component,
+        service: ActorCore,
         feed: Callable[[Slot, StopAsked | Overdue], None],
         let_go: Callable[[Slot], None],
         then: Callable[[], None],
@@ -475,7 +475,7 @@ def _schema_of(cls: type) -> dict[str, Any]:
     return schema_of(cls)
 
 
-def tell_of_task(service: Component, slot: Slot, effect: Tell) -> None:
+def tell_of_task(service: ActorCore, slot: Slot, effect: Tell) -> None:
     """Tells people and programs what has happened to a task, in the name of its service."""
     restarts, text = slot.life.restarts, effect.text
     traceback = slot.failure.traceback if slot.failure is not None else ""

@@ -12,7 +12,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar, assert_never
 
 from pancakes.control import Refusal, Reply
 from pancakes.errors import PancakesError
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.packet import SYSCTRL, Cause
 from pancakes.supervision.lifecycle import (
     Answer,
@@ -88,7 +88,7 @@ class Keeper(Generic[P]):
         rim: what carries the effects out.
     """
 
-    def __init__(self, component: Component, rim: LifeRim[P]) -> None:
+    def __init__(self, component: ActorCore, rim: LifeRim[P]) -> None:
         self._component = component
         self._rim = rim
         self._events: deque[tuple[P, Event]] = deque()
@@ -158,7 +158,7 @@ class Answers:
         component: the component; the answers are published in its name.
     """
 
-    def __init__(self, component: Component) -> None:
+    def __init__(self, component: ActorCore) -> None:
         self._component = component
         self._owed: dict[int, Request] = {}
         self._put_off: set[int] = set()  # those whose askers were told that they wait

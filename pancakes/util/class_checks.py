@@ -363,13 +363,8 @@ def _names_in(code: CodeType) -> Iterator[str]:
 
 @cache
 def _names_of(base: type) -> frozenset[str]:
-    """All names that a class of Pancakes has or gives its instances, without those that Python gives all classes."""
-    names: set[str] = set()
-    for one in base.__mro__[:-1]:
-        names.update(one.__dict__)
-        for function in vars(one).values():
-            if isinstance(function, FunctionType):
-                names.update(stored for stored, _, _ in _stores(function))
+    """All names that a class of Pancakes defines or declares, without those that Python gives all classes."""
+    names = {name for one in base.__mro__[:-1] for name in (*vars(one), *inspect.get_annotations(one))}
     return frozenset(name for name in names if not (name.startswith("__") and name.endswith("__")))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from pancakes.kernel.actor import core_of
 from pancakes.packet import Packet, packet_type
 from pancakes.task import Task, Tick, every, on, queue
 
@@ -23,8 +24,9 @@ class PulseTold:
 
 def true_s(task: Task) -> float:
     """Returns the virtual time, which no task knows by itself."""
-    assert task.kernel.virtual is not None
-    return task.kernel.virtual.clock.now()
+    virtual = core_of(task).kernel.virtual
+    assert virtual is not None
+    return virtual.clock.now()
 
 
 class PulseTeller(Task):

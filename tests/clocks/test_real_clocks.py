@@ -33,7 +33,7 @@ class ClockPulse:
 class PulseTold(Task):
     @every(hz=20)
     def tick(self, tick):
-        self.publish("network", ClockPulse(self.kernel.mission.host_time(0.0)), to="*")
+        self.publish("network", ClockPulse(self._actor.kernel.mission.host_time(0.0)), to="*")
 
 
 class PulseHeard(Task):
@@ -45,8 +45,8 @@ class PulseHeard(Task):
         local = self.local_time(packet)
         if local is None:
             return
-        link = next(row for row in self.kernel.links() if row["name"] == packet.source.partition("/")[0])
-        self.rows.append([packet.body.zero_s + packet.stamp, self.kernel.mission.host_time(0.0), local.time_s,
+        link = next(row for row in self._actor.kernel.links() if row["name"] == packet.source.partition("/")[0])
+        self.rows.append([packet.body.zero_s + packet.stamp, self._actor.kernel.mission.host_time(0.0), local.time_s,
                           local.bound_s, packet.age_s, link["rtt_s"]])
         if len(self.rows) == ENOUGH:
             with open("heard.json", "w") as file:

@@ -185,7 +185,7 @@ def test_the_sentinel_starts_a_task_at_the_first_report_and_only_then(crew: Any)
         crew.say("robot", "system", MotionDetected(x_m, 2.0), run_s=0.5)
     assert len(crew.events("robot", "alarm")) == 1
     scan = crew.fleet.agents["robot"].kernel.registry.get("robot/client/ScanTarget")
-    assert scan.state.centre_m == (1.0, 2.0), "the task begins at the place of the report that started it"
+    assert scan.facade.state.centre_m == (1.0, 2.0), "the task begins at the place of the report that started it"
 
 
 def test_the_sentinel_starts_the_task_again_after_it_was_stopped(crew: Any) -> None:

@@ -73,7 +73,7 @@ def governed(fleet: Fleet, **changes: Any) -> AgentHandle:
 
 def standing(agent: AgentHandle) -> tuple[float, float, float]:
     """Where the three knobs really stand."""
-    motion, beacons = agent.task("motion", "device"), agent.task("Discovery", "network")
+    motion, beacons = agent.component("device/motion"), agent.component("network/Discovery")
     return (
         round(motion.timers["sample"].rate_hz, 6),
         round(beacons.timers["announce"].rate_hz, 6),
@@ -200,7 +200,9 @@ def test_an_agent_that_ends_has_nothing_to_give_back():
         assert orders(agent) == given
         agent = fleet.restart("a")
         fleet.run_for(5.0)
-        assert agent.task("motion", "device").timers["sample"].rate_hz == pytest.approx(1.0), "it goes on where it was"
+        assert agent.component("device/motion").timers["sample"].rate_hz == pytest.approx(1.0), (
+            "it goes on where it was"
+        )
         assert agent.task("Wheels").settings.speed_mps == 0.04
 
 
@@ -312,8 +314,8 @@ def supervised(fleet: Fleet, **changes: Any) -> AgentHandle:
 
 
 def rates(agent: AgentHandle) -> tuple[float, float]:
-    battery = agent.task("battery", "device").timers["sample"].rate_hz
-    return round(battery, 6), round(agent.task("Wheels").timers["drive"].rate_hz, 6)
+    battery = agent.component("device/battery").timers["sample"].rate_hz
+    return round(battery, 6), round(agent.component("client/Wheels").timers["drive"].rate_hz, 6)
 
 
 def test_the_supervisor_slows_sensors_down_while_it_is_quiet_and_is_fast_at_once():

@@ -6,7 +6,7 @@ import pytest
 
 from pancakes.durable import hosting
 from pancakes.durable.checkpoints import CameFor
-from pancakes.durable.client_service import ClientService
+from pancakes.durable.client_service import ClientServiceCore
 from pancakes.durable.delivery import Letter
 from pancakes.durable.record import TaskId
 from pancakes.kernel.mailbox import tell
@@ -35,7 +35,7 @@ def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_
     with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Sink": Sink})
         client = agent.component("client")
-        assert isinstance(client, ClientService)
+        assert isinstance(client, ClientServiceCore)
 
         def arrive(number):
             # The second of its stream: the task waits for the first, and takes none of them.
@@ -60,7 +60,7 @@ def test_what_a_task_says_of_a_letter_that_is_not_known_any_more_means_nothing(t
     with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Sink": Sink})
         sink, client = agent.component("client/Sink"), agent.component("client")
-        assert isinstance(client, ClientService) and sink is not None
+        assert isinstance(client, ClientServiceCore) and sink is not None
         letter = Letter(task_id, "stream", 1, 1, b"", "b")
         tell(client, LetterGiven(sink, Give(letter, None), outcome))
         fleet.run_for(0.1)

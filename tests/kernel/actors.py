@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Counter
 from pancakes.kernel.stream import InformationStream
 
@@ -36,7 +36,7 @@ class NoKernel:
         self.said.append(text)
 
 
-class Actor(Component):
+class Actor(ActorCore):
     """Does in its turns what it is told."""
 
     def __init__(self, dispatcher, address):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pykka
 
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Kernel
 
 OUTCOMES = "PYKKA_OUTCOMES"
@@ -21,7 +21,7 @@ _KERNEL = Kernel("pykka")
 _outcomes: dict[str, str] = {}
 
 
-class ThreadingActor(Component):
+class ThreadingActor(ActorCore):
     """A component that is made, registered and struck out as pykka does it, which knows neither kernel nor address."""
 
     def __init__(self, *args, **kwargs):

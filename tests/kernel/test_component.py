@@ -7,7 +7,7 @@ from kernel.virtual_rig import Diary, Number, VirtualRig, Word
 
 from pancakes.errors import LocalProtocolError, MailboxFull, UnknownChannel
 from pancakes.events import Event, LogLine
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import every, on, reliable
 from pancakes.testing import assert_published
 
@@ -96,7 +96,7 @@ def test_an_actor_that_stands_still_gets_no_packet_and_no_tick_and_then_all_that
 
 
 def test_a_packet_tells_where_it_comes_from_and_what_led_to_it(virtual):
-    class Echo(Component):
+    class Echo(ActorCore):
         @on("system", Number)
         def number(self, packet):
             self.publish("ctrl", Word(f"after {packet.body.n}"))
@@ -224,7 +224,7 @@ def test_lines_and_events_reach_the_log_and_an_agent_without_a_log_goes_on(virtu
 
 @pytest.mark.parametrize(("takes_s", "handled"), [(0.02, 1), (0.002, 3), (0.0004, 13), (0.0, 100)])
 def test_a_turn_ends_when_its_time_is_up_however_long_each_packet_takes(takes_s, handled):
-    class Slow(Component):
+    class Slow(ActorCore):
         count = 0
 
         @on("system", Number)
@@ -243,7 +243,7 @@ def test_a_turn_ends_when_its_time_is_up_however_long_each_packet_takes(takes_s,
     assert slow.count == 100
 
 
-class Greedy(Component):
+class Greedy(ActorCore):
     """Wants every line of `log`, and has room for one."""
 
     @on("log", None, keep=reliable(1))
@@ -253,7 +253,7 @@ class Greedy(Component):
 
 def test_a_component_that_logs_does_not_fail_where_a_reader_of_log_has_no_room(virtual):
     reader = virtual.kernel.spawn(Greedy, "a/test/greedy")
-    speaker = virtual.kernel.spawn(Component, "a/test/speaker")
+    speaker = virtual.kernel.spawn(ActorCore, "a/test/speaker")
     virtual.settle()
     reader.actor_inbox.paused = True
     for _ in range(3):

@@ -3,7 +3,7 @@
 import pytest
 from kernel.virtual_rig import Diary, Number, Word
 
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.dead_letters import ATTEMPTS
 from pancakes.kernel.dispatchers import defer
 from pancakes.kernel.handlers import on, queue, reliable
@@ -205,11 +205,11 @@ def test_any_other_packet_is_a_dead_letter_at_once_though_a_reliable_one_shares_
 def test_a_call_meant_for_an_actor_that_ended_is_not_made_in_its_successors_turn(virtual):
     mailbox = Mailbox()
     called = []
-    first = virtual.kernel.spawn(Component, "a/test/one", mailbox=mailbox)
+    first = virtual.kernel.spawn(ActorCore, "a/test/one", mailbox=mailbox)
     first.stop()
     virtual.settle()
-    second = virtual.kernel.spawn(Component, "a/test/one", mailbox=mailbox)
-    # What `Component.call` does where its actor ends between the look and the put.
+    second = virtual.kernel.spawn(ActorCore, "a/test/one", mailbox=mailbox)
+    # What `ActorCore.call` does where its actor ends between the look and the put.
     mailbox.put(Call(first, lambda: called.append("first")))
     second.call(lambda: called.append("second"))
     virtual.settle()
@@ -218,10 +218,10 @@ def test_a_call_meant_for_an_actor_that_ended_is_not_made_in_its_successors_turn
 
 def test_an_actor_that_has_ended_may_be_stopped_again_and_its_successor_runs_on(virtual):
     mailbox = Mailbox()
-    first = virtual.kernel.spawn(Component, "a/test/one", mailbox=mailbox)
+    first = virtual.kernel.spawn(ActorCore, "a/test/one", mailbox=mailbox)
     first.stop()
     virtual.settle()
-    second = virtual.kernel.spawn(Component, "a/test/one", mailbox=mailbox)
+    second = virtual.kernel.spawn(ActorCore, "a/test/one", mailbox=mailbox)
     first.stop()
     virtual.settle()
     assert second.actor_ref.is_alive()
@@ -232,7 +232,7 @@ def test_what_a_turn_put_off_may_fail_and_the_actor_still_gets_turns(virtual):
         raise RuntimeError("no way out")
 
     done = []
-    actor = virtual.kernel.spawn(Component, "a/test/actor")
+    actor = virtual.kernel.spawn(ActorCore, "a/test/actor")
     actor.call(lambda: defer(fails))
     virtual.settle()
     actor.call(lambda: done.append(True))

@@ -8,7 +8,7 @@ import pytest
 from kernel.actors import put_back
 from kernel.virtual_rig import Diary, VirtualRig
 
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import Tick, every
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.timer import HeardTick, MeterReading, TurnMeter
@@ -18,7 +18,7 @@ from pancakes.packet import LocalTime, Packet
 from pancakes.util.timebase import Timebase
 
 
-class Metronome(Component):
+class Metronome(ActorCore):
     """Notes its ticks."""
 
     def __init__(self, *args, **others):
@@ -95,14 +95,14 @@ def test_what_was_put_off_comes_in_the_actor_and_never_after_its_end(virtual):
 
 
 def test_a_test_may_give_an_actor_random_numbers_of_its_own_choice():
-    component = VirtualRig().spawn(Component, "x")
+    component = VirtualRig().spawn(ActorCore, "x")
     component.random = random.Random(7)
     assert component.random.random() == random.Random(7).random()
 
 
 def test_random_numbers_are_each_actors_own_and_repeat_with_the_seed():
     def drawn(seed, address):
-        return VirtualRig(seed=seed).spawn(Component, address).random.random()
+        return VirtualRig(seed=seed).spawn(ActorCore, address).random.random()
 
     assert drawn(1, "a/client/T") == drawn(1, "a/client/T")
     assert drawn(1, "a/client/T") != drawn(1, "a/client/U")
@@ -147,7 +147,7 @@ def test_a_timer_tells_how_late_its_ticks_were_on_average(virtual):
 
 
 def test_a_subscription_that_says_nothing_else_keeps_256_packets(virtual):
-    reader = virtual.spawn(Component, "a/client/R")
+    reader = virtual.spawn(ActorCore, "a/client/R")
     reader.subscribe("system", None, lambda packet: None)
     (described,) = virtual.kernel.stream.readings(reader.address)
     assert (described["limit"], described["keep"]) == (256, "newest")

@@ -10,7 +10,7 @@ import pytest
 
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.dispatchers import PinnedDispatcher
 from pancakes.kernel.handlers import on
 from pancakes.kernel.kernel import Kernel
@@ -22,7 +22,7 @@ from pancakes.testing import Probe, VirtualClock, assert_published, no_thread_le
 PATIENCE_S = 10.0
 
 
-class Echo(Component):
+class Echo(ActorCore):
     """Remembers the threads that ran it, and what it heard."""
 
     def __init__(self, *args, gate=None, **others):
@@ -194,7 +194,7 @@ def order_of_work(seed, actors=20):
     kernel = Kernel("a", virtual=dispatcher)
     served = []
 
-    class Served(Component):
+    class Served(ActorCore):
         @on("system", LogLine)
         def hear(self, packet):
             served.append(self.name)
@@ -203,7 +203,7 @@ def order_of_work(seed, actors=20):
         kernel.spawn(Served, f"a/client/{number}")
     dispatcher.settle()
     kernel.say(LogLine("info", "on log, which has no reader"))
-    source = kernel.spawn(Component, "a/client/Source")
+    source = kernel.spawn(ActorCore, "a/client/Source")
     dispatcher.settle()
     source.publish("system", LogLine("info", "go"))
     dispatcher.settle()
@@ -292,7 +292,7 @@ def test_a_virtual_clock_never_goes_back():
         clock.advance_to(3.5)
 
 
-class Restless(Component):
+class Restless(ActorCore):
     """Tells itself to go on, for ever."""
 
     def on_start(self):
@@ -323,6 +323,7 @@ class Runner:
     address = "a/client/Runner"
     blocking = True
     author_class = object
+    facade = None
 
     def __init__(self, mailbox: Mailbox, turn: Callable[[], object]) -> None:
         self.actor_inbox = mailbox

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from pancakes.errors import LocalProtocolError, MailboxFull, UnknownChannel
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual_time import VirtualDispatcher
 from pancakes.packet import Packet, packet_type
@@ -33,7 +33,7 @@ class Rig:
         self.dispatcher = VirtualDispatcher(1)
         self.kernel = Kernel("a", virtual=self.dispatcher)
         self.stream = self.kernel.stream
-        self.source = self.kernel.spawn(Component, "a/client/Source")
+        self.source = self.kernel.spawn(ActorCore, "a/client/Source")
         self.dispatcher.settle()
         self.taken: list[int] = []
         self.error: Exception | None = None

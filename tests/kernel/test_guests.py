@@ -8,7 +8,7 @@ import pytest
 from kernel.hooked_pool import HookedPool
 
 from pancakes.events import LogLine
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.dispatchers import DOZE_LOOKS, WATCH_S, Guest, PoolDispatcher, defer
 from pancakes.kernel.handlers import every, on
 from pancakes.kernel.kernel import Kernel
@@ -18,7 +18,7 @@ from pancakes.util.clock import MonotonicClock
 PATIENCE_S = 10.0
 
 
-class Hearing(Component):
+class Hearing(ActorCore):
     """Notes in which thread it heard what."""
 
     gate = None
@@ -41,7 +41,7 @@ class Hearing(Component):
             assert self.gate.wait(PATIENCE_S)
 
 
-class Ticked(Component):
+class Ticked(ActorCore):
     """Is ticked, and is held by its first tick where it has a gate."""
 
     gate: threading.Event | None = None
@@ -86,7 +86,7 @@ def test_a_guest_gives_the_turns_that_it_has_caused_in_its_own_thread(kernel):
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     guest = arrived(kernel.guest(lambda: None))
     kernel.log("info", "without a reader")
-    source = Component(kernel, "a/client/Source")
+    source = ActorCore(kernel, "a/client/Source")
     source.publish("system", LogLine("info", "one"))
     assert hearing.heard == [], "its turn comes when the guest says so"
     guest.work(math.inf)
@@ -99,7 +99,7 @@ def test_what_a_guest_does_not_come_to_a_worker_does(pools, kernel):
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     pools[0].looks = lambda: 0  # at once, not because the watchdog looks
     guest = arrived(kernel.guest(lambda: None))
-    Component(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
+    ActorCore(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
     guest.leave()
     assert hearing.news.wait(PATIENCE_S)
     assert hearing.threads[0].name.startswith("a-pool-")
@@ -118,7 +118,7 @@ def test_a_turn_s_end_is_the_turn_s_end_in_a_guest_too(kernel):
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     hearing.deferred = lambda: done.append(list(hearing.heard))
     guest = arrived(kernel.guest(lambda: None))
-    Component(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
+    ActorCore(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
     guest.work(math.inf)
     assert done == [["one"]]
     defer(lambda: done.append("between turns"))
@@ -134,7 +134,7 @@ def test_a_guest_that_is_held_is_relieved_once_and_the_others_go_on():
         kernel = Kernel("a")
         stuck, free = ready(kernel.spawn(Hearing, "a/client/Stuck")), ready(kernel.spawn(Hearing, "a/client/Free"))
         stuck.gate = gate
-        source = Component(kernel, "a/client/Source")
+        source = ActorCore(kernel, "a/client/Source")
 
         def relieve():
             relieved.append(True)
@@ -215,7 +215,7 @@ def held_visit(kernel, hearing, before_turn=lambda: None):
     def visit():
         guest = arrived(kernel.guest(lambda: None))
         before_turn()
-        Component(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
+        ActorCore(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
         guest.work(math.inf)
         guest.leave()
 
@@ -240,7 +240,7 @@ def test_a_guest_that_comes_back_just_now_is_not_relieved(pools, kernel):
 
     pools[0].around_hold = too_late
     guest = arrived(kernel.guest(lambda: relieved.append("relieved")))
-    Component(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
+    ActorCore(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
     guest.work(math.inf)
     back.set()
     assert tried.wait(PATIENCE_S)
@@ -252,7 +252,7 @@ def test_a_worker_gives_the_turns_that_a_guest_has_no_time_for(kernel):
     """It may be held by what it does between its turns, too."""
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     guest = arrived(kernel.guest(lambda: None))
-    Component(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
+    ActorCore(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
     assert hearing.news.wait(PATIENCE_S), "a guest that gives no turns keeps all components from theirs"
     guest.leave()
 
@@ -260,7 +260,7 @@ def test_a_worker_gives_the_turns_that_a_guest_has_no_time_for(kernel):
 def test_a_kernel_stops_while_a_handler_holds_the_timer_s_thread():
     gate, held, stopped = threading.Event(), threading.Event(), threading.Event()
 
-    class Stuck(Component):
+    class Stuck(ActorCore):
         @every(hz=100)
         def tick(self, tick):
             if threading.current_thread().name == "a-timer":
@@ -288,7 +288,7 @@ def test_a_kernel_stops_while_a_handler_holds_the_timer_s_thread():
 def test_ticks_outlive_a_fault_in_what_is_told_of_an_end(kernel):
     ended = threading.Event()
 
-    class Failing(Component):
+    class Failing(ActorCore):
         @every(hz=100)
         def tick(self, tick):
             if threading.current_thread().name == "a-timer":
@@ -308,10 +308,10 @@ def test_ticks_outlive_a_fault_in_what_is_told_of_an_end(kernel):
 def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(pools, kernel, quick, slow):
     """Components that run elsewhere than in the pool would have to wait for all of them."""
     ticked = []
-    fired: list[Component] = []
+    fired: list[ActorCore] = []
     both = threading.Event()
 
-    class Slow(Component):
+    class Slow(ActorCore):
         @every(hz=4)
         def tick(self, tick):
             threading.Event().wait(0.01)
@@ -320,7 +320,7 @@ def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(pools, kerne
                 fired.extend(one for one in tasks if one.timers["tick"].pending or one.timers["tick"].ticks)
                 both.set()
 
-    class Quick(Component):
+    class Quick(ActorCore):
         @every(hz=4)
         def tick(self, tick):
             pass
@@ -337,7 +337,7 @@ def test_the_watchdog_does_not_rest_while_a_handler_holds_a_worker(kernel):
     gate = threading.Event()
     stuck, free = ready(kernel.spawn(Hearing, "a/client/Stuck")), ready(kernel.spawn(Hearing, "a/client/Free"))
     stuck.gate = gate
-    source = Component(kernel, "a/client/Source")
+    source = ActorCore(kernel, "a/client/Source")
     source.publish("system", LogLine("info", "one"), to="a/client/Stuck")
     assert stuck.news.wait(PATIENCE_S)
     assert not gate.wait(2 * DOZE_LOOKS * WATCH_S)

@@ -8,7 +8,7 @@ from kernel.virtual_rig import VirtualRig
 from pancakes.devices.driver import Actuator, Sensor
 from pancakes.errors import ClassError, PancakesError
 from pancakes.events import LogLine
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.service import Service
 from pancakes.task import Task
 
@@ -135,7 +135,7 @@ def in_context_by_method(base: type) -> None:
             self.context.log.fatal("x")
 
 
-@pytest.mark.parametrize("base", [Task, Service, Component])
+@pytest.mark.parametrize("base", [Task, Service, ActorCore])
 @pytest.mark.parametrize("define", [in_task, in_inner_function, by_method])
 def test_a_class_that_says_an_unknown_level_is_refused(base: type, define: Any) -> None:
     with pytest.raises(ClassError, match=r"test_log_levels\.py:\d+: .*Robot\.on_start: the log has no level '"):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from kernel.actors import bounded, drained, put_back
 from pykka import ActorDeadError, ActorRef
 
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import LATEST, Keep, queue, reliable
 from pancakes.kernel.mailbox import ChannelQueue, Mailbox
 from pancakes.kernel.payload_size import LIGHT_BYTES
@@ -147,7 +147,7 @@ def test_a_new_component_begins_with_what_its_predecessor_left():
 
 
 def test_a_caller_of_an_actor_that_has_ended_is_told_so_at_once(kernel):
-    component = kernel.spawn(Component, "a/client/C")
+    component = kernel.spawn(ActorCore, "a/client/C")
     ref = component.actor_ref
     ref.stop()
     # As a caller does that has looked at the actor before it ended.

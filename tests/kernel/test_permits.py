@@ -6,7 +6,7 @@ import pytest
 from kernel.virtual_rig import VirtualRig, Word
 
 from pancakes.errors import NoPermit
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.permits import PermitEnd, Permits
 from pancakes.packet import Fence
 
@@ -129,7 +129,7 @@ def test_what_is_held_back_is_counted_and_said_once_each_time_that_a_permit_is_o
 
 @pytest.mark.parametrize("channel", ["ctrl", "network", "system"])
 def test_what_may_not_act_publishes_on_log_alone(virtual: VirtualRig, channel: str) -> None:
-    actor = virtual.spawn(Component, "a/client/Guarded")
+    actor = virtual.spawn(ActorCore, "a/client/Guarded")
     actor.fence = FIRST
     virtual.kernel.permits.revoke(FIRST)
     with pytest.raises(NoPermit, match="a/client/Guarded may not act until its guardians answer"):

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import on, plan_of
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual_time import VirtualDispatcher
@@ -17,7 +17,7 @@ class Word:
     text: str
 
 
-class Listener(Component):
+class Listener(ActorCore):
     """Listens to words for all, and to those for itself."""
 
     def on_start(self):
@@ -43,7 +43,7 @@ def rig(*components):
     dispatcher = VirtualDispatcher(1)
     kernel = Kernel("a", virtual=dispatcher)
     made = [kernel.spawn(cls, address) for cls, address in components]
-    source = kernel.spawn(Component, "a/client/Source")
+    source = kernel.spawn(ActorCore, "a/client/Source")
     dispatcher.run_until(dispatcher.clock.now())
     return dispatcher, source, made
 

@@ -151,7 +151,7 @@ def test_a_reader_that_subscribes_while_another_has_no_room_costs_the_others_not
     full = Reader(stream, "a/client/Full", pose=reliable(1))
     other = Reader(stream, "a/client/Other", pose=queue(9))
 
-    class Component:
+    class ActorCore:
         """The reader that the refusal names, which is said just before the others get the packet."""
 
         @property
@@ -159,7 +159,7 @@ def test_a_reader_that_subscribes_while_another_has_no_room_costs_the_others_not
             Reader(stream, "a/client/New", ir=queue(9))
             return "a/client/Full"
 
-    component: Any = Component()
+    component: Any = ActorCore()
     full.mailbox.component = component
     stream.inject_all(packets(1, 2), lambda packet, error: refused.append(packet.seq))
     assert refused == [2] and full.got() == [1] and full.queue.dropped() == 1

@@ -10,7 +10,7 @@ import threading
 import pytest
 
 from pancakes.events import LogLine
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import every, on, queue, reliable
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.timer import TaskTimer
@@ -32,7 +32,7 @@ def unruly():
     sys.setswitchinterval(before)
 
 
-class Reading(Component):
+class Reading(ActorCore):
     """Reads what all publish and is ticked, and holds its thread now and then, about as long as the watchdog waits."""
 
     def __init__(self, *args):
@@ -79,7 +79,7 @@ def test_nothing_is_lost_doubled_or_out_of_order_however_threads_interleave(unru
             reader.actor_ref.proxy().heard.get(timeout=PATIENCE_S)
 
         def publish(number):
-            source = Component(kernel, f"a/client/Source{number}")
+            source = ActorCore(kernel, f"a/client/Source{number}")
             for count in range(1, PACKETS + 1):
                 source.publish("system", LogLine("info", str(count)))
 
@@ -98,7 +98,7 @@ def test_nothing_is_lost_doubled_or_out_of_order_however_threads_interleave(unru
                     guest.leave()
 
         counts = list(range(PACKETS, 0, -1))
-        guest_source = Component(kernel, "a/client/Net")
+        guest_source = ActorCore(kernel, "a/client/Net")
         threads = [threading.Thread(target=publish, args=(number,)) for number in range(PUBLISHERS)]
         threads.append(threading.Thread(target=visit))
         for thread in list(threads):
@@ -122,7 +122,7 @@ def test_a_tick_that_comes_while_the_one_before_is_taken_comes_once():
     """The turn takes the waiting tick while the timer's thread is about to replace it."""
     ticks = []
 
-    class Ticked(Component):
+    class Ticked(ActorCore):
         def tick(self, tick):
             ticks.append((tick.time_s, tick.missed))
 
@@ -161,7 +161,7 @@ def test_a_tick_that_comes_while_the_one_before_is_taken_comes_once():
 def test_no_packet_is_forgotten_though_no_watchdog_looks(unruly, pools, with_guest):
     """A worker that lies down, or a guest that leaves, just when something comes."""
 
-    class Echo(Component):
+    class Echo(ActorCore):
         def __init__(self, *args):
             super().__init__(*args)
             self.heard = threading.Semaphore(0)
@@ -175,7 +175,7 @@ def test_no_packet_is_forgotten_though_no_watchdog_looks(unruly, pools, with_gue
         pools[0].looks = lambda: 0
         echo = kernel.spawn(Echo, "a/client/Echo")
         echo.actor_ref.proxy().heard.get(timeout=PATIENCE_S)
-        source = Component(kernel, "a/client/Source")
+        source = ActorCore(kernel, "a/client/Source")
         ended = threading.Event()
 
         def visit():
@@ -207,7 +207,7 @@ def kernel():
         made.stop()
 
 
-class Minded(Component):
+class Minded(ActorCore):
     """Does with the first packet what a test has in mind."""
 
     idea = staticmethod(lambda component, packet: None)
@@ -233,7 +233,7 @@ def minded(kernel, idea, *texts, second="system"):
     component.idea = idea
     done, ended = threading.Event(), threading.Event()
     component.exited = lambda it, error: ended.set()
-    source = Component(kernel, "a/client/Source")
+    source = ActorCore(kernel, "a/client/Source")
 
     def all_at_once():
         for number, text in enumerate(texts or ("one", "two")):
@@ -307,7 +307,7 @@ def test_a_queue_that_was_emptied_at_the_end_of_an_actor_is_listed_for_its_succe
     component = minded(kernel, lambda it, packet: None)
     mailbox = component.actor_inbox
     component.actor_ref.stop(timeout=PATIENCE_S)
-    source = Component(kernel, "a/client/Source")
+    source = ActorCore(kernel, "a/client/Source")
     source.publish("system", LogLine("info", "between the two"))
     component.drain()
     mailbox.enter_all()
@@ -317,7 +317,7 @@ def test_a_queue_that_was_emptied_at_the_end_of_an_actor_is_listed_for_its_succe
 
 def test_a_stream_that_was_silenced_takes_nothing_from_earlier_publishers_either(kernel):
     component = minded(kernel, lambda it, packet: None)
-    source = Component(kernel, "a/client/Other")
+    source = ActorCore(kernel, "a/client/Other")
     for text in ("three", "four"):
         source.publish("system", LogLine("info", text))
     kernel.stream.silence()

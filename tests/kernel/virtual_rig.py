@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from pancakes.events import LogLine
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import on
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual_time import VirtualDispatcher
@@ -33,7 +33,7 @@ class VirtualRig:
     def __init__(self, seed=1, **others):
         self.dispatcher = VirtualDispatcher(seed)
         self.kernel = Kernel("a", virtual=self.dispatcher, **others)
-        self.source = self.spawn(Component, "a/client/Source")
+        self.source = self.spawn(ActorCore, "a/client/Source")
         self.probe = self.spawn(Probe, "a/test/Probe", channels=("log",))
 
     def spawn(self, cls, address, **arguments):
@@ -56,7 +56,7 @@ class VirtualRig:
         return [packet.body.text for packet in self.probe.packets(LogLine)]
 
 
-class Diary(Component):
+class Diary(ActorCore):
     """Writes down what happens to it."""
 
     def __init__(self, *args, **others):

@@ -45,7 +45,7 @@ def agent():
 
 
 def port(agent):
-    return agent.component("metrics").port
+    return agent.component("metrics").facade.port
 
 
 def scraped(agent, number=None):
@@ -64,7 +64,7 @@ def wait_for_a_tick(agent):
 
 
 def test_ticks_their_lateness_and_the_rate_asked_for_are_told(agent):
-    agent.wait_for(Load, lambda body: agent.task("Tick").timers["tick"].ticks > 20)
+    agent.wait_for(Load, lambda body: agent.component("client/Tick").timers["tick"].ticks > 20)
     told = scraped(agent)
     place = ("client", "Tick", "tick")
     assert told["pancakes_task_rate_hertz", *place] == 200.0

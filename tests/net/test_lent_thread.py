@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Kernel
 from pancakes.mesh.event_loop import READ
 from pancakes.mesh.transport import SocketTransport
@@ -36,7 +36,7 @@ def transport(kernel: Kernel) -> Iterator[SocketTransport]:
 class Bell:
     """Something that becomes ready to be read, and a component that is told so."""
 
-    def __init__(self, transport: SocketTransport, component: Component) -> None:
+    def __init__(self, transport: SocketTransport, component: ActorCore) -> None:
 
         self.reader, self._writer = socket.socketpair()
         self.reader.setblocking(False)
@@ -80,7 +80,7 @@ def make_bell(kernel: Kernel, transport: SocketTransport) -> Iterator[Callable[[
     made: list[Bell] = []
 
     def make(name: str) -> Bell:
-        component = kernel.spawn(Component, f"a/test/{name}")
+        component = kernel.spawn(ActorCore, f"a/test/{name}")
         ready = threading.Event()
         component.call(ready.set)
         assert ready.wait(PATIENCE_S)

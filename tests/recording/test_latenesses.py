@@ -61,7 +61,7 @@ def test_what_is_not_late_is_not_and_nothing_has_no_percentiles():
 @pytest.fixture(scope="module")
 def timer():
     with Fleet() as fleet:
-        return fleet.start("a", tasks={"Tick100": Tick100}).task("Tick100").timers["tick"]
+        return fleet.start("a", tasks={"Tick100": Tick100}).component("client/Tick100").timers["tick"]
 
 
 def test_lateness_of_each_tick_is_counted_once(timer):

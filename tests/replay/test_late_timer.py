@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual_time import VirtualDispatcher
 from pancakes.recording.task_statistics import TickRun
@@ -77,7 +77,7 @@ def test_ticks_are_those_that_ran():
     kernel.timer = timer
     ticks = []
 
-    class Ticks(Component):
+    class Ticks(ActorCore):
         @every(hz=1)
         def tick(self, tick):
             ticks.append((tick.time_s, tick.missed, pytest.approx(tick.lateness_s)))

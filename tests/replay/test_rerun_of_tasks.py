@@ -427,9 +427,9 @@ class Dawdles(Track):
     """Has ticks of 10 Hz become due while it starts, handles a pose, and ends; live only. Tells how many it missed."""
 
     def dawdle(self):
-        if self.kernel.virtual is None:
+        if self._actor.kernel.virtual is None:
             passed = threading.Event()
-            self.kernel.timer.after(0.35, passed.set)
+            self._actor.kernel.timer.after(0.35, passed.set)
             assert passed.wait(60.0)
 
     def on_start(self):

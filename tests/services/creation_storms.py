@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections import Counter
 from collections.abc import Iterable
+from typing import Any
 
 from seeded import for_each
 from services.created import Count
@@ -79,8 +80,9 @@ class Storm:
 
     def _acting(self) -> list[str]:
         slots = [agent.slot(task) for agent in self._fleet.agents.values() for task in agent.running()]
-        tasks = [slot.task for slot in slots]
-        return [it.fence.task_id for it in tasks if isinstance(it, Count) and it.fence is not None and it.may_act()]
+        cores: list[Any] = [slot.task for slot in slots if slot.task is not None]
+        guarded = [it for it in cores if isinstance(it.facade, Count) and it.fence is not None]
+        return [it.fence.task_id for it in guarded if it.facade.may_act()]
 
 
 def creation_storms(seeds: Iterable[int], keys: dict[str, object]) -> None:

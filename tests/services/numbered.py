@@ -71,7 +71,7 @@ def numbers(fleet, task="Sink"):
     for agent in fleet.agents.values():
         component = agent.component(f"client/{task}")
         if component is not None and not component.is_frozen:
-            return component.state.numbers
+            return component.facade.state.numbers
     return None
 
 

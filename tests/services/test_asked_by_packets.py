@@ -61,7 +61,7 @@ def rate_of(agent, task="Count"):
 
 
 def state_of(agent, task="Count"):
-    return agent.agent.kernel.registry.get(f"a/client/{task}").state
+    return agent.task(task).state
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_the_state_of_a_task_is_told_where_it_is_asked_for(fleet):
 
 def test_a_state_that_cannot_be_written_down_is_refused_and_the_task_runs(fleet):
     agent = fleet.start("a", tasks={"Count": Count})
-    agent.agent.kernel.registry.get("a/client/Count").state.n = object()
+    agent.task("Count").state.n = object()
     reply = agent.ask(Describe("Count", state=True))
     assert reply.reason.startswith("the state of a/client/Count cannot be written down: ")
     assert agent.running() == ["Count"]
@@ -221,7 +221,7 @@ def test_a_service_restarts_with_the_state_of_its_tasks_or_without(fleet, keep_s
     fleet.run_for(1.0)
     assert agent.ask(Reschedule("Count", 1.0)).ok
     assert agent.ask(Restart("plain", keep_state)).ok
-    task = agent.agent.kernel.registry.get("a/plain/Count")
+    task = agent.task("Count", "plain")
     assert (task.state.n >= 10) is keep_state
     assert rate_of(agent) == (1.0 if keep_state else 10.0)
 
@@ -234,8 +234,8 @@ def test_the_client_service_restarts_with_the_state_of_its_tasks_or_without(flee
     other = fleet.start("b")
     fleet.connect()
     assert other.ask(Restart("client", keep_state), to="a").ok
-    task = agent.agent.kernel.registry.get("a/client/Count")
-    assert (task.state.n >= 10) is keep_state
+    task = agent.component("client/Count")
+    assert (task.facade.state.n >= 10) is keep_state
     assert task.timers["tick"].rate_hz == (1.0 if keep_state else 10.0)
 
 

@@ -172,7 +172,7 @@ def test_a_source_that_wakes_up_after_a_long_stop_moves_no_wheel(fleet):
     b = fleet.start("b", devices={"wheels": Wheels})
     fleet.connect()
     fleet.run_for(0.5)
-    sleeper = a.task("Circle")  # the old copy, with the right that it had
+    sleeper = a.component("client/Circle")  # the old copy, with the right that it had
     assert a.ask(Migrate("Circle")).ok
     fleet.run_for(1.0)
 

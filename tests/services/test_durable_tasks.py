@@ -12,6 +12,7 @@ from pancakes.durable.state_machine import idle
 from pancakes.journal import JournalError, MemoryJournal
 from pancakes.service import Service
 from pancakes.simulation.fleet import DISK_FULL
+from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, TaskSpec, every, on
 from pancakes.testing import Fleet, threaded_agent
 
@@ -55,7 +56,7 @@ class Switch(Task):
         on: bool | int | float | dict[str, list[int | float]] = False
 
 
-class Still(Task):
+class Still(TaskCore, Task):
     """Has no state; a pose makes it slower."""
 
     __module__ = "pancakes"  # its names are Pancakes' own
@@ -175,7 +176,7 @@ def test_a_stop_writes_down_what_is_new_and_nothing_else(fleet):
     fleet.run_for(0.05)
     fleet.stop("a")
     assert records(fleet)["Still"] == before["Still"], "where in its period it stood is nothing new"
-    assert fleet.restart("a").task("Still").timers["tick"].rate_hz == 2.0
+    assert fleet.restart("a").component("client/Still").timers["tick"].rate_hz == 2.0
 
 
 def test_the_last_state_is_the_one_that_holds_also_where_another_is_still_being_written(fleet):
@@ -206,7 +207,7 @@ def test_what_such_a_task_changes_by_itself_outlives_a_crash_all_the_same(fleet)
     agent.publish("system", Pose(0.0, 0.0, 0.0))
     fleet.run_for(1.1)
     fleet.crash("a")
-    assert fleet.restart("a").task("Still").timers["tick"].rate_hz == 2.0
+    assert fleet.restart("a").component("client/Still").timers["tick"].rate_hz == 2.0
 
 
 def test_no_number_of_a_packet_comes_again_in_another_life(fleet):
@@ -364,7 +365,7 @@ class Fields(ClientService):
 def test_a_users_own_service_may_keep_durable_tasks_its_own_among_them(fleet):
     tasks = {"Count": {"type": Count, "service": "fields"}}
     agent = fleet.start("a", tasks=tasks, services={"fields": Fields})
-    assert isinstance(agent.component("fields"), Service)
+    assert isinstance(agent.component("fields").facade, Service)
     assert agent.running("fields") == ["Own", "Count"]
     fleet.run_for(2.05)
     assert agent.ask(Stop("fields/Own")).ok

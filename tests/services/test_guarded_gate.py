@@ -10,6 +10,7 @@ from pancakes.control import Describe, Guarding
 from pancakes.devices import Twist
 from pancakes.devices.driver import Actuator
 from pancakes.durable.record import TaskId
+from pancakes.kernel.actor import core_of
 from pancakes.kernel.permits import PermitEnd
 from pancakes.packet import Packet
 from pancakes.task import Task, every
@@ -100,7 +101,9 @@ def row(fleet):
 
 def test_a_process_that_was_stopped_holds_its_wheels_before_it_moves_them_again(fleet):
     a = fleet.agents["a"]
-    late = Packet("ctrl", "motors", "a/client/Drive", "", 0.0, 1, Twist(9.0, 0.0), fence=a.task("Drive").fence)
+    late = Packet(
+        "ctrl", "motors", "a/client/Drive", "", 0.0, 1, Twist(9.0, 0.0), fence=a.component("client/Drive").fence
+    )
     WithDeadMan.told.clear()
     pass_unseen(a, 10.0, 10.0)
     a.kernel.stream.publish(late)  # it lay in the mailbox of the wheels
@@ -118,7 +121,7 @@ def test_a_command_is_good_for_no_longer_than_the_permit(fleet):
     a = fleet.agents["a"]
     WithDeadMan.told.clear()
     fleet.faults.cut("a")
-    left_s = a.kernel.permits.left_s(a.task("Drive").fence)
+    left_s = a.kernel.permits.left_s(a.component("client/Drive").fence)
     over_s = fleet.now() + left_s
     assert fleet.run_until(lambda: a.events("permit_lost"), LEASE_S)
     ends = [at_s + ttl_s for at_s, ttl_s in WithDeadMan.told if ttl_s != "hold"]
@@ -132,7 +135,7 @@ def test_that_travels_to_the_wheels_of_another_agent():
         fleet.run_for(0.1)
         assert {what for _, what in WithDeadMan.told} == {0.5}
         fleet.faults.cut("a", off=("b", "c"))
-        over_s = fleet.now() + a.kernel.permits.left_s(a.task("Drive").fence)
+        over_s = fleet.now() + a.kernel.permits.left_s(a.component("client/Drive").fence)
         fleet.run_for(over_s - fleet.now() - 0.12)
         fleet.crash("a")
         fleet.run_for(1.0)
@@ -193,7 +196,7 @@ def test_a_task_can_ask_whether_it_may_act(fleet):
     pass_unseen(a, 10.0, 10.0)
     assert not task.may_act()
     assert fleet.run_until(task.may_act, 1.0)
-    task.revoke()
+    core_of(task).revoke()
     assert not task.may_act()
 
 

@@ -42,8 +42,8 @@ class Late(Count):
     def publishes(self):
         if not Late.in_time:
             Late.in_time = True
-            assert self.fence is not None
-            self.kernel.permits.revoke(self.fence)
+            assert self._actor.fence is not None
+            self._actor.kernel.permits.revoke(self._actor.fence)
         self.publish("system", Numbered(1))
 
     @every(hz=2)
@@ -192,7 +192,7 @@ def running(fleet, name):
     return [
         agent
         for agent, one in fleet.agents.items()
-        if name in one.running() and one.agent.kernel.permits.may_act(one.task(name).fence)
+        if name in one.running() and one.agent.kernel.permits.may_act(one.component(f"client/{name}").fence)
     ]
 
 
@@ -202,7 +202,7 @@ def test_a_permit_that_is_over_by_the_clock_lets_nothing_out_although_no_timer_h
         fleet.faults.cut("a")
         # As after a suspend: no timer has run meanwhile, but the clock of the permit has gone on.
         permits, moment = a.kernel.permits, a.kernel.permits.moment
-        assert permits.left_s(a.task("Count").fence) > 1.0
+        assert permits.left_s(a.component("client/Count").fence) > 1.0
         permits.moment = lambda: moment().later(2.0)
         before = a.task("Count").state.n
         fleet.run_for(0.5)

@@ -274,8 +274,8 @@ def test_a_guardian_that_is_alone_with_its_opinion_calls_no_agent(guarded, off):
 
 def test_a_task_without_a_permit_publishes_nothing_but_log_lines(guarded):
     a = guarded.agents["a"]
-    task = a.task("Count")
-    a.kernel.permits.revoke(task.fence)
+    task, core = a.task("Count"), a.component("client/Count")
+    a.kernel.permits.revoke(core.fence)
     with pytest.raises(NoPermit, match="a/client/Count may not act until its guardians answer"):
         task.publish("system", Numbered(1))
     task.log("info", "said all the same")

@@ -179,7 +179,7 @@ def test_what_waits_for_a_disk_or_a_terminal_has_a_thread_of_its_own():
     with Fleet(1) as fleet:
         agent = fleet.start("a", services={"log": {"settings": {"console": True}}})
         console = agent.component("log/Console")
-        assert console is not None and console.blocking
+        assert console is not None and console.facade.blocking
 
 
 def test_the_console_goes_on_as_it_was_set():

@@ -146,7 +146,7 @@ def test_a_task_that_is_revived_without_its_state_has_lost_all():
 
 def test_an_agent_that_was_not_asked_is_not_believed(fleet: Fleet):
     send(fleet, *upto(5))
-    (stream,) = fleet.agents["a"].task("Sink").carry().heard
+    (stream,) = fleet.agents["a"].component("client/Sink").carry().heard
     fleet.agents["c"].publish("network", StreamsBegan("a/Sink", 9, {stream: 0}), to=f"d/{COURIER}")
     fleet.run_for(1.0)
     assert told(fleet) == []

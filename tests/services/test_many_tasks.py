@@ -7,6 +7,7 @@ from pancakes.events import LogLine
 from pancakes.packet import SYSCTRL, Packet
 from pancakes.service import Service
 from pancakes.supervision.lifecycle import State
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.supervision.slots import STARTED_AT_ONCE
 from pancakes.task import Task, TaskSpec, every
 from pancakes.testing import Fleet
@@ -46,7 +47,7 @@ def test_all_of_many_tasks_run_once_the_service_is_ready():
             assert not any(slot.life.asker or slot.commands for slot in service.slots.values())
 
 
-class Impatient(Crowd):
+class Impatient(ServiceCore, Crowd):
     """Is asked to stop its last task before that has been started."""
 
     __module__ = "pancakes"  # its names are Pancakes' own
@@ -70,7 +71,7 @@ def test_what_is_asked_of_a_task_before_its_turn_to_start_waits_for_that():
         assert len(agent.running("crowd")) == tasks - 1
 
 
-class Leaving(Crowd):
+class Leaving(ServiceCore, Crowd):
     """Is stopped before all of its tasks have been started."""
 
     __module__ = "pancakes"  # its names are Pancakes' own

@@ -95,7 +95,7 @@ def test_migration_carries_settings_state_and_rate(fleet):
     fleet.run_for(1.0)
     moved = b.task("Circle")
     assert (moved.settings.radius_m, moved.state.centre_m) == (0.8, (1.0, 2.0))
-    assert moved.timers["drive"].rate_hz == 5.0
+    assert b.component("client/Circle").timers["drive"].rate_hz == 5.0
     before, after = a.probe.packets(Load), b.probe.packets(Load)
     # Not a tick is forgotten.
     assert after[0].body.cpu == before[-1].body.cpu + 1

@@ -6,7 +6,7 @@ import pytest
 
 from pancakes.control import Migrate, Restart, Start, Stop
 from pancakes.devices import Load, Pose
-from pancakes.durable.client_service import ClientService
+from pancakes.durable.client_service import ClientService, ClientServiceCore
 from pancakes.durable.record import Phase, TaskId
 from pancakes.kernel.handlers import on
 from pancakes.service import Service
@@ -55,7 +55,7 @@ def two(services_of_b: dict[str, object], seed: int = 1) -> Fleet:
 
 def phase(agent: AgentHandle, service: str = "guides") -> Phase:
     owner = agent.component(service)
-    place = owner.places.get(TaskId("a", "Guide")) if isinstance(owner, ClientService) else None
+    place = owner.places.get(TaskId("a", "Guide")) if isinstance(owner, ClientServiceCore) else None
     return place.standing.record.phase if place is not None else Phase.ABSENT
 
 

@@ -116,4 +116,4 @@ def test_streams_do_not_grow_with_each_move(fleet):
             fleet.run_for(1.0)
     assert a.task("Sink").state.counts == [1] * 10
     # Of each life of each agent there is one stream, not one for each move.
-    assert len(a.task("Sink").carry().heard) == 2
+    assert len(a.component("client/Sink").carry().heard) == 2

@@ -105,7 +105,7 @@ class TestOnOneAgent:
         agent = fleet.start("a", tasks={"Sink": Sink})
         last = [agent.publish("system", Numbered(n), to=SINK) for n in upto(3)][-1]
         fleet.run_for(0.1)
-        (stream,) = agent.task("Sink").carry().heard
+        (stream,) = agent.component("client/Sink").carry().heard
         if keep_state is not None:
             assert agent.ask(Restart("Sink", keep_state=keep_state)).ok
         again = Letter("a/Sink", stream, 3, 3, encode_packet(last), "a")
@@ -211,7 +211,7 @@ class TestAcknowledgement:
 
 def streams(fleet):
     """The streams that the sink has heard, without what only its agent knows of their names."""
-    return [name.partition("#")[0] for name in fleet.agents["a"].task("Sink").carry().heard]
+    return [name.partition("#")[0] for name in fleet.agents["a"].component("client/Sink").carry().heard]
 
 
 class TestASenderThatMoves:

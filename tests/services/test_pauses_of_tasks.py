@@ -6,6 +6,7 @@ import pytest
 
 from pancakes.control import Migrate
 from pancakes.devices import Load
+from pancakes.kernel.actor import core_of
 from pancakes.mesh.memory_network import Quality
 from pancakes.task import Task, every
 from pancakes.testing import Fleet
@@ -70,12 +71,12 @@ def test_freeze_outlives_the_end_of_a_pause(fleet, begun_s):
 @pytest.mark.parametrize(("frozen_s", "rests"), [(0.1, True), (0.4, False)], ids=["in its nap", "beyond its nap"])
 def test_pause_outlives_a_freeze_that_came_to_nothing(fleet, frozen_s, rests):
     fleet.run_for(0.55)
-    task = fleet.agents["a"].task("Naps")
-    task.freeze()
+    core, task = core_of(fleet.agents["a"].task("Naps")), fleet.agents["a"].task("Naps")
+    core.freeze()
     ticks, calls = task.state.ticks, task.state.calls
     fleet.run_for(frozen_s)
     assert (task.state.ticks, task.state.calls) == (ticks, calls)
-    task.thaw()
+    core.thaw()
     fleet.run_for(0.1)
     assert task.state.calls > calls, "what it had left behind was kept for it"
     assert (task.state.ticks == ticks) is rests

@@ -136,7 +136,7 @@ def test_it_goes_on_as_it_stands_where_its_guardians_are_gone_for_good(fleet: Fl
     assert record(fleet, "a").epoch.n == 1_000_000 and guards(fleet, "a") == [["a"]]
     fleet.run_for(2.0)
     assert a.task("Count").state.n > stood + 10
-    assert a.task("Count").fence.epoch == (1_000_000, "a")
+    assert a.component("client/Count").fence.epoch == (1_000_000, "a")
     fleet.restart("b")
     fleet.restart("c")
     fleet.connect()

@@ -150,7 +150,7 @@ def test_a_recording_that_a_second_log_service_was_asked_for_goes_on_when_its_ag
 def test_a_second_metrics_service_serves_at_a_port_of_its_own():
     metrics = {"type": "metrics", "settings": {"port": 0}}
     with no_thread_left(), threaded_agent("a", services={"metrics": metrics, "more": metrics}) as agent:
-        services = [agent.component(name) for name in ("metrics", "more")]
+        services = [agent.component(name).facade for name in ("metrics", "more")]
         ports = [service.port for service in services if isinstance(service, MetricsService)]
         assert len(set(ports)) == 2
         for port in ports:

@@ -8,17 +8,18 @@ from services.sequels import Circle, Home, follows_after_a_death, moving, two
 
 from pancakes.control import Migrate, Migrations
 from pancakes.durable.bidding_messages import MIGRATOR, HasMoved, MoveOver, Negotiate
-from pancakes.durable.client_service import ClientService
+from pancakes.durable.client_service import ClientService, ClientServiceCore
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import Phase, TaskId
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.service import Service
+from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task
 from pancakes.testing import Fleet
 
 
-class Listens(Task):
+class Listens(TaskCore, Task):
     """Keeps what it is told."""
 
     __module__ = "pancakes"  # its names are Pancakes' own
@@ -168,7 +169,7 @@ def test_tombstone_belongs_to_the_service_that_wrote_it(service):
         found = {
             name: place.standing.record.phase
             for name, service in both.items()
-            if isinstance(service, ClientService)
+            if isinstance(service, ClientServiceCore)
             if (place := service.places.get(TaskId("a", "Circle"))) is not None
         }
         assert found == {home: Phase.RELEASED}

@@ -62,7 +62,7 @@ def states(agent):
 def test_an_agent_has_the_four_services_of_the_paper_and_the_users_own(fleet):
     agent = with_mapper(fleet, cells=3)
     assert states(agent) == dict.fromkeys(["log", "device", "network", "client", "mapper"], "running")
-    assert agent.component("mapper").settings.cells == 3
+    assert agent.component("mapper").facade.settings.cells == 3
     assert agent.running("mapper") == ["Cells", "Count"]
     assert "map" in agent.kernel.stream.channels()
 

@@ -96,7 +96,7 @@ class Stuck(Task):
 
 def test_a_stuck_task(threaded_agent):
     agent = threaded_agent("stuck", tasks={"Stuck": Stuck})
-    agent.wait_until(lambda: agent.task("Stuck").timers["wait"].ticks > 0)
+    agent.wait_until(lambda: agent.component("client/Stuck").timers["wait"].ticks > 0)
 
 def test_what_nobody_refers_to_any_more(virtual_agent):
     class Owner:

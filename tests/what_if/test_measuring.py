@@ -57,7 +57,7 @@ def test_a_task_s_ticks_are_what_they_took(threaded_agent):
     agent = threaded_agent(tasks={"Burn": Burn})
     figures = measured(agent, 1.0)
     (timer,) = figures.task("Burn").timers
-    state = agent.component("client/Burn").state
+    state = agent.task("Burn").state
     assert (timer.timer, timer.rate_hz) == ("burn", 50.0) and 0 < timer.ticks <= 60
     assert timer.tick_s / timer.ticks == pytest.approx(state.tick_s / state.ticks, rel=0.5)
     assert timer.tick_s2 >= timer.tick_s**2 / timer.ticks * 0.999
@@ -95,8 +95,8 @@ def test_one_that_begins_later_counts_only_the_turns_since_then(threaded_agent):
     agent = threaded_agent(tasks={"Burn": Burn})
     long = agent.publish(SYSCTRL, Measure(2.0))
     agent.wait_until(lambda: agent.kernel.meter is not None)
-    before = agent.component("client/Burn").state.ticks
-    agent.wait_until(lambda: agent.component("client/Burn").state.ticks > before + 40)
+    before = agent.task("Burn").state.ticks
+    agent.wait_until(lambda: agent.task("Burn").state.ticks > before + 40)
     late = measured(agent, 0.4).task("Burn")
     whole = codecs.convert(agent.reply_to(long, 30.0).result, MeasuredAgent).task("Burn")
     (timer,) = late.timers

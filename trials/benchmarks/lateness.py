@@ -46,7 +46,7 @@ class Periodic(Task):
         late_s = self.now() - tick.time_s
         self.all_late_s.append(late_s)
         if tick.missed:
-            period_s = self.timers["tick"].period_s
+            period_s = self._actor.timers["tick"].period_s
             self.all_late_s.extend(late_s + (number + 1) * period_s for number in range(tick.missed))
 
 

@@ -39,6 +39,7 @@ from benchmarks.figure import Figure, Plan, in_turns
 from pancakes.devices import Pose
 from pancakes.packet import SYSTEM, Packet
 from pancakes.service import Service
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.supervision.slots import Slot
 from pancakes.task import Task, TaskSpec, Tick, every, on
 
@@ -75,7 +76,7 @@ class Small(Task):
         """Takes a tick."""
 
 
-class Crowd(Service):
+class Crowd(ServiceCore, Service):
     """A user's service that brings a crowd of tasks, and tells on a file descriptor when all of them run."""
 
     __module__ = "pancakes"  # its names are Pancakes' own

@@ -34,10 +34,10 @@ class Steady(Task):
     @every(hz=40)
     def tick(self, tick: Tick) -> None:
         """Takes one tick."""
-        late_s, speed = self.now() - tick.time_s, self.kernel.mission.speed
+        late_s, speed = self.now() - tick.time_s, self._actor.kernel.mission.speed
         self.late_s.append(late_s / speed)
         for number in range(tick.missed):
-            self.late_s.append((late_s + (number + 1) * self.timers["tick"].period_s) / speed)
+            self.late_s.append((late_s + (number + 1) * self._actor.timers["tick"].period_s) / speed)
 
     def on_settings(self) -> None:
         late_s, self.late_s = self.late_s, []

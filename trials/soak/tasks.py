@@ -12,6 +12,7 @@ from typing import Any
 
 from pancakes.errors import MailboxFull
 from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, join, packet_type
+from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, Tick, every, on, reliable
 
 SWEPT_S = 2.0
@@ -141,7 +142,7 @@ class Passing(Task):
         self.state.heard += 1
 
 
-class Worker(Passing):
+class Worker(TaskCore, Passing):
     """The same, but there is one of it in the whole fleet, which moves from agent to agent.
 
     It holds a lock while it may act, and writes a line into a file where it finds another at work.
@@ -203,7 +204,7 @@ class Worker(Passing):
         self.state.sent += 1
 
     @on(SYSTEM, Word, keep=reliable(256))
-    def listen(self, packet: Packet) -> None:
+    def hear(self, packet: Packet) -> None:
         """Counts the words that it gets."""
         self.state.words += 1
 

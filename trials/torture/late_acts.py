@@ -76,10 +76,10 @@ class Ear(Task):
     def on_start(self):
         write = book("packets")
         self.heard = lambda packet: write(packet.body.n)
-        self.kernel.stream.tap("system", self.heard, ("late.note",))
+        self._actor.kernel.stream.tap("system", self.heard, ("late.note",))
 
     def on_stop(self):
-        self.kernel.stream.untap("system", self.heard)
+        self._actor.kernel.stream.untap("system", self.heard)
 
 
 class Recorder(Actuator):

@@ -22,6 +22,7 @@ from pancakes.devices.driver import Actuator
 from pancakes.devices import Twist
 from pancakes.errors import MailboxFull
 from pancakes.packet import packet_type
+from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, every, on, reliable
 
 
@@ -33,7 +34,7 @@ class Count:
     n: int
 
 
-class Holder(Task):
+class Holder(TaskCore, Task):
     """Holds a lock while it runs and may act, and counts in a file that all agents share."""
 
     __module__ = "pancakes"  # its names are Pancakes' own
@@ -52,7 +53,7 @@ class Holder(Task):
     def on_start(self):
         self.gate("start")
         self.state.ballast = bytes(self.settings.ballast_bytes)
-        self.fence_n = self.fence.epoch[0]
+        self.fence_n = self._actor.fence.epoch[0]
         self.lock = os.open(self.file("lock"), os.O_CREAT | os.O_RDWR)
         self.count = os.open(self.file("count"), os.O_CREAT | os.O_WRONLY | os.O_APPEND)
         self.take()
@@ -148,7 +149,7 @@ class Sentry(Task):
         heard: int = 0
 
     def on_start(self):
-        self.fence_n = self.fence.epoch[0]
+        self.fence_n = self._actor.fence.epoch[0]
         self.count = self.opened("count")
         self.ears = self.opened("heard")
 

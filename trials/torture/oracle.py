@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from pancakes.durable.record import Epoch, Record
 from pancakes.durable.snapshot import Snapshot
 from pancakes.errors import MailboxFull
+from pancakes.kernel.actor import core_of
 from pancakes.packet import SYSTEM, Packet, packet_type, task_address
 from pancakes.task import Task, every, on
 
@@ -68,8 +69,9 @@ class Oracle:
         name = task.name
         self.starts += 1
         self._copies.setdefault(name, []).append(task)
-        assert task.fence is not None
-        epoch = Epoch(*task.fence.epoch)
+        fence = core_of(task).fence
+        assert fence is not None
+        epoch = Epoch(*fence.epoch)
         if epoch < (highest := self._epochs.get(name, epoch)):
             raise Violation(f"{task.address} starts under {epoch} although {highest} has run, at {self._now():.4f} s")
         self.moves += epoch > highest
@@ -104,7 +106,7 @@ class Oracle:
         alive = [copy for copy in self._copies.get(name, ()) if not copy.actor_stopped.is_set()]
         self._copies[name] = alive
         # One that naps is a copy, too: its own call may wake it.
-        return [copy for copy in alive if copy.actor_inbox.component is copy and not copy.is_frozen]
+        return [copy for copy in alive if copy.actor_inbox.component is core_of(copy) and not core_of(copy).is_frozen]
 
     def check(self) -> None:
         """Looks whether any task runs twice, or has heard what it must not."""

@@ -25,7 +25,7 @@ from torture.story import Story
 
 from pancakes.agent.agent import Agent, Virtual
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
-from pancakes.durable.client_service import ClientService
+from pancakes.durable.client_service import ClientServiceCore
 from pancakes.durable.record import Phase, Record, Wanted
 from pancakes.durable.store import RECORD
 from pancakes.errors import PancakesError
@@ -398,7 +398,7 @@ class Schedule:
         found = []
         for name, agent in ((name, handle.agent) for name, handle in self.fleet.agents.items()):
             service = agent.kernel.registry.get(join(name, "client"))
-            if isinstance(service, ClientService):
+            if isinstance(service, ClientServiceCore):
                 found += [(name, place.standing.record) for place in service.places.values()]
         return found
 

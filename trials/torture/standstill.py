@@ -70,7 +70,7 @@ class Ticker(Task):
 
     @every(hz=100)
     def tick(self, tick: Tick) -> None:
-        TICKING[self.name] = (time.monotonic(), self.timers["tick"].rate_hz, self.timers["tick"].ticks)
+        TICKING[self.name] = (time.monotonic(), self._actor.timers["tick"].rate_hz, self._actor.timers["tick"].ticks)
         self._left -= 1
         if self._left <= 0:
             self._left = self.settings.says

@@ -45,8 +45,9 @@ class Act(Task):
     @every(hz=20)
     def tick(self, tick: Tick) -> None:
         self.state.n += 1
-        assert self.fence is not None
-        DONE.append((self.agent, self.fence.epoch))
+        fence = self._actor.fence
+        assert fence is not None
+        DONE.append((self.agent, fence.epoch))
 
 
 @dataclass

@@ -20,6 +20,7 @@ from pancakes.control import Begin, Describe, Follow, History, Reply
 from pancakes.events import Event, line_of, record_of
 from pancakes.kernel.handlers import queue
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
+from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, Tick, every, on
 from pancakes.tools.demo.demo import Loss
 
@@ -234,7 +235,7 @@ class Mission:
         return self.phase in ("over", "interrupted")
 
 
-class Conductor(Task):
+class Conductor(TaskCore, Task):
     """Conduct one mission from the launcher's agent.
 
     It talks to the agents only by packets that any agent may send: `Describe`, `Follow`, `Begin`.

@@ -52,11 +52,11 @@ class MetricsService(Service):
         self.port = 0
 
     def on_start(self) -> None:
-        if self.kernel.virtual is not None:
+        if self._actor.kernel.virtual is not None:
             raise PancakesError(f"{self.address} serves no metrics in virtual time, where no second is a second")
         with needing_extra("there are no metrics"):
             from pancakes.tools.metrics.prometheus import HOST, AgentMetrics, MetricsServer
-        self._metrics = AgentMetrics(self.kernel)
+        self._metrics = AgentMetrics(self._actor.kernel)
         try:
             token = secrets.token_urlsafe(24) if self.settings.token else ""
             server = MetricsServer(self.settings.port, self._metrics.registry, token)
@@ -70,7 +70,7 @@ class MetricsService(Service):
             raise
         self.port = server.port
         self._close = server.close
-        self.kernel.hear_ticks(self._late)
+        self._actor.kernel.hear_ticks(self._late)
         self.log("info", f"metrics are at http://{HOST}:{self.port}/metrics{shown}")
 
     def _late(self, heard: HeardTick) -> None:
@@ -90,7 +90,7 @@ class MetricsService(Service):
             self._metrics.battery_level = packet.body.level
 
     def on_stop(self) -> None:
-        self.kernel.unhear_ticks(self._late)
+        self._actor.kernel.unhear_ticks(self._late)
         self._close()
         if self.settings.token and self.port:
             _token_file(self.port).unlink(missing_ok=True)

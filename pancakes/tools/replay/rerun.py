@@ -9,13 +9,13 @@ import random
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from msgspec.structs import replace
 
 from pancakes.durable.record import Epoch
 from pancakes.errors import PancakesError, PluginError, describe
-from pancakes.kernel.actor import Component
+from pancakes.kernel.actor import Component, core_of
 from pancakes.kernel.handlers import Tick
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import tell
@@ -27,6 +27,7 @@ from pancakes.packet import Fence, Packet, agent_of
 from pancakes.recording.records import RecordingError
 from pancakes.settings import change_plain
 from pancakes.supervision.messages import Carried, GoOn, StandStill
+from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task
 from pancakes.tools.replay.comparison import StreamKey, key_of
 from pancakes.tools.replay.recorded_run import STOPPED, Change, Given, RanTicks, Script, Stay
@@ -256,7 +257,7 @@ class Rerun:
         periods_s = {name: 1.0 / rate_hz if rate_hz else float("inf") for name, rate_hz in rates.items()}
         return Carried({**told.settings, **self._settings}, told.state, periods_s), None
 
-    def _spawn(self) -> Task:
+    def _spawn(self) -> TaskCore:
         stay = self._stay
         fence = Fence(stay.task.task_id, (stay.task.epoch, stay.agent)) if stay.task.task_id else None
         try:
@@ -272,7 +273,7 @@ class Rerun:
             why = describe(error, self._cls)
             raise RecordingError(f"{stay.task_id} cannot begin with what was recorded: {why}") from None
         self._dispatcher.settle()
-        return task
+        return cast("TaskCore", core_of(task))
 
     def _ended(self, component: Component, error: BaseException | None) -> None:
         if error is not None:
@@ -294,7 +295,7 @@ class Rerun:
 
     # What it gets ----------------------------------------------------------------------------------------------
 
-    def _give(self, task: Task, given: Given) -> None:
+    def _give(self, task: TaskCore, given: Given) -> None:
         packet = given.packet
         cause = packet.cause
         if cause is not None and cause[0] == self._address:
@@ -315,7 +316,7 @@ class Rerun:
         now = self._now_of.get(said, [])
         return now[number] if number < len(now) else seq
 
-    def _change(self, task: Task, change: Change) -> None:
+    def _change(self, task: TaskCore, change: Change) -> None:
         event = change.event
 
         def make() -> None:

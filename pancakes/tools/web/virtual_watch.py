@@ -15,11 +15,11 @@ from pancakes.errors import ControlRefused, PancakesError, Unreachable
 from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
 from pancakes.recording.causal_chains import ActuatorCommand, CommandChains
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
-from pancakes.service import Service
 from pancakes.services.root import Root
 from pancakes.simulation.fleet import Fleet
 from pancakes.supervision.lifecycle import State
-from pancakes.task import Task
+from pancakes.supervision.service_core import ServiceCore
+from pancakes.supervision.task_core import TaskCore
 from pancakes.tools.web.command_causes import CommandExplainer
 from pancakes.tools.web.feed import Feed
 from pancakes.tools.web.watch import DETAIL_S, FOLLOWED, POSES
@@ -139,13 +139,13 @@ class VirtualWatch:
             raise Unreachable(f"{agent} cannot be reached")
         service, _, name = body.target.partition("/")
         owner = self._fleet.agents[agent].kernel.registry.get(f"{agent}/{service}")
-        if not isinstance(owner, Service) or name not in owner.slots:
+        if not isinstance(owner, ServiceCore) or name not in owner.slots:
             raise ControlRefused(f"{agent} has no task {body.target!r}")
         slot = owner.slots[name]
         described = owner.describe_in_detail(slot)
         if not body.state:
             return described
-        if not isinstance(slot.task, Task) or slot.life.state is not State.RUNNING:
+        if not isinstance(slot.task, TaskCore) or slot.life.state is not State.RUNNING:
             raise ControlRefused(f"{slot.address} is {slot.life.word}, not running")
         return {**described, **slot.task.describe_state(body)}
 

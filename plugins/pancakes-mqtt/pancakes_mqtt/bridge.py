@@ -80,7 +80,7 @@ class MqttBridge(Service):
         self._complained: set[str] = set()
 
     def on_start(self) -> None:
-        if self.kernel.virtual is not None:
+        if self._actor.kernel.virtual is not None:
             raise PancakesError(f"{self.address} speaks to a broker, which knows no virtual time: leave it out there")
         settings = self.settings
         for row in settings.take:
@@ -103,7 +103,7 @@ class MqttBridge(Service):
     def on_stop(self) -> None:
         for channel, waiting in self.actor_inbox.queues.items():
             while channel != SYSCTRL and (packet := waiting.take()) is not None:
-                self.run_handlers(packet)
+                self._actor.run_handlers(packet)
         self._end()
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:

@@ -54,7 +54,7 @@ class Arena(Task):
     _process: subprocess.Popen[bytes] | None = None
 
     def on_start(self) -> None:
-        if self.kernel.virtual is not None:
+        if self._actor.kernel.virtual is not None:
             raise PancakesError(f"{self.address} has robots of ROS 2, which do not live in virtual time: run it live")
         settings = self.settings
         if not settings.python:
@@ -104,7 +104,7 @@ class Arena(Task):
         """Tells the robots when the mission began; once."""
         if not self._begun:
             self._begun = True
-            self._order(Beginning(self.now(), self.kernel.host.now(), self.kernel.mission.speed))
+            self._order(Beginning(self.now(), self._actor.kernel.host.now(), self._actor.kernel.mission.speed))
 
     def _take(self) -> None:
         lines, lost = self._lines.take()

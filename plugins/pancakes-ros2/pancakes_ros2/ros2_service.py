@@ -75,7 +75,7 @@ class Ros2Service(Service):
         self._shown: list[TaskView] = []
 
     def on_start(self) -> None:
-        self._node = node = NODES.take(self.agent, self.kernel.virtual is not None)
+        self._node = node = NODES.take(self.agent, self._actor.kernel.virtual is not None)
         if self.settings.use_sim_time:
             node.do(_use_sim_time, self._warn)
         if self.settings.rosout:
@@ -180,7 +180,7 @@ class Ros2Service(Service):
             return
         views = [
             TaskView(entry.service, entry.name, state_of(entry.life.state))
-            for entry in self.kernel.tasks.all()
+            for entry in self._actor.kernel.tasks.all()
             if entry.service not in CORE
         ]
         if views != self._shown:

@@ -55,7 +55,7 @@ class Field(Task):
             if node.battery is not None
         }
         self._now_s = self.now()
-        self._server = BusServer(self.kernel.transport, self.call, self._serve, self.log)
+        self._server = BusServer(self._actor.kernel.transport, self.call, self._serve, self.log)
         address = self._server.listen(self.settings.bus)
         self.log("info", f"the hardware bus listens at {address}")
 

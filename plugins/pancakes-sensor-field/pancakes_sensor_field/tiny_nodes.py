@@ -92,7 +92,7 @@ class TinyNodes(Task):
             f"--node={node.number}",
             f"--{kind}={where.removeprefix('//') if kind == 'udp' else where}",
             f"--period={node.period_s}",
-            f"--speed={self.kernel.mission.speed}",
+            f"--speed={self._actor.kernel.mission.speed}",
             f"--garble={node.garble}",
         ]
 
@@ -164,12 +164,13 @@ class _SimulatedNode:
 
     def __init__(self, task: SimulatedTinyNodes, settings: TinyNodeSettings) -> None:
         self._task = task
+        self._transport = task._actor.kernel.transport  # noqa: SLF001
         self._mote = Mote(settings.number, settings.period_s)
         self._garble = settings.garble
         self._noise: random.Random = task.random
         self._connection: Connection | None = None
         self._closed = False
-        self._address = task.kernel.transport.listen(settings.line, lambda: _End(self))
+        self._address = self._transport.listen(settings.line, lambda: _End(self))
 
     def feel(self, celsius: float, moving: bool) -> None:
         self._send(self._mote.sense(celsius, moving))
@@ -179,7 +180,7 @@ class _SimulatedNode:
 
     def close(self) -> None:
         self._closed = True
-        self._task.kernel.transport.stop_listening(self._address)
+        self._transport.stop_listening(self._address)
         if self._connection is not None:
             self._connection.close("the tiny node has ended")
 
