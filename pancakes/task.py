@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import msgspec
 
 from pancakes.control import Migrate
-from pancakes.durable.rules import CostChoice, GuardRule, MigrationRule
 from pancakes.kernel.actor import COMPONENT_HOOKS, Component
 from pancakes.kernel.handlers import Tick, every, on, queue, reliable
 from pancakes.kernel.mailbox import Mailbox
+from pancakes.migration import CostChoice, GuardRule, MigrationRule
 from pancakes.packet import SYSCTRL
 from pancakes.supervision.restart import RestartSpec
 from pancakes.supervision.serializable_types import check_offers, check_saved, check_words

@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from pancakes.devices.driver import Actuator, Sensor
-from pancakes.durable.rules import Cost
+from pancakes.migration import Cost
 from pancakes.durable.client_service import ClientService
 from pancakes.service import Service
 from pancakes.task import Task, every, on, queue

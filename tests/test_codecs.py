@@ -116,7 +116,8 @@ from pancakes.mesh.codec import RowEncoder, head_of
 LARGE = b"x" * 12_000_000
 it = Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, {"data": LARGE})
 listed = Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, [["some text"] * 60_000] * 30)
-data = message_format.data_of(Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, {"many": ["text\\n"] * 1_500_000}))
+many = Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, {"many": ["text\\n"] * 1_500_000})
+data = message_format.data_of(many)
 TRIES = {
     "row": lambda: RowEncoder(head_of(it)).encode(it),
     "letter": lambda: encode_packet(listed),

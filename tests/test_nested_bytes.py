@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from pancakes.control import Stop
-from pancakes.durable.ledger import Sequel
+from pancakes.durable.after_migration import Sequel
 from pancakes.durable.record import Record
 from pancakes.durable.snapshot import Snapshot
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError

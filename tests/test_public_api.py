@@ -38,7 +38,7 @@ MODULES = (
     "pancakes.errors",
     "pancakes.events",
     "pancakes.gym",
-    "pancakes.durable.rules",
+    "pancakes.migration",
     "pancakes.packet",
     "pancakes.pytest_plugin",
     "pancakes.service",

@@ -9,8 +9,8 @@ import pytest
 
 from pancakes.control import Migrate, Start, Stop
 from pancakes.devices import Load
-from pancakes.durable.rules import Cost
 from pancakes.events import LogLine
+from pancakes.migration import Cost
 from pancakes.task import Task, every
 from pancakes.testing import Fleet, Probe, assert_published, config_of, no_thread_left, threaded_agent
 from pancakes.util.clock import SkewedClock, VirtualClock

@@ -9,7 +9,7 @@ from pancakes.client.rates import RateMeter
 from pancakes.client.rows import AgentRow, EventRow, ReceivedPacket, TaskRow
 from pancakes.client.session import Replies, Survey, Where
 from pancakes.client.subscriptions import Subscriber
-from pancakes.durable.ledger import Ledger
+from pancakes.migration import Ledger
 
 if TYPE_CHECKING:
     from pancakes.client.async_client import AsyncClient, AsyncSubscriber

@@ -17,10 +17,10 @@ from pancakes.client.rows import AgentRow, EventRow, ReceivedPacket, TaskRow
 from pancakes.client.session import LOOK_S, FleetSession, Replies, Session, Survey, Where
 from pancakes.client.subscriptions import KeepAlive, Subscriber, Subscription, SubscriptionSpec
 from pancakes.control import CONTROLS, Channels, Configure, Describe, Migrate, Reply
-from pancakes.durable.ledger import Ledger
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, PeerLost, RemoteProtocolError, Unreachable
 from pancakes.mesh.codec import array_head, encode_packet, packet_from_row, rows_from_payload
 from pancakes.mesh.session import PeerBusy
+from pancakes.migration import Ledger
 from pancakes.packet import LOG, NEIGHBOURS, SYSCTRL, TO_TASK, Packet, agent_of, join, type_name
 from pancakes.util import codecs
 from pancakes.util.text import hint_of

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from pancakes.config.key_lines import KeyPath, KeyPlaces
 from pancakes.config.tables import Config, DeviceConfig, TaskConfig
-from pancakes.durable.rules import MigrationRule, faults_of_weights
 from pancakes.errors import Fault, PluginError
 from pancakes.mesh.address import parse_address
 from pancakes.mesh.sockets import ADVICE, would_be_near_only
+from pancakes.migration import MigrationRule, faults_of_weights
 from pancakes.packet import body_class, field_names, known_types
 from pancakes.settings import check_settings, known_keys
 from pancakes.util.plugins import Plugins, UnknownPlugin, to_install

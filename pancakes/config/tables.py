@@ -14,10 +14,10 @@ from msgspec import Meta, Struct, field
 from pancakes.config.key_lines import KeyPlaces
 from pancakes.devices.health import MissRule
 from pancakes.durable.ownership import DEFAULT_WAIT_S
-from pancakes.durable.rules import LONGEST_LEASE_S, SHORTEST_LEASE_S, GuardRule, MigrationRule
 from pancakes.kernel.handlers import MOST_HZ
 from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
 from pancakes.mesh.messages import MOST_LISTEN
+from pancakes.migration import LONGEST_LEASE_S, SHORTEST_LEASE_S, GuardRule, MigrationRule
 from pancakes.recording.settings import RecordingSettings
 from pancakes.security.roster import AccessRule, Right
 from pancakes.settings import FilePath

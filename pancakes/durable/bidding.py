@@ -29,11 +29,9 @@ from pancakes.durable.bidding_messages import (
 from pancakes.durable.handoff_events import Times
 from pancakes.durable.host_state import IDLE, HostState, Imported, LoadMeter
 from pancakes.durable.hosting import PeerTalk
-from pancakes.durable.ledger import Ledger
 from pancakes.durable.messages import Bid, Refuse, Solicit, is_for
 from pancakes.durable.negotiation import Awarded, Exhausted, Negotiation, Outcome
 from pancakes.durable.record import TaskId
-from pancakes.durable.rules import Cost, CostChoice, CostFacts, appraise, cost_text, is_of_core
 from pancakes.durable.snapshot import offer_of
 from pancakes.durable.store import Ledgers
 from pancakes.errors import MigrationError
@@ -41,6 +39,7 @@ from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import LATEST, on, reliable
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.mesh import Mesh
+from pancakes.migration import Cost, CostChoice, CostFacts, Ledger, appraise, cost_text, is_of_core
 from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
 from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task

@@ -9,10 +9,10 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.durable.ledger import Ledger
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import TaskId
 from pancakes.kernel.mailbox import Reference
+from pancakes.migration import Ledger
 
 MIGRATOR: Final = "network/TaskMigrator"
 """Where on each agent the Task Migrator is."""

@@ -21,12 +21,12 @@ from pancakes.durable.handoff_events import Arrived, Checkpoint, Deliver, Forwar
 from pancakes.durable.hosting import HostingService, Place, TaskLetters, began_from, last_checkpoint, plain_of
 from pancakes.durable.installed import Installed
 from pancakes.durable.record import Phase, TaskId
-from pancakes.durable.rules import GuardRule, MigrationRule
 from pancakes.durable.snapshot import Posted, Snapshot
 from pancakes.durable.state_machine import idle
 from pancakes.errors import MigrationError, PancakesError
 from pancakes.kernel.dead_letters import ATTEMPTS
 from pancakes.kernel.mailbox import Reference, tell
+from pancakes.migration import GuardRule, MigrationRule
 from pancakes.packet import Packet
 from pancakes.settings import plain_value
 from pancakes.supervision.lifecycle import State

@@ -19,7 +19,6 @@ from pancakes.durable.checkpoints import snapshot_of
 from pancakes.durable.handoff import dispute_of, is_disputed
 from pancakes.durable.handoff_events import AdoptionAsked, ForgettingAsked, GuardsChosen, RemovalAsked
 from pancakes.durable.hosting import Adoption, Creation, HostingService, Place
-from pancakes.durable.ledger import Ledger
 from pancakes.durable.migration import Mover
 from pancakes.durable.ownership import TaskFact, fact_of, newest_fact
 from pancakes.durable.ownership_checks import Disputes, InquiryFindings
@@ -28,6 +27,7 @@ from pancakes.durable.snapshot import Snapshot
 from pancakes.durable.state_machine import Standing, settled
 from pancakes.durable.store import Ledgers, Records
 from pancakes.errors import RETRY_S, ControlRefused
+from pancakes.migration import Ledger
 from pancakes.packet import Fence, agent_of, join
 from pancakes.supervision.lifecycle import CLOSES, Answer, Request, State, StopAsked, request_of
 from pancakes.supervision.slots import Slot

@@ -65,7 +65,6 @@ from pancakes.durable.record import (
     is_out_of_reach,
     newest,
 )
-from pancakes.durable.rules import CostChoice, GuardRule, MigrationRule, is_of_core
 from pancakes.durable.snapshot import Snapshot
 from pancakes.durable.store import Records, Registers, RegisterWritten
 from pancakes.errors import ControlRefused, MigrationError
@@ -74,6 +73,7 @@ from pancakes.kernel.handlers import on, queue
 from pancakes.kernel.mailbox import tell
 from pancakes.kernel.timer import OneShot
 from pancakes.mesh.mesh import Mesh
+from pancakes.migration import CostChoice, GuardRule, MigrationRule, is_of_core
 from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.supervision.messages import AskedOfGuardian, GuardianAnswers
 

@@ -24,12 +24,12 @@ from pancakes.durable.installed import Installed
 from pancakes.durable.messages import Reserve, Solicit
 from pancakes.durable.negotiation import HOST_ROLE, Capability, Reservation, Reservations
 from pancakes.durable.record import TaskId
-from pancakes.durable.rules import HostLoad
 from pancakes.durable.store import Records
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.kernel.timer import TaskTimer
+from pancakes.migration import HostLoad
 from pancakes.packet import join
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class MeasuredLoad(msgspec.Struct, frozen=True):
-    """How busy an agent was between two looks; `pancakes.durable.rules.HostLoad` has the units."""
+    """How busy an agent was between two looks; `pancakes.migration.HostLoad` has the units."""
 
     agent_share: float
     host_share: float

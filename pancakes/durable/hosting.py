@@ -20,7 +20,6 @@ from pancakes.durable.delivery import STREAMS, Letter
 from pancakes.durable.guarding import Owed, Seizing, Tenure
 from pancakes.durable.handoff_events import PacketId
 from pancakes.durable.host_state import HostState
-from pancakes.durable.ledger import Ledger
 from pancakes.durable.messages import (
     AskLease,
     CanGuard,
@@ -38,7 +37,6 @@ from pancakes.durable.messages import (
     addressed,
 )
 from pancakes.durable.record import Epoch, GuardianId, Record, TaskId
-from pancakes.durable.rules import GuardRule
 from pancakes.durable.snapshot import Posted, Snapshot, cut, why_unwritable
 from pancakes.durable.state_machine import AnyEvent, Standing
 from pancakes.errors import MigrationError, PancakesError
@@ -51,6 +49,7 @@ from pancakes.kernel.permits import PermitEnd
 from pancakes.kernel.registry import SettingsNote
 from pancakes.kernel.timer import OneShot, TaskTimer
 from pancakes.mesh.mesh import Mesh
+from pancakes.migration import GuardRule, Ledger
 from pancakes.packet import NETWORK, Packet, join
 from pancakes.supervision.lifecycle import Request
 from pancakes.supervision.messages import GUARDIAN, Carried

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 
-from pancakes.durable.rules import Cost
 from pancakes.errors import PluginError
+from pancakes.migration import Cost
 from pancakes.task import Task
 from pancakes.util.plugins import Plugins, UnknownPlugin
 

@@ -48,13 +48,13 @@ from pancakes.durable.messages import (
 )
 from pancakes.durable.ownership_checks import Disputes, Origins
 from pancakes.durable.record import NO_EPOCH, NO_GUARDS, GuardianId, Guards, Phase, Record, TaskId, forgotten_guards
-from pancakes.durable.rules import PERMIT_SHARE, RENEWED, GuardRule
 from pancakes.durable.snapshot import Snapshot
 from pancakes.durable.state_machine import Standing, idle
 from pancakes.durable.store import Records
 from pancakes.errors import MigrationError
 from pancakes.journal import May
 from pancakes.kernel.mailbox import tell
+from pancakes.migration import PERMIT_SHARE, RENEWED, GuardRule
 from pancakes.packet import Fence, Packet, agent_of, join
 from pancakes.supervision.lifecycle import State
 from pancakes.supervision.messages import GUARDIAN, GoOn

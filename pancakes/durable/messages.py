@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from pancakes.control import Refusal
 from pancakes.durable.record import NO_EPOCH, NO_GUARDS, Epoch, GuardianId, Guards, TaskId, Wanted
-from pancakes.durable.rules import CostChoice
+from pancakes.migration import CostChoice
 from pancakes.packet import packet_type
 
 

@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 from pancakes.control import Configure, Describe, Migrate, Refusal, Remove, Reschedule, Stop
+from pancakes.durable.after_migration import Sequel
 from pancakes.durable.bidding_messages import (
     MIGRATOR,
     AttemptOver,
@@ -22,15 +23,14 @@ from pancakes.durable.bidding_messages import (
 )
 from pancakes.durable.handoff_events import AttemptFailed, Award, Freeze, FreezeFailed, Frozen, HandedOver
 from pancakes.durable.hosting import HostingService, Move, Place
-from pancakes.durable.ledger import Ledger, Sequel
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import Phase, Record, TaskId
-from pancakes.durable.rules import AGAIN_S, CostChoice, MigrationRule, cost_text, fault_of_choice, is_of_core
 from pancakes.durable.snapshot import Snapshot
 from pancakes.durable.state_machine import PartConcluded, StartWanted, StillOverdue, StoodStill, TakeDown
 from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.kernel.handlers import LATEST
 from pancakes.kernel.mailbox import tell
+from pancakes.migration import AGAIN_S, CostChoice, Ledger, MigrationRule, cost_text, fault_of_choice, is_of_core
 from pancakes.packet import SYSCTRL, SYSTEM, Packet, agent_of, join
 from pancakes.supervision.lifecycle import RESTS, Request, State
 from pancakes.supervision.messages import Carried, GoOn, StandStill

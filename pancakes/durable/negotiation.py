@@ -16,11 +16,10 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.control import Refusal
-from pancakes.durable.ledger import Ledger, Line
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import Epoch, TaskId
-from pancakes.durable.rules import cost_text, fault_of, fault_of_choice, names_of
 from pancakes.errors import NoCandidate, RefusalCode
+from pancakes.migration import Ledger, Line, cost_text, fault_of, fault_of_choice, names_of
 from pancakes.util.text import hint_of
 
 HOST_ROLE: Final = "agent"

@@ -16,11 +16,11 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.durable.guarding import GuardRegister
-from pancakes.durable.ledger import Ledger
 from pancakes.durable.record import NO_EPOCH, Epoch, Lost, Record, TaskId
 from pancakes.errors import MigrationError
 from pancakes.journal import Disk, JournalEntry, May, RecordTable
 from pancakes.kernel.mailbox import Reference, tell
+from pancakes.migration import Ledger
 from pancakes.util import codecs
 
 RECORD = "record"

@@ -16,13 +16,13 @@ import msgspec
 
 from pancakes.control import SetFence
 from pancakes.durable.courier import COURIER
-from pancakes.durable.ledger import Ledger
 from pancakes.durable.ownership import TaskAt, WhereIs, whereabouts
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.store import Ledgers, Records
 from pancakes.errors import MigrationError, PancakesError
 from pancakes.journal import Disk, RecordTable
 from pancakes.kernel.actor import ActorCore
+from pancakes.migration import Ledger
 from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.services.fence_rule import (
     AskAgent,

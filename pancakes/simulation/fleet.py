@@ -23,10 +23,10 @@ from msgspec.structs import replace
 from pancakes.agent.agent import Agent, Virtual
 from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, load, parse
 from pancakes.devices.driver import Driver
-from pancakes.durable.rules import Cost
 from pancakes.journal import MemoryJournal
 from pancakes.kernel.virtual_time import VirtualDispatcher
 from pancakes.mesh.memory_network import MemoryNetwork, Quality
+from pancakes.migration import Cost
 from pancakes.packet import NETWORK, SYSCTRL, Packet, covers, type_name
 from pancakes.service import Service
 from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle, NotInTime

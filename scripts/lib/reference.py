@@ -19,7 +19,7 @@ from msgspec.inspect import Field
 from pancakes.config import tables
 from pancakes.devices.driver import Driver
 from pancakes.devices.health import MissRule
-from pancakes.durable.rules import MigrationRule
+from pancakes.migration import MigrationRule
 from pancakes.packet import has_fields, known_types
 from pancakes.supervision.restart import DeviceRestartSpec, RestartSpec
 from pancakes.task import Nothing

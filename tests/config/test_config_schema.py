@@ -14,9 +14,9 @@ from pancakes.config.effective import created_tables, effective, origin, table_o
 from pancakes.config.schema import config_schema
 from pancakes.config.toml_writer import document_text
 from pancakes.durable.record import Epoch, Phase, Record, TaskId, Wanted
-from pancakes.durable.rules import GuardRule, MigrationRule
 from pancakes.durable.snapshot import Snapshot
 from pancakes.errors import ConfigError
+from pancakes.migration import GuardRule, MigrationRule
 from pancakes.task import Task
 from pancakes.util.plugins import Plugins
 

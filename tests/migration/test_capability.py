@@ -9,7 +9,7 @@ from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
 from pancakes.durable.negotiation import Capability, Reservation, Reservations, compatible
 from pancakes.durable.record import Epoch, TaskId
-from pancakes.durable.rules import ActiveTasks, CostFacts, HostLoad
+from pancakes.migration import ActiveTasks, CostFacts, HostLoad
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", "client", ("pose", "motors"), moves_on_below=0.65)

@@ -12,7 +12,8 @@ from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
 from pancakes.durable.negotiation import Capability
 from pancakes.durable.record import TaskId
-from pancakes.durable.rules import (
+from pancakes.errors import ClassError, MigrationError
+from pancakes.migration import (
     ActiveTasks,
     BusyHost,
     Cost,
@@ -26,7 +27,6 @@ from pancakes.durable.rules import (
     fault_of,
     fault_of_choice,
 )
-from pancakes.errors import ClassError, MigrationError
 from pancakes.packet import body_from_plain
 
 ROBOT = HostLoad(3, battery_level=0.6, agent_share=0.25, host_share=0.5, lateness_share=0.01, rtt_s=0.02)

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from pancakes.durable.rules import GuardRule
+from pancakes.migration import GuardRule
 
 
 @pytest.mark.parametrize("guard", [3, 5])

@@ -7,10 +7,10 @@ import math
 import pytest
 
 from pancakes.control import Refusal
-from pancakes.durable.ledger import Line
 from pancakes.durable.messages import Solicit
 from pancakes.durable.negotiation import Awarded, Exhausted, Negotiation
 from pancakes.durable.record import TaskId
+from pancakes.migration import Line
 
 REQUEST = Solicit(TaskId("agent1", "ScanTarget"), 1, "encirclement.ScanTarget", "0.1.0", "client", ("pose", "motors"))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pancakes.devices import Battery
-from pancakes.durable.rules import MigrationRule
+from pancakes.migration import MigrationRule
 
 
 @pytest.mark.parametrize(

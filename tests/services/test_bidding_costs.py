@@ -6,7 +6,7 @@ import pytest
 
 from pancakes.control import Migrate
 from pancakes.devices import Battery
-from pancakes.durable.rules import Cost
+from pancakes.migration import Cost
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.task import Task
 from pancakes.testing import Fleet

@@ -15,9 +15,9 @@ from pancakes.devices import Pose, Temperature, Twist
 from pancakes.durable.bidding_messages import MIGRATOR
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import TaskId
-from pancakes.durable.rules import Cost, CostFacts
 from pancakes.durable.snapshot import OFFER_BYTES
 from pancakes.errors import ClassError
+from pancakes.migration import Cost, CostFacts
 from pancakes.packet import CTRL
 from pancakes.task import Task, every
 from pancakes.testing import Fleet, threaded_agent

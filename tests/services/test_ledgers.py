@@ -4,9 +4,9 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.control import Migrate, Migrations
-from pancakes.durable.ledger import Ledger, Line
 from pancakes.durable.store import LEDGER, Ledgers
 from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
+from pancakes.migration import Ledger, Line
 from pancakes.task import Task
 from pancakes.testing import Fleet
 

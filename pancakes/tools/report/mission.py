@@ -9,8 +9,8 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.control import Hold
-from pancakes.durable.ledger import Ledger
 from pancakes.events import Event, LogLine
+from pancakes.migration import Ledger
 from pancakes.packet import CTRL, LOG, SYSTEM, Packet, agent_of
 from pancakes.recording.records import TaskDescription
 from pancakes.tools.report.time_series import TimeSeries

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from pancakes.durable.rules import Cost, CostFacts
+from pancakes.migration import Cost, CostFacts
 
 
 class Nearest(Cost):

@@ -1,9 +1,9 @@
-"""What a task's configuration says about migrating and guarding it: cost functions, `migrate` and `guard`. Pure.
+"""Migration as users see it: when a task migrates, what it costs, how it is guarded, and the account of it. Pure.
 
 `MigrationRule` says when a task migrates by itself, `Cost` what each neighbour asks for it, and `GuardRule` how many
 guardians remember its owner. Cost functions are plug-ins (entry point group `pancakes.costs`; paper §3.4). Costs of
 different kinds are compared by weights, as in `cost = { tasks = 1.0, battery = 2.0 }`, so each cost function
-documents its unit.
+documents its unit. A `Ledger` says who was asked for a migration, what each answered, who won, and why others did not.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.errors import ClassError, MigrationError, describe
+from pancakes.packet import packet_type
 from pancakes.util.class_checks import Made, check_made, check_marks, check_overrides
 
 CostChoice = str | dict[str, float]
@@ -340,3 +342,78 @@ class GuardRule(msgspec.Struct, frozen=True):
     checkpoint_s: Annotated[float, msgspec.Meta(ge=0.05, le=3600.0)] = 1.0
     guardians: tuple[str, ...] = ()
     takeover: Literal["auto", "ask"] = "auto"
+
+
+Answer = Literal["bid", "refused", "silent"]
+"""What a neighbour did; a bid that could not be compared, or came late, counts as `refused`."""
+
+Fate = Literal["won", "lost", "failed", "refused", "silent"]
+"""What became of it: `lost` to a cheaper bid; `failed` after it was chosen."""
+
+
+class Line(msgspec.Struct, frozen=True):
+    """What one neighbour said, and what became of that.
+
+    Attributes:
+        peer: the neighbour.
+        answer: what it did.
+        fate: what became of it.
+        cost: what it asked for; None where it made no bid.
+        terms: what that cost was made of.
+        reason: why it did not get the task; empty where it did.
+        code: of a refusal, the same for programs (`docs/refusals.md`); else empty.
+        retry_after_s: of a refusal, after how long it may be worth asking again, in seconds.
+    """
+
+    peer: str
+    answer: Answer
+    fate: Fate
+    cost: float | None = None
+    terms: Mapping[str, float] = msgspec.field(default_factory=dict)
+    reason: str = ""
+    code: str = ""
+    retry_after_s: float | None = None
+
+
+@packet_type("migration.ledger")
+class Ledger(msgspec.Struct, frozen=True):
+    """The whole account.
+
+    Attributes:
+        task_id: the task, as `birthplace/name`.
+        source: the agent that it was to move from, or was taken over from.
+        asked_by: what asked for the move: an address, `rule`, or `guardians`.
+        cost: the cost function that was used, or several with their weights (`1 tasks + 2 battery`).
+        outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`; `fenced` where it did not move, and a
+            person set the fence of an actuator of the source to the epoch that it has; `created` and `removed` where it
+            began on the source, and where it ended there for good.
+        winner: the agent that has it, or (dry run) would get it; empty where none.
+        lines: one for each neighbour that was asked, by name.
+        duration_s: host time from the first asking to the outcome.
+        offer: the hand-off that ended it, such as `3@agent1`; empty where none did.
+        to: the only neighbour that was to be asked; empty: all.
+        cause: of a task that was taken over: from which agent and from which checkpoint, as a sentence; else empty.
+    """
+
+    task_id: str
+    source: str
+    asked_by: str
+    cost: str
+    outcome: Literal["moved", "stayed", "undecided", "dry run", "fenced", "created", "removed"]
+    winner: str
+    lines: tuple[Line, ...]
+    duration_s: float
+    offer: str = ""
+    to: str = ""
+    cause: str = ""
+
+    def moved(self, offer: str) -> Ledger:
+        """Returns the account of a move that was undecided: the hand-over has happened."""
+        return replace(self, outcome="moved", offer=offer)
+
+    def stayed(self, offer: str, reason: str) -> Ledger:
+        """Returns the account of a move that was undecided: the hand-over has come to nothing."""
+        lines = tuple(
+            replace(line, fate="failed", reason=reason) if line.peer == self.winner else line for line in self.lines
+        )
+        return replace(self, outcome="stayed", winner="", lines=lines, offer=offer)
