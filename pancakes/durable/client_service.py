@@ -539,12 +539,6 @@ class ClientServiceCore(ServiceCore):
     def refuse_start(self, slot: Slot) -> str:
         return self._arrivals.undecided(slot, self.places.at[slot.name]) or super().refuse_start(slot)
 
-    @classmethod
-    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any], for_s: float | None) -> str:
-        state: HostState = arguments["state"]
-        moving = state.under_way(name)
-        return f"{join(kernel.agent, name)} must not stop while {moving[0]} is being handed over" if moving else ""
-
 
 class ClientService(Service):
     """Loads the user's tasks, and spawns channels for what they say among each other.
@@ -575,3 +569,9 @@ class ClientService(Service):
         if isinstance(self.settings, ClientService.Settings):  # a subclass may have settings of its own
             for channel in self.settings.channels:
                 self.open_channel(channel)
+
+    @classmethod
+    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any], for_s: float | None) -> str:
+        state: HostState = arguments["state"]
+        moving = state.under_way(name)
+        return f"{join(kernel.agent, name)} must not stop while {moving[0]} is being handed over" if moving else ""

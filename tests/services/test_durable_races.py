@@ -138,7 +138,7 @@ def test_a_task_that_comes_back_before_its_old_actor_has_ended_runs_once(fleet):
     fleet.connect()
     late = []
     # Its actor on `a` takes long to end: the stop that belongs to the hand-off is held back.
-    before = a.task("Count")
+    before = a.component("client/Count")
     stop = before.stop
     before.stop = lambda: late.append(stop)
     assert a.reply_to(_move(fleet)).ok
@@ -150,7 +150,7 @@ def test_a_task_that_comes_back_before_its_old_actor_has_ended_runs_once(fleet):
     assert fleet.agents["b"].reply_to(back).ok
     fleet.run_for(0.5)
     assert a.running() == ["Count"] and fleet.agents["b"].running() == []
-    assert a.task("Count") is not before
+    assert a.component("client/Count") is not before
     assert place(a, "Count").standing.record.phase is Phase.OWNER
     assert not a.events("task_failed")
     n = a.task("Count").state.n

@@ -8,6 +8,7 @@ from cli.processes import INSECURE
 from pancakes.control import Configure, Describe, Restart
 from pancakes.mesh.codec import MAX_MESSAGE_BYTES
 from pancakes.service import Service
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.task import Task
 from pancakes.testing import Fleet, no_thread_left, threaded_agent
 
@@ -29,7 +30,7 @@ class Map(Task):
     on_settings = on_start
 
 
-class Chatty(Service):
+class Chatty(ServiceCore, Service):
     """Says more about why it does not start its tasks than fits a frame."""
 
     __module__ = "pancakes"  # its names are Pancakes' own

@@ -13,6 +13,7 @@ from pancakes.events import Event
 from pancakes.kernel.actor import Component
 from pancakes.kernel.handlers import on
 from pancakes.service import Service
+from pancakes.supervision.service_core import ServiceCore
 from pancakes.task import Task, every
 from pancakes.testing import AgentHandle, Fleet, no_thread_left, threaded_agent
 
@@ -36,7 +37,7 @@ class RefusesBadly(Service):
         raise KeyError("battery")
 
 
-class KeepsBadly(Service):
+class KeepsBadly(ServiceCore, Service):
     """Its `keep` is wrong."""
 
     __module__ = "pancakes"  # its names are Pancakes' own
@@ -46,7 +47,7 @@ class KeepsBadly(Service):
 
 
 class FailsBadly(ClientService):
-    """It fails when it sees a load, and its `on_failure` leaves out what its base class does."""
+    """It fails when it sees a load, and its `on_failure` does nothing."""
 
     @on("system", Load)
     def load(self, packet):
@@ -124,18 +125,18 @@ def test_a_keep_that_fails_costs_what_the_tasks_carried_and_not_the_agent():
         assert agent.running("own") == ["Count"]
 
 
-def test_who_waits_for_a_service_is_answered_where_its_on_failure_leaves_the_base_class_out():
+def test_who_waits_for_a_service_is_answered_whatever_its_on_failure_does():
     with Fleet() as fleet:
         agent = with_service(fleet, FailsBadly)
         asked = [agent.publish("sysctrl", body) for body in (Stop("Count"), Start("Count"))]
         agent.wait_for_event("asked", what="stop")
         agent.publish("system", Load(0.0))
         reasons = [agent.reply_to(packet).reason for packet in asked]
-        assert reasons[1] == "a/own ended before it came to that"
+        assert reasons[1].startswith("a/own failed before it had done that: RuntimeError: too much")
 
 
 def test_a_service_that_fails_on_a_command_answers_it_once():
-    class Fails(Service):
+    class Fails(ServiceCore, Service):
         __module__ = "pancakes"  # its names are Pancakes' own
 
         def carry_out_command(self, body, slot, request):
