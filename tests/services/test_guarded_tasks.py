@@ -339,12 +339,12 @@ def test_calls_to_take_made_up_tasks_leave_nothing(guarded):
 
 
 def test_an_owner_whose_disk_was_restored_goes_on_from_what_the_guardians_have(guarded):
-    before = {file: data for file, data in guarded.fleet.disk("a").items() if file != "lock"}
+    before = {file: data for file, data in guarded.disk("a").items() if file != "lock"}
     guarded.run_for(5.0)
     n = guarded.agents["a"].task("Count").state.n
     guarded.crash("a")
-    guarded.fleet.disk("a").clear()
-    guarded.fleet.disk("a").update(before)
+    guarded.disk("a").clear()
+    guarded.disk("a").update(before)
     a = guarded.restart("a")
     assert guarded.run_until(lambda: where(guarded), 12)
     (owner,) = where(guarded)
@@ -379,7 +379,7 @@ def test_a_task_does_not_go_on_from_a_copy_of_its_owners_disk_but_from_what_the_
     guarded.run_for(2.0)
     n = guarded.agents["a"].task("Count").state.n
     guarded.crash("a")
-    del guarded.fleet.disk("a")[MARK]
+    del guarded.disk("a")[MARK]
     a = guarded.restart("a")
     assert any(
         "a/Count stands still on a, whose disk is a copy: its guardians (b, c)" in it for it in a.lines("warning")
@@ -419,7 +419,7 @@ def test_a_guardian_whose_disk_is_full_tells_an_owner_what_it_was_told(guarded):
     guarded.run_for(3.0)
     make_room = guarded.faults.fill_disk("b")
     guarded.run_for(2.0)
-    before = {file: data for file, data in guarded.fleet.disk("a").items() if file != "lock"}
+    before = {file: data for file, data in guarded.disk("a").items() if file != "lock"}
     guarded.run_for(3.0)
     had = guard_row(b)["checkpoint"]
     assert guard_row(c)["checkpoint"] > had + 2
@@ -428,8 +428,8 @@ def test_a_guardian_whose_disk_is_full_tells_an_owner_what_it_was_told(guarded):
     guarded.run_for(12.0)  # what b was to write is given up
     make_room()
     assert guard_row(b)["checkpoint"] == had
-    guarded.fleet.disk("a").clear()
-    guarded.fleet.disk("a").update(before)
+    guarded.disk("a").clear()
+    guarded.disk("a").update(before)
     a = guarded.restart("a")
     guarded.run_for(3.0)
     assert any("the disk of a is an old copy" in line for line in a.lines("error"))
@@ -438,7 +438,7 @@ def test_a_guardian_whose_disk_is_full_tells_an_owner_what_it_was_told(guarded):
 
 def test_a_guardian_that_denies_leases_for_a_minute_is_replaced(guarded):
     guarded.crash("b")
-    disk = guarded.fleet.disk("b")
+    disk = guarded.disk("b")
     (name,) = [file for file in disk if "guard" in file]
     disk[name] = disk[name][:-3] + b"???"
     b = guarded.restart("b")

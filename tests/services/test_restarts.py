@@ -272,7 +272,7 @@ def test_an_agent_that_ends_while_it_waits_ends_at_once(thing, fleet):
     began_s = fleet.now()
     fleet.stop("a")
     assert fleet.now() - began_s < 1.0
-    assert it.agent.left() == []
+    assert it.agent.still_running() == []
 
 
 def test_what_runs_again_for_long_enough_has_all_its_tries_again(thing, fleet, path):
