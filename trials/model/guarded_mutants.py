@@ -194,8 +194,8 @@ MUTANTS: Final = (
     _mutant(
         "a guardian is not told what is wanted of the task",
         guarding,
-        "CheckpointBody(record.snapshot, record.wanted) if",
-        "CheckpointBody(record.snapshot) if",
+        "CheckpointBody(record.snapshot, record.wanted) if with_body",
+        "CheckpointBody(record.snapshot) if with_body",
         STOP,
     ),
     # A taker.

@@ -24,7 +24,7 @@ DISPUTES: Final = (
     ),
     HostingMutant(
         "a task that another owns is refused twice",
-        "        if not any(isinstance(event, life_event.LeaveRefused) for event, _ in self._lives):\n",
+        "        if not any(isinstance(event, lifecycle.LeaveRefused) for event, _ in self._lives):\n",
         "        if True:\n",
     ),
     HostingMutant(

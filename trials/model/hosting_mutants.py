@@ -123,11 +123,11 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what was given away is not at rest",
-        "        step.live(life_event.Written())\n        step.do(Rested())\n    else:",
-        "        step.live(life_event.Written())\n    else:",
+        "        step.live(lifecycle.Written())\n        step.do(Rested())\n    else:",
+        "        step.live(lifecycle.Written())\n    else:",
     ),
     HostingMutant(
-        "a rest is not waited for", "        step.change(rests=True)\n", "        step.live(life_event.Written())\n"
+        "a rest is not waited for", "        step.change(rests=True)\n", "        step.live(lifecycle.Written())\n"
     ),
     HostingMutant(
         "a start overtakes an end",
@@ -137,7 +137,7 @@ MUTANTS: Final = (
     HostingMutant("it starts without a place", "    elif life is None:\n        step.do(OpenPlace(effect))\n", ""),
     HostingMutant(
         "it is prepared and not started",
-        "            step.live(life_event.StartAsked(), Leave.GRANTED)",
+        "            step.live(lifecycle.StartAsked(), Leave.GRANTED)",
         "            pass",
     ),
     HostingMutant(
@@ -147,8 +147,8 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "a start by the hand-off asks for leave",
-        "step.live(life_event.StartAsked(), Leave.GRANTED)",
-        "step.live(life_event.StartAsked())",
+        "step.live(lifecycle.StartAsked(), Leave.GRANTED)",
+        "step.live(lifecycle.StartAsked())",
     ),
     HostingMutant("it is not prepared", "        step.do(Prepare(effect))\n", "        pass\n"),
     HostingMutant(
@@ -179,7 +179,7 @@ MUTANTS: Final = (
     # Going on and leaving
     HostingMutant(
         "what failed while it stood still stays so",
-        "        step.live(life_event.StartAsked(), Leave.AGAIN)",
+        "        step.live(lifecycle.StartAsked(), Leave.AGAIN)",
         "        pass",
     ),
     HostingMutant(
@@ -194,8 +194,8 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "it goes on by a new entry",
-        "step.live(life_event.StartAsked(), Leave.AGAIN)",
-        "step.live(life_event.StartAsked())",
+        "step.live(lifecycle.StartAsked(), Leave.AGAIN)",
+        "step.live(lifecycle.StartAsked())",
     ),
     HostingMutant("what was given away is not dropped", "    step.do(Drop(ends))\n", ""),
     HostingMutant(
@@ -210,7 +210,7 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what was given away goes on",
-        "step.live(life_event.StopAsked(reason=reason))",
+        "step.live(lifecycle.StopAsked(reason=reason))",
         "pass",
     ),
     HostingMutant(
@@ -226,13 +226,13 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "a start that is declined is waited for",
-        "        step.live(life_event.LeaveRefused(effect.reason, for_good=True))",
+        "        step.live(lifecycle.LeaveRefused(effect.reason, for_good=True))",
         "        pass",
     ),
     HostingMutant(
         "a start that is declined is tried again",
-        "step.live(life_event.LeaveRefused(effect.reason, for_good=True))",
-        "step.live(life_event.LeaveRefused(effect.reason))",
+        "step.live(lifecycle.LeaveRefused(effect.reason, for_good=True))",
+        "step.live(lifecycle.LeaveRefused(effect.reason))",
     ),
     HostingMutant(
         "what cannot be forgotten is forgotten",
@@ -255,13 +255,13 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "its service waits for what is elsewhere",
-        "        _take_up(step, TakeUp())\n        step.do(life_effect.Settle())",
+        "        _take_up(step, TakeUp())\n        step.do(lifecycle.Settle())",
         "        _take_up(step, TakeUp())",
     ),
     HostingMutant(
         "a hand-off found on disk does not go on",
-        "        _take_up(step, TakeUp())\n        step.do(life_effect.Settle())",
-        "        step.do(life_effect.Settle())",
+        "        _take_up(step, TakeUp())\n        step.do(lifecycle.Settle())",
+        "        step.do(lifecycle.Settle())",
     ),
     # Room
     HostingMutant(
@@ -271,8 +271,8 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what was lost is tried again and again",
-        "life_event.LeaveRefused(event.reason, event.for_good)",
-        "life_event.LeaveRefused(event.reason)",
+        "lifecycle.LeaveRefused(event.reason, event.for_good)",
+        "lifecycle.LeaveRefused(event.reason)",
     ),
     HostingMutant(
         "it is not born",
@@ -454,7 +454,7 @@ MUTANTS: Final = (
     HostingMutant("that it lasts is not told", "                self.do(Lasts())\n", "                pass\n"),
     HostingMutant(
         "what waits for the disk keeps its service waiting",
-        "        step.live(life_event.PutOff(event.reason))",
+        "        step.live(lifecycle.PutOff(event.reason))",
         "        pass",
     ),
     HostingMutant(
@@ -484,8 +484,8 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what is stopped while the disk fails keeps its service waiting",
-        "    elif state in UNDECIDED:\n        step.live(life_event.PutOff",
-        "    elif state is State.ASKED:\n        step.live(life_event.PutOff",
+        "    elif state in UNDECIDED:\n        step.live(lifecycle.PutOff",
+        "    elif state is State.ASKED:\n        step.live(lifecycle.PutOff",
     ),
     *DISPUTES,
 )
