@@ -1,6 +1,5 @@
 """Configurations that no person writes: a sentence each, in no time, and in little memory."""
 
-
 import pytest
 
 from pancakes.config import parse
