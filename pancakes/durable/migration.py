@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from pancakes.control import Configure, Describe, Migrate, Refusal, Remove, Reschedule, Stop
+from pancakes.control import Describe, Migrate, Refusal, Remove, Stop
 from pancakes.durable.after_migration import Sequel
 from pancakes.durable.bidding_messages import (
     MIGRATOR,
@@ -34,7 +34,7 @@ from pancakes.migration import AGAIN_S, CostChoice, Ledger, MigrationRule, cost_
 from pancakes.packet import SYSCTRL, SYSTEM, Packet, agent_of, join
 from pancakes.supervision.lifecycle import RESTS, Request, State
 from pancakes.supervision.messages import Carried, GoOn, StandStill
-from pancakes.supervision.slots import STUCK_S, Slot
+from pancakes.supervision.slots import CHANGES, STUCK_S, Slot
 
 
 class Departures:
@@ -161,7 +161,7 @@ class Mover:
         if place.removal is not None and not describes:
             raise ControlRefused(f"{slot.address} is being removed", "busy")
         asks_state = describes and (body.state or body.began)
-        changes = asks_state or isinstance(body, Stop | Reschedule | Configure | Migrate | Remove)
+        changes = asks_state or isinstance(body, Stop | Migrate | Remove) or type(body) in CHANGES
         if record.phase is Phase.RELEASED and not record.removed and changes:
             raise ControlRefused(f"{record.task_id} moved to {record.peer}", "moved")
 

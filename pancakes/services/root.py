@@ -24,7 +24,6 @@ from pancakes.control import (
     Channels,
     Checkpoints,
     Command,
-    Configure,
     Create,
     Describe,
     Follow,
@@ -32,15 +31,11 @@ from pancakes.control import (
     Guarding,
     History,
     Measure,
-    Migrate,
     Migrations,
     Refusal,
     ReloadKeys,
-    Remove,
-    Reschedule,
     Restart,
     Revive,
-    SetFence,
     Shutdown,
     Start,
     Stop,
@@ -68,7 +63,7 @@ from pancakes.supervision.messages import (
     ServiceEnded,
     ServiceReady,
 )
-from pancakes.supervision.slots import WAITING, describe_task
+from pancakes.supervision.slots import OF_TASKS_ONLY, WAITING, describe_task
 from pancakes.supervision.supervisor import ANSWERED_S, Answers
 from pancakes.util.cpu import host_id, processor_count, processor_times, yardstick_s
 from pancakes.util.text import fault_of_name, suggestion
@@ -457,7 +452,7 @@ class Root(ActorCore):
                 place.commands = (*place.commands, (body, request))
             else:
                 self._change_service(place, body, request)
-        elif isinstance(body, (Reschedule, Configure, Migrate, Adopt, Forget, Remove, SetFence)):
+        elif type(body) in OF_TASKS_ONLY:
             raise ControlRefused(f"{place.address} is a service: name one of its tasks", "unsupported")
         elif place.service is not None:
             self._hand(place.spec.name, "", body, request)

@@ -366,7 +366,12 @@ COMMANDS: Final[Mapping[type, TaskCommand]] = {
     Forget: refuse_move,
     Remove: refuse_removal,
 }
-"""What can be asked of a task."""
+"""What can be asked of a task. A new control packet about tasks has a row here, and one in `pancakes.control.CONTROLS`.
+
+What a running task does itself has `change` here, a row in `CHANGES`, and a case in `TaskCore`.
+"""
+OF_TASKS_ONLY: Final = frozenset(COMMANDS) - {Start, Stop, Restart, Describe}
+"""What cannot be asked of a service."""
 
 
 STANDS_STILL: Final = "stands still"

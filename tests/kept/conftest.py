@@ -19,10 +19,12 @@ class Kept:
     Attributes:
         folder: the copy.
         expected: what was written down of it when it was kept.
+        is_new: whether this version made it.
     """
 
     def __init__(self, source: Path, folder: Path) -> None:
         self.folder = shutil.copytree(source, folder)
+        self.is_new = source.name == "now"
         # Of modes git remembers only whether a file can be run.
         for path in folder.rglob("*"):
             path.chmod(0o700 if path.is_dir() else 0o600)

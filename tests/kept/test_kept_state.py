@@ -49,7 +49,8 @@ def owner(fleet: Fleet, name: str) -> str:
 def test_kept_disks_have_entries_of_every_kind(kept: Kept):
     """Not a test of the product: it tells that a kind of entry was forgotten when the data were made."""
     files = [*(kept.folder / "fleet").glob("?/*.rec")]
-    assert {file.name.partition(".")[0] for file in files} == KINDS
+    kinds = {file.name.partition(".")[0] for file in files}
+    assert kinds == KINDS if kept.is_new else kinds <= KINDS, "an older version may have had fewer kinds"
     records = [Record.decode(unseal("", it.read_bytes()).data) for it in files if it.name.startswith("record.")]
     assert {record.phase for record in records} >= PHASES
     assert any(record.removed for record in records) and any(record.guarded for record in records)
