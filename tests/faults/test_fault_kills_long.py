@@ -26,12 +26,12 @@ def test_fault_kills_double_and_lose_no_task() -> None:
 
 
 FORGETFUL = """
-from pancakes.durable import core, source
+from pancakes.durable import handoff
 from pancakes.durable.record import Phase
 
-recover = core.recover
-core.recover = lambda record, *others: recover(
-    source.taken_back(record) if record.phase is Phase.COMMITTED else record, *others
+recover = handoff.recover
+handoff.recover = lambda record, *others: recover(
+    handoff.taken_back(record) if record.phase is Phase.COMMITTED else record, *others
 )
 """
 
