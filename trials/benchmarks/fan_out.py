@@ -181,9 +181,9 @@ def from_a_task(subscribers: int, packets: int) -> list[float]:
     tasks["Publisher"] = f'type = "bench.Publisher"\nsettings = {{ packets = {packets} }}'
     classes: dict[str, type[Task]] = {"bench.Subscriber": Subscriber, "bench.Publisher": Publisher}
     with local_agent(classes, tasks, ("bench", "probe", "done")) as agent:
-        find = agent.kernel.registry.get
-        publisher: Any = find("bench/client/Publisher")
-        others: list[Any] = [find(f"bench/client/Subscriber{number}") for number in range(subscribers)]
+        cores: Any = agent.kernel.registry
+        publisher: Any = cores.get("bench/client/Publisher").facade
+        others: list[Any] = [cores.get(f"bench/client/Subscriber{number}").facade for number in range(subscribers)]
         flooded = _counting(agent, subscribers)
         publisher.call(publisher.flood)
         flooded.wait()
@@ -202,8 +202,9 @@ def from_a_driver(packets: int) -> list[float]:
     offers = {("pancakes.drivers", "bench.Stream"): Stream}
     channels = ("bench", "probe", "done")
     with local_agent({"bench.Reader": Reader}, tasks, channels, offers, device_table) as agent:
-        device: Any = agent.kernel.registry.get("bench/device/stream")
-        reader: Any = agent.kernel.registry.get("bench/client/Reader")
+        cores: Any = agent.kernel.registry
+        device: Any = cores.get("bench/device/stream")
+        reader: Any = cores.get("bench/client/Reader").facade
         done = _counting(agent, 1)
         reader.call(lambda: reader.publish(SYSTEM, _POSE, to=device.address))
         done.wait()
