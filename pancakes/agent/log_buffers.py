@@ -54,13 +54,13 @@ class Unsaid:
 KEPT_S: Final = 600.0
 """A line is told for so long, in host seconds, ..."""
 MOST_LINES: Final = 32
-"""... and so many of them, the newest."""
+"""... and at most this many, the newest."""
 MOST_LETTERS: Final = 400
 _LEVELS: Final = ("warning", "error")
 _PASSING: Final = re.compile(r"the link to \S+ has ended|no link over .*(reset by peer|broken pipe|has ended)")
 """What goes by with the next try: `doctor` sees for itself which peers have no link now."""
 _ANSWERS: Final = re.compile(r"what \S+ asked for \(#\d+\) was not done|.*, as \S+ asked\b", re.DOTALL)
-"""What answers a request: whoever made it knows."""
+"""Events that answer a request: the one who made it knows already."""
 _BIRTHS: Final = re.compile(r"not born yet: |\S+ is born, although nothing was heard of it from ")
 _REFUSED: Final = re.compile(r"\S+ (was not started: |is given up\b)")
 _FAILED: Final = re.compile(r"\S+ (was not started: |is given up\b|is started again |failed (while it stopped|as its))")

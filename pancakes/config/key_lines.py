@@ -22,7 +22,7 @@ KeyPath = tuple[str | int, ...]
 """The keys that lead to a value, from the outermost; an integer is a place in a list, from 0."""
 
 MOST_EQUAL_SIGNS: Final = 16
-"""At most so many equal signs in quotes are looked for in a key."""
+"""At most this many equal signs in quotes are looked for in a key."""
 
 
 def split_pair(text: str) -> tuple[tuple[str, ...], str, str] | None:

@@ -53,7 +53,7 @@ _EARLY = 0.25
 
 
 class Pace:
-    """Lets through at most so many of the things that come, evenly.
+    """Limit a stream to a rate, evenly.
 
     A thing that is a quarter of a period early counts as being in time, so that a source of the same rate that is not
     quite regular does not lose every other one; in the long run the rate is kept all the same.

@@ -13,7 +13,6 @@ import os
 import re
 import stat
 import sys
-import time
 from functools import cache
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -22,6 +21,7 @@ import msgspec
 
 from pancakes.errors import PancakesError
 from pancakes.util import codecs
+from pancakes.util.clock import wall_ns
 from pancakes.util.codecs import MALFORMED
 from pancakes.util.text import printable
 
@@ -305,7 +305,7 @@ def _read(path: Path, found: Found) -> None:
     owner = os.stat(path.parent).st_uid
     status = os.lstat(path)
     oddity = _oddity(status, owner)
-    if not oddity and path.name.endswith(_TEMPORARY) and abs(time.time() - status.st_mtime) < _WRITTEN_S:
+    if not oddity and path.name.endswith(_TEMPORARY) and abs(wall_ns() / 1e9 - status.st_mtime) < _WRITTEN_S:
         return  # even to ask for its lock would keep its agent from it
     if oddity:
         found.odd.append(f"{printable(str(path))} is {oddity}, no agent's entry")
