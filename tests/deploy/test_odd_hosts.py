@@ -69,8 +69,8 @@ def fleet(rig: Rig, names: list[str]) -> Path:
 def test_host_that_says_nothing_is_told(hosts: SshHosts):
     bashrc(hosts, "echo 'waiting for the home directory' >&2; sleep 600")
     link = HostLink("robot1")
-    with pytest.raises(Unreachable, match=r"robot1 does not answer within 1 s \(waiting for the home directory\): see"):
-        link.obtain("look", 1.0, fleet_of={})
+    with pytest.raises(Unreachable, match=r"robot1 does not answer within 5 s \(waiting for the home directory\): see"):
+        link.obtain("look", 5.0, fleet_of={})
     assert link.lost
 
 
@@ -98,13 +98,13 @@ def test_host_that_takes_a_connection_and_is_no_ssh_server_is_told(hosts: SshHos
 def test_agents_on_a_host_that_falls_silent_have_ended(rig: Rig, hosts: SshHosts):
     bashrc(hosts, "")
     program = "from pancakes.tools.launch import remote_hosts, ssh\n"
-    program += "ssh.SILENT_S = remote_hosts.ALIVE_S = 0.5\n"
+    program += "ssh.SILENT_S = 5.0\nremote_hosts.ALIVE_S = 0.5\n"
     program += "from pancakes.tools.cli.main import pancakes\npancakes()\n"
     running = rig.run("-c", program, "launch", str(fleet(rig, ["robot1"])), "--restart", "no", whole=True)
     running.hear("a0 is ready")
     (there,) = [it for it in psutil.process_iter() if link_of(it, hosts, "")]
     there.suspend()
-    running.hear("a0 has ended (robot1 does not answer within 0.5 s")
+    running.hear("a0 has ended (robot1 does not answer within 5 s")
     there.kill()
 
 
