@@ -15,8 +15,8 @@ Source and number identify a packet for good: each life of an agent begins at an
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
-from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
 from typing import Any, Final, Protocol, TypeVar
 from zlib import crc32
@@ -71,8 +71,28 @@ class Reader(Protocol):
         """Returns when a packet was published, on the clock of its agent; None: that is not known."""
 
 
-READER: Final[ContextVar[Reader | None]] = ContextVar("READER", default=None)
-"""The task or service whose turn a thread gives now; None: it gives none."""
+class Turn:
+    """The turn that a thread gives now, if it gives one.
+
+    Attributes:
+        reader: the task or service whose turn it is; None: the thread gives none.
+        deferred: what the turn has put off to its end.
+    """
+
+    __slots__ = ("deferred", "reader")
+
+    def __init__(self) -> None:
+        self.reader: Reader | None = None
+        self.deferred: list[Callable[[], None]] = []
+
+
+class _Thread(threading.local):
+    def __init__(self) -> None:
+        self.turn = Turn()
+
+
+THREAD: Final = _Thread()
+"""Has the `turn` of the thread that asks."""
 
 
 SYSTEM: Final = "system"
@@ -151,7 +171,7 @@ class Packet(msgspec.Struct, frozen=True, gc=False):
         `local_time` of the task that reads it has the moment and the bound of its error. None if that returns None,
         and outside of a turn of a task or service.
         """
-        reader = READER.get()
+        reader = THREAD.turn.reader
         published = reader.local_time(self) if reader is not None else None
         return max(0.0, reader.now() - published.time_s) if reader is not None and published is not None else None
 

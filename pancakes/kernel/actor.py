@@ -21,7 +21,7 @@ import pykka
 
 from pancakes.errors import ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.events import Event, Log, LogLine, check_levels
-from pancakes.kernel.dispatchers import TURN, is_for_program
+from pancakes.kernel.dispatchers import is_for_program
 from pancakes.kernel.handlers import (
     DEFAULT_KEEP,
     NO_HANDLERS,
@@ -33,10 +33,10 @@ from pancakes.kernel.handlers import (
     period_of,
     plan_of,
 )
-from pancakes.kernel.mailbox import Call, ChannelQueue, Mailbox, Told
+from pancakes.kernel.mailbox import Call, Mailbox, Told
 from pancakes.kernel.pykka_actor import Flag, PykkaActor, handle_envelope
 from pancakes.kernel.timer import TaskTimer
-from pancakes.packet import CTRL, LOG, READER, Cause, Fence, LocalTime, Packet, type_name, type_of
+from pancakes.packet import CTRL, LOG, THREAD, Cause, Fence, LocalTime, Packet, type_name
 from pancakes.util.class_checks import check_called, check_marks, check_overrides
 
 if TYPE_CHECKING:
@@ -136,8 +136,8 @@ class Component(PykkaActor):
         """
         core = self._actor
         kernel, fence, in_hand = core.kernel, core.fence, core.in_hand
-        if fence is not None and channel != LOG:
-            permits = kernel.permits
+        permits = kernel.permits
+        if fence is not None and permits.by_task and channel != LOG:
             if not permits.may_act(fence):
                 permits.hold_back(fence, "packets")
                 raise NoPermit(f"{self.address} may not act until its guardians answer")
@@ -145,9 +145,9 @@ class Component(PykkaActor):
                 fence = permits.limited(fence, math.inf)
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
-        sent_s, seq = kernel.now(), core.seq.take()
-        packet = Packet(channel, type_of(body), self.address, to, sent_s, seq, body, cause, fence)
-        kernel.stream.publish(packet)
+        route = kernel.stream.route(channel, body, to, core.address)
+        packet = Packet(channel, route.type, core.address, to, kernel.now(), core.seq.take(), body, cause, fence)
+        route.give(packet)
         return packet
 
     @cached_property
@@ -362,6 +362,7 @@ class ActorCore(Component):
         handlers = self.__handlers.setdefault(subscription.channel, Handlers())
         handlers.add(subscription.type, lambda component, packet: handler(packet))
         self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
+        self.__bind()
 
     def timer_of(self, rate_hz: float, timer: str = "") -> TaskTimer:
         """Returns the timer that `reschedule` would change; see there."""
@@ -391,10 +392,8 @@ class ActorCore(Component):
         Args:
             slice_s: after this time the turn ends even if more waits; None: no limit.
         """
-        mailbox = self.actor_inbox
-        deferred: list[Callable[[], None]] = []
-        TURN.deferred = deferred
-        READER.set(self)
+        mailbox, turn = self.actor_inbox, THREAD.turn
+        turn.reader = self
         meter = self.kernel.meter
         begun_s = thread_time() if meter is not None else 0.0
         try:
@@ -404,8 +403,8 @@ class ActorCore(Component):
                 if mailbox.control:
                     self.__handle_control()
                 # A component that has ended has no mailbox any more.
-                if mailbox.waiting and not mailbox.paused and mailbox.component is self and self.acts():
-                    self.__handle_data(math.inf if slice_s is None else self.kernel.host.now() + slice_s)
+                if mailbox.order and not mailbox.paused and mailbox.component is self and self.acts():
+                    self.__handle_data(slice_s)
             except BaseException as error:  # SystemExit in one actor must not end the others.
                 self.__raise_to_program(error)
                 if is_for_program(error):
@@ -414,7 +413,12 @@ class ActorCore(Component):
             if self.after_turn is not None:
                 self.__finish(self.after_turn)
         finally:
-            self.__do_all_deferred(deferred)
+            try:
+                for function in turn.deferred:  # which may put off more
+                    self.__do_deferred(function)
+            finally:
+                turn.reader = None
+                turn.deferred.clear()
         if meter is not None:
             meter.turn(self.address, thread_time() - begun_s)
         # A component that has ended keeps the token, so that what is put from now on waits for the successor.
@@ -438,14 +442,6 @@ class ActorCore(Component):
         if is_for_program(error) and self.kernel.virtual is not None:
             raise error
 
-    def __do_all_deferred(self, deferred: list[Callable[[], None]]) -> None:
-        try:
-            for function in deferred:  # which may put off more
-                self.__do_deferred(function)
-        finally:
-            TURN.deferred = None
-            READER.set(None)
-
     def __do_deferred(self, function: Callable[[], None]) -> None:
         try:
             function()
@@ -461,6 +457,7 @@ class ActorCore(Component):
         self.before_start()
         for subscription in plan.subscriptions:
             self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
+        self.__bind()
         facade.on_start()
         for method, period in plan.periods.items():
             period_s = self.initial_period_s(method, period.period_s)
@@ -548,31 +545,33 @@ class ActorCore(Component):
             else:
                 handle_envelope(self.facade, item)
 
-    def __handle_data(self, until_s: float) -> None:
-        mailbox = self.actor_inbox
-        for queue in list(mailbox.waiting):
-            goes_on = self.__work_off(queue, until_s)
-            if mailbox.component is not self:  # the mailbox is the successor's now
+    def __handle_data(self, slice_s: float | None) -> None:
+        """Handles the packets that wait now, as long as there is time."""
+        mailbox, facade = self.actor_inbox, self.facade
+        order, control = mailbox.order, mailbox.control
+        waiting = len(order)
+        # A turn of one packet needs no look at the time.
+        until_s = math.inf if slice_s is None or waiting == 1 else self.kernel.host.now() + slice_s
+        for _ in range(waiting):
+            try:
+                queue = order.popleft()
+            except IndexError:  # some fell out meanwhile
                 return
-            mailbox.strike_out(queue)
-            if not goes_on:
+            self.in_hand = packet = queue.take()
+            for handler in queue.handlers:
+                handler(facade, packet)
+            self.in_hand = None
+            if control:
+                self.__handle_control()
+                if mailbox.component is not self:  # the mailbox is the successor's now
+                    return
+            if mailbox.paused or (until_s < math.inf and self.kernel.host.now() > until_s):
                 return
 
-    def __work_off(self, queue: ChannelQueue, until_s: float) -> bool:
-        """Handles what waits in one queue, as long as there is time. Returns whether the turn may go on."""
-        mailbox = self.actor_inbox
-        for _ in range(len(queue)):
-            packet = queue.take()
-            if packet is None:
-                return True
-            self.__handle(packet)
-            if mailbox.control:
-                self.__handle_control()
-                if mailbox.component is not self:
-                    return False
-            if mailbox.paused or (until_s < math.inf and self.kernel.host.now() > until_s):
-                return False
-        return True
+    def __bind(self) -> None:
+        """Tells each queue what is done with its packets."""
+        for channel, queue in self.actor_inbox.queues.items():
+            queue.handle(self.__handlers.get(channel, NO_HANDLERS))
 
     def __handle(self, packet: Packet) -> None:
         self.in_hand = packet
@@ -594,9 +593,8 @@ class ActorCore(Component):
 
     def drain(self) -> None:
         """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
-        for queue in self.actor_inbox.queues.values():
-            while (packet := queue.take()) is not None:
-                self.run_handlers(packet)
+        while (packet := self.actor_inbox.take()) is not None:
+            self.run_handlers(packet)
 
     # How it ends -----------------------------------------------------------------------------------------------
 
@@ -614,7 +612,8 @@ class ActorCore(Component):
         packet = self.in_hand
         if packet is not None:  # else it was a tick or a call
             self.in_hand = None
-            self.kernel.dead_letters.failed(self.address, self.actor_inbox.queues[packet.channel], packet)
+            queue = self.actor_inbox.queues[packet.channel].of(packet.type)
+            self.kernel.dead_letters.failed(self.address, queue, packet)
         if self.actor_stopped.is_set():
             self.__tell_failure(f"{self.address} failed while it stopped", error)
             return

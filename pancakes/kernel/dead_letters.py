@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from pancakes.control import Reply
-from pancakes.kernel.mailbox import ChannelQueue
+from pancakes.kernel.mailbox import TypeQueue
 from pancakes.packet import CTRL, NETWORK, Packet, agent_of, covers, type_name
 from pancakes.util.text import did_you_mean
 
@@ -39,12 +39,12 @@ class DeadLetters:
         self._failures: dict[tuple[str, str, int], int] = {}
         self.count = 0
 
-    def failed(self, address: str, queue: ChannelQueue, packet: Packet) -> None:
+    def failed(self, address: str, queue: TypeQueue, packet: Packet) -> None:
         """Takes a packet whose handler raised, in the turn of the component at `address`."""
         key = (address, packet.source, packet.seq)
         with self._lock:
             failures = self._failures.pop(key, 0) + 1
-            again = queue.keep_of(packet).reliable and failures < ATTEMPTS
+            again = queue.keep.reliable and failures < ATTEMPTS
             if again:
                 self._failures[key] = failures
                 if len(self._failures) > MOST_KNOWN:

@@ -22,28 +22,17 @@ from queue import SimpleQueue
 from typing import Final
 
 from pancakes.kernel.mailbox import Mailbox, Runnable
+from pancakes.packet import THREAD
 from pancakes.util.clock import Clock
-
-
-class Turn(threading.local):
-    """The turn that a thread gives now, if it gives one.
-
-    Attributes:
-        deferred: what the turn has put off; None outside of a turn.
-    """
-
-    deferred: list[Callable[[], None]] | None = None
-
-
-TURN = Turn()
 
 
 def defer(function: Callable[[], None]) -> None:
     """Runs `function` at the end of the turn that this thread gives now, or at once outside of a turn."""
-    if TURN.deferred is None:
+    turn = THREAD.turn
+    if turn.reader is None:
         function()
     else:
-        TURN.deferred.append(function)
+        turn.deferred.append(function)
 
 
 def is_for_program(error: BaseException) -> bool:
@@ -68,7 +57,6 @@ class Dispatcher(ABC):
         mailbox = component.actor_inbox
         mailbox.dispatch = self
         mailbox.component = component
-        mailbox.enter_all()
         self.ready(mailbox)
 
     def stop(self) -> None:

@@ -1,11 +1,11 @@
 """Bounded queues: a component's mailbox with its two lanes, and the backlog of any other slow reader.
 
-The control lane (pykka's own messages, ticks, calls) goes before the data lane. Data waits in one queue for each
-channel, so two types on one channel never overtake each other. The mailbox belongs to a task's slot, not to its
-actor: a restart loses nothing that waits. Any thread may put; one thread at a time (the holder of the token) takes
-out.
+The control lane (pykka's own messages, ticks, calls) goes before the data lane. All data waits in one order, so no
+packet overtakes another; each type on each channel has a bound of its own. The mailbox belongs to a task's slot, not
+to its actor: a restart loses nothing that waits. Any thread may put; one thread at a time (the holder of the token)
+takes out.
 
-Light packets need no lock: a deque, a dict and a `count` change in one step. Bytes of heavy packets change under one.
+Light packets need no lock: a deque changes in one step. Bytes of heavy packets change under one.
 """
 
 from __future__ import annotations
@@ -13,158 +13,184 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
-from itertools import count
-from typing import Any, Final, Generic, Protocol, TypeVar
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import pykka
 
-from pancakes.kernel.handlers import Keep
+from pancakes.kernel.handlers import Handler, Keep
 from pancakes.kernel.payload_size import weight_of
 from pancakes.kernel.pykka_actor import Flag, dismiss
 from pancakes.packet import Packet
 
 
-class _Bounded:
-    """What waits under one bound.
+class _Heavy(NamedTuple):
+    """A packet that waits and is no light one, with the bytes of its body."""
 
-    Attributes:
-        keep: the bound.
-        entries: each packet with its number and its weight; numbers grow, over all bounds of the queue.
-        bytes: the sum of the weights.
-        lost: how many packets have fallen out that the reader wanted.
-    """
-
-    __slots__ = ("bytes", "entries", "keep", "lost")
-
-    def __init__(self, keep: Keep) -> None:
-        self.keep = keep
-        self.entries: deque[tuple[int, Packet, int]] = deque()
-        self.bytes = 0
-        self.lost = 0
-
-    def is_full(self, weight: int) -> bool:
-        return self.keep.is_full(len(self.entries), self.bytes, weight)
-
-    def make_room(self, weight: int) -> None:
-        """Lets the oldest packets fall out until there is room for one more."""
-        while self.entries and self.is_full(weight):
-            try:
-                fallen = self.entries.popleft()
-            except IndexError:  # the reader was faster
-                return
-            self.bytes -= fallen[2]
-            self.lost += self.keep.counts_losses
+    packet: Packet
+    weight: int
 
 
-class ChannelQueue:
-    """What waits for one reader on one channel: in one order, with a bound for each type.
+class TypeQueue:
+    """What waits for one reader on one channel under one bound: packets of one type, or of all types without a bound.
 
-    Any thread puts, and only the reader's takes. A light packet that finds room needs no lock: a deque, a dict and a
-    `count` change in one step. Publishers that put at the same moment may pass the limit by one packet each.
+    Any thread puts, and only the reader's takes. A light packet that finds room needs no lock: a deque changes in one
+    step. A packet always enters its queue before its place in the mailbox's order, and leaves that place before its
+    queue; so whoever has taken a place finds a packet. Publishers that put at the same moment may pass the limit by one
+    packet each.
 
     Args:
-        waiting: the queues of the reader in which something may wait; the queue enters itself there.
-        wake: called when it has done so.
+        channel: the queue of its channel.
+        keep: the bound.
 
     Attributes:
+        channel: the same.
+        keep: the same.
+        handlers: what the reader does with each packet.
+        bytes: the bytes of the heavy packets that wait.
+        lost: how many packets have fallen out that the reader wanted.
         handled: how many packets were taken out.
-        refused: packets from other agents that found no room under a `reliable` subscription.
     """
 
-    __slots__ = ("_by_type", "_first", "_lock", "_numbers", "_waiting", "_wake", "handled", "refused")
+    __slots__ = ("_entries", "_limit", "_mailbox", "bytes", "channel", "handled", "handlers", "keep", "lost")
 
-    def __init__(self, waiting: dict[ChannelQueue, None], wake: Callable[[], None]) -> None:
-        self._waiting = waiting
-        self._wake = wake
-        self._by_type: dict[str | None, _Bounded] = {}  # never changed but replaced: other threads read it
-        self._numbers = count(1)
-        self._first = 0  # the number of the packet that was last put back
-        self._lock = threading.Lock()  # guards the bytes and the losses
+    def __init__(self, channel: ChannelQueue, keep: Keep) -> None:
+        self.channel = channel
+        self.handlers: tuple[Handler, ...] = ()
+        self.bytes = 0
+        self.lost = 0
         self.handled = 0
-        self.refused = 0
+        self._mailbox = channel.mailbox
+        self._entries: deque[Packet | _Heavy] = deque()
+        self.bound(keep)
 
-    def bound(self, bounds: Mapping[str | None, Keep]) -> None:
-        """Bounds packets of each type as `bounds` says; None means any other type. Other bounds stay."""
-        by_type = dict(self._by_type)
-        for type_name, keep in bounds.items():
-            if type_name in by_type:
-                by_type[type_name].keep = keep
-            else:
-                by_type[type_name] = _Bounded(keep)
-        self._by_type = by_type
+    def bound(self, keep: Keep) -> None:
+        """Takes another bound."""
+        self.keep = keep
+        self._limit = keep.limit
 
-    def keep_of(self, packet: Packet) -> Keep:
-        """Returns the bound of packets like this one."""
-        return self._bounded(packet).keep
-
-    def _bounded(self, packet: Packet) -> _Bounded:
-        return self._by_type.get(packet.type) or self._by_type[None]
-
-    def refuses(self, packet: Packet, weight: int) -> bool:
-        """Returns whether `packet` must be refused to its publisher; `weight`: its bytes, where it is a heavy one."""
-        bounded = self._bounded(packet)
-        return bounded.keep.reliable and bounded.is_full(weight)
+    def refuses(self, weight: int) -> bool:
+        """Returns whether a packet must be refused to its publisher; `weight`: its bytes, if it is a heavy one."""
+        return self.keep.reliable and self.keep.is_full(len(self._entries), self.bytes, weight)
 
     def put(self, packet: Packet, weight: int = 0) -> None:
-        """Puts a packet; `weight`: its bytes, where it is a heavy one."""
-        bounded = self._by_type.get(packet.type) or self._by_type[None]
-        if weight or len(bounded.entries) >= bounded.keep.limit:
-            with self._lock:
-                if not bounded.keep.reliable:
-                    bounded.make_room(weight)
-                bounded.bytes += weight
-        bounded.entries.append((next(self._numbers), packet, weight))
-        if self not in self._waiting:
-            self._waiting[self] = None
-            self._wake()
+        """Puts a packet; `weight`: its bytes, if it is a heavy one."""
+        entries, mailbox = self._entries, self._mailbox
+        if weight or len(entries) >= self._limit:
+            self._make_room(weight)
+        entries.append(_Heavy(packet, weight) if weight else packet)
+        mailbox.order.append(self)
+        # A look costs less than an attempt that fails, and most fail: packets come while a turn is due already.
+        if not mailbox.token.locked() and not mailbox.paused:
+            mailbox.wake()
 
-    def take(self) -> Packet | None:
-        """Takes the oldest packet out; None where nothing waits."""
-        while True:
-            oldest = None
-            try:
-                for bounded in self._by_type.values():
-                    if bounded.entries and (oldest is None or bounded.entries[0][0] < oldest.entries[0][0]):
-                        oldest = bounded
-                if oldest is None:
-                    return None
-                _, packet, weight = oldest.entries.popleft()
-            except IndexError:  # it fell out meanwhile
-                continue
-            if weight:
-                with self._lock:
-                    oldest.bytes -= weight
-            self.handled += 1
-            return packet
+    def _make_room(self, weight: int) -> None:
+        """Lets the oldest packets fall out until there is room for one more, and counts its weight."""
+        with self._mailbox.scales:
+            while not self.keep.reliable and self.keep.is_full(len(self._entries), self.bytes, weight):
+                try:
+                    self._mailbox.order.remove(self)  # the place of its oldest
+                except ValueError:  # the reader was faster
+                    break
+                self._leave(self._entries.popleft())
+                self.lost += self.keep.counts_losses
+            self.bytes += weight
+
+    def _leave(self, entry: Packet | _Heavy) -> Packet:
+        """Returns the packet of an entry that waits no more. Under the scales' lock if it is a heavy one."""
+        if isinstance(entry, _Heavy):
+            self.bytes -= entry.weight
+            return entry.packet
+        return entry
+
+    def take(self) -> Packet:
+        """Takes the oldest packet out, whose place in the mailbox's order has been taken before."""
+        entry = self._entries.popleft()
+        self.handled += 1
+        if isinstance(entry, _Heavy):
+            with self._mailbox.scales:
+                return self._leave(entry)
+        return entry
 
     def put_back(self, packet: Packet) -> None:
         """Puts a packet that the reader took back in front, to be handled again."""
         weight = weight_of(packet.body)
-        bounded = self._bounded(packet)
-        with self._lock:
-            bounded.bytes += weight
-        bounded.entries.appendleft((self._first, packet, weight))
-        self._first -= 1
+        with self._mailbox.scales:
+            self.bytes += weight
+        self._entries.appendleft(_Heavy(packet, weight) if weight else packet)
+        self._mailbox.order.appendleft(self)
         self.handled -= 1
 
     def __len__(self) -> int:
-        number = 0
-        for bounded in self._by_type.values():
-            number += len(bounded.entries)
-        return number
+        return len(self._entries)
+
+
+class ChannelQueue:
+    """What waits for one reader on one channel, with a bound for each type that it reads.
+
+    Args:
+        mailbox: where it waits.
+
+    Attributes:
+        mailbox: the same.
+        refused: packets from other agents that found no room under a `reliable` subscription.
+    """
+
+    __slots__ = ("_by_type", "mailbox", "refused")
+
+    def __init__(self, mailbox: Mailbox) -> None:
+        self.mailbox = mailbox
+        self.refused = 0
+        self._by_type: dict[str | None, TypeQueue] = {}  # never changed but replaced: other threads read it
+
+    def bound(self, type_name: str | None, keep: Keep) -> None:
+        """Bounds packets of a type; None means all types without a bound of their own. Other bounds stay."""
+        known = self._by_type.get(type_name)
+        if known is not None:
+            known.bound(keep)
+        else:
+            self._by_type = {**self._by_type, type_name: TypeQueue(self, keep)}
+
+    def of(self, type_name: str | None) -> TypeQueue:
+        """Returns where packets of a type wait that the reader reads; None: those without a bound of their own."""
+        found = self._by_type.get(type_name)
+        return found if found is not None else self._by_type[None]
+
+    def handle(self, handlers: Mapping[str | None, tuple[Handler, ...]]) -> None:
+        """Sets what the reader does with packets of each type. In its turn."""
+        for type_name, waiting in self._by_type.items():
+            waiting.handlers = handlers[type_name]
+
+    def drain(self) -> Iterator[Packet]:
+        """Takes out one by one the packets of this channel that wait now. By the reader."""
+        order = self.mailbox.order
+        for waiting in tuple(order):
+            if waiting.channel is self:
+                try:
+                    order.remove(waiting)
+                except ValueError:  # it fell out meanwhile
+                    continue
+                yield waiting.take()
+
+    @property
+    def handled(self) -> int:
+        """How many packets were taken out."""
+        return sum(waiting.handled for waiting in self._by_type.values())
+
+    def __len__(self) -> int:
+        return sum(map(len, self._by_type.values()))
 
     @property
     def heavy_bytes(self) -> int:
         """The bytes of the heavy packets that wait."""
-        return sum(bounded.bytes for bounded in self._by_type.values())
+        return sum(waiting.bytes for waiting in self._by_type.values())
 
     def dropped(self) -> int:
         """Returns how many packets were lost: those that fell out, and those that were refused from other agents.
 
-        Where only the newest is wanted (`LATEST`), the others are not lost.
+        If only the newest is wanted (`LATEST`), the others are not lost.
         """
-        return sum(bounded.lost for bounded in self._by_type.values()) + self.refused
+        return sum(waiting.lost for waiting in self._by_type.values()) + self.refused
 
 
 class Runnable(Protocol):
@@ -213,25 +239,26 @@ class Mailbox:
 
     Attributes:
         control: the lane that goes first: pykka's envelopes, ticks and calls, in order.
-        waiting: the channel queues that may have something in them, in the order in which it came.
+        order: for each packet that waits the queue that it is in, in the order in which they came.
         queues: all channel queues, by channel.
         token: the right to give its component turns.
         dispatch: the dispatcher that gives the turns.
         component: the component that reads it now; None between an actor and its successor.
-        paused: whether the data lane rests: its packets wait.
+        paused: whether the data lane rests: its packets wait. Changed in a turn only, whose end looks for them.
+        scales: guards what is counted of heavy packets, and of those that fall out.
         closed: whether its component has ended, and no successor is there yet; a thread that asks then is told so.
     """
 
-    __slots__ = ("closed", "component", "control", "dispatch", "paused", "queues", "token", "waiting")
+    __slots__ = ("closed", "component", "control", "dispatch", "order", "paused", "queues", "scales", "token")
 
     def __init__(self) -> None:
         self.control: deque[Any] = deque()
-        # A dict, as publishers enter a queue in one step, and once.
-        self.waiting: dict[ChannelQueue, None] = {}
+        self.order: deque[TypeQueue] = deque()
         self.queues: dict[str, ChannelQueue] = {}
         # Held from the beginning: a dispatcher gives the first turn.
         self.token = threading.Lock()
         self.token.acquire()
+        self.scales = threading.Lock()
         self.dispatch: Dispatch
         self.component: Runnable | None = None
         self.closed = False
@@ -253,9 +280,9 @@ class Mailbox:
             self.dispatch.ready(self)
 
     def end_turn(self) -> None:
-        """Gives the token back, and asks for another turn where something waits."""
+        """Gives the token back, and asks for another turn if something waits."""
         self.token.release()
-        if self.control or (self.waiting and not self.paused):
+        if self.control or (self.order and not self.paused):
             self.wake()
 
     def clear_control(self) -> None:
@@ -271,27 +298,20 @@ class Mailbox:
         """Returns the queue for a channel, with what waits there."""
         queue = self.queues.get(channel)
         if queue is None:
-            queue = self.queues[channel] = ChannelQueue(self.waiting, self.wake)
+            queue = self.queues[channel] = ChannelQueue(self)
         return queue
+
+    def take(self) -> Packet | None:
+        """Takes the oldest packet out; None if nothing waits. By the reader."""
+        try:
+            return self.order.popleft().take()
+        except IndexError:
+            return None
 
     def clear_data(self) -> None:
         """Forgets what waits in the data lane."""
-        self.waiting.clear()
-        for queue in self.queues.values():
-            while queue.take() is not None:
-                pass
-
-    def strike_out(self, queue: ChannelQueue) -> None:
-        """Strikes a queue out of `waiting`; enters it again, behind the others, where something waits in it."""
-        self.waiting.pop(queue, None)
-        # Only now: a publisher that found it there does not enter it.
-        if queue:
-            self.waiting[queue] = None
-
-    def enter_all(self) -> None:
-        """Enters every queue in which something waits: a new component begins with what its predecessor left."""
-        for queue in self.queues.values():
-            self.strike_out(queue)
+        while self.take() is not None:
+            pass
 
     def dropped(self) -> int:
         """Returns how many packets were lost in all queues; see `ChannelQueue.dropped`."""

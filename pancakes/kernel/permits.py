@@ -84,18 +84,19 @@ class Permits:
 
     Attributes:
         moment: the same.
+        by_task: the permits; empty, as on most agents: nothing needs to be asked.
     """
 
     def __init__(self, moment: Callable[[], PermitEnd], say: Callable[[str, str], None]) -> None:
         self.moment = moment
         self._say = say
-        self._permits: dict[str, _Permit] = {}
+        self.by_task: dict[str, _Permit] = {}
 
     def begin(self, fence: Fence) -> bool:
         """A guarded task is this agent's under an epoch. Returns whether that is a new one, under which it may not act
         before `give`.
         """
-        permit = self._permits.get(fence.task_id)
+        permit = self.by_task.get(fence.task_id)
         new = permit is None or permit.epoch < fence.epoch
         if new:
             self.revoke(fence)
@@ -112,7 +113,7 @@ class Permits:
 
     def free(self, task_id: str) -> None:
         """Lets a task act that is not guarded."""
-        self._permits.pop(task_id, None)
+        self.by_task.pop(task_id, None)
 
     def may_act(self, fence: Fence | None) -> bool:
         """Returns whether what has this right may act now."""
@@ -137,7 +138,7 @@ class Permits:
 
     def hold_back(self, fence: Fence, acts: Acts, count: int = 1) -> None:
         """Counts acts that came too late, and says so where it is the first since the permit was over."""
-        permit = self._permits.get(fence.task_id)
+        permit = self.by_task.get(fence.task_id)
         if permit is None:  # it is guarded no longer
             return
         permit.held_back[acts] = permit.held_back.get(acts, 0) + count
@@ -147,7 +148,7 @@ class Permits:
 
     def held_back(self, task_id: str) -> dict[str, int]:
         """Returns how many acts of a task were held back, by kind."""
-        permit = self._permits.get(task_id)
+        permit = self.by_task.get(task_id)
         return {str(acts): count for acts, count in permit.held_back.items()} if permit is not None else {}
 
     def ended_by_step(self, fence: Fence) -> float:
@@ -160,13 +161,13 @@ class Permits:
 
     def steps(self, task_id: str) -> int:
         """Returns how often the time of day was set forward while this agent had a task, and ended its permit."""
-        permit = self._permits.get(task_id)
+        permit = self.by_task.get(task_id)
         return permit.steps if permit is not None else 0
 
     def _of(self, fence: Fence) -> _Permit:
-        permit = self._permits.get(fence.task_id)
+        permit = self.by_task.get(fence.task_id)
         if permit is None:
-            permit = self._permits[fence.task_id] = _Permit(fence.epoch)
+            permit = self.by_task[fence.task_id] = _Permit(fence.epoch)
         permit.epoch = max(permit.epoch, fence.epoch)
         return permit
 
@@ -175,7 +176,7 @@ class Permits:
 
         A later epoch than this agent ever had is another agent's, whose commands come by here.
         """
-        if fence is None or not self._permits:
+        if fence is None or not self.by_task:
             return None
-        permit = self._permits.get(fence.task_id)
+        permit = self.by_task.get(fence.task_id)
         return permit if permit is not None and fence.epoch <= permit.epoch else None

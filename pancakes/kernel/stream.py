@@ -8,16 +8,16 @@ gateway, packets for a task wherever it is go to the courier.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import msgspec
 
 from pancakes.errors import MailboxFull, PancakesError, UnknownChannel
-from pancakes.kernel.handlers import Keep, Subscription
-from pancakes.kernel.mailbox import ChannelQueue, Mailbox
-from pancakes.kernel.payload_size import LIGHT_BYTES, weight_of
-from pancakes.packet import CORE_CHANNELS, CTRL, NEIGHBOURS, TO_TASK, Packet, agent_of, covers
+from pancakes.kernel.handlers import Subscription
+from pancakes.kernel.mailbox import ChannelQueue, Mailbox, TypeQueue
+from pancakes.kernel.payload_size import LIGHT_BYTES, is_small, weight_of
+from pancakes.packet import CORE_CHANNELS, CTRL, NEIGHBOURS, TO_TASK, Packet, agent_of, covers, type_of
 from pancakes.util.class_checks import check_called
 from pancakes.util.text import fault_of_name, hint_of
 
@@ -28,42 +28,28 @@ class Listener(msgspec.Struct):
     """One component that reads one channel.
 
     Attributes:
-        bounds: by the types that it reads, None for all others.
+        types: those that it reads; None means all.
         open_types: those of the types that it gets whatever their destination.
     """
 
     address: str
     mailbox: Mailbox
     queue: ChannelQueue
-    bounds: dict[str | None, Keep] = {}
+    types: tuple[str | None, ...] = ()
     open_types: tuple[str | None, ...] = ()
 
     def add(self, subscription: Subscription) -> None:
         """Adds what it reads."""
-        self.bounds[subscription.type] = subscription.keep
+        if subscription.type not in self.types:
+            self.types = (*self.types, subscription.type)
         if not subscription.addressed and subscription.type not in self.open_types:
             self.open_types = (*self.open_types, subscription.type)
-        self.queue.bound(self.bounds)
+        self.queue.bound(subscription.type, subscription.keep)
 
     def reads(self, type_name: str, addressed: bool) -> bool:
         """Returns whether a packet of this type is for it; `addressed`: its destination names it."""
-        types: Collection[str | None] = self.bounds if addressed else self.open_types
+        types = self.types if addressed else self.open_types
         return type_name in types or None in types
-
-    def keep_of(self, type_name: str) -> Keep:
-        """Returns the bound of packets of a type that it reads."""
-        return self.bounds.get(type_name) or self.bounds[None]
-
-    def refuse(self, packet: Packet, weight: int) -> None:
-        """Raises `MailboxFull` where it has no room for a packet that it must not lose."""
-        if not self.queue.refuses(packet, weight):
-            return
-        reader = self.mailbox.component
-        raise MailboxFull(
-            f"{reader.address if reader else 'a task between restarts'} has no room for {packet.type!r} from"
-            f" {packet.source} on {packet.channel!r}: {len(self.queue)}"
-            + (f" ({self.queue.heavy_bytes} bytes) wait already" if weight else " wait already")
-        )
 
     def describe(self) -> dict[str, Any]:
         """Returns its address and how it reads, as plain values."""
@@ -74,11 +60,11 @@ class Listener(msgspec.Struct):
 
         `waiting_bytes` are those of the heavy packets among them, which `MOST_BYTES` bounds.
 
-        It gets `open_types` whatever their destination, the other `types` only where a packet's destination names it.
+        It gets `open_types` whatever their destination, the other `types` only if a packet's destination names it.
         """
-        keeps = list(self.bounds.values())
+        keeps = [self.queue.of(name).keep for name in self.types]
         return {
-            "types": _names(self.bounds),
+            "types": _names(self.types),
             "open_types": _names(self.open_types),
             "keep": "reliable" if any(keep.reliable for keep in keeps) else "newest",
             "limit": sum(keep.limit for keep in keeps),
@@ -89,51 +75,68 @@ class Listener(msgspec.Struct):
 
 
 class Route(msgspec.Struct, frozen=True):
-    """The readers of packets of one type and destination on one channel: an immutable snapshot, read without a lock.
+    """Where packets of one type and destination on one channel go: an immutable snapshot, read without a lock.
 
     Attributes:
-        queues: the queues of all components that get the packets.
-        reliable: those components that may refuse a packet.
-        taps: functions that see the packets besides.
+        type: the name of the packets' type.
+        queues: where they wait for each component here that gets them.
+        reliable: those of the queues that may refuse a packet.
+        taps: functions that see the packets besides, or carry them to where they go.
+        light: whether the bodies of all of them are of one small size.
     """
 
-    queues: tuple[ChannelQueue, ...]
-    reliable: tuple[Listener, ...]
+    type: str
+    queues: tuple[TypeQueue, ...]
+    reliable: tuple[TypeQueue, ...]
     taps: tuple[Tap, ...]
+    light: bool
 
-    def give(self, packet: Packet, weight: int) -> None:
-        """Gives a packet to all of them, or to none; `weight`: its bytes, where it is a heavy one.
+    def give(self, packet: Packet) -> None:
+        """Gives a packet to all of them, or to none.
 
         Raises:
             MailboxFull: a `reliable` subscriber has no room; no subscriber got the packet.
         """
+        weight = 0 if self.light else weight_of(packet.body)
         # All reliable readers are asked before any of them gets the packet: a retry must not double it.
-        for reader in self.reliable:
-            reader.refuse(packet, weight)
+        for queue in self.reliable:
+            if queue.refuses(weight):
+                raise _no_room(queue, packet, weight)
         for queue in self.queues:
             queue.put(packet, weight)
         for tap in self.taps:
             tap(packet)
 
     def give_all(self, packets: Sequence[Packet], weight: int) -> None:
-        """Gives packets, where there is no tap and no reader may refuse one; `weight`: the bytes of each, if heavy."""
+        """Gives packets if there is no tap and no reader may refuse one; `weight`: the bytes of each, if heavy."""
         for packet in packets:
             for queue in self.queues:
                 queue.put(packet, weight)
 
-    def give_where_room(self, packet: Packet, weight: int) -> None:
+    def give_if_room(self, packet: Packet) -> None:
         """Gives a packet, which cannot come again, to all of them that have room, and counts it for the others."""
+        weight = weight_of(packet.body)
         for queue in self.queues:
-            if queue.refuses(packet, weight):
-                queue.refused += 1
+            if queue.refuses(weight):
+                queue.channel.refused += 1
             else:
                 queue.put(packet, weight)
         for tap in self.taps:
             tap(packet)
 
 
+def _no_room(queue: TypeQueue, packet: Packet, weight: int) -> MailboxFull:
+    waiting = queue.channel
+    reader = waiting.mailbox.component
+    return MailboxFull(
+        f"{reader.address if reader else 'a task between restarts'} has no room for {packet.type!r} from"
+        f" {packet.source} on {packet.channel!r}: {len(waiting)}"
+        + (f" ({waiting.heavy_bytes} bytes) wait already" if weight else " wait already")
+    )
+
+
 def _names(types: Collection[str | None]) -> list[str] | None:
-    """Returns the names of types, sorted; None where all types are meant."""
+    """Returns the names of types, sorted; None if all types are meant."""
     return None if None in types else sorted(str(name) for name in types)
 
 
@@ -141,7 +144,7 @@ Gateway = Callable[[Packet], None]
 """Takes packets whose destination is elsewhere. Called in the publisher's thread, must not block."""
 
 MOST_ROUTES = 4096
-"""So many snapshots are kept; a peer that makes up one type or destination after the other must not fill the memory."""
+"""The most snapshots that are kept: a peer that makes up type after type, or destinations, must not fill the memory."""
 
 
 class InformationStream:
@@ -170,7 +173,8 @@ class InformationStream:
         self._taps: dict[str, tuple[tuple[Tap, tuple[str, ...], str], ...]] = {}
         self._outgoing: tuple[Tap, ...] = ()
         self._openers: tuple[Callable[[str], None], ...] = ()
-        self._routes: dict[tuple[str, str, str], Route] = {}  # by channel, type and destination
+        # By channel, type and destination; a packet that is published here is found by the class of its body.
+        self._routes: dict[tuple[str, type | str, str], Route] = {}
         self.undelivered = 0
 
     def channels(self) -> list[str]:
@@ -231,21 +235,26 @@ class InformationStream:
                 wait already; no subscriber got the packet.
             LocalProtocolError: its destination is elsewhere and its body cannot travel, or is no task.
         """
-        destination = packet.destination
-        if not destination:
-            return self._give(packet, "")
-        if agent_of(destination) == self.agent:
-            return self._give(packet, destination)
-        if packet.channel not in self._readers:
-            raise self._unknown(packet)
-        gateway, taps = self.courier if destination.startswith(TO_TASK) else self.gateway, self._outgoing
-        if gateway is None:
-            self.undelivered += 1
-        else:
-            gateway(packet)
-        for tap in taps:
-            tap(packet)
-        return 0
+        route = self._route_of(packet.channel, packet.type, packet.destination, packet.source)
+        route.give(packet)
+        return len(route.queues)
+
+    def route(self, channel: str, body: Any, destination: str, source: str) -> Route:
+        """Returns where packets with such a body go, for a publisher that makes one: `route.give(packet)` gives it.
+
+        Args:
+            channel: their channel.
+            body: an instance of a registered packet type.
+            destination: empty: all subscribers here.
+            source: their publisher.
+
+        Raises:
+            UnknownChannel: there is no such channel here.
+            LocalProtocolError: the body is of no registered type.
+        """
+        return self._routes.get((channel, body.__class__, destination)) or self._new_route(
+            channel, type_of(body), destination, source, body.__class__
+        )
 
     def inject(self, packet: Packet) -> int:
         """Publishes a packet that came from another agent, on its own channel here.
@@ -259,12 +268,17 @@ class InformationStream:
                 the packet, and for this one it counts as dropped.
         """
         destination = "" if packet.destination == NEIGHBOURS else packet.destination
+        if destination and agent_of(destination) != self.agent:  # it must not go out again
+            self.undelivered += 1
+            return 0
+        route = self._route_of(packet.channel, packet.type, destination, packet.source)
         try:
-            return self._give(packet, destination)
+            route.give(packet)
         except MailboxFull:
             # It may be another route by now, or none: readers come and go.
-            self._route_of(packet, destination).give_where_room(packet, weight_of(packet.body))
+            self._route_of(packet.channel, packet.type, destination, packet.source).give_if_room(packet)
             raise
+        return len(route.queues)
 
     def inject_all(
         self, packets: Sequence[Packet], refused: Callable[[Packet, PancakesError], None], size: int | None = None
@@ -276,7 +290,7 @@ class InformationStream:
         Args:
             packets: the packets, in their order.
             refused: called with each packet that found no room, or no channel, and why; see `inject`.
-            size: how many bytes they took on the wire, where that is known.
+            size: how many bytes they took on the wire, if that is known.
         """
         first = packets[0]
         destination = "" if first.destination == NEIGHBOURS else first.destination
@@ -397,46 +411,67 @@ class InformationStream:
         for key in [key for key in self._routes if key[0] == channel]:
             del self._routes[key]
 
-    def _route_of(self, packet: Packet, destination: str) -> Route:
-        return self._routes.get((packet.channel, packet.type, destination)) or self._new_route(packet, destination)
+    def _route_of(self, channel: str, type_name: str, destination: str, source: str) -> Route:
+        return self._routes.get((channel, type_name, destination)) or self._new_route(
+            channel, type_name, destination, source
+        )
 
-    def _new_route(self, packet: Packet, destination: str) -> Route:
-        """Makes the snapshot for packets like this one; an empty destination means all subscribers here."""
+    def _new_route(
+        self, channel: str, type_name: str, destination: str, source: str, body_class: type | None = None
+    ) -> Route:
+        """Makes the snapshot; `body_class`: the class of all bodies, if it is known."""
         with self._lock:
-            readers = self._readers.get(packet.channel)
+            readers = self._readers.get(channel)
             if readers is None:
-                raise self._unknown(packet)
-            is_addressed = destination not in ("", self.agent)
-            listeners = [
-                reader
-                for reader in readers.values()
-                if (not destination or covers(destination, reader.address))
-                and reader.reads(packet.type, addressed=is_addressed)
-            ]
-            # A stable order of those that are told, which decides the order of their turns in virtual time.
-            listeners.sort(key=lambda reader: len(reader.bounds) > 1)
-            route = Route(
-                tuple(reader.queue for reader in listeners),
-                tuple(reader for reader in listeners if reader.keep_of(packet.type).reliable),
-                tuple(tap for tap, types, _ in self._taps.get(packet.channel, ()) if not types or packet.type in types),
-            )
+                raise UnknownChannel(
+                    f"{source} published {type_name!r} to {channel!r}, but {self.agent} has no such channel"
+                    f"{hint_of(channel, self._readers)}"
+                )
+            if destination and agent_of(destination) != self.agent:
+                route = Route(type_name, (), (), (self._send,), light=True)
+            else:
+                taps = tuple(tap for tap, types, _ in self._taps.get(channel, ()) if not types or type_name in types)
+                queues = tuple(self._queues(readers.values(), type_name, destination))
+                if not queues and (destination or channel == CTRL):
+                    taps = (*taps, self._count_unheard if destination and not taps else self._tell_unheard)
+                route = Route(
+                    type_name,
+                    queues,
+                    tuple(queue for queue in queues if queue.keep.reliable),
+                    taps,
+                    light=not queues or (body_class is not None and is_small(body_class)),
+                )
             if len(self._routes) >= MOST_ROUTES:
                 self._routes.clear()
-            self._routes[packet.channel, packet.type, destination] = route
+            self._routes[channel, body_class or type_name, destination] = route
             return route
 
-    def _give(self, packet: Packet, destination: str) -> int:
-        route = self._route_of(packet, destination)
-        route.give(packet, weight_of(packet.body) if route.queues else 0)
-        if not route.queues:
-            if destination and not route.taps:
-                self.undelivered += 1
-            if destination or packet.channel == CTRL:
-                self.unheard(packet)
-        return len(route.queues)
+    def _queues(self, readers: Iterable[Listener], type_name: str, destination: str) -> list[TypeQueue]:
+        """Returns where packets wait for the readers here that get them; an empty destination means all of them."""
+        is_addressed = destination not in ("", self.agent)
+        found = [
+            reader
+            for reader in readers
+            if (not destination or covers(destination, reader.address))
+            and reader.reads(type_name, addressed=is_addressed)
+        ]
+        # A stable order of those that are told, which decides the order of their turns in virtual time.
+        found.sort(key=lambda reader: len(reader.types) > 1)
+        return [reader.queue.of(type_name) for reader in found]
 
-    def _unknown(self, packet: Packet) -> UnknownChannel:
-        return UnknownChannel(
-            f"{packet.source} published {packet.type!r} to {packet.channel!r}, but {self.agent} has no such channel"
-            f"{hint_of(packet.channel, self._readers)}"
-        )
+    def _send(self, packet: Packet) -> None:
+        """Takes a packet whose destination is another agent, or a task."""
+        gateway = self.courier if packet.destination.startswith(TO_TASK) else self.gateway
+        if gateway is None:
+            self.undelivered += 1
+        else:
+            gateway(packet)
+        for tap in self._outgoing:
+            tap(packet)
+
+    def _count_unheard(self, packet: Packet) -> None:
+        self.undelivered += 1
+        self.unheard(packet)
+
+    def _tell_unheard(self, packet: Packet) -> None:
+        self.unheard(packet)

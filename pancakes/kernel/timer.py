@@ -281,11 +281,14 @@ class TaskTimer:
         component = self.component
         if component.actor_inbox.paused or not component.acts():
             return
-        lateness_s = max(0.0, self._ticker.now() - deadline_s)
+        lateness_s = self._ticker.now() - deadline_s
+        if lateness_s < 0.0:
+            lateness_s = 0.0
         self.ticks += 1
         self.missed_total += missed
         self.lateness_sum_s += lateness_s
-        self.lateness_max_s = max(lateness_s, self.lateness_max_s)
+        if lateness_s > self.lateness_max_s:
+            self.lateness_max_s = lateness_s
         tick = Tick(deadline_s, missed, lateness_s)
         for heard in self._ticker.ticks_heard:
             heard((self, tick, self.period_s))

@@ -258,9 +258,8 @@ class LogService(ServiceCore, Service):
         """Returns what was asked for, as far as it fits a packet."""
         import json
 
-        # What was said before the question belongs to the answer, also where it waits behind it.
-        waiting = self.actor_inbox.queues[LOG]
-        while (packet := waiting.take()) is not None:
+        # What was said before the question belongs to the answer, even if it waits behind it.
+        for packet in self.actor_inbox.queues[LOG].drain():
             self.remember(packet)
         since_s = -math.inf if body.since_s is None else self.now() - body.since_s
         page: list[dict[str, Any]] = []

@@ -299,7 +299,7 @@ class Root(ActorCore):
     def refuse_all(self, reason: str) -> None:
         """Answers, once this actor has ended, all control packets that it took or that still wait for it."""
         queue = self.actor_inbox.queues.get(SYSCTRL)
-        while queue is not None and (packet := queue.take()) is not None:
+        for packet in queue.drain() if queue is not None else ():
             # The one that it failed on lies here again, and has its number.
             if not self._answers.owes((packet.source, packet.seq)):
                 self.reply(self._numbered(packet), Refusal("failed", reason))

@@ -261,7 +261,7 @@ class ServiceCore(ActorCore):
         """Returns the commands that it has not answered, and forgets them."""
         queue = self.actor_inbox.queues.get(SYSCTRL)
         left = self._answers.forget_all()
-        while queue is not None and (packet := queue.take()) is not None:
+        for packet in queue.drain() if queue is not None else ():
             command = packet.body
             # The one that it failed on lies here again.
             if isinstance(command, Command) and command.body is not None and command.number > self._newest_command:

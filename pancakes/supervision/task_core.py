@@ -115,7 +115,8 @@ class TaskCore(ActorCore):
 
     def acts(self) -> bool:
         # A guarded task that does not know whether another agent runs it stands still until its service tells it.
-        if self.fence is None or self.kernel.permits.may_act(self.fence):
+        permits = self.kernel.permits
+        if not permits.by_task or permits.may_act(self.fence):
             return True
         if not self.is_frozen:
             self.freeze()

@@ -320,6 +320,7 @@ def test_hangup_begins_a_moved_log_file_again(rig: Rig):
     agent = rig.agent(rig.config("a", '[service.log]\nsettings = { file = "a.jsonl" }'))
     agent.hear(READY)
     path = rig.directory / "a.jsonl"
+    agent.wait_for_file(path)
     for number in (1, 2):  # twice: it is no wish to end at once
         path.rename(rig.directory / f"moved.{number}.jsonl")
         agent.process.send_signal(signal.SIGHUP)

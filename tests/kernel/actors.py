@@ -75,10 +75,21 @@ def put_back(mailbox):
 def bounded(mailbox, channel, bounds):
     """Returns a mailbox's queue for a channel, with these bounds."""
     queue = mailbox.subscribe(channel)
-    queue.bound(bounds)
+    for type_name, keep in bounds.items():
+        queue.bound(type_name, keep)
     return queue
+
+
+def put(queue, packet, weight=0):
+    """Puts a packet into a reader's queue for its channel, as the stream does."""
+    queue.of(packet.type).put(packet, weight)
+
+
+def take(queue):
+    """Takes the oldest packet of a channel out; None if nothing waits."""
+    return next(queue.drain(), None)
 
 
 def drained(queue):
     """Takes all that waits in a queue out; returns the packets' numbers."""
-    return [packet.seq for packet in iter(queue.take, None)]
+    return [packet.seq for packet in queue.drain()]

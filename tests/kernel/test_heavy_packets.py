@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kernel.actors import bounded, drained, put_back
+from kernel.actors import bounded, drained, put, put_back, take
 
 from pancakes.errors import MailboxFull
 from pancakes.kernel.handlers import MOST_BYTES, Keep, Subscription, queue, reliable
@@ -64,8 +64,8 @@ def test_the_oldest_fall_out_where_those_that_wait_are_too_large(types: tuple[st
 def test_16_mib_wait_under_a_subscription():
     _, waiting = stream_with(queue(256))
     for number in range(17):
-        waiting.put(blob(number, 2**20), 2**20)
-    assert [taken.seq for taken in iter(waiting.take, None)] == list(range(1, 17))
+        put(waiting, blob(number, 2**20), 2**20)
+    assert [taken.seq for taken in waiting.drain()] == list(range(1, 17))
 
 
 @BOTH
@@ -87,7 +87,7 @@ def test_a_reliable_reader_has_room_again_once_it_has_read(types: tuple[str, ...
         try:
             stream.publish(blob(number, MOST_BYTES // 4))
         except MailboxFull:
-            waiting.take()
+            take(waiting)
         else:
             accepted.append(number)
     left = drained(waiting)
@@ -130,14 +130,14 @@ def test_no_more_falls_out_than_must(limit, steps):
     lost = 0
     for number, step in enumerate(steps):
         if step == "take":
-            packet = waiting.take()
+            packet = take(waiting)
             assert (packet.seq if packet else None) == (model.popleft()[0] if model else None)
             continue
         while model and (len(model) >= limit or (step and sum(weight for _, weight in model) + step > 100)):
             model.popleft()
             lost += limit > 1
         model.append((number, step))
-        waiting.put(blob(number), step * UNIT)
+        put(waiting, blob(number), step * UNIT)
         assert waiting.heavy_bytes == sum(weight for _, weight in model) * UNIT
     assert waiting.dropped() == lost
     assert drained(waiting) == [number for number, _ in model]
@@ -158,7 +158,7 @@ def test_many_threads_at_once_leave_the_scales_right():
         nonlocal most
         while not over.wait(0.0001):
             most = max(most, waiting.heavy_bytes)
-            waiting.take()
+            take(waiting)
 
     threads = [threading.Thread(target=publish, args=(first,)) for first in (0, 1000, 2000)]
     reader = threading.Thread(target=read)
@@ -177,10 +177,10 @@ def test_many_threads_at_once_leave_the_scales_right():
 @pytest.mark.parametrize("others", [{}, {"heavy.other": queue(9)}])
 def test_a_heavy_packet_that_is_put_back_is_heavy_again(others):
     waiting = bounded(opened(), "system", {"heavy.blob": queue(64), **others})
-    waiting.put(blob(1, 5000), 5000)
-    packet = waiting.take()
+    put(waiting, blob(1, 5000), 5000)
+    packet = take(waiting)
     assert waiting.heavy_bytes == 0
-    waiting.put_back(packet)
+    waiting.of("heavy.blob").put_back(packet)
     assert waiting.heavy_bytes == 5000
-    assert waiting.take() is packet
+    assert take(waiting) is packet
     assert waiting.heavy_bytes == 0

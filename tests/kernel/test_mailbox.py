@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kernel.actors import bounded, drained, put_back
+from kernel.actors import bounded, drained, put, put_back, take
 from pykka import ActorDeadError, ActorRef
 
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import LATEST, Keep, queue, reliable
-from pancakes.kernel.mailbox import ChannelQueue, Mailbox
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.payload_size import LIGHT_BYTES
 from pancakes.kernel.pykka_actor import Flag
 from pancakes.packet import Packet
@@ -44,7 +44,7 @@ def opened():
 def test_latest_keeps_the_newest_and_has_lost_nothing():
     waiting = bounded(opened(), "system", {"pose": LATEST})
     for seq in range(1, 6):
-        waiting.put(packet(seq))
+        put(waiting, packet(seq))
     assert waiting.dropped() == 0
     assert drained(waiting) == [5]
 
@@ -52,17 +52,17 @@ def test_latest_keeps_the_newest_and_has_lost_nothing():
 def test_a_queue_lets_the_oldest_fall_out():
     waiting = bounded(opened(), "system", {"pose": queue(3)})
     for seq in range(1, 6):
-        waiting.put(packet(seq))
+        put(waiting, packet(seq))
     assert drained(waiting) == [3, 4, 5]
     assert waiting.dropped() == 2
 
 
 def test_a_reliable_queue_says_that_it_is_full_and_loses_nothing():
     waiting = bounded(opened(), "system", {"pose": reliable(2)})
-    assert not waiting.refuses(packet(1), 0)
-    waiting.put(packet(1))
-    waiting.put(packet(2))
-    assert waiting.refuses(packet(3), 0)
+    assert not waiting.of("pose").refuses(0)
+    put(waiting, packet(1))
+    put(waiting, packet(2))
+    assert waiting.of("pose").refuses(0)
     assert drained(waiting) == [1, 2]
     assert waiting.dropped() == 0
 
@@ -70,14 +70,14 @@ def test_a_reliable_queue_says_that_it_is_full_and_loses_nothing():
 def test_two_types_on_one_channel_never_overtake_each_other():
     waiting = bounded(opened(), "system", {"pose": queue(9), "battery": queue(9)})
     for seq, name in enumerate(["pose", "battery", "battery", "pose", "battery"], start=1):
-        waiting.put(packet(seq, name))
+        put(waiting, packet(seq, name))
     assert drained(waiting) == [1, 2, 3, 4, 5]
 
 
 def test_each_type_on_a_channel_has_its_own_bound():
     waiting = bounded(opened(), "system", {"pose": LATEST, None: queue(9)})
     for seq, name in enumerate(["pose", "battery", "pose", "load", "pose"], start=1):
-        waiting.put(packet(seq, name))
+        put(waiting, packet(seq, name))
     assert drained(waiting) == [2, 4, 5]  # of the poses only the newest, in its place
 
 
@@ -85,9 +85,9 @@ def test_a_packet_that_comes_again_is_first_and_is_not_counted_twice():
     for bounds in ({"pose": reliable(9)}, {"pose": reliable(9), "load": LATEST}):
         waiting = bounded(opened(), "system", bounds)
         for seq in (1, 2, 3):
-            waiting.put(packet(seq))
-        waiting.put_back(waiting.take())
-        waiting.put_back(waiting.take())
+            put(waiting, packet(seq))
+        waiting.of("pose").put_back(take(waiting))
+        waiting.of("pose").put_back(take(waiting))
         assert drained(waiting) == [1, 2, 3]
         assert waiting.dropped() == 0
 
@@ -95,17 +95,17 @@ def test_a_packet_that_comes_again_is_first_and_is_not_counted_twice():
 def test_one_turn_is_asked_for_however_much_comes_meanwhile():
     mailbox = opened()
     waiting = bounded(mailbox, "system", {"pose": queue(9)})
-    waiting.put(packet(1))
-    waiting.put(packet(2))
+    put(waiting, packet(1))
+    put(waiting, packet(2))
     mailbox.put(object())
     assert mailbox.dispatch.told == 1
 
 
 def test_a_second_subscription_on_a_channel_keeps_what_waits():
     mailbox = opened()
-    bounded(mailbox, "system", {"pose": queue(9)}).put(packet(1))
+    put(bounded(mailbox, "system", {"pose": queue(9)}), packet(1))
     waiting = bounded(mailbox, "system", {"pose": queue(9), "load": LATEST})
-    waiting.put(packet(2, "load"))
+    put(waiting, packet(2, "load"))
     assert drained(waiting) == [1, 2]
 
 
@@ -114,8 +114,8 @@ def test_a_successor_that_subscribes_one_type_after_the_other_loses_nothing():
     mailbox = opened()
     waiting = bounded(mailbox, "system", {"pose": LATEST, "load": queue(9)})
     for seq in (1, 2, 3):
-        waiting.put(packet(seq, "load"))
-    waiting.put(packet(4, "pose"))
+        put(waiting, packet(seq, "load"))
+    put(waiting, packet(4, "pose"))
     bounded(mailbox, "system", {"pose": LATEST})
     after = bounded(mailbox, "system", {"pose": LATEST, "load": queue(9)})
     assert drained(after) == [1, 2, 3, 4]
@@ -125,7 +125,7 @@ def test_the_count_of_what_fell_out_outlives_a_restart():
     mailbox = opened()
     waiting = bounded(mailbox, "system", {"pose": queue(2)})
     for seq in range(3):
-        waiting.put(packet(seq))
+        put(waiting, packet(seq))
     bounded(mailbox, "system", {"pose": queue(2)})
     assert mailbox.dropped() == 1
     # And so it does where one more type is listened to, also where the new queue alone is asked.
@@ -135,15 +135,6 @@ def test_the_count_of_what_fell_out_outlives_a_restart():
 
 def test_a_mailbox_that_waits_for_its_first_component_is_open():
     assert not Mailbox().closed
-
-
-def test_a_new_component_begins_with_what_its_predecessor_left():
-    mailbox = opened()
-    waiting = bounded(mailbox, "system", {"pose": queue(9)})
-    waiting.put(packet(1))
-    mailbox.waiting.clear()  # the predecessor had taken it off the list when it died
-    mailbox.enter_all()
-    assert list(mailbox.waiting) == [waiting]
 
 
 def test_a_caller_of_an_actor_that_has_ended_is_told_so_at_once(kernel):
@@ -177,11 +168,11 @@ STEPS = st.lists(st.sampled_from(["put pose", "put load", "pop", "subscribe agai
 def test_a_packet_that_is_put_back_is_not_taken_for_one_that_has_fallen_out():
     waiting = bounded(opened(), "system", {"pose": queue(2), "load": reliable(9)})
     for seq in (1, 2, 3):
-        waiting.put(packet(seq, "load"))
-    taken = waiting.take()
+        put(waiting, packet(seq, "load"))
+    taken = take(waiting)
     for seq in (4, 5, 6):
-        waiting.put(packet(seq))
-    waiting.put_back(taken)
+        put(waiting, packet(seq))
+    waiting.of("load").put_back(taken)
     assert drained(waiting) == [1, 2, 3, 5, 6]
     assert waiting.dropped() == 1
 
@@ -202,7 +193,7 @@ def test_any_queue_behaves_as_its_model(bounds, steps):
                 so_far[type_name] = keep
                 waiting = bounded(mailbox, "system", dict(so_far))
         elif what == "pop":
-            taken = waiting.take()
+            taken = take(waiting)
             assert (taken.seq if taken else None) == (model.popleft()[0] if model else None)
         else:
             bound = name if name in bounds else None
@@ -210,38 +201,40 @@ def test_any_queue_behaves_as_its_model(bounds, steps):
                 continue  # this type has no subscriber, so the stream never puts it here
             same = [entry for entry in model if entry[1] == bound]
             full = len(same) >= bounds[bound].limit
-            assert waiting.refuses(packet(seq, name), 0) == (bounds[bound].reliable and full)
+            assert waiting.of(name).refuses(0) == (bounds[bound].reliable and full)
             if bounds[bound].reliable and full:
                 continue  # the stream asks first
             if full:
                 model.remove(same[0])
                 dropped += bounds[bound] != LATEST
             model.append((seq, bound))
-            waiting.put(packet(seq, name))
+            put(waiting, packet(seq, name))
         assert len(waiting) == len(model)
         assert mailbox.dropped() == dropped
     assert drained(waiting) == [seq for seq, _ in model]
 
 
-class Interrupted(ChannelQueue):
-    """A publisher puts a packet into it right after its reader has seen it empty."""
-
-    def __len__(self):
-        seen = super().__len__()
-        if not self.handled:
-            self.handled = 1
-            self.put(packet(1))
-        return seen
-
-
-def test_a_packet_that_comes_while_the_reader_puts_its_queue_aside_is_not_forgotten():
+def test_a_packet_that_comes_before_the_token_is_given_back_gets_a_turn():
     mailbox = opened()
-    waiting = mailbox.queues["system"] = Interrupted(mailbox.waiting, mailbox.wake)
-    waiting.bound({None: LATEST})
-    mailbox.waiting[waiting] = None
-    mailbox.strike_out(waiting)
-    assert list(mailbox.waiting) == [waiting]
-    assert drained(waiting) == [1]
+    waiting = bounded(mailbox, "system", {None: LATEST})
+    mailbox.token.acquire()
+    put(waiting, packet(1))  # the turn has seen that nothing waits, and does not end before this
+    assert mailbox.dispatch.told == 0
+    mailbox.end_turn()
+    assert mailbox.dispatch.told == 1
+
+
+def test_a_paused_mailbox_asks_for_no_turn_before_it_goes_on():
+    mailbox = opened()
+    waiting = bounded(mailbox, "system", {None: queue(9)})
+    mailbox.paused = True
+    for seq in (1, 2):
+        put(waiting, packet(seq))
+    assert mailbox.dispatch.told == 0
+    mailbox.token.acquire()  # the turn in which it goes on
+    mailbox.paused = False
+    mailbox.end_turn()
+    assert mailbox.dispatch.told == 1
 
 
 @pytest.mark.parametrize("keep", [LATEST, queue(3), queue(10_000)], ids=["latest", "queue(3)", "queue(10,000)"])
@@ -254,7 +247,7 @@ def test_many_publishers_and_one_reader_at_once_lose_no_newest_packet_and_no_cou
     def publish(name, weight):
         starts.wait()
         for seq in range(1, each + 1):
-            waiting.put(Packet("system", name, f"a/client/{name}{weight}", "", 0.0, seq, None), weight)
+            put(waiting, Packet("system", name, f"a/client/{name}{weight}", "", 0.0, seq, None), weight)
 
     publishers = [threading.Thread(target=publish, args=kind) for kind in (("pose", 0), ("pose", heavy), ("load", 0))]
     before = sys.getswitchinterval()
@@ -264,11 +257,9 @@ def test_many_publishers_and_one_reader_at_once_lose_no_newest_packet_and_no_cou
             publisher.start()
         starts.wait()
         heard: dict[str, list[int]] = {}
-        while any(publisher.is_alive() for publisher in publishers) or mailbox.waiting:
-            for entered in list(mailbox.waiting):
-                if (taken := entered.take()) is not None:
-                    heard.setdefault(taken.source, []).append(taken.seq)
-                mailbox.strike_out(entered)
+        while any(publisher.is_alive() for publisher in publishers) or mailbox.order:
+            if (taken := mailbox.take()) is not None:
+                heard.setdefault(taken.source, []).append(taken.seq)
     finally:
         sys.setswitchinterval(before)
     assert len(waiting) == 0 and waiting.heavy_bytes == 0

@@ -4,7 +4,7 @@ import gc
 from collections import deque
 
 import pytest
-from kernel.actors import Actor, bounded, put_back
+from kernel.actors import Actor, bounded, put, put_back, take
 from msgspec import structs
 
 from pancakes.events import LogLine
@@ -66,9 +66,9 @@ def test_a_turn_that_has_done_everything_is_followed_by_none(dispatcher, actor):
 def test_what_a_turn_has_left_of_its_packets_is_for_another_turn(dispatcher, actor):
     mailbox = actor.actor_inbox
     waiting = bounded(mailbox, "system", {"line": queue(8)})
-    actor.subscribe("system", "line", lambda packet: waiting.put(packet))
+    actor.subscribe("system", "line", lambda packet: put(waiting, packet))
     assert not given(dispatcher, actor)
-    waiting.put(packet())
+    put(waiting, packet())
     assert given(dispatcher, actor), "what waits is not handled until something else comes"
     mailbox.paused = True
     assert not given(dispatcher, actor), "it stands still"
@@ -87,11 +87,11 @@ def test_a_packet_that_comes_while_the_last_is_handled_is_for_another_turn(dispa
     def hear(it):
         heard.append(it.body.text)
         if it.body.text == "one":
-            waiting.put(packet("two"))
+            put(waiting, packet("two"))
 
     actor.subscribe("system", "line", hear)
     given(dispatcher, actor)
-    waiting.put(packet("one"))
+    put(waiting, packet("one"))
     assert given(dispatcher, actor)
     assert not given(dispatcher, actor)
     assert heard == ["one", "two"]
@@ -103,7 +103,7 @@ def test_a_packet_that_was_taken_is_counted_and_weighed_no_more(dispatcher, acto
     for name in ("line", "pose"):  # then the queue is one for several types
         actor.subscribe("system", name, lambda packet: heard.append(packet.body.text))
         waiting = bounded(mailbox, "system", {name: queue(8)})
-        waiting.put(packet(), 5000)
+        put(waiting, packet(), 5000)
         assert not given(dispatcher, actor)
         assert (len(waiting), waiting.dropped(), waiting.heavy_bytes) == (0, 0, 0)
     assert heard == ["x"] * 2 and waiting.handled == 2
@@ -112,8 +112,8 @@ def test_a_packet_that_was_taken_is_counted_and_weighed_no_more(dispatcher, acto
 def test_another_thread_may_empty_a_queue_just_before_its_reader_takes_from_it(dispatcher, actor):
     waiting = bounded(actor.actor_inbox, "system", {"line": queue(8)})
     given(dispatcher, actor)
-    waiting.put(packet())
-    waiting.take()
+    put(waiting, packet())
+    take(waiting)
     assert not given(dispatcher, actor)
     assert not actor.actor_stopped.is_set() and actor.kernel.said == []
 
@@ -198,14 +198,6 @@ def test_two_threads_may_clear_what_no_actor_will_handle():
     mailbox.control = Emptied(["a message"])
     mailbox.clear_control()
     assert not mailbox.control
-
-
-def test_a_queue_in_which_much_comes_is_listed_once():
-    mailbox = Mailbox()
-    waiting = bounded(mailbox, "system", {"line": queue(8)})
-    for _ in range(3):
-        waiting.put(packet())
-    assert list(mailbox.waiting) == [waiting]
 
 
 def test_a_reader_that_subscribes_again_as_before_keeps_the_queue():

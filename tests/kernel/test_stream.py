@@ -32,7 +32,7 @@ class Reader:
 
     def got(self):
         """What has come, as sequence numbers, channel by channel."""
-        return [taken.seq for waiting in self.mailbox.queues.values() for taken in iter(waiting.take, None)]
+        return [taken.seq for waiting in self.mailbox.queues.values() for taken in waiting.drain()]
 
 
 def test_the_five_channels_of_the_paper_are_there_and_cannot_be_removed():
@@ -265,7 +265,7 @@ def test_many_threads_publish_while_readers_come_and_go():
         thread.start()
     for thread in threads:
         thread.join()
-    got = list(iter(steady.mailbox.queues["system"].take, None))
+    got = list(steady.mailbox.queues["system"].drain())
     for number in range(4):
         assert [taken.seq for taken in got if taken.source == f"a/client/{number}"] == list(range(500))
 
@@ -341,7 +341,7 @@ class StreamModel(RuleBasedStateMachine):
         assert self.stream.publish(sent) == len(expected)
         for who, mailbox in self.mailboxes.items():
             waiting = mailbox.queues.get(channel)
-            taken = [got.seq for got in iter(waiting.take, None)] if waiting is not None else []
+            taken = [got.seq for got in waiting.drain()] if waiting is not None else []
             assert taken == ([self.seq] if who in expected else [])
 
 

@@ -41,7 +41,7 @@ class Reader:
         return self.mailbox.queues["system"]
 
     def got(self):
-        return [taken.seq for taken in iter(self.queue.take, None)]
+        return [taken.seq for taken in self.queue.drain()]
 
 
 def packets(*seqs, to="*", body=None):

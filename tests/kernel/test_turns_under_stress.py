@@ -251,7 +251,7 @@ def minded(kernel, idea, *texts, second="system"):
 def test_an_actor_that_stops_in_the_middle_of_its_packets_gets_no_more_of_them(kernel, second):
     component = minded(kernel, lambda it, packet: it.stop(), second=second)
     assert component.heard == ["one"]
-    assert [it.body.text for it in iter(component.actor_inbox.queues[second].take, None)] == ["two"]
+    assert [it.body.text for it in component.actor_inbox.queues[second].drain()] == ["two"]
 
 
 @pytest.mark.parametrize("second", ["system", "ctrl"])
@@ -269,7 +269,7 @@ def test_a_call_that_fails_between_two_packets_brings_neither_back(kernel, secon
     component = minded(kernel, lambda it, packet: it.call(lambda: 1 / 0), second=second)
     assert component.heard == ["one"]
     queues = component.actor_inbox.queues.values()
-    assert [it.body.text for waiting in queues for it in iter(waiting.take, None)] == ["two"]
+    assert [it.body.text for waiting in queues for it in waiting.drain()] == ["two"]
     assert kernel.dead_letters.count == 0
 
 
@@ -301,18 +301,6 @@ def test_what_a_turn_has_handled_is_neither_counted_as_dropped_nor_weighed_any_m
     queues = component.actor_inbox.queues.values()
     assert len(component.heard) == sum(waiting.handled for waiting in queues) == 2
     assert [(waiting.dropped(), waiting.heavy_bytes) for waiting in queues] == [(0, 0)] * 2
-
-
-def test_a_queue_that_was_emptied_at_the_end_of_an_actor_is_listed_for_its_successor(kernel):
-    component = minded(kernel, lambda it, packet: None)
-    mailbox = component.actor_inbox
-    component.actor_ref.stop(timeout=PATIENCE_S)
-    source = ActorCore(kernel, "a/client/Source")
-    source.publish("system", LogLine("info", "between the two"))
-    component.drain()
-    mailbox.enter_all()
-    source.publish("system", LogLine("info", "for the successor"))
-    assert list(mailbox.waiting) == [mailbox.queues["system"]]
 
 
 def test_a_stream_that_was_silenced_takes_nothing_from_earlier_publishers_either(kernel):

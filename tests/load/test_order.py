@@ -46,7 +46,7 @@ class Reader:
 
     def take(self) -> bool:
         """Reads one packet; returns whether there was one."""
-        packet = self.mailbox.queues["system"].take()
+        packet = self.mailbox.take()
         self.read += [packet.seq] if packet is not None else []
         return packet is not None
 

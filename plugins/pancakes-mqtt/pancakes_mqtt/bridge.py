@@ -102,7 +102,7 @@ class MqttBridge(Service):
 
     def on_stop(self) -> None:
         for channel, waiting in self.actor_inbox.queues.items():
-            while channel != SYSCTRL and (packet := waiting.take()) is not None:
+            for packet in waiting.drain() if channel != SYSCTRL else ():
                 self._actor.run_handlers(packet)
         self._end()
 
