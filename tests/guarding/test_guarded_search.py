@@ -6,11 +6,11 @@ Scenarios that are as small as their kind can be; those of `scripts/check-migrat
 
 from __future__ import annotations
 
+import pytest
 from model.guarded_mutants import MUTANTS
 from model.guarded_parts import Scenario
 from model.guarded_scenarios import DEEP, SUITE
 from model.guarded_search import GuardedSearch
-from seeded import for_each
 
 SMALL = (
     Scenario("a taker", takers="B", crashes=""),
@@ -39,21 +39,18 @@ NAMES = (
 )
 
 
-def test_guarded_search_keeps_promises_in_small_scenarios() -> None:
-    def check(scenario: Scenario) -> None:
-        search = GuardedSearch(scenario)
-        result = search.run()
-        assert result.violation == "", "\n".join([result.violation, *result.trace])
-        assert result.complete and search.missed() == []
-
-    for_each(SMALL, check)
+@pytest.mark.parametrize("scenario", SMALL, ids=lambda scenario: scenario.title)
+def test_guarded_search_keeps_promises_in_small_scenarios(scenario: Scenario) -> None:
+    search = GuardedSearch(scenario)
+    result = search.run()
+    assert result.violation == "", "\n".join([result.violation, *result.trace])
+    assert result.complete and search.missed() == []
 
 
-def test_guarded_search_convicts_some_broken_rules() -> None:
+@pytest.mark.parametrize("name", NAMES)
+def test_guarded_search_convicts_some_broken_rules(name: str) -> None:
     mutants = {mutant.name: mutant for mutant in MUTANTS}
-    assert [
-        name for name in NAMES if not GuardedSearch(mutants[name].scenario, mutants[name].make()).run().violation
-    ] == []
+    assert GuardedSearch(mutants[name].scenario, mutants[name].make()).run().violation
 
 
 def test_guarded_search_names_are_unique() -> None:
