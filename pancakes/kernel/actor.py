@@ -136,8 +136,7 @@ class Component(PykkaActor):
         """
         core = self._actor
         kernel, fence, in_hand = core.kernel, core.fence, core.in_hand
-        permits = kernel.permits
-        if fence is not None and permits.by_task and channel != LOG:
+        if fence is not None and channel != LOG and (permits := kernel.permits).by_task:
             if not permits.may_act(fence):
                 permits.hold_back(fence, "packets")
                 raise NoPermit(f"{self.address} may not act until its guardians answer")
@@ -417,8 +416,9 @@ class ActorCore(Component):
                 for function in turn.deferred:  # which may put off more
                     self.__do_deferred(function)
             finally:
+                if turn.deferred:
+                    turn.deferred.clear()
                 turn.reader = None
-                turn.deferred.clear()
         if meter is not None:
             meter.turn(self.address, thread_time() - begun_s)
         # A component that has ended keeps the token, so that what is put from now on waits for the successor.
@@ -551,7 +551,7 @@ class ActorCore(Component):
         order, control = mailbox.order, mailbox.control
         waiting = len(order)
         # A turn of one packet needs no look at the time.
-        until_s = math.inf if slice_s is None or waiting == 1 else self.kernel.host.now() + slice_s
+        until_s = None if slice_s is None or waiting == 1 else self.kernel.host.now() + slice_s
         for _ in range(waiting):
             try:
                 queue = order.popleft()
@@ -565,7 +565,7 @@ class ActorCore(Component):
                 self.__handle_control()
                 if mailbox.component is not self:  # the mailbox is the successor's now
                     return
-            if mailbox.paused or (until_s < math.inf and self.kernel.host.now() > until_s):
+            if mailbox.paused or (until_s is not None and self.kernel.host.now() > until_s):
                 return
 
     def __bind(self) -> None:

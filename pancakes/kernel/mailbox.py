@@ -80,7 +80,6 @@ class TypeQueue:
             self._make_room(weight)
         entries.append(_Heavy(packet, weight) if weight else packet)
         mailbox.order.append(self)
-        # A look costs less than an attempt that fails, and most fail: packets come while a turn is due already.
         if not mailbox.token.locked() and not mailbox.paused:
             mailbox.wake()
 
@@ -269,14 +268,16 @@ class Mailbox:
         self.control.append(item)
         if self.closed:
             self.clear_control()
-        else:
+        elif not self.token.locked():
             self.wake()
 
     def wake(self) -> None:
-        """Sees that the component gets a turn, unless it has one or is about to."""
-        token = self.token
-        # A look costs less than an attempt that fails, and most fail: packets come while a turn is due already.
-        if not token.locked() and token.acquire(False):
+        """Sees that the component gets a turn, unless it has one or is about to.
+
+        Who puts something looks at the token first: a look costs less than an attempt that fails, and most would
+        fail, as packets come while a turn is due already.
+        """
+        if self.token.acquire(False):
             self.dispatch.ready(self)
 
     def end_turn(self) -> None:
