@@ -67,7 +67,7 @@ LONGEST_S: Final = 600.0
 class Measure(msgspec.Struct, frozen=True):
     """Measure what an agent uses its processor time for; the reply comes at the end.
 
-    The `result` is a mapping, with all times in seconds of processor time, of the measurement alone:
+    The `result` is a mapping, with all times in seconds of processor time, of the measurement only:
 
     - `agent`; `speed` (mission seconds for each second of host time); `span_s` (host time that it took); `processor_s`
       (of the whole process); `turns` and `turn_s` (of all its actors);

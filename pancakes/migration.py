@@ -29,14 +29,14 @@ class HostLoad(msgspec.Struct, frozen=True):
 
     Attributes:
         active_tasks: how many tasks run here in the Client Service, and how many slots are kept for arrivals.
-        battery_level: what is left of its battery, 0 to 1; None where it has none; NaN where it has one that has not
+        battery_level: what is left of its battery, 0 to 1; None if it has none; NaN if it has one that has not
             been read yet.
         agent_share: processor time that the agent's own process takes, in processors (1: one is busy all the time);
-            None where it has not been measured yet. In virtual time 0, for nothing of the wall may enter there.
+            None if it has not been measured yet. In virtual time 0, for nothing of the wall may enter there.
         host_share: processes that run or wait to run on its computer, for each processor; as above.
         lateness_share: how late the ticks of its time-driven tasks come, in periods on the average (a missed tick
             counts as one period); as above.
-        rtt_s: smoothed round trip to the agent that asks; None where it has not been measured yet.
+        rtt_s: smoothed round trip to the agent that asks; None if it has not been measured yet.
     """
 
     active_tasks: int
@@ -96,7 +96,7 @@ class Cost(ABC):
     _made_as: ClassVar[Made] = Made((), "a cost", "`def terms(self, facts)`")
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` where `terms` cannot be called as Pancakes calls it, or `reads` is no tuple of names."""
+        """Raises `ClassError` if `terms` cannot be called as Pancakes calls it, or `reads` is no tuple of names."""
         super().__init_subclass__(**others)
         check_overrides(cls)
         check_marks(cls, "a cost")
@@ -110,7 +110,7 @@ class Cost(ABC):
     def terms(self, facts: CostFacts) -> Mapping[str, float]:
         """Returns what the cost is made of, by a name for people; their sum is the cost.
 
-        Each must be finite and not negative, else the agent refuses, as it does where the function takes longer than
+        Each must be finite and not negative, else the agent refuses, as it does if the function takes longer than
         0.4 s. It is called in a thread of its own; those of the core in the Task Migrator's.
 
         Raises:
@@ -289,9 +289,9 @@ class MigrationRule(msgspec.Struct, frozen=True):
         cost: the cost function that neighbours answer with, or the weight of each of several.
         then: a task to start here once this one has gone; empty: none. Not after a take-over: the agent that had the
             task is silent then.
-        otherwise: a task to start here in the place of this one, which is stopped, where no agent can take it; empty:
+        otherwise: a task to start here in the place of this one, which is stopped, if no agent can take it; empty:
             it goes on.
-        again_s: after no agent could take the task, the rule asks again after so long, in host time.
+        again_s: after no agent could take the task, the rule asks again after this long, in host time.
     """
 
     when: str
@@ -321,9 +321,9 @@ class MigrationRule(msgspec.Struct, frozen=True):
 SHORTEST_LEASE_S: Final = 2.0
 LONGEST_LEASE_S: Final = 600.0
 PERMIT_SHARE: Final = 0.9
-"""A permit is so much of a lease: the clocks of two agents may differ by 5 % in speed."""
+"""The share of a lease that a permit lasts: the clocks of two agents may differ by 5 % in speed."""
 RENEWED: Final = 4
-"""So often an owner asks for a lease while one lasts."""
+"""How often an owner asks for a lease while one lasts."""
 
 
 class GuardRule(msgspec.Struct, frozen=True):
@@ -332,7 +332,7 @@ class GuardRule(msgspec.Struct, frozen=True):
     Attributes:
         guard: the number of guardians.
         lease_s: how long a lease is, in host seconds.
-        checkpoint_s: how often the task is written down where it has changed, in host seconds.
+        checkpoint_s: how often the task is written down if it has changed, in host seconds.
         guardians: agents that are to be its guardians before others.
         takeover: `auto`, or `ask`: a person confirms.
     """
@@ -358,9 +358,9 @@ class Line(msgspec.Struct, frozen=True):
         peer: the neighbour.
         answer: what it did.
         fate: what became of it.
-        cost: what it asked for; None where it made no bid.
+        cost: what it asked for; None if it made no bid.
         terms: what that cost was made of.
-        reason: why it did not get the task; empty where it did.
+        reason: why it did not get the task; empty if it did.
         code: of a refusal, the same for programs (`docs/refusals.md`); else empty.
         retry_after_s: of a refusal, after how long it may be worth asking again, in seconds.
     """
@@ -384,13 +384,13 @@ class Ledger(msgspec.Struct, frozen=True):
         source: the agent that it was to move from, or was taken over from.
         asked_by: what asked for the move: an address, `rule`, or `guardians`.
         cost: the cost function that was used, or several with their weights (`1 tasks + 2 battery`).
-        outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`; `fenced` where it did not move, and a
-            person set the fence of an actuator of the source to the epoch that it has; `created` and `removed` where it
-            began on the source, and where it ended there for good.
-        winner: the agent that has it, or (dry run) would get it; empty where none.
+        outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`; `fenced` if it did not move, and a
+            person set the fence of an actuator of the source to the epoch that it has; `created` and `removed` if it
+            began on the source, and if it ended there for good.
+        winner: the agent that has it, or (dry run) would get it; empty if none.
         lines: one for each neighbour that was asked, by name.
         duration_s: host time from the first asking to the outcome.
-        offer: the hand-off that ended it, such as `3@agent1`; empty where none did.
+        offer: the hand-off that ended it, such as `3@agent1`; empty if none did.
         to: the only neighbour that was to be asked; empty: all.
         cause: of a task that was taken over: from which agent and from which checkpoint, as a sentence; else empty.
     """

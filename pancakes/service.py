@@ -37,7 +37,7 @@ class Service(Component):
     _actor: ServiceCore
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
+        """Raises `ClassError` if the class cannot work: a method that Pancakes calls, or `Settings`."""
         check_own_names(cls, next(base for base in cls.__mro__ if is_own(base)), _HOOKS, ("settings",))
         super().__init_subclass__(**others)
         check_made(cls)
@@ -58,6 +58,6 @@ class Service(Component):
             kernel: the kernel, whose tables say what runs.
             name: the name of the service.
             arguments: what its class wants besides what every service gets; the tables that it shares are among it.
-            for_s: for how long it is to be stopped, in mission seconds; None: until it is started.
+            for_s: for how long it is stopped, in mission seconds; None: until it is started.
         """
         return ""

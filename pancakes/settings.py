@@ -67,7 +67,7 @@ class Problem(msgspec.Struct, frozen=True):
     """One mistake in settings.
 
     Attributes:
-        path: the keys that lead to it, from the outermost; an integer is a place in a list, from 0. Empty where
+        path: the keys that lead to it, from the outermost; an integer is a place in a list, from 0. Empty if
             the settings as a whole are at fault.
         text: what is wrong, as a phrase.
         suggestion: what was probably meant, or an empty string.
@@ -435,7 +435,7 @@ def _odd_in(value: Any, path: tuple[str | int, ...], allow_nan: bool) -> Iterato
 
 
 def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Problem]:
-    """Checks the parts of a value one by one, and the whole where all parts are sound."""
+    """Checks the parts of a value one by one, and the whole if all parts are sound."""
     parts = list(_parts(kind, value, path))
     yield from parts
     if parts:

@@ -42,13 +42,13 @@ class TaskSpec(msgspec.Struct, frozen=True):
     Attributes:
         name: its name; its address is the service's with the name appended.
         cls: its class.
-        type: name of its class's entry point; empty where it has none, and then it cannot move.
+        type: name of its class's entry point; empty if it has none, and then it cannot move.
         version: version of the distribution that the class comes from.
         settings: its settings, as plain values.
-        rate_hz: the rate of its first timer, where it shall differ from what the class says.
+        rate_hz: the rate of its first timer, if it shall differ from what the class says.
         start: whether it is started with its service.
         restart: what happens when it ends by itself.
-        durability: `lazy`: a checkpoint each second where something changed; `each`: before each acknowledgement.
+        durability: `lazy`: a checkpoint each second if something changed; `each`: before each acknowledgement.
         rule: when it moves to another agent by itself.
         guard: how it is guarded; None: it is not.
         created: whether no configuration file names it, although it has a type.
@@ -123,7 +123,7 @@ class Task(Component):
     def migrate(self, to: str = "", then: str = "", cost: CostChoice = "tasks") -> None:
         """Asks for this task to be moved to the neighbour that takes it for the lowest cost.
 
-        It goes on until one has been found, and for good where none is. The answer comes as a `Reply` on
+        It goes on until one has been found, and for good if none is. The answer comes as a `Reply` on
         `sysctrl`.
 
         Args:
@@ -138,7 +138,7 @@ class Task(Component):
         """Returns whether the task may act now. Any thread.
 
         It may, unless it is guarded and its guardians do not answer, or it was revoked because it was stuck. Pancakes
-        looks before each turn and where a packet or a command leaves; a task that acts past Pancakes (on a file, a
+        looks before each turn and when a packet or a command leaves; a task that acts past Pancakes (on a file, a
         socket, a subprocess) asks right before it does.
         """
         core = self._actor

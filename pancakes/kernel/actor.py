@@ -82,7 +82,7 @@ class Component(PykkaActor):
     _actor: ActorCore
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` where a method cannot be called as Pancakes calls it."""
+        """Raises `ClassError` if a method cannot be called as Pancakes calls it."""
         super().__init_subclass__(**others)
         check_overrides(cls)
         check_marks(cls)
@@ -104,7 +104,7 @@ class Component(PykkaActor):
         thread.
 
         Returns:
-            None where that is not known: there was no link to that agent in its present life, or no heartbeat has come
+            None if that is not known: there was no link to that agent in its present life, or no heartbeat has come
             back on it yet; one of the missions is held; the packet is from an earlier life of that agent.
         """
         return self._actor.kernel.local_time(packet)
@@ -238,7 +238,7 @@ class Component(PykkaActor):
         """Called first, in the actor. An error here ends it."""
 
     def on_stop(self) -> None:
-        """Called last, in the actor, where it was stopped and did not fail."""
+        """Called last, in the actor, if it was stopped and did not fail."""
 
     def on_failure(
         self,
@@ -246,7 +246,7 @@ class Component(PykkaActor):
         exception_value: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Called in the actor where one of its methods raised; it ends after that, and its service decides."""
+        """Called in the actor if one of its methods raised; it ends after that, and its service decides."""
 
     def on_receive(self, message: Any) -> Any:
         """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""

@@ -20,7 +20,7 @@ from pancakes.util.text import did_you_mean
 ATTEMPTS = 3
 """How often a reliable packet is handled before it is given up as a dead letter."""
 MOST_KNOWN = 1024
-"""So many packets that failed are remembered. One whose task is given up does not come again, and nothing says so."""
+"""The most packets that failed and are remembered: of one whose task is given up nothing is heard again."""
 
 
 class DeadLetters:
@@ -65,7 +65,7 @@ class DeadLetters:
 
 
 MOST_TOLD: Final = 1024
-"""So many are remembered as told. A program that makes up one destination after the other must not fill the memory."""
+"""The most that are remembered as told: a program that makes up destinations must not fill the memory."""
 FOREIGN_EVERY_S: Final = 10.0
 """Packets of another agent are told no more often than this, in host time: the log is not that agent's to fill."""
 _REPLY: Final = type_name(Reply)

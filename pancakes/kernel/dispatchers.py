@@ -116,15 +116,15 @@ SLICE_S: Final = 0.002
 WATCH_S: Final = 0.02
 """How often the watchdog looks."""
 MOST_PASSED_S: Final = 2 * WATCH_S
-"""So much counts between two looks, at the most: where the watchdog itself comes late, the machine stood still."""
+"""The most that counts between two looks: if the watchdog itself comes late, the machine stood still."""
 DOZE_LOOKS: Final = 1
-"""After so many looks at which no turn was given the watchdog rests until a thread is at work."""
+"""The watchdog rests after this many looks at which no turn was given, until a thread is at work."""
 HOGGED_S: Final = 0.05
 """A handler that holds its thread longer than this is named."""
 MOST_WORKERS: Final = 64
-"""So many workers may be held at a time, and as many guests."""
+"""The most workers that may be held at a time, and the most guests."""
 MOST_IDLE: Final = 2
-"""So many idle workers are kept: one for work, one to stand by."""
+"""The most idle workers that are kept: one for work, one to stand by."""
 STOP_S: Final = 0.3
 """How long, in all, a stop waits for workers that are held."""
 
@@ -353,7 +353,7 @@ class PoolDispatcher(Dispatcher):
                 shift.named = True
                 self._hogged(component, seen_s)
         while self._reliefs:
-            self._reliefs[0]()  # where no thread can be started it fails, and is tried again at the next look
+            self._reliefs[0]()  # if no thread can be started it fails, and is tried again at the next look
             del self._reliefs[0]
         if self.work:
             self._lend()
@@ -362,7 +362,7 @@ class PoolDispatcher(Dispatcher):
     def _hold(self, shift: Shift) -> None:
         """Stops counting on a thread whose turn does not end; another thread takes over a guest's duties.
 
-        A thread may be held by what it does before a turn, too, or where the system gives it no core. One whose turn
+        A thread may be held by what it does before a turn, too, or because the system gives it no core. One whose turn
         has ended just now is taken for held until the end of its next turn, which does no harm.
         """
         with self._lock:
@@ -410,7 +410,7 @@ class Guest:
 
     Args:
         pool: the pool.
-        relieve: called by the watchdog, in its thread, where a handler holds this thread: another thread has to take
+        relieve: called by the watchdog, in its thread, if a handler holds this thread: another thread has to take
             the loop over, with a guest of its own. The held one finds `stays` false when it comes back.
     """
 
@@ -420,7 +420,7 @@ class Guest:
 
     @property
     def stays(self) -> bool:
-        """Whether this thread goes on with its loop; another one does where not."""
+        """Whether this thread goes on with its loop; another one does if not."""
         return not self._shift.relieved
 
     def arrive(self) -> bool:

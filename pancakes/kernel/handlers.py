@@ -1,4 +1,4 @@
-"""Declare what a component reacts to: `@on` a packet, `@every` so often, and how many packets may wait (paper §3.2).
+"""Declare what a component reacts to: `@on` a packet, `@every` period, and how many packets may wait (paper §3.2).
 
 `plan_of` reads the marks of a class once and keeps the result, because thousands of actors share one class. A queue
 policy (`Keep`) bounds what waits for a slow reader in packets and in bytes: `latest`, `queue(n)` or `reliable(n)`.
@@ -18,7 +18,7 @@ from pancakes.packet import Packet, covers, type_name
 from pancakes.util.class_checks import PERIOD, SUBSCRIPTIONS, check_called, place_of_function
 
 MOST_BYTES: Final = 16 * 1024 * 1024
-"""So many bytes of bodies wait under a subscription, besides bodies lighter than `LIGHT_BYTES`; one may always wait."""
+"""The most bytes of bodies that wait under a subscription. One may always wait; light bodies do not count."""
 
 
 class Keep(msgspec.Struct, frozen=True):
@@ -35,7 +35,7 @@ class Keep(msgspec.Struct, frozen=True):
 
     @property
     def counts_losses(self) -> bool:
-        """Whether a packet that falls out is lost: not where only the newest is wanted."""
+        """Whether a packet that falls out is lost: not if only the newest is wanted."""
         return self.reliable or self.limit > 1
 
     def is_full(self, waiting: int, waiting_bytes: int, weight: int) -> bool:
@@ -72,7 +72,7 @@ def reliable(limit: int) -> Keep:
 
 
 def keep_of(keep: Keep | Literal["latest"]) -> Keep:
-    """Returns what a subscription is to do, as its author has written it.
+    """Returns what a subscription does, as its author has written it.
 
     Raises:
         ClassError: it is nothing of that kind; it would fail whoever publishes.
@@ -277,7 +277,7 @@ def _names(cls: type) -> list[str]:
 
 
 MOST_PLANS: Final = 1024
-"""So many classes are remembered; a program that makes one class after the other must not keep them all."""
+"""The most classes that are remembered; a program that makes one class after the other must not keep them all."""
 
 Handler = Callable[[Any, Packet], None]
 """What a component does with a packet; called with the component and the packet."""
@@ -331,7 +331,7 @@ def plan_of(cls: type, core: type | None = None) -> Plan:
 
     Args:
         cls: the class of a component.
-        core: the class of its core, where that is an object of its own: what it reacts to comes first.
+        core: the class of its core, if that is an object of its own: what it reacts to comes first.
     """
     handlers: dict[str, Handlers] = {}
     marked = [(subscription, getattr(cls, method)) for subscription, method in subscriptions_of(cls)]

@@ -99,7 +99,7 @@ class Folders:
 
 
 def _usual(cls: type) -> dict[tuple[str | int, ...], str]:
-    """Returns the paths that settings of a class have where nothing is set."""
+    """Returns the paths that settings of a class have if nothing is set."""
     try:
         return dict(paths_in(cls, plain_settings(cls())))
     except (Exception, SystemExit):  # something must be set, or the class refuses itself as it is
@@ -118,7 +118,7 @@ class Kernel:
         speed: mission seconds for each second of host time.
         hold: whether the mission waits at 0 for a `Begin` packet.
         virtual: run on this dispatcher, in virtual time; None: on threads, in real time.
-        skewed: the host clock in virtual time, where it is not the virtual one itself.
+        skewed: the host clock in virtual time, if it is not the virtual one itself.
 
     Attributes:
         host: the host clock.
@@ -141,13 +141,13 @@ class Kernel:
         life: names this life of the agent: its journal, and how often that was opened; the agent sets it.
         first_number: the number of the first packet of each source, see `foundation.numbering`; the agent sets it.
         disk_use: says how often this agent has waited for its disk, and what it has written; the agent sets it.
-        links: says what is to be known about each link to another agent, as plain values; the agent sets it.
+        links: says what is known about each link to another agent, as plain values; the agent sets it.
         peer_clock: says what is known of the clocks of another agent; the agent sets it.
         mission_changed: called once the mission has begun, or is known to begin; the agent sets it.
         meter: times all turns; None: nothing measures, and none is timed.
         ticks_heard: told of each tick of a task, in the task's turn; see `hear_ticks`.
         unraised: called with an exception that is for the program (`dispatch.is_for_program`), but was raised on a
-            thread of the kernel's own, where it counts as the failure of an actor. In that thread; tests set it.
+            thread of the kernel's own, which counts as the failure of an actor. In that thread; tests set it.
     """
 
     def __init__(
@@ -225,7 +225,7 @@ class Kernel:
             cls: its class.
             address: its address; no other component may run there.
             exited: called in the component's thread when it has ended, with the error if it failed; None: nothing is.
-            keeps_subscriptions: whether its subscriptions stay where it ends; else they end with it, unless `exited`
+            keeps_subscriptions: whether its subscriptions stay when it ends; else they end with it, unless `exited`
                 is there to do that.
             arguments: what else its class wants.
 
@@ -259,7 +259,7 @@ class Kernel:
         """Gives the actor at a path of this agent a message, see `pancakes.kernel.mailbox`. Any thread.
 
         Returns:
-            False where none runs there, and the message is forgotten.
+            False if none runs there, and the message is forgotten.
         """
         actor = self.actor(path)
         return actor is not None and tell(actor, message)
@@ -273,7 +273,7 @@ class Kernel:
             return counter
 
     def continue_seq(self, address: str, next_seq: int) -> None:
-        """Lets the packets of a source go on from a number, where a recording had it; never back."""
+        """Lets the packets of a source go on from a number, if a recording had it; never back."""
         with self._lock:
             counter = self._seqs.get(address)
             if counter is None or counter.value < next_seq:
@@ -321,7 +321,7 @@ class Kernel:
             stamp_s: that at this mission time; None: the present one.
 
         Returns:
-            None where the machine's clock was never set, in virtual time, and while the mission is held and 0.
+            None if the machine's clock was never set, in virtual time, and while the mission is held and 0.
         """
         base = self.timebase()
         if base.day_s is None or stamp_s is None:

@@ -322,7 +322,7 @@ class Mailbox:
 class Reference(Runnable, Protocol):
     """All that one actor uses of another, as pykka's `ActorRef`: where it is, its mailbox, and whether it has ended.
 
-    The actor itself stands behind it. What else it has is for that actor alone: `tell` brings it a message, and what
+    The actor itself stands behind it. What else it has is for that actor only: `tell` brings it a message, and what
     others want to read of it stands in a table that is shared. Any thread.
     """
 
@@ -371,7 +371,7 @@ def tell(component: Reference, message: object) -> bool:
     Its successor at the same address does not get it.
 
     Returns:
-        False where the actor has ended, and the message is forgotten.
+        False if the actor has ended, and the message is forgotten.
     """
     alive = not component.actor_stopped.is_set()
     if alive:
@@ -386,7 +386,7 @@ LONGEST_S: Final = 3600.0
 class Inbox:
     """Messages for one thread, which waits for the next, or until it has something else to do.
 
-    Not a `queue.SimpleQueue`, whose timed `get` may wait for ever (Python 3.11 and 3.12): where a message was taken
+    Not a `queue.SimpleQueue`, whose timed `get` may wait for ever (Python 3.11 and 3.12): if a message was taken
     just before, and the time is up before it has come to wait, it waits without any limit. Counted on a busy machine,
     with waits of 1 ns to 20 µs: once in some thousand. The timer then gave no ticks until a message came.
     """
@@ -404,7 +404,7 @@ class Inbox:
             self._bell.release()
 
     def wait(self, timeout_s: float) -> None:
-        """Waits for a message where there is none, but not longer than that; it may come back earlier."""
+        """Waits for a message if there is none, but not longer than that; it may come back earlier."""
         # First the look, then the bell: a thread that puts a message rings after that.
         if not self._messages and timeout_s > 0:
             self._bell.acquire(timeout=min(timeout_s, LONGEST_S))
@@ -425,7 +425,7 @@ class Inbox:
 
 
 MOST_BYTES: Final = 64 * 1024 * 1024
-"""So many bytes of bodies wait, besides bodies lighter than `LIGHT_BYTES`; one may always wait."""
+"""The most bytes of bodies that wait, besides bodies lighter than `LIGHT_BYTES`; one may always wait."""
 
 Item = TypeVar("Item")
 
@@ -436,8 +436,8 @@ class Backlog(Generic[Item]):
     Any thread may put and take.
 
     Args:
-        limit: so many packets wait at the most.
-        most_bytes: so many bytes of heavy packets.
+        limit: the most packets that wait.
+        most_bytes: the most bytes of heavy packets that wait.
 
     Attributes:
         heavy_bytes: the bytes of the heavy packets that wait.
@@ -466,7 +466,7 @@ class Backlog(Generic[Item]):
                 self.dropped += 1
 
     def take(self) -> Item | None:
-        """Takes the oldest out; None where nothing waits."""
+        """Takes the oldest out; None if nothing waits."""
         with self._lock:
             return self._pop() if self._items else None
 

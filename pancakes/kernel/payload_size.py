@@ -23,9 +23,9 @@ LIGHT_BYTES: Final = 2048
 BRIEF_BYTES: Final = 16 * 1024
 """Of a value larger than this only the size is shown."""
 SAMPLE: Final = 256
-"""Of more things in a list or map so many are looked at, spread over it, and stand for the rest."""
+"""Of more things in a list or map this many are looked at, spread over it, and stand for the rest."""
 MOST_VALUES: Final = 1000
-"""So many values of one body are looked at; each that is left counts as a number."""
+"""The most values of one body that are looked at; each that is left counts as a number."""
 NUMBER_BYTES: Final = 32
 """A number, and the pointer to it."""
 
@@ -75,7 +75,7 @@ def weigh(value: Any) -> int:
 
 
 def weight_of(body: Any) -> int:
-    """Returns the bytes of a packet's body where they count; 0 for a light one."""
+    """Returns the bytes of a packet's body if they count; 0 for a light one."""
     fields = _large_fields(body.__class__)
     if fields is None:
         weight = weigh(body)
@@ -106,7 +106,7 @@ def in_brief(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parts_of(value: Any) -> Sequence[Any] | int:
-    """Returns what a value contains; its bytes where that is known, or where it contains nothing."""
+    """Returns what a value contains; its bytes if that is known, or if it contains nothing."""
     if isinstance(value, (list, tuple)):
         return value
     if isinstance(value, dict):
@@ -126,9 +126,9 @@ def _parts_of(value: Any) -> Sequence[Any] | int:
 
 @lru_cache(maxsize=1024)
 def _large_fields(cls: type) -> tuple[tuple[str, int], ...] | None:
-    """Returns the fields of a class that may be large, as their types say; None where nothing is known of it.
+    """Returns the fields of a class that may be large, as their types say; None if nothing is known of it.
 
-    Beside each is how many bytes each item of it takes, where that is known; else 0.
+    Beside each is how many bytes each item of it takes, if that is known; else 0.
     """
     if issubclass(cls, (*_NUMBERS, enum.Enum)):
         return ()

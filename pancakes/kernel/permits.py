@@ -1,7 +1,7 @@
 """Permits: until when each guarded task may act.
 
 A permit is checked at the start of each turn, and when an act (command, packet, checkpoint) leaves the process. It is
-over as soon as one of two clocks says so, because a machine may have been suspended and a clock may be wrong. Any
+over as soon as one of two clocks has passed its end, as a machine may have been suspended and a clock be wrong. Any
 thread; one thread at a time for the permit of one task, except `hold_back`.
 """
 
@@ -34,7 +34,7 @@ class PermitEnd(NamedTuple):
     wall_s: float
 
     def later(self, delay_s: float) -> PermitEnd:
-        """Returns the moment that comes so many host seconds after this one."""
+        """Returns the moment this many host seconds after this one."""
         return PermitEnd(self.boot_s + delay_s, self.wall_s + delay_s)
 
     def left_s(self, now: PermitEnd) -> float:
@@ -42,7 +42,7 @@ class PermitEnd(NamedTuple):
         return min(self.boot_s - now.boot_s, self.wall_s - now.wall_s)
 
     def step_s(self, now: PermitEnd) -> float:
-        """Returns by how much the time of day was set forward, where that alone has ended the permit; else 0."""
+        """Returns by how much the time of day was set forward, if only that has ended the permit; else 0."""
         boot_s, wall_s = self.boot_s - now.boot_s, self.wall_s - now.wall_s
         return boot_s - wall_s if boot_s > 0 >= wall_s and boot_s - wall_s > STEP_S else 0.0
 
@@ -76,7 +76,7 @@ class _Permit(msgspec.Struct):
 class Permits:
     """The permits of guarded tasks. Any thread; one thread at a time for the permit of one task but for `hold_back`.
 
-    A permit is over as soon as either clock says so: a machine may have been suspended, and one clock be wrong.
+    A permit is over as soon as either clock has passed its end: a machine may have been suspended, a clock be wrong.
 
     Args:
         moment: reads the clocks.
@@ -126,7 +126,7 @@ class Permits:
         return max(0.0, permit.until.left_s(self.moment())) if permit is not None else None
 
     def limited(self, fence: Fence, most_s: float) -> Fence:
-        """Returns a right that says for how long it is good, at most so many host seconds, as other agents are told.
+        """Returns a right that says for how long it is good, at most `most_s` host seconds, as other agents are told.
 
         That of a task which no permit limits says nothing, unless it came from another agent that has said so.
         """
@@ -137,7 +137,7 @@ class Permits:
         return msgspec.structs.replace(fence, good_for_s=min(limits_s))
 
     def hold_back(self, fence: Fence, acts: Acts, count: int = 1) -> None:
-        """Counts acts that came too late, and says so where it is the first since the permit was over."""
+        """Counts acts that came too late, and logs it if it is the first since the permit was over."""
         permit = self.by_task.get(fence.task_id)
         if permit is None:  # it is guarded no longer
             return
@@ -152,7 +152,7 @@ class Permits:
         return {str(acts): count for acts, count in permit.held_back.items()} if permit is not None else {}
 
     def ended_by_step(self, fence: Fence) -> float:
-        """Returns by how much the time of day was set forward, where that ended the permit, and counts it; else 0."""
+        """Returns by how much the time of day was set forward, if that ended the permit, and counts it; else 0."""
         permit = self._asked(fence)
         step_s = permit.until.step_s(self.moment()) if permit is not None else 0.0
         if permit is not None and step_s:

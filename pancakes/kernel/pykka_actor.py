@@ -45,7 +45,7 @@ class Flag:
             self._gate.release()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Waits until it happens, for so many seconds at the most; returns whether it has."""
+        """Waits until it happens, for at most `timeout` seconds; returns whether it has."""
         if not self._on and self._gate.acquire(timeout=-1 if timeout is None else timeout):
             with contextlib.suppress(RuntimeError):
                 self._gate.release()  # for the next thread that waits
@@ -63,7 +63,7 @@ class PykkaActor(pykka.Actor):
 
     def stop(self) -> None:
         """Ends this actor after what it is doing now. Any thread; one that has ended already is left alone."""
-        # pykka's own raises where the actor ends just then.
+        # pykka's own raises if the actor ends just then.
         if not self.actor_stopped.is_set():
             self.actor_inbox.put(Envelope(ActorStop()))
 

@@ -26,8 +26,8 @@ class DeviceEntry(msgspec.Struct, frozen=True):
         actuator: whether it takes commands, and therefore has one holder at a time.
         networked: whether its readings come from another agent.
         address: where it takes commands.
-        holds_by_itself_s: of an actuator: after so long without a fresh command, in mission seconds, its hardware goes
-            to its safe hold even where no process tells it to; None: it keeps its last command.
+        holds_by_itself_s: of an actuator: after this long without a fresh command, in mission seconds, its hardware
+            goes to its safe hold even if no process tells it to; None: it keeps its last command.
     """
 
     name: str
@@ -174,7 +174,7 @@ class Registry:
         self._reserved = {name: kept_for for name, kept_for in self._reserved.items() if kept_for != address}
 
     def taken(self, device: str, address: str) -> str:
-        """Returns why the task at `address` cannot have an actuator now; empty where it can."""
+        """Returns why the task at `address` cannot have an actuator now; empty if it can."""
         with self._lock:
             return self._taken(device, address)
 
@@ -192,7 +192,7 @@ class Registry:
             return self._holders.setdefault(device, address) if kept_for == address else kept_for
 
     def address_of(self, device: str) -> str:
-        """Returns the address of a device that runs or has run; empty where it never did."""
+        """Returns the address of a device that runs or has run; empty if it never did."""
         return self._addresses.get(device, "")
 
     def held_by(self, address: str) -> list[str]:
@@ -201,7 +201,7 @@ class Registry:
             return [name for name, holder in self._holders.items() if holder == address]
 
     def without_dead_man(self, address: str) -> list[str]:
-        """Returns the names of the actuators that a task holds, and that keep their last command where it is gone."""
+        """Returns the names of the actuators that a task holds, and that keep their last command when it is gone."""
         with self._lock:
             held = (self._devices.get(name) for name, holder in self._holders.items() if holder == address)
             return [device.name for device in held if device is not None and device.holds_by_itself_s is None]
@@ -212,7 +212,7 @@ class Registry:
             self._holders = {name: holder for name, holder in self._holders.items() if holder != address}
 
     def holder(self, device: str) -> str:
-        """Returns the address of the task that holds a device; empty where none does."""
+        """Returns the address of the task that holds a device; empty if none does."""
         return self._holders.get(device, "")
 
 
@@ -241,7 +241,7 @@ class TaskEntry(msgspec.Struct, frozen=True):
         address: where it is.
         type: the name of its class's entry point, or of its class.
         requires: the device types that it depends on.
-        task_id: its identity for life; empty where it cannot move.
+        task_id: its identity for life; empty if it cannot move.
         life: how far it is, a `pancakes.supervision.lifecycle.Life`.
         mailbox: where packets wait for it.
         rest: of a task that can move and does not run: why, in a word.

@@ -420,6 +420,8 @@ class InformationStream:
         self, channel: str, type_name: str, destination: str, source: str, body_class: type | None = None
     ) -> Route:
         """Makes the snapshot; `body_class`: the class of all bodies, if it is known."""
+        is_elsewhere = destination != "" and agent_of(destination) != self.agent
+        is_light = is_elsewhere or (body_class is not None and is_small(body_class))
         with self._lock:
             readers = self._readers.get(channel)
             if readers is None:
@@ -427,8 +429,8 @@ class InformationStream:
                     f"{source} published {type_name!r} to {channel!r}, but {self.agent} has no such channel"
                     f"{hint_of(channel, self._readers)}"
                 )
-            if destination and agent_of(destination) != self.agent:
-                route = Route(type_name, (), (), (self._send,), light=True)
+            if is_elsewhere:
+                route = Route(type_name, (), (), (self._send,), is_light)
             else:
                 taps = tuple(tap for tap, types, _ in self._taps.get(channel, ()) if not types or type_name in types)
                 queues = tuple(self._queues(readers.values(), type_name, destination))
@@ -439,7 +441,7 @@ class InformationStream:
                     queues,
                     tuple(queue for queue in queues if queue.keep.reliable),
                     taps,
-                    light=not queues or (body_class is not None and is_small(body_class)),
+                    is_light or not queues,
                 )
             if len(self._routes) >= MOST_ROUTES:
                 self._routes.clear()

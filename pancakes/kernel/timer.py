@@ -35,7 +35,7 @@ class Due(msgspec.Struct, frozen=True, gc=False):
     """A tick.
 
     Attributes:
-        targets: what is to be ticked; the timer takes each out as it ticks it.
+        targets: what ticks; the timer takes each out as it ticks it.
         deadline_s: when it was due.
         missed: how many ticks before it never happened because the timer itself was late.
     """
@@ -64,7 +64,7 @@ class Schedule:
     equal rates tick together.
 
     Attributes:
-        next_s: when something is due next; infinity where nothing ever is.
+        next_s: when something is due next; infinity if nothing ever is.
     """
 
     def __init__(self) -> None:
@@ -170,7 +170,7 @@ class TurnMeter:
         self._ticks: dict[tuple[str, str], tuple[int, float, float]] = {}
 
     def turn(self, address: str, used_s: float) -> None:
-        """A turn of an actor has ended, which took so much processor time."""
+        """A turn of an actor has ended, which took `used_s` of processor time."""
         count, sum_s = self._turns.get(address, (0, 0.0))
         self._turns[address] = (count + 1, sum_s + used_s)
 
@@ -251,7 +251,7 @@ class TaskTimer:
         return 1.0 / self.period_s
 
     def describe(self) -> dict[str, Any]:
-        """Returns what is to be known about it, as plain values. Any thread."""
+        """Returns what is known about it, as plain values. Any thread."""
         return {
             "timer": self.method,
             "rate_hz": self.rate_hz,
@@ -330,7 +330,7 @@ class TimerTable:
 
 
 ONE_BY_ONE_S: Final = 0.005
-"""So long each tick of many gets its turn before the next is given; a thousand quick ones take about that."""
+"""For this long each tick of many gets its turn before the next is given; a thousand quick ones take about that."""
 
 _LOG: Final = logging.getLogger("pancakes.kernel")
 
@@ -458,7 +458,7 @@ class Timer(PykkaActor):
         self._ended.set()
 
     def _serve(self, guest: Guest | None) -> None:
-        """Fires what is due, and gives the turns that come of it where no other thread does."""
+        """Fires what is due, and gives the turns that come of it if no other thread does."""
         if guest is None or not guest.arrive():
             self._fire_due(None)
             return
@@ -486,7 +486,7 @@ class Timer(PykkaActor):
 
     def _fire_due(self, guest: Guest | None) -> None:
         due = self._due
-        # A tick whose host time has come is due, even where rounding puts the mission's clock a hair before it.
+        # A tick whose host time has come is due, even if rounding puts the mission's clock a hair before it.
         due.extend(self._mission_schedule.due(self._mission.now() + 1e-9))
         due.extend(self._host_schedule.due(self._host.now()))
         until_s = 0.0 if guest is None else min(self._host.now() + ONE_BY_ONE_S, self._next_host_s())
@@ -522,7 +522,7 @@ class VirtualTimer(Timer):
         name: for its address.
         mission: the mission clock.
         dispatcher: calls it.
-        skewed: the agent's host clock, where it is not the virtual one.
+        skewed: the agent's host clock, if it is not the virtual one.
     """
 
     def __init__(

@@ -64,7 +64,7 @@ class VirtualDispatcher(Dispatcher):
         return call
 
     def next_s(self) -> float:
-        """Returns when something happens next by itself; infinity where nothing ever will."""
+        """Returns when something happens next by itself; infinity if nothing ever will."""
         calls = self._calls
         while calls and calls[0][2].function is None:
             heapq.heappop(calls)
@@ -96,7 +96,7 @@ class VirtualDispatcher(Dispatcher):
         """Gives the turns that wait, then does the next thing that happens, and gives the turns that come of it.
 
         Returns:
-            False where nothing will ever happen again by itself.
+            False if nothing will ever happen again by itself.
         """
         self.settle()
         next_s = self.next_s()
@@ -114,7 +114,7 @@ class VirtualDispatcher(Dispatcher):
         """Runs while `condition` holds, no further than `until_s`.
 
         Returns:
-            Whether the condition ceased to hold; False where the time ran out first.
+            Whether the condition ceased to hold; False if the time ran out first.
         """
         calls, clock = self._calls, self.clock
         self.settle()

@@ -76,7 +76,7 @@ UNDECIDED: Final = frozenset((State.ASKED, State.CALLED_OFF))
 """The states in which it waits for leave."""
 
 CLOSES: Final = "its service stops"
-"""Why a task ends, or does not start, where its service ends."""
+"""Why a task ends, or does not start, when its service ends."""
 
 
 class Life(msgspec.Struct, frozen=True):
@@ -182,7 +182,7 @@ class Finished(msgspec.Struct, frozen=True):
         failed: whether by an error.
         hopeless: whether each further try would end in the same way.
         closing: whether its keeper ends, so that nothing is started again.
-        blameless: whether that was no fault of its own, as where the guardians of a task do not answer.
+        blameless: whether that was no fault of its own, as when the guardians of a task do not answer.
     """
 
     text: str
@@ -206,7 +206,7 @@ class TryDue(msgspec.Struct, frozen=True):
     """The time of a next try has come.
 
     Attributes:
-        due_s: the host time that it was put off to; where another has been set since, or none, nothing happens.
+        due_s: the host time that it was put off to; if another has been set since, or none, nothing happens.
     """
 
     due_s: float
@@ -278,7 +278,7 @@ class Settle(msgspec.Struct, frozen=True):
 
 
 class WriteRest(msgspec.Struct, frozen=True):
-    """It has come to rest: write down what is wanted of it, where that is to outlive a crash; then feed `Written`."""
+    """It has come to rest: write down what is wanted of it, if that must outlive a crash; then feed `Written`."""
 
 
 class Answer(msgspec.Struct, frozen=True):

@@ -70,7 +70,7 @@ def handle(life: Life, event: Event, now_s: float, draw: Draw) -> Outcome:
         draw: draws a number between two, for the pauses of restarts.
 
     Returns:
-        The life from now on, and what is to be done, in this order.
+        The life from now on, and what to do, in this order.
     """
     return TABLE[life.state, type(event)](life, event, Moment(now_s, draw))
 
@@ -196,7 +196,7 @@ def _never_began(life: Life, event: Admitted | LeaveRefused, at: Moment) -> Outc
 
 
 def _meant(life: Life, event: StopAsked) -> Life:
-    """Returns a life that is to end, or to end and begin anew; an earlier asker for a start is answered elsewhere."""
+    """Returns a life that is to end, or to end and begin again; an earlier asker for a start is answered elsewhere."""
     wanted = life.wanted if event.asker is None or event.again else False
     return replace(life, reason=event.reason, asker=event.asker or life.asker, again=event.again, wanted=wanted)
 
@@ -299,4 +299,4 @@ _RULES: Final[Mapping[State, Mapping[type, Rule]]] = {
 TABLE: Final[Mapping[tuple[State, type], Rule]] = {
     (state, event): rule for state, rules in _RULES.items() for event, rule in {**_LATE, **rules}.items()
 }
-"""All that can happen. What is not here cannot, and is a defect where it does: the tests search for it."""
+"""All that can happen. What is not here cannot, and is a defect if it does: the tests search for it."""

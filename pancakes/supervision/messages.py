@@ -46,7 +46,7 @@ class ChangeTask(msgspec.Struct, frozen=True):
 
     Attributes:
         request: the request that asks for it.
-        body: what is to be done.
+        body: what to do.
         carry: whether the answer is to say what the task carries after that.
     """
 
@@ -56,7 +56,7 @@ class ChangeTask(msgspec.Struct, frozen=True):
 
 
 class Look(msgspec.Struct, frozen=True):
-    """Say what you carry; to be answered by `Looked`, unless the task stands still."""
+    """Say what you carry; answered by `Looked`, unless the task stands still."""
 
 
 class StandStill(msgspec.Struct, frozen=True):
@@ -119,7 +119,7 @@ class TaskEnded(msgspec.Struct, frozen=True):
 
     Attributes:
         task: the actor.
-        error: why, where it failed; None: it was told to end.
+        error: why, if it failed; None: it was told to end.
         last: what it carried at the end; None: it could not say.
     """
 
@@ -205,7 +205,7 @@ class Close(msgspec.Struct, frozen=True):
     """The root tells a service to stop its tasks and to end, or the agent the root to stop its services and to end.
 
     Attributes:
-        for_s: after so many seconds of mission time the root starts the service again; None: it does not by itself.
+        for_s: after this many seconds of mission time the root starts the service again; None: it does not by itself.
     """
 
     for_s: float | None = None
@@ -226,7 +226,7 @@ class ServiceEnded(msgspec.Struct, frozen=True):
 
     Attributes:
         service: the service's actor.
-        error: why, where it failed; None: it was told to end.
+        error: why, if it failed; None: it was told to end.
         kept: what its tasks carried last, by their names, for its next start.
         unheard: the requests that it has not answered.
     """
@@ -278,7 +278,7 @@ class AskedOfGuardian(msgspec.Struct, frozen=True):
 
     @property
     def dry_run(self) -> bool:
-        """Whether nothing is to be done."""
+        """Whether there is nothing to do."""
         return isinstance(self.body, Take) and self.body.dry_run
 
 

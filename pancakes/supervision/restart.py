@@ -20,17 +20,17 @@ Draw = Callable[[float, float], float]
 
 
 class RestartSpec(msgspec.Struct, frozen=True):
-    """What follows where a task, a device or a service has ended by itself.
+    """What follows when a task, a device or a service has ended by itself.
 
     Attributes:
         policy: `always`: it is started again; `on-failure`: only if it failed; `no`: never. As docker compose has them.
         at_most: how many restarts are tried ...
-        within_s: ... in so many seconds of host time in which it runs; one more failure, and it is given up. The
+        within_s: ... in this many seconds of host time in which it runs; one more failure, and it is given up. The
             pauses, and starts that fail, take none of this time.
         pause_s: how long the first restart waits, in seconds of host time. Each further one in `within_s` waits twice
             as long as the one before, less up to a quarter, by chance.
         pause_max_s: no restart waits longer than this.
-        again_s: what was given up is tried again each time that so many seconds have passed; 0: never.
+        again_s: what was given up is tried again each time this many seconds have passed; 0: never.
     """
 
     policy: Literal["no", "on-failure", "always"] = "always"
@@ -126,11 +126,11 @@ class Restarts(msgspec.Struct, frozen=True):
         return Next.GIVE_UP, after
 
     def tried(self) -> Restarts:
-        """Returns the memory where the next try is made now, or called off."""
+        """Returns the memory if the next try is made now, or called off."""
         return self if self.due_s is None else replace(self, due_s=None)
 
     def forgotten(self) -> Restarts:
-        """Returns the memory where a start or a stop was asked for: the failures so far do not count any more."""
+        """Returns the memory after a start or a stop was asked for: the failures so far do not count any more."""
         return (
             self.tried()
             if not (self.restarts_s or self.failures)

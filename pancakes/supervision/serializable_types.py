@@ -102,7 +102,7 @@ def _faults_of(owner: type, name: str, cls: Any) -> Iterator[str]:
 
 
 def _fields_of(cls: type) -> Iterator[tuple[str, Any]]:
-    """Yields the fields of a class with their types; with the error where one cannot be resolved."""
+    """Yields the fields of a class with their types; with the error if one cannot be resolved."""
     names = field_names(cls)
     try:
         hints: dict[str, Any] = typing.get_type_hints(cls, include_extras=True)

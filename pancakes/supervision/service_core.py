@@ -154,7 +154,7 @@ class ServiceCore(ActorCore):
         slot.carried = None
 
     def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
-        """Returns all that is to be known about a task, its settings among it, as plain values."""
+        """Returns all that is known about a task, its settings among it, as plain values."""
         described = describe_in_detail(self.kernel, slot, self.settings_class(slot), self.carried_of(slot))
         return {**describe_task(self.kernel, TaskEntry.of(self.name, slot)), **described}
 
@@ -173,11 +173,11 @@ class ServiceCore(ActorCore):
         return {name: slot.carried for name, slot in self.slots.items() if slot.carried is not None}
 
     def wants(self, slot: Slot) -> bool:
-        """Returns whether a task is to be started with the service."""
+        """Returns whether a task starts with the service."""
         return slot.spec.start
 
     def start_configured(self, slot: Slot) -> None:
-        """Starts a task that is to be started with the service."""
+        """Starts a task with the service."""
         self.feed(slot, StartAsked())
 
     def task_running(self, slot: Slot) -> None:
@@ -402,7 +402,7 @@ class ServiceCore(ActorCore):
         self.rested(slot)
 
     def rested(self, slot: Slot) -> None:
-        """A task has come to rest: where the service ends, the next one's turn has come."""
+        """A task has come to rest: if the service ends, the next one's turn has come."""
         self._closing.rested(slot)
 
     def answer(self, slot: Slot, effect: Answer) -> None:
@@ -438,7 +438,7 @@ class ServiceCore(ActorCore):
         return slot.life.asker is not None or self._startup.is_to_start(slot)
 
     def begin_command(self, command: Command, request: Request) -> None:
-        """Carries out one command whose turn has come, and answers it where that fails."""
+        """Carries out one command whose turn has come, and answers it if that fails."""
         try:
             slot = self._slot(command.task) if command.task else None
             self.carry_out_command(command.body, slot, request)

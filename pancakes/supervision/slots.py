@@ -100,7 +100,7 @@ class Slot(msgspec.Struct):
 
 
 STARTED_AT_ONCE: Final = 64
-"""So many tasks of a service start in one turn."""
+"""How many tasks of a service start in one turn."""
 
 
 class Startup:
@@ -111,7 +111,7 @@ class Startup:
 
     Args:
         service: the service.
-        at_once: so many of its tasks it starts in one turn.
+        at_once: how many of its tasks it starts in one turn.
         start: starts one of them.
         ready: called once it is decided of each whether it runs.
     """
@@ -156,7 +156,7 @@ class Startup:
 
 
 STUCK_S: Final = 2.0
-"""A task that has not ended so long after it was asked to, in host time, is stuck."""
+"""A task that has not ended this long after it was asked to, in host time, is stuck."""
 STUCK_AT_THE_END_S: Final = 0.4
 """Where the whole agent stops, this must do: the others, wheels among them, want to be stopped in order too."""
 
@@ -219,7 +219,7 @@ class Closing:
 
 
 WAITING: Final = reliable(1024)
-"""So many control packets of each type wait where they come in faster than they can be carried out. The sender of one
+"""How many control packets of each type wait if they come in faster than they can be carried out. The sender of one
 more is refused, and told so: none may be lost without a word."""
 
 
@@ -307,7 +307,7 @@ def change(
     """Has a running task change, or say how it stands, in its own turn; the answer comes after that.
 
     Raises:
-        ControlRefused: the task does not run, or a path of a file lies where none may be set.
+        ControlRefused: the task does not run, or a path of a file lies outside of the folders that may be set.
     """
     if slot.task is None or slot.life.state is not State.RUNNING:
         how = slot.how_it_is
@@ -320,13 +320,13 @@ def change(
 
 
 def _check_paths(service: Commanded, slot: Slot, settings: Mapping[str, Any]) -> None:
-    """Raises `ControlRefused` where settings have a path outside of the folders that the configuration names."""
+    """Raises `ControlRefused` if settings have a path outside of the folders that the configuration names."""
     if reason := service.kernel.folders.refusal_of(service.settings_class(slot), settings):
         raise ControlRefused(f"bad settings for {slot.name}: {reason}", "invalid")
 
 
 def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) -> None:
-    """Tells what is to be known about a task."""
+    """Tells what is known about a task."""
     if body.state or body.began:
         change(service, slot, body, request)
     else:
@@ -382,7 +382,7 @@ SILENT: Final = "silent"
 
 
 def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
-    """Returns what is to be known about each task. Any thread.
+    """Returns what is known about each task. Any thread.
 
     Args:
         kernel: the kernel that it runs on.
@@ -426,13 +426,13 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
 
 
 def describe_in_detail(kernel: Kernel, slot: Slot, settings_class: type, carried: Carried) -> dict[str, Any]:
-    """Returns what else is to be known about one task, its settings among it.
+    """Returns what else is known about one task, its settings among it.
 
     Args:
         kernel: the kernel that it runs on.
         slot: its place.
         settings_class: the dataclass of its settings.
-        carried: what it would begin with where it does not run.
+        carried: what it would begin with if it does not run.
     """
     spec = slot.spec
     return {
@@ -467,7 +467,7 @@ def settings_of(kernel: Kernel, slot: Slot, settings_class: type, carried: Carri
 
 
 def _schema_of_settings(cls: type) -> dict[str, Any]:
-    """Returns the JSON Schema of a task's settings; empty where they have a type that cannot be checked."""
+    """Returns the JSON Schema of a task's settings; empty if they have a type that cannot be checked."""
     try:
         return _schema_of(cls)
     except TypeError:

@@ -148,7 +148,7 @@ class Keeper(Generic[P]):
 
 
 ANSWERED_S: Final = 2.5
-"""An asker whose command is not done after so long, in host time, is told what it waits for."""
+"""An asker whose command is not done after this long, in host time, is told what it waits for."""
 
 
 class Answers:
@@ -193,12 +193,12 @@ class Answers:
         self._owed.pop(request.number, None)
 
     def give(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None:
-        """Answers a request; where the answer cannot be sent, the asker is told that, and why.
+        """Answers a request; if the answer cannot be sent, the asker is told that, and why.
 
         Args:
             request: the request.
             refusal: why it is not done; None: it is.
-            result: what was asked for, where that is something to know.
+            result: what was asked for, if there is something to tell.
         """
         self._owed.pop(request.number, None)
         if request.number in self._put_off:

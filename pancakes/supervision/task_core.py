@@ -176,7 +176,7 @@ class TaskCore(ActorCore):
         )
 
     def __plain_settings(self) -> Mapping[str, Any]:
-        # They are replaced as a whole where they are changed: so they are written down once, and not each second.
+        # They are replaced as a whole when they change: so they are written down once, and not each second.
         note = self.kernel.tasks.settings_of(self.address)
         if note is not None and note.plain is not None and note.settings is self.kept_settings:
             return note.plain
