@@ -17,6 +17,7 @@ from harness.ending import interruptible
 from harness.report import json_option, write
 
 TOPICS = (
+    "cpu",
     "fan_out",
     "two_processes",
     "local_link",

@@ -47,17 +47,18 @@ class Publisher(Task):
     @dataclass
     class Settings:
         packets: int = 0
+        burst: int = BURST
 
     def on_start(self) -> None:
         self.sent = 0
-        self.began_s = 0.0
+        self.began_s = self.began_cpu_s = 0.0
         self.probes_s: list[float] = []
 
     def flood(self) -> None:
         """Publishes all packets, a burst in each turn."""
         if not self.sent:
-            self.began_s = time.perf_counter()
-        burst = min(BURST, self.settings.packets - self.sent)
+            self.began_s, self.began_cpu_s = time.perf_counter(), time.process_time()
+        burst = min(self.settings.burst, self.settings.packets - self.sent)
         for _ in range(burst):
             self.publish("bench", _POSE)
         self.sent += burst
@@ -123,7 +124,7 @@ class Stream(Sensor):
         readings: int = 0
 
     def open(self) -> None:
-        self.began_s = 0.0
+        self.began_s = self.began_cpu_s = 0.0
         self._thread = threading.Thread(target=self._listen, name="stream", daemon=True)
 
     def receive(self, packet: Packet) -> None:
@@ -133,33 +134,37 @@ class Stream(Sensor):
         """Brings nothing: readings come from the thread."""
 
     def _listen(self) -> None:
-        self.began_s = time.perf_counter()
+        self.began_s, self.began_cpu_s = time.perf_counter(), time.process_time()
         deliver = self.context.deliver
         for _ in range(self.settings.readings):
             deliver(_POSE)
 
 
 class Countdown:
-    """Waits until all have finished; takes the time of the last."""
+    """Waits until all have finished; takes the time of the last, and the processor time of this process by then."""
 
     def __init__(self, number: int) -> None:
         self._left = number
         self._lock = threading.Lock()
         self._event = threading.Event()
-        self.ended_s = 0.0
+        self.ended_s = self.ended_cpu_s = 0.0
 
     def one(self, _packet: Any = None) -> None:
         """One has finished. Any thread."""
         with self._lock:
             self._left -= 1
             if self._left == 0:
-                self.ended_s = time.perf_counter()
+                self.ended_s, self.ended_cpu_s = time.perf_counter(), time.process_time()
                 self._event.set()
 
     def wait(self) -> None:
         """Waits until the last has finished."""
         if not self._event.wait(PATIENCE_S):
             raise TimeoutError(f"{self._left} subscribers had not got everything after {PATIENCE_S:g} s")
+
+    def each_ns(self, began_s: float, began_cpu_s: float, number: int) -> list[float]:
+        """Returns the time, and the processor time, from a beginning until the last had finished, for each of many."""
+        return [(self.ended_s - began_s) / number * 1e9, (self.ended_cpu_s - began_cpu_s) / number * 1e9]
 
 
 def _last_us(probes_s: list[float], heard_s: list[list[float]]) -> float:
@@ -174,41 +179,52 @@ def _counting(agent: Agent, number: int) -> Countdown:
     return countdown
 
 
-def from_a_task(subscribers: int, packets: int) -> list[float]:
-    """One run of ours. Returns ns a delivery, and µs until the last has it."""
+def from_a_task(subscribers: int, packets: int, burst: int = BURST, probes: bool = True) -> list[float]:
+    """One run of ours. Returns ns a delivery, the same in processor time, and µs until the last has it.
+
+    Args:
+        subscribers: how many get each packet.
+        packets: how many are published.
+        burst: how many are published in one turn.
+        probes: whether the last is measured; else only the first two values are returned.
+    """
     tasks = {f"Subscriber{number}": f'type = "bench.Subscriber"\nsettings = {{ packets = {packets} }}'
              for number in range(subscribers)}  # fmt: skip
-    tasks["Publisher"] = f'type = "bench.Publisher"\nsettings = {{ packets = {packets} }}'
+    tasks["Publisher"] = f'type = "bench.Publisher"\nsettings = {{ packets = {packets}, burst = {burst} }}'
     classes: dict[str, type[Task]] = {"bench.Subscriber": Subscriber, "bench.Publisher": Publisher}
     with local_agent(classes, tasks, ("bench", "probe", "done")) as agent:
         cores: Any = agent.kernel.registry
-        publisher: Any = cores.get("bench/client/Publisher").facade
-        others: list[Any] = [cores.get(f"bench/client/Subscriber{number}").facade for number in range(subscribers)]
+        publisher: Any = cores.get(f"{agent.name}/client/Publisher").facade
+        others: list[Any] = [
+            cores.get(f"{agent.name}/client/Subscriber{number}").facade for number in range(subscribers)
+        ]
         flooded = _counting(agent, subscribers)
         publisher.call(publisher.flood)
         flooded.wait()
-        delivery_ns = (flooded.ended_s - publisher.began_s) / (packets * subscribers) * 1e9
+        each_ns = flooded.each_ns(publisher.began_s, publisher.began_cpu_s, packets * subscribers)
+        if not probes:
+            return each_ns
         agent.kernel.stream.untap("done", flooded.one)
         probed = _counting(agent, subscribers)
         publisher.call(lambda: publisher.reschedule(PROBES_HZ))
         probed.wait()
-        return [delivery_ns, _last_us(publisher.probes_s, [other.heard_s for other in others])]
+        return [*each_ns, _last_us(publisher.probes_s, [other.heard_s for other in others])]
 
 
 def from_a_driver(packets: int) -> list[float]:
-    """One run of ours: a driver's thread to one task. Returns ns a delivery."""
+    """One run of ours: a driver's thread to one task. Returns ns a delivery, and the same in processor time."""
     tasks = {"Reader": f'type = "bench.Reader"\nsettings = {{ packets = {packets} }}'}
     device_table = f'[device.stream]\ndriver = "bench.Stream"\nsettings = {{ readings = {packets} }}'
     offers = {("pancakes.drivers", "bench.Stream"): Stream}
     channels = ("bench", "probe", "done")
     with local_agent({"bench.Reader": Reader}, tasks, channels, offers, device_table) as agent:
         cores: Any = agent.kernel.registry
-        device: Any = cores.get("bench/device/stream")
-        reader: Any = cores.get("bench/client/Reader").facade
+        device: Any = cores.get(f"{agent.name}/device/stream")
+        reader: Any = cores.get(f"{agent.name}/client/Reader").facade
         done = _counting(agent, 1)
         reader.call(lambda: reader.publish(SYSTEM, _POSE, to=device.address))
         done.wait()
-        return [(done.ended_s - device.driver.began_s) / packets * 1e9]
+        return done.each_ns(device.driver.began_s, device.driver.began_cpu_s, packets)
 
 
 class StockActor(pykka.ThreadingActor):
@@ -241,12 +257,12 @@ def stock_pykka(subscribers: int, packets: int) -> list[float]:
         for number in range(subscribers):
             refs.append(StockActor.start(packets, heard_s[number], flooded, probed))
             stack.callback(refs[-1].stop)
-        began_s = time.perf_counter()
+        began_s, began_cpu_s = time.perf_counter(), time.process_time()
         for _ in range(packets):
             for ref in refs:
                 ref.tell(_POSE)
         flooded.wait()
-        delivery_ns = (flooded.ended_s - began_s) / (packets * subscribers) * 1e9
+        each_ns = flooded.each_ns(began_s, began_cpu_s, packets * subscribers)
         probes_s = []
         due_s = time.perf_counter()
         for _ in range(PROBES):
@@ -256,7 +272,7 @@ def stock_pykka(subscribers: int, packets: int) -> list[float]:
             for ref in refs:
                 ref.tell(_POSE)
         probed.wait()
-        return [delivery_ns, _last_us(probes_s, heard_s)]
+        return [*each_ns, _last_us(probes_s, heard_s)]
 
 
 def measure(plan: Plan) -> Iterator[Figure]:
@@ -265,6 +281,7 @@ def measure(plan: Plan) -> Iterator[Figure]:
         packets = max(1, plan.share(DELIVERIES) // subscribers)
         figures = [
             Figure(f"publish to {subscribers}: a delivery", "ns", wanted=delivery),
+            Figure(f"publish to {subscribers}: CPU of a delivery", "ns", least=True),
             Figure(f"publish to {subscribers}: until the last has it", "µs", wanted=last),
         ]
         yield from in_turns(
@@ -276,7 +293,10 @@ def measure(plan: Plan) -> Iterator[Figure]:
     packets = plan.share(DELIVERIES)
     yield from in_turns(
         plan,
-        [Figure("publish to 1 from a driver's thread: a delivery", "ns", wanted=FROM_A_DRIVER)],
+        [
+            Figure("publish to 1 from a driver's thread: a delivery", "ns", wanted=FROM_A_DRIVER),
+            Figure("publish to 1 from a driver's thread: CPU", "ns", least=True),
+        ],
         lambda: from_a_driver(packets),
-        lambda: stock_pykka(1, packets)[:1],
+        lambda: stock_pykka(1, packets)[:2],
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -39,7 +40,7 @@ def local_agent(
         lines = [
             "schema = 1",
             "[agent]",
-            'name = "bench"',
+            f'name = "bench-{os.getpid()}"',  # two benchmarks may run on one machine, and meet at `local://NAME`
             'listen = "tcp://127.0.0.1:0"',
             f'state_dir = "{directory}/state"',
             "[service.log]",
