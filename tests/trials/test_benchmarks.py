@@ -13,7 +13,7 @@ from benchmarks import crowd, lateness
 from benchmarks.__main__ import bench
 from benchmarks.figure import Figure, Plan, alone, in_turns_of_all
 from benchmarks.observers import Compared, Round, Span, quiet
-from benchmarks.peer_environments import SCRIPTS, Peer, PeerMissing, python_of
+from benchmarks.environments import SCRIPTS, Peer, PeerMissing, python_of
 from benchmarks.peer_runs import pair
 from click.testing import CliRunner, Result
 

@@ -16,8 +16,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from keys_in_test import KeysInTest
-
 _ROOT = Path(__file__).resolve().parents[2]
 PYTHON_PATH = (str(_ROOT / "trials"), str(_ROOT / "tests"), str(_ROOT))
 """Where started processes import from. The root is for a clone that borrows the environment of another."""
@@ -65,6 +63,8 @@ def offer_tasks(
 
 def keys_of(directory: Path, *names: str) -> Mapping[str, str]:
     """Makes keys for agents; returns what is to be in the environment of their processes."""
+    from keys_in_test import KeysInTest  # it imports cryptography, which no agent that imports this needs
+
     keys = KeysInTest(directory)
     for name in names:
         keys.of_agent("default", name)
@@ -105,6 +105,7 @@ def agent_process(
     core: int | None = None,
     pass_fds: tuple[int, ...] = (),
     until_ready: bool = False,
+    python: str | Path = sys.executable,
 ) -> Iterator[subprocess.Popen[bytes]]:
     """Runs `pancakes-agent`.
 
@@ -115,10 +116,11 @@ def agent_process(
         core: the processor core that it is bound to, if any.
         pass_fds: file descriptors that it inherits.
         until_ready: wait until all runs that it is to start with: it listens then, and has its entry.
+        python: of the environment from which it is started.
     """
     path = directory / f"agent{time.monotonic_ns()}.toml"
     path.write_text(config)
-    command = [str(Path(sys.executable).with_name("pancakes-agent")), "--config", str(path)]
+    command = [str(Path(python).with_name("pancakes-agent")), "--config", str(path)]
     if not until_ready:
         with process(command, environment, core, pass_fds) as started:
             yield started

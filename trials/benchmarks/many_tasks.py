@@ -6,7 +6,7 @@ what that had before it began is taken off its memory.
 The tasks have two subscriptions on two channels, a timer, settings and state. They come in the two ways in which a user
 has tasks: a service of one's own brings them, and begins to count as it starts; these have no records on disk. Or a
 configuration names them, which has to be read, and each is in the journal before it runs: what such an agent takes
-longer, and more, than one without tasks.
+longer, and more, than one with a single task.
 """
 
 from __future__ import annotations
@@ -148,9 +148,12 @@ def of_a_service(tasks: int) -> list[float]:
 
 
 def configured(tasks: int) -> list[float]:
-    """One run of an agent whose configuration names tasks. Returns what it takes more than one without tasks."""
-    with_tasks, without = _ready(tasks), _ready(0)
-    return [more - less for more, less in zip(with_tasks, without, strict=True)]
+    """One run of an agent whose configuration names tasks. Returns what they take: more than one with a single task.
+
+    So what the module of these tasks imports is not taken for theirs.
+    """
+    with_tasks, with_one = _ready(tasks + 1), _ready(1)
+    return [more - less for more, less in zip(with_tasks, with_one, strict=True)]
 
 
 def _ready(tasks: int) -> list[float]:

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 
 from benchmarks import crowd
 from benchmarks.crowd import ALL_TO_ALL, ALL_TO_EACH, EIGHT_TO_ONE, Shape
+from benchmarks.environments import ZENOH, PeerMissing, python_of
 from benchmarks.figure import Figure, Missing, Plan, Side, in_turns_of_all
-from benchmarks.peer_environments import ZENOH, PeerMissing, python_of
 from benchmarks.peer_runs import zenoh_crowd
 
 TITLE = "many agents at once, packets that arrive, beside zenoh; bound to no core"

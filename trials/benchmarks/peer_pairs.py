@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from benchmarks import two_processes
+from benchmarks.environments import PYZMQ, ROSPY, ZENOH, Peer, PeerMissing, python_of
 from benchmarks.figure import Figure, Missing, Plan, Side, in_turns_of_all
-from benchmarks.peer_environments import PYZMQ, ROSPY, ZENOH, Peer, PeerMissing, python_of
 from benchmarks.peer_runs import pair
 
 TITLE = "a task to a task in another process, beside what a user might take instead; bound to no core"
