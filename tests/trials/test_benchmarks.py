@@ -7,13 +7,15 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
-from benchmarks import crowd, lateness
+from benchmarks import crowd, lateness, short
 from benchmarks.__main__ import bench
+from benchmarks.compare import slower
+from benchmarks.environments import SCRIPTS, Peer, PeerMissing, python_of
 from benchmarks.figure import Figure, Plan, alone, in_turns_of_all
 from benchmarks.observers import Compared, Round, Span, quiet
-from benchmarks.environments import SCRIPTS, Peer, PeerMissing, python_of
 from benchmarks.peer_runs import pair
 from click.testing import CliRunner, Result
 
@@ -76,6 +78,75 @@ def test_bench_figures_are_medians_of_turns() -> None:
         wide = Figure("x", "s", wanted=2.0)
         alone(Plan(rounds=5, most_rounds=9), [wide], iter([[1.0], [differs_by]] * 9).__next__)
         assert len(wide.runs) == rounds
+
+
+def record(name: str, runs: list[float], bare_runs: list[float] | None = None, sense: str = "max") -> dict[str, Any]:
+    return Figure(name, "ns", sense, runs=runs, bare_runs=bare_runs or []).record()
+
+
+def test_compare_names_what_became_slower() -> None:
+    """By more than the noise, in the value and in the ratio; what is new, missing or faster is none of it."""
+    quiet_runs, bare = [10.0, 10.2, 10.1, 10.3, 9.9], [5.0] * 5
+    slow_runs = [13.0, 13.2, 13.1, 13.3, 12.9]
+    old = [record(name, quiet_runs, bare) for name in ("worse", "noisy", "faster", "bare")]
+    old += [record("more", quiet_runs, sense="min"), record("once", [10.0]), {"name": "gone", "failed": "it broke"}]
+    new = [
+        record("worse", slow_runs, bare),
+        record("noisy", [13.0, 9.0, 14.0, 10.0, 13.5], bare),
+        record("faster", [9.0] * 5, bare),
+        record("bare", quiet_runs, [3.0] * 5),
+        record("more", [8.0] * 5, sense="min"),
+        record("once", [12.0]),
+        record("new", slow_runs),
+        {"name": "gone", "missing": "it is not here"},
+    ]
+    assert slower(old, new) == ["worse: 2.02 -> 2.62 of the bare one", "more: 10.1 -> 8 ns"]
+    assert slower(new, new) == [] == slower([], new)
+
+
+def test_compare_ends_with_what_became_slower(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    runs = [1.0, 1.0]
+    topic = SimpleNamespace(TITLE="one", measure=lambda plan: iter([Figure("x", "ms", runs=list(runs))]))
+    monkeypatch.setitem(sys.modules, "benchmarks.fan_out", topic)
+    file, other = tmp_path / "old.json", tmp_path / "other.json"
+    other.write_text("{}")
+
+    def run(*options: str | Path) -> Result:
+        return CliRunner().invoke(bench, ["--only", "fan_out", *map(str, options)])
+
+    assert run("--json", file).exit_code == 0 == run("--compare", file).exit_code
+    runs[:] = [2.0, 2.0]
+    result = run("--compare", file)
+    assert result.exit_code == 1 and "x: 1 -> 2 ms" in result.output
+    assert run("--compare", other).exit_code == 2 and "not what --json writes" in run("--compare", other).output
+
+
+def test_short_form_fails_for_a_slow_step(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A step that seems slow is measured again before it fails; one that the file does not know fails as well."""
+    file = tmp_path / "cpu.json"
+    took = iter([10.0] * 5 + [18.0] * 7 + [10.0] + [18.0] * 15)
+    step = short.Step("a step", "ns", lambda: next(took), lambda: 5.0)
+    monkeypatch.setattr(short, "FILE", file)
+    monkeypatch.setattr(short, "steps", lambda: [step])
+
+    def run(*options: str) -> int:
+        return CliRunner().invoke(bench, ["--ci", *options]).exit_code
+
+    assert run("--write") == 0 and json.loads(file.read_text()) == {"a step": 2.0}
+    assert run() == 0
+    assert run() == 1
+    took = iter([10.0] * 5)
+    file.write_text("{}")
+    assert run() == 1
+    assert run("--only", "fan_out") == 2 == CliRunner().invoke(bench, ["--write"]).exit_code
+
+
+def test_short_form_measures_each_step_of_its_file() -> None:
+    """All are there, each more than nothing, and their figures are those of the file in the tree by order."""
+    steps = {step.name: step for step in short.steps()}
+    assert set(steps) == set(short.known())
+    for name in ("a tick", "a task's memory", "modules of ours at the start"):
+        assert 0.1 < steps[name].ours() / steps[name].bare() / short.known()[name] < 10.0
 
 
 def observed(ratio: float, late_us: int, others_ms: float, bare_ms: float = 100.0) -> Round:

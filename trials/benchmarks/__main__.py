@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import platform
 import signal
@@ -12,6 +13,8 @@ from traceback import format_exception_only
 from typing import Any
 
 import click
+from benchmarks import short
+from benchmarks.compare import slower
 from benchmarks.figure import Failed, Figure, Missing, Plan
 from harness.ending import interruptible
 from harness.report import json_option, write
@@ -58,12 +61,38 @@ LEAST_ROUNDS, MOST_ROUNDS = 5, 9
     metavar="NAME",
     help=f"One of {', '.join(ALL_TOPICS)}; may be given several times.",
 )
-def bench(json_file: Path | None, quick: bool, rounds: int, peers: bool, only: tuple[str, ...]) -> None:
+@click.option(
+    "--compare",
+    "old_file",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="OLD.json",
+    help="Print what became slower since the run that wrote this file with --json, by more than the noise.",
+)
+@click.option("--ci", is_flag=True, help="Measure only CPU, in a minute; compare it with trials/benchmarks/cpu.json.")
+@click.option("--write", "writes", is_flag=True, help="With --ci: write that file instead of comparing with it.")
+def bench(
+    json_file: Path | None,
+    quick: bool,
+    rounds: int,
+    peers: bool,
+    only: tuple[str, ...],
+    old_file: Path | None,
+    ci: bool,
+    writes: bool,
+) -> None:
     """Measure how fast Pancakes is, each figure beside one of something bare, taken in turns with it.
 
-    Exit code 1 where a topic could not be measured to its end; the others are. 130 after Ctrl-C: what was measured
-    until then is in the file of --json.
+    Exit code 1 if a topic could not be measured to its end (the others are), if --compare finds something slower, or if
+    --ci finds a step half again as slow as its file says. 130 after Ctrl-C: what was measured until then is in the file
+    of --json.
     """
+    if writes and not ci:
+        raise click.UsageError("--write needs --ci.")
+    if ci and (only or peers or old_file):
+        raise click.UsageError("--ci measures its own steps, and takes no --only, --peers or --compare.")
+    old = [] if old_file is None else _records_of(old_file)
+    if ci:
+        _short_form(json_file, writes)
     topics = tuple(dict.fromkeys((only or TOPICS) + PEER_TOPICS * peers))
     plan = Plan(rounds, 0.1 if quick else 1.0, rounds if quick else max(MOST_ROUNDS, rounds))
     more = f", of {plan.most_rounds} where they differ much" if plan.most_rounds > rounds else ""
@@ -77,7 +106,47 @@ def bench(json_file: Path | None, quick: bool, rounds: int, peers: bool, only: t
         sys.exit(128 + signal.SIGINT)
     finally:
         write(json_file, records)
+    if old_file is not None:
+        worse = slower(old, records)
+        print(f"slower than in {old_file}:" if worse else f"nothing is slower than in {old_file}")
+        print("".join(f"  {line}\n" for line in worse), end="")
+        failed += worse
     sys.exit(1 if failed else 0)
+
+
+def _records_of(file: Path) -> list[dict[str, Any]]:
+    try:
+        records = json.loads(file.read_text())
+        if isinstance(records, list) and all(isinstance(record, dict) and "name" in record for record in records):
+            return records
+    except ValueError:
+        pass
+    raise click.BadParameter(f"{file} is not what --json writes.", param_hint="--compare")
+
+
+def _short_form(json_file: Path | None, writes: bool) -> None:
+    """Measures the steps of the short form, compares them with the file or writes it, and ends."""
+    ratios = {} if writes else short.known()
+    print(f"Python {platform.python_version()}, {os.cpu_count()} cores, the smallest of {short.ROUNDS} runs or more\n")
+    print(f"{'CPU of':46} {'Pancakes':>12} {'bare':>12}        ratio (of the runs)", flush=True)
+    figures = []
+    try:
+        with interruptible():
+            for step in short.steps():
+                limit = None if writes else short.LIMIT * ratios.get(step.name, float("inf"))
+                figures.append(short.measured(step, limit))
+                print(_line(figures[-1]), flush=True)
+    except KeyboardInterrupt:
+        print("interrupted")
+        sys.exit(128 + signal.SIGINT)
+    finally:
+        write(json_file, [figure.record() for figure in figures])
+    if writes:
+        short.write(figures)
+    unknown = [figure.name for figure in figures if not writes and figure.name not in ratios]
+    if unknown:
+        print(f"not in {short.FILE.name}: {', '.join(unknown)} (scripts/bench --ci --write)")
+    sys.exit(1 if unknown or any(figure.is_missed for figure in figures) else 0)
 
 
 def _measure(topic: str, plan: Plan, records: list[dict[str, Any]]) -> bool:

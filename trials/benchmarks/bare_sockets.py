@@ -59,22 +59,25 @@ class Wire:
 
 
 def far(port_fd: int) -> None:
-    """Answers pings, and acknowledges the last of what comes one way."""
+    """Answers pings, and acknowledges the last of what comes one way with the µs of processor time since the first."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         os.write(port_fd, f"{json.dumps({'port': server.getsockname()[1]})}\n".encode())
         connection, _ = server.accept()
     wire = Wire(connection)
+    began_cpu_s = 0.0
     while packets := wire.receive():
         for packet in packets:
             kind, body = packet[1], packet[7]
             if kind == "ping":
                 wire.sock.sendall(wire.encode("pong", body["number"], body["data"]))
+            elif body["number"] == 0:
+                began_cpu_s = time.process_time()
             elif body["number"] < 0:
-                wire.sock.sendall(wire.encode("got", 0, b""))
+                wire.sock.sendall(wire.encode("got", round((time.process_time() - began_cpu_s) * 1e6), b""))
 
 
 def near(port: int, report_fd: int, round_trips: int, packets: int, size: int) -> None:
-    """Measures round trips, then packets one way: a send for each, then many in one."""
+    """Measures round trips, then packets one way: a send for each, then many in one, whose processor time is told."""
     wire = Wire(socket.create_connection(("127.0.0.1", port)))
     data = bytes(size)
     times_s = []
@@ -83,9 +86,9 @@ def near(port: int, report_fd: int, round_trips: int, packets: int, size: int) -
         wire.sock.sendall(wire.encode("ping", number, data))
         wire.receive()
         times_s.append(time.perf_counter() - asked_s)
-    rates = []
+    rates, cpu_us = [], []
     for most_bytes in (0, _COALESCED_BYTES):
-        began_s = time.perf_counter()
+        began_s, began_cpu_s = time.perf_counter(), time.process_time()
         waiting: list[bytes] = []
         waiting_bytes = 0
         for number in range(packets):
@@ -95,9 +98,10 @@ def near(port: int, report_fd: int, round_trips: int, packets: int, size: int) -
                 wire.sock.sendall(b"".join(waiting))
                 waiting.clear()
                 waiting_bytes = 0
-        wire.receive()
+        (got,) = wire.receive()
         rates.append(packets / (time.perf_counter() - began_s))
-    report = {"times_s": times_s, "per_s": rates[0], "coalesced_per_s": rates[1]}
+        cpu_us = [(time.process_time() - began_cpu_s) / packets * 1e6, got[7]["number"] / packets]
+    report = {"times_s": times_s, "per_s": rates[0], "coalesced_per_s": rates[1], "cpu_us": cpu_us}
     os.write(report_fd, f"{json.dumps(report)}\n".encode())
 
 

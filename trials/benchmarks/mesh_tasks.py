@@ -50,10 +50,11 @@ class Load(msgspec.Struct, frozen=True):
 
 @packet_type("bench.got")
 class Got(msgspec.Struct, frozen=True):
-    """How many have arrived, and whether the last one was among them."""
+    """How many have arrived, whether the last one was among them, and the receiver's processor time since the first."""
 
     count: int
     is_all: bool = False
+    cpu_s: float = 0.0
 
 
 def window_of(size: int) -> int:
@@ -67,6 +68,7 @@ class Far(Task):
     def on_start(self) -> None:
         self.count = 0
         self.acknowledged_at = 1
+        self.began_cpu_s = 0.0
 
     @on("bench", Ping)
     def answer(self, packet: Packet) -> None:
@@ -80,7 +82,10 @@ class Far(Task):
         body = packet.body
         if count == self.acknowledged_at or body.number < 0:
             self.acknowledged_at = count + window_of(len(body.data)) // 4
-            self.publish("bench", Got(count, body.number < 0), to=packet.source)
+            if count == 1:
+                self.began_cpu_s = time.process_time()
+            used_s = time.process_time() - self.began_cpu_s
+            self.publish("bench", Got(count, body.number < 0, used_s), to=packet.source)
 
 
 class Near(Task):
@@ -122,7 +127,7 @@ class Near(Task):
             self.asked_s = time.perf_counter()
             self.publish("bench", Ping(number + 1, self.data), to=FAR)
         else:
-            self.began_s = time.perf_counter()
+            self.began_s, self.began_cpu_s = time.perf_counter(), time.process_time()
             self.flood()
 
     def flood(self) -> None:
@@ -147,11 +152,13 @@ class Near(Task):
         was_full = self.sent - self.got >= self.window
         self.got = packet.body.count
         if packet.body.is_all:
-            self.report(time.perf_counter() - self.began_s)
+            self.report(time.perf_counter() - self.began_s, packet.body.cpu_s)
         elif was_full:
             self.flood()
 
-    def report(self, took_s: float) -> None:
+    def report(self, took_s: float, far_cpu_s: float) -> None:
         """Tells whoever started the agent."""
-        report = {"times_s": self.times_s, "per_s": self.settings.packets / took_s, "received": self.got}
+        packets = self.settings.packets
+        cpu_us = [used_s / packets * 1e6 for used_s in (time.process_time() - self.began_cpu_s, far_cpu_s)]
+        report = {"times_s": self.times_s, "per_s": packets / took_s, "received": self.got, "cpu_us": cpu_us}
         os.write(self.settings.report_fd, f"{json.dumps(report)}\n".encode())

@@ -116,11 +116,11 @@ def measure(plan: Plan) -> Iterator[Figure]:
 
     def small_ours() -> list[float]:
         report = pancakes(64, trips, small)
-        return [*trips_us(report), report["per_s"], report["per_s"]]
+        return [*trips_us(report), report["per_s"], report["per_s"], *report["cpu_us"]]
 
     def small_bare() -> list[float]:
         report = bare_sockets(64, trips, small)
-        return [*trips_us(report), report["per_s"], report["coalesced_per_s"]]
+        return [*trips_us(report), report["per_s"], report["coalesced_per_s"], *report["cpu_us"]]
 
     yield from in_turns(
         plan,
@@ -129,6 +129,8 @@ def measure(plan: Plan) -> Iterator[Figure]:
             Figure("round trip, 64 B: p99", "µs"),
             Figure("one way, 64 B; bare: a send each", "1/s", "min"),
             Figure("one way, 64 B; bare: many in a send", "1/s", "min"),
+            Figure("the same: CPU of a packet at the sender", "µs", least=True),
+            Figure("the same: CPU of a packet at the receiver", "µs", least=True),
         ],
         small_ours,
         small_bare,
