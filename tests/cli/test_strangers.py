@@ -66,6 +66,14 @@ def test_clients_that_are_all_in_use_keep_an_operator_out(rig: Rig):
     clock = MonotonicClock()
     transport = SocketTransport(clock, "busy", Plugins(), {"tcp": {"insecure": True}})
     sessions = [FleetSession(f"busy{number}", "test", transport, clock, news) for number in range(MAX_CLIENTS)]
+    done_with = threading.Event()
+
+    def use() -> None:
+        while not done_with.wait(1.0):  # one that asks nothing for ten seconds gives way to the operator
+            for session in sessions:
+                session.request("a", Describe())
+
+    user = threading.Thread(target=use)
     try:
         for session in sessions:
             session.learn(address)
@@ -76,11 +84,15 @@ def test_clients_that_are_all_in_use_keep_an_operator_out(rig: Rig):
                 lambda: all(session.answer(number) for session, number in zip(sessions, numbers, strict=True)),
                 PATIENCE_S,
             )
+        user.start()
         done = rig.pancakes("agent", "info", "a")
         assert done.returncode == 3
         assert "a is full: it has 64 clients, and all of them are in use" in done.stderr
         assert "nothing came within" not in done.stderr
     finally:
+        done_with.set()
+        if user.ident is not None:
+            user.join()
         for session in sessions:
             session.close()
         transport.close()
