@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.control import Revive
+from pancakes.control import Refusal, Revive
 from pancakes.durable.checkpoints import carried_of, settings_now, spec_of
 from pancakes.durable.courier import COURIER, SendUnsent
 from pancakes.durable.handoff import would_take
@@ -108,13 +108,13 @@ class Arrivals:
         lost = self._records.lost(record.task_id) if record.phase is Phase.ABSENT else None
         return lost.undecided(self._host.agent) if lost is not None else ""
 
-    def receive(self, packet: Packet, place: Place, refusal: str = "") -> Received | None:
+    def receive(self, packet: Packet, place: Place, refusal: Refusal | None = None) -> Received | None:
         """Takes a hand-off message of a peer.
 
         Args:
             packet: the message.
             place: the place of its task.
-            refusal: why a reservation is refused already; empty: it is not.
+            refusal: why a reservation is refused already; None: it is not.
 
         Returns:
             What to feed to the place of the task; None: the rest of its snapshot is still to come, it was meant for
@@ -125,10 +125,11 @@ class Arrivals:
         if message is None:
             return None
         if isinstance(message, Reserve):
-            if is_out_of_reach(message.offer, record.seen):
-                refusal = refusal or f"the epoch {message.offer} is further from {record.seen} than any task comes"
+            if refusal is None and is_out_of_reach(message.offer, record.seen):
+                too_far = f"the epoch {message.offer} is further from {record.seen} than any task comes"
+                refusal = Refusal("invalid", too_far)
             refusal = refusal or self._full_of(peer, place, 0) or self._state.reserve(peer, message)
-            if not refusal:
+            if refusal is None:
                 place.promised = (peer, message.offer)
             return Received(peer, message, refusal)
         if isinstance(message, Transfer):
@@ -137,14 +138,14 @@ class Arrivals:
                 return Received(peer, message)
             size = len(message.snapshot)
             refusal = self._full_of(peer, place, size) or self.cannot_build(peer, place, message.snapshot)
-            place.came_from = "" if refusal else peer
+            place.came_from = peer if refusal is None else ""
             return Received(peer, message, refusal)
         if record.unborn and self._records.service_of(message.task_id) not in ("", self._host.name):
             return None
         return Received(peer, message)
 
-    def _full_of(self, peer: str, place: Place, more_bytes: int) -> str:
-        """Says why no more is kept of what a peer has brought and not handed over; empty: there is room."""
+    def _full_of(self, peer: str, place: Place, more_bytes: int) -> Refusal | None:
+        """Returns why no more is kept of what a peer has brought and not handed over; None: there is room."""
         records = self._records.all().values()
         left = sum(it.phase is Phase.ABSENT and it.peer == peer for it in records)
         if place.standing.record.unborn and left >= MOST_LEFT:
@@ -152,16 +153,16 @@ class Arrivals:
         kept = [it for it in records if it.phase is Phase.PREPARED and it.peer == peer and it.task_id != place.task_id]
         size = sum(len(it.snapshot) for it in kept) + more_bytes
         if len(kept) < MOST_IN_DOUBT and (not kept or size <= MOST_IN_DOUBT_BYTES):
-            return ""
+            return None
         drops = f"`pancakes task forget-peer {self._host.agent} {peer}` drops them"
         return self._at_bound(
             peer, f"keeps {len(kept)} tasks that {peer} has brought and not handed over, and no more: {drops}"
         )
 
-    def _at_bound(self, peer: str, why: str) -> str:
+    def _at_bound(self, peer: str, why: str) -> Refusal:
         if self._refused.is_news(peer, why):
             self._host.log("warning", f"{self._host.agent} {why}")
-        return why
+        return Refusal("unable", why)
 
     def is_unused(self, place: Place) -> bool:
         """Returns whether nothing has come of a place that was promised to a peer."""
@@ -181,44 +182,46 @@ class Arrivals:
         if place.promised != (peer, message.offer):
             # Where it is no news, its sender hears by another message what became of it.
             if would_take(place.standing.record, message.offer):
-                nak = Nak(message.task_id, message.offer, "was not asked for a place for it first")
-                self._talk.hand_off(peer, nak)
+                unasked = Refusal("invalid", "was not asked for a place for it first")
+                self._talk.hand_off(peer, Nak(message.task_id, message.offer, unasked))
             return None
         try:
             return self._assembly.add(peer, message)
         except RemoteProtocolError as error:
-            self._talk.hand_off(peer, Nak(message.task_id, message.offer, str(error)))
+            self._talk.hand_off(peer, Nak(message.task_id, message.offer, Refusal("invalid", str(error))))
             return None
 
     def drop_pieces(self, peer: str) -> None:
         """Forgets the pieces of a peer that has gone: a snapshot that was on its way would come anew."""
         self._assembly.drop(peer)
 
-    def cannot_build(self, peer: str, place: Place, encoded: bytes) -> str:
-        """Builds a task that a peer brings, dormant, and keeps its actuators for it; says why that cannot be."""
+    def cannot_build(self, peer: str, place: Place, encoded: bytes) -> Refusal | None:
+        """Builds a task that a peer brings, dormant, and keeps its actuators for it; returns why it cannot."""
         task_id = place.task_id
         try:
             snapshot = Snapshot.decode(encoded)
             if fault := self._host.kernel.access.fault(peer, "host", snapshot.type):
-                return fault
+                return Refusal("forbidden", fault)
             if snapshot.task_id != task_id:
-                return f"the snapshot is of {snapshot.task_id}, not of {task_id}"
+                return Refusal("invalid", f"the snapshot is of {snapshot.task_id}, not of {task_id}")
             here = self._records.service_of(task_id) or self._host.name
             if not here == snapshot.service == self._host.name:
-                return f"has a record of {task_id} in its service {here!r}, not in {snapshot.service!r}"
+                other = f"has a record of {task_id} in its service {here!r}, not in {snapshot.service!r}"
+                return Refusal("unsupported", other)
             spec = spec_of(snapshot, self._catalogue)
             make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
             make_settings(spec.cls.State, snapshot.state, allow_nan=True, owner=spec.name, noun="state")
             if outside := self._host.kernel.folders.refusal_of(spec.cls.Settings, snapshot.settings):
-                return f"bad settings for {spec.name}: {outside}"
+                return Refusal("invalid", f"bad settings for {spec.name}: {outside}")
         except (PancakesError, msgspec.ValidationError) as error:
-            return str(error)
+            return Refusal.of(error)
         slot = self._host.slots.get(task_id.name)
         if slot is not None:
             there = self._host.places.at[slot.name]
             if there is not place and not there.standing.leaving:
-                return f"has a task named {slot.name} already"
-        return self._host.kernel.registry.reserve(join(self._host.address, task_id.name), snapshot.requires)
+                return Refusal("conflict", f"has a task named {slot.name} already")
+        why_not = self._host.kernel.registry.reserve(join(self._host.address, task_id.name), snapshot.requires)
+        return Refusal.if_any(why_not)
 
     def as_configured(self, body: Revive) -> bytes:
         """Returns a task as it begins that a person has described, encoded.

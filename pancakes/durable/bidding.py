@@ -215,11 +215,11 @@ class TaskMigrator(TaskCore, Task):
         self._state.negotiated = tuple(self._negotiations)
 
     def _attempt_over(self, over: AttemptOver) -> None:
-        task_id, reason = over.task_id, over.reason
+        task_id, reason = over.task_id, over.refusal.text
         found = self._negotiations.get(task_id)
         if found is not None and over.peer:
             self.event("handoff_failed", task=task_id.name, to=over.peer, reason=reason)
-            self._conclude(task_id, found[0].failed(over.peer, reason, self.kernel.host.now()))
+            self._conclude(task_id, found[0].failed(over.peer, over.refusal, self.kernel.host.now()))
         elif found is not None:
             self._finish(task_id, reason)
         elif over.ledger is not None:

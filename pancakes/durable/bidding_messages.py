@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import TaskId
 from pancakes.kernel.mailbox import Reference
@@ -49,14 +50,14 @@ class AttemptOver(msgspec.Struct, frozen=True):
         service: the service that owns the task.
         task_id: the task.
         peer: the bidder; empty: it cannot be handed over at all just now.
-        reason: why.
+        refusal: why.
         ledger: the account, for where the migrator does not know of the negotiation: the other bids are forgotten.
     """
 
     service: Reference
     task_id: TaskId
     peer: str
-    reason: str
+    refusal: Refusal
     ledger: Ledger | None
 
 

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Final, assert_never
 import msgspec
 
 from pancakes import control
-from pancakes.control import Create, Remove
+from pancakes.control import Create, Refusal, Remove
 from pancakes.durable import handoff_events as handoff_effect
 from pancakes.durable import messages, state_machine
 from pancakes.durable.arrivals import Arrivals
@@ -485,7 +485,7 @@ class ClientServiceCore(ServiceCore):
         """Takes a hand-off message in."""
         self._take_in(packet)
 
-    def _take_in(self, packet: Packet, refusal: str = "") -> None:
+    def _take_in(self, packet: Packet, refusal: Refusal | None = None) -> None:
         task_id = packet.body.task_id
         # Of a task that no agent has asked a place for nothing is kept: a peer may make up as many as it likes.
         known = self.places.get(task_id)

@@ -322,7 +322,7 @@ class Decisions:
         if refusal or body.dry_run or not body.force:
             host.kernel.registry.unreserve(join(host.address, task_id.name))
         if refusal:
-            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {refusal}", "unable")
+            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {refusal.text}", refusal.code)
         if not body.force:
             raise ControlRefused(
                 cost_of_revival(task_id, host.agent, held.story if held is not None else ""), "needs_force"
@@ -380,7 +380,8 @@ class Decisions:
         record = place.standing.record
         if record.phase is Phase.OWNER:
             # The asker of the move that was in doubt has waited for this.
-            host.kernel.tell(MIGRATOR, AttemptOver(host, task_id, "", adopted.reason, adopted.ledger))
+            over = AttemptOver(host, task_id, "", Refusal("conflict", adopted.reason), adopted.ledger)
+            host.kernel.tell(MIGRATOR, over)
             host.event("task_adopted", task=task_id.name, peer=adopted.peer, epoch=record.epoch.n)
             if why_not:
                 why_not = f"{task_id} belongs to {host.agent} now, but does not run: {why_not}"
@@ -570,10 +571,11 @@ class Creations:
         host, place = self._host, self._place(task_id)
         refusal = self._arrivals.cannot_build(agent_of(asked.request.by), place, asked.snapshot)
         if not refusal and (lacking := host.kernel.registry.lacking(asked.spec.cls.requires)):
-            refusal = f"{host.agent} lacks the device types {', '.join(lacking)}, which {task_id.name} requires"
+            lacks = f"{host.agent} lacks the device types {', '.join(lacking)}, which {task_id.name} requires"
+            refusal = Refusal("unable", lacks)
         if refusal:
             self._unreserve(task_id)
-            raise ControlRefused(f"{task_id.name} cannot run on {host.agent}: {refusal}", "unable")
+            raise ControlRefused(f"{task_id.name} cannot run on {host.agent}: {refusal.text}", refusal.code)
 
     def _unreserve(self, task_id: TaskId) -> None:
         self._host.kernel.registry.unreserve(join(self._host.address, task_id.name))

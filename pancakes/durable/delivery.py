@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from hashlib import blake2s
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -21,6 +20,7 @@ from pancakes.durable.record import TaskId
 from pancakes.durable.snapshot import Posted, PostedTo
 from pancakes.errors import MailboxFull
 from pancakes.packet import Packet, agent_of, packet_type
+from pancakes.util.codecs import blake2s
 
 WINDOW: Final = 1024
 """Most letters to one task that wait for their acknowledgement."""

@@ -247,9 +247,8 @@ class Takeovers:
             self._guardian.event("taken_over", task=task_id.name, **told)
             self._guardian.kernel.tell(MIGRATOR, HasMoved(self._guardian, task_id, epoch.minter, str(epoch), None, ""))
         else:
-            self._guardian.kernel.tell(
-                MIGRATOR, AttemptOver(self._guardian, task_id, "", f"{epoch.minter} owns it", None)
-            )
+            owned = Refusal("moved", f"{epoch.minter} owns it")
+            self._guardian.kernel.tell(MIGRATOR, AttemptOver(self._guardian, task_id, "", owned, None))
 
     def _cause(self, orphan: _Orphan) -> str:
         silent_s, owner = self._guardian.kernel.host.now() - orphan.heard_s, orphan.held.checkpoint.epoch.minter
@@ -365,8 +364,8 @@ class Takeovers:
         """The bids are compared: calls the cheapest bidder."""
         orphan = self._orphans.get(awarded.task_id)
         if orphan is None:
-            reason = "its owner is back"
-            self._guardian.kernel.tell(MIGRATOR, AttemptOver(self._guardian, awarded.task_id, "", reason, None))
+            back = Refusal("conflict", "its owner is back")
+            self._guardian.kernel.tell(MIGRATOR, AttemptOver(self._guardian, awarded.task_id, "", back, None))
             return
         orphan.called = awarded.peer
         register = orphan.register
@@ -380,8 +379,8 @@ class Takeovers:
     def _look_at_called(self, orphan: _Orphan, peer: str) -> None:
         task_id = orphan.register.task_id
         if self._orphans.get(task_id) is orphan and orphan.called == peer:
-            reason = f"did not take it within {CALLED_S:g} s"
-            self._guardian.kernel.tell(MIGRATOR, AttemptOver(self._guardian, task_id, peer, reason, None))
+            silent = Refusal("unable", f"did not take it within {CALLED_S:g} s")
+            self._guardian.kernel.tell(MIGRATOR, AttemptOver(self._guardian, task_id, peer, silent, None))
 
     def over(self, over: MoveOver) -> None:
         """The negotiation is over, one way or the other."""

@@ -17,6 +17,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable.handoff_events import (
     Ack,
     AdoptionAsked,
@@ -76,6 +77,7 @@ from pancakes.durable.record import (
     Volatile,
     Wanted,
 )
+from pancakes.errors import RefusalCode
 
 
 def next_offer(me: str, record: Record) -> Epoch:
@@ -101,7 +103,10 @@ def reservation_expired(me: str, record: Record, volatile: Volatile, event: Rese
     """Gives a silent winner up; the next bidder's turn."""
     if not _waits_for(me, record, volatile, event.peer, event.offer):
         return []
-    return [Remember(Volatile(running=True)), AttemptFailed(event.peer, "did not answer the reservation in time")]
+    return [
+        Remember(Volatile(running=True)),
+        AttemptFailed(event.peer, Refusal("unable", "did not answer the reservation in time")),
+    ]
 
 
 def reserved(me: str, record: Record, volatile: Volatile, peer: str, message: Reserved) -> list[Effect]:
@@ -135,16 +140,16 @@ def freeze_failed(me: str, record: Record, volatile: Volatile, event: FreezeFail
         return []
     return [
         Remember(Volatile(running=True)),
-        AttemptFailed(volatile.asked, f"the task could not be stopped for it: {event.reason}"),
+        AttemptFailed(volatile.asked, Refusal("failed", f"the task could not be stopped for it: {event.reason}")),
     ]
 
 
 def nak(me: str, record: Record, volatile: Volatile, peer: str, message: Nak) -> list[Effect]:
     """Takes a refusal, as long as nothing is committed. A late one changes nothing."""
     if record.phase is Phase.FROZEN and (record.peer, record.offer) == (peer, message.offer):
-        return _abort(record, message.reason)
+        return _abort(record, message.refusal)
     if _waits_for(me, record, volatile, peer, message.offer):
-        return [Remember(Volatile(running=True)), AttemptFailed(peer, message.reason)]
+        return [Remember(Volatile(running=True)), AttemptFailed(peer, message.refusal)]
     return []
 
 
@@ -152,7 +157,7 @@ def give_up(record: Record, event: GiveUp) -> list[Effect]:
     """Takes the task back, as long as nothing is committed."""
     if record.phase is not Phase.FROZEN or record.offer != event.offer:
         return []
-    return _abort(record, event.reason)
+    return _abort(record, Refusal("unable", event.reason))
 
 
 def prepared(me: str, record: Record, peer: str, message: Prepared, times: Times) -> list[Effect]:
@@ -261,14 +266,14 @@ def _commit_of(record: Record) -> Commit:
     return Commit(record.task_id, record.offer, record.guards, record.epoch, record.no)
 
 
-def _abort(record: Record, reason: str) -> list[Effect]:
+def _abort(record: Record, refusal: Refusal) -> list[Effect]:
     back = taken_back(record)
     return [
         Persist(back),
         Remember(Volatile(running=True)),
         Resume(back.epoch, back.incarnation, back.snapshot),
         Send(record.peer, Abort(record.task_id, record.offer)),
-        AttemptFailed(record.peer, reason),
+        AttemptFailed(record.peer, refusal),
     ]
 
 
@@ -283,7 +288,8 @@ def reserve(record: Record, event: Received, message: Reserve) -> list[Effect]:
         return [Send(event.peer, Nak(record.task_id, message.offer, event.refusal))]
     if record.phase in (Phase.ABSENT, Phase.RELEASED, Phase.PREPARED):
         return [Send(event.peer, Reserved(record.task_id, message.offer))]
-    return [Send(event.peer, Nak(record.task_id, message.offer, f"the task is {record.phase.value} here"))]
+    known = Refusal("conflict", f"the task is {record.phase.value} here")
+    return [Send(event.peer, Nak(record.task_id, message.offer, known))]
 
 
 def transfer(record: Record, event: Received, message: Transfer, times: Times) -> list[Effect]:
@@ -452,7 +458,7 @@ def seized(me: str, record: Record, volatile: Volatile, event: Seized) -> list[E
     )
     effects: list[Effect] = [Persist(own)]
     if record.phase is Phase.COMMITTED:
-        effects.append(AttemptFailed(record.peer, f"its guardians gave it back to {me}"))
+        effects.append(AttemptFailed(record.peer, Refusal("moved", f"its guardians gave it back to {me}")))
     if own.wanted is Wanted.RUNNING:
         effects.append(Remember(Volatile(running=True, fresh=bool(event.source))))
         effects.append(StartTask(own.epoch, own.incarnation, own.snapshot, fresh=bool(event.source)))
@@ -478,7 +484,7 @@ def claimed_guarded(record: Record, volatile: Volatile, event: ClaimHeard, permi
     if record.phase is not Phase.OWNER or permit or event.epoch <= record.epoch:
         return []
     seen = max(record.seen, event.epoch)
-    failed = [AttemptFailed(volatile.asked, f"{event.peer} owns the task")] if volatile.asked else []
+    failed = _broken_off(volatile, f"{event.peer} owns the task", "moved")
     tombstone = replace(tombstone_of(record), peer=event.peer, seen=seen)
     return [Remember(Volatile()), *failed, Persist(tombstone), Discard()]
 
@@ -646,9 +652,9 @@ def _may_be_adopted(record: Record, event: AdoptionAsked) -> bool:
     return record.phase in (Phase.COMMITTED, Phase.PREPARED) or is_disputed(record)
 
 
-def _broken_off(volatile: Volatile, reason: str) -> list[Effect]:
+def _broken_off(volatile: Volatile, reason: str, code: RefusalCode = "conflict") -> list[Effect]:
     """Returns the news that a hand-off under way has come to nothing, if there was one."""
-    return [AttemptFailed(volatile.asked, reason)] if volatile.asked else []
+    return [AttemptFailed(volatile.asked, Refusal(code, reason))] if volatile.asked else []
 
 
 def _disputed(record: Record, volatile: Volatile) -> Record | None:
@@ -836,7 +842,7 @@ def _persist_failed(record: Record, volatile: Volatile, event: PersistFailed, ti
         return [
             Remember(Volatile(running=True)),
             Resume(record.epoch, record.incarnation, record.snapshot),
-            AttemptFailed(volatile.asked, event.reason),
+            AttemptFailed(volatile.asked, Refusal("failed", event.reason)),
         ]
     again = _again(record, volatile, event)
     if isinstance(again, WriteAgain):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from pancakes.control import Refusal
 from pancakes.durable.messages import Commit, HandOffMessage, Solicit
 from pancakes.durable.record import NO_EPOCH, Epoch, GuardianId, Guards, Phase, Record, Volatile, Wanted
 
@@ -294,12 +295,12 @@ class Received(msgspec.Struct, frozen=True):
         peer: the agent that sent it.
         message: what it says; a snapshot is whole.
         refusal: why this agent cannot do what a RESERVE or a TRANSFER asks of it, found out before the core
-            is asked: the host lacks something, or the object could not be built. Empty where it can.
+            is asked: the host lacks something, or the object could not be built. None if it can.
     """
 
     peer: str
     message: HandOffMessage
-    refusal: str = ""
+    refusal: Refusal | None = None
 
 
 class ReservationExpired(msgspec.Struct, frozen=True):
@@ -520,11 +521,11 @@ class AttemptFailed(msgspec.Struct, frozen=True):
     """The hand-off to `peer` came to nothing, and the task goes on here: the next bidder may be tried.
 
     Attributes:
-        reason: for the ledger.
+        refusal: why, for the ledger: what the peer answered, or what happened here.
     """
 
     peer: str
-    reason: str
+    refusal: Refusal
 
 
 class HandedOver(msgspec.Struct, frozen=True):

@@ -242,27 +242,28 @@ class HostState:
         with self._lock:
             self._hosting[service] = None
 
-    def reserve(self, peer: str, message: Reserve) -> str:
-        """Keeps a slot for a task that is about to come; says why that cannot be."""
+    def reserve(self, peer: str, message: Reserve) -> Refusal | None:
+        """Keeps a slot for a task that is about to come; returns why it cannot, None if it does."""
         now_s, task_id = self._kernel.host.now(), message.task_id
         if message.request.task_id != task_id:
-            return f"was asked for a place for {task_id} and told of {message.request.task_id}"
+            other_task = f"was asked for a place for {task_id} and told of {message.request.task_id}"
+            return Refusal("invalid", other_task)
         with self._lock:
             other_peer = self._reservations.peer_of(task_id, now_s)
             if other_peer not in ("", peer):
-                return f"keeps a place for it for {other_peer}"
+                return Refusal("conflict", f"keeps a place for it for {other_peer}")
         self.free(task_id)
         if refusal := self.refusal_of(peer, message.request):
-            return refusal.text
+            return refusal
         with self._lock:
             if self._reservations.number(peer, now_s) >= MOST_SLOTS:
-                return f"keeps {MOST_SLOTS} places for tasks of {peer} already"
+                return Refusal("busy", f"keeps {MOST_SLOTS} places for tasks of {peer} already", Times().slot_s)
             # Another service may have kept the name since.
             for other in self._reservations.kept(now_s):
                 if other.name == task_id.name and other != task_id:
-                    return f"has a task named {task_id.name} already ({other})"
+                    return Refusal("conflict", f"has a task named {task_id.name} already ({other})")
             self._reservations.keep(task_id, Reservation(peer, message.offer, now_s + Times().slot_s))
-        return ""
+        return None
 
     def free(self, task_id: TaskId) -> None:
         """Gives the slot for a task up, if there is one: it has arrived, or does not come."""

@@ -13,6 +13,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable import guarding as rules
 from pancakes.durable.checkpoints import Checkpointing, Deliveries, rules_of
 from pancakes.durable.guarding import (
@@ -791,9 +792,9 @@ class GuardedTasks:
             return call.promised <= record.seen
         return record.phase in (Phase.OWNER, Phase.FROZEN, Phase.COMMITTED) and not record.guarded
 
-    def _judged(self, packet: Packet, refusal: str) -> None:
-        if refusal:
-            self._not_believed(packet, refusal)
+    def _judged(self, packet: Packet, refusal: Refusal | None) -> None:
+        if refusal is not None:
+            self._not_believed(packet, refusal.text)
             return
         call = packet.body
         place = self._host.places.get(call.task_id) or Place(call.task_id, Standing(Record(call.task_id)))

@@ -130,7 +130,7 @@ class Nak(msgspec.Struct, frozen=True):
 
     task_id: TaskId
     offer: Epoch
-    reason: str
+    refusal: Refusal
     journal: str = ""
 
 

@@ -322,7 +322,7 @@ class Mover:
         """The hand-off to a bidder has come to nothing, or (no peer) none can begin now."""
         ledger = place.move.take_ledger() if place.move is not None else None
         if effect.peer or place.move is not None:
-            message = AttemptOver(self._host, place.task_id, effect.peer, effect.reason, ledger)
+            message = AttemptOver(self._host, place.task_id, effect.peer, effect.refusal, ledger)
             self._host.kernel.tell(MIGRATOR, message)
 
     def handed_over(self, place: Place, effect: HandedOver) -> None:

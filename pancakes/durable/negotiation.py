@@ -280,19 +280,17 @@ class Negotiation:
 
     def refuse(self, peer: str, refusal: Refusal, now_s: float) -> Outcome | None:
         """Takes a refusal, or the news that the link to `peer` is gone."""
-        text = refusal.text[:MOST_LETTERS]
-        line = Line(peer, "refused", "refused", reason=text, code=refusal.code, retry_after_s=refusal.retry_after_s)
-        return self._answer(line, now_s)
+        return self._answer(_refused(Line(peer, "refused", "refused"), refusal), now_s)
 
     def tick(self, now_s: float) -> Outcome | None:
         """Closes the window once it is time. To be called after `window_s`, and after `patience_s`."""
         return self._close(now_s) if self._open and self._late(now_s) else None
 
-    def failed(self, peer: str, reason: str, now_s: float) -> Outcome | None:
+    def failed(self, peer: str, refusal: Refusal, now_s: float) -> Outcome | None:
         """Takes the news that the hand-off to the chosen neighbour came to nothing; the next one's turn."""
         if self._open or peer != self._chosen or self._ended_s is not None:
             return None
-        self._lines[peer] = replace(self._lines[peer], fate="failed", reason=reason[:MOST_LETTERS])
+        self._lines[peer] = _refused(replace(self._lines[peer], fate="failed"), refusal)
         return self._choose(now_s)
 
     def moved(self, peer: str, now_s: float) -> None:
@@ -383,3 +381,9 @@ class Negotiation:
             hint = hint_of(self._to, self._known)
             return f"no neighbour can take {name}: {self._to} is no neighbour that hosts tasks{hint}"
         return f"no neighbour can take {name}: there is no neighbour that hosts tasks"
+
+
+def _refused(line: Line, refusal: Refusal) -> Line:
+    """Returns the line of a neighbour with why it did not get the task."""
+    text = refusal.text[:MOST_LETTERS]
+    return replace(line, reason=text, code=refusal.code, retry_after_s=refusal.retry_after_s)

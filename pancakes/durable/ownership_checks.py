@@ -13,6 +13,7 @@ from typing import Final
 
 import msgspec
 
+from pancakes.control import Refusal
 from pancakes.durable.census import (
     CENSUS,
     AskAbout,
@@ -763,8 +764,8 @@ MOST_ASKED: Final = 8
 MOST_OF_PEER: Final = 16
 """So many packets of one peer wait for an answer; of more, the peer asks again."""
 
-Take = Callable[[Packet, str], None]
-"""Takes a packet, and why it is refused; empty: it is not."""
+Take = Callable[[Packet, Refusal | None], None]
+"""Takes a packet, and why it is refused; None: it is not."""
 
 
 class _Waiting(msgspec.Struct):
@@ -804,7 +805,7 @@ class Origins:
         source, _, task_id = key = _key(packet)
         first = self._first(source, task_id, self._records.get(task_id))
         if not first:
-            take(packet, "")
+            take(packet, None)
         elif key in self._waiting or sum(it[0] == source for it in self._waiting) < MOST_OF_PEER:
             waiting = self._waiting[key] = _Waiting(packet, take, [])
             self._ask(waiting, first)
@@ -827,7 +828,8 @@ class Origins:
 
     def _heard(self, waiting: _Waiting, source: str, by: str, at: TaskAt) -> None:
         if at.peer == by and (at.acts or isinstance(waiting.packet.body, Reserve)):
-            self._end(waiting, f"{by} has {at.task_id}, under the epoch {at.epoch}: {source} has no right to it")
+            owned = f"{by} has {at.task_id}, under the epoch {at.epoch}: {source} has no right to it"
+            self._end(waiting, Refusal("forbidden", owned))
         elif at.peer not in ("", source, *waiting.asked) and len(waiting.asked) < MOST_ASKED and self._may_ask(at.peer):
             self._ask(waiting, at.peer)
         else:
@@ -844,7 +846,7 @@ class Origins:
             return
         self._host.after_host(ANSWER_S, lambda: self._end(waiting) if len(waiting.asked) == number else None)
 
-    def _end(self, waiting: _Waiting, refusal: str = "") -> None:
+    def _end(self, waiting: _Waiting, refusal: Refusal | None = None) -> None:
         key = _key(waiting.packet)
         if self._waiting.get(key) is waiting:
             del self._waiting[key]

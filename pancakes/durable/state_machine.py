@@ -15,6 +15,7 @@ from typing import Any, Final, get_args
 import msgspec
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable import handoff
 from pancakes.durable import handoff_events as handoff_effect
 from pancakes.durable import handoff_events as handoff_event
@@ -753,7 +754,9 @@ DECLINED: Final[Mapping[type, Rule]] = {
     handoff_event.AdoptionAsked: lambda step, effect: step.do(Decided(effect.reason)),
     handoff_event.ForgettingAsked: lambda step, effect: step.do(Lasts(effect.reason)),
     handoff_event.RemovalAsked: lambda step, effect: step.do(Lasts(effect.reason)),
-    handoff_event.Award: lambda step, effect: step.do(handoff_effect.AttemptFailed("", effect.reason)),
+    handoff_event.Award: lambda step, effect: step.do(
+        handoff_effect.AttemptFailed("", Refusal("conflict", effect.reason))
+    ),
 }
 """What it means that the hand-off declines an event."""
 

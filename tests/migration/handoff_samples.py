@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable.handoff import handle
 from pancakes.durable.handoff_events import Effect, Received
 from pancakes.durable.messages import Solicit
@@ -43,5 +44,5 @@ def from_agent2(message: object) -> Received:
     return Received("agent2", message)  # type: ignore[arg-type]
 
 
-def from_agent1(message: object, refusal: str = "") -> Received:
+def from_agent1(message: object, refusal: Refusal | None = None) -> Received:
     return Received("agent1", message, refusal)  # type: ignore[arg-type]

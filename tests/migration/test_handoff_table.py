@@ -30,6 +30,7 @@ from migration.handoff_samples import (
 )
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable.handoff import recover
 from pancakes.durable.handoff_events import (
     AdoptionAsked,
@@ -61,6 +62,8 @@ from pancakes.durable.handoff_events import (
 from pancakes.durable.messages import Abort, Activated, Commit, Nak, Prepared, Reserve, Reserved, Transfer, Unknown
 from pancakes.durable.record import Epoch, Phase, Record, Volatile, Wanted
 
+LACKS = Refusal("unsupported", "lacks the device type motors")
+
 
 class TestSource:
     def test_owner_bids_compared_asks_for_a_reservation_and_runs_on(self) -> None:
@@ -82,16 +85,16 @@ class TestSource:
     def test_reserved_not_answered_in_time_is_the_next_bidder_s_turn(self) -> None:
         assert at_source(OWNER, ASKED, ReservationExpired("agent2", OFFER)) == [
             Remember(RUNNING),
-            AttemptFailed("agent2", "did not answer the reservation in time"),
+            AttemptFailed("agent2", Refusal("unable", "did not answer the reservation in time")),
         ]
         # One of an earlier attempt changes nothing.
         assert at_source(OWNER, ASKED, ReservationExpired("agent3", OFFER)) == []
         assert at_source(OWNER, FREEZING, ReservationExpired("agent2", OFFER)) == []
 
     def test_reserved_refused_is_the_next_bidder_s_turn(self) -> None:
-        assert at_source(OWNER, ASKED, from_agent2(Nak(SCAN, OFFER, "lacks the device type motors"))) == [
+        assert at_source(OWNER, ASKED, from_agent2(Nak(SCAN, OFFER, LACKS))) == [
             Remember(RUNNING),
-            AttemptFailed("agent2", "lacks the device type motors"),
+            AttemptFailed("agent2", LACKS),
         ]
 
     def test_owner_reserved_stops_the_task(self) -> None:
@@ -131,7 +134,7 @@ class TestSource:
     def test_a_task_that_cannot_be_stopped_goes_on(self) -> None:
         assert at_source(OWNER, FREEZING, FreezeFailed(OFFER, "stuck")) == [
             Remember(RUNNING),
-            AttemptFailed("agent2", "the task could not be stopped for it: stuck"),
+            AttemptFailed("agent2", Refusal("failed", "the task could not be stopped for it: stuck")),
         ]
         # One of an earlier attempt, or that comes too late, changes nothing.
         assert at_source(OWNER, FREEZING, FreezeFailed(BIRTH, "stuck")) == []
@@ -148,20 +151,20 @@ class TestSource:
         ]
 
     @pytest.mark.parametrize(
-        ("event", "reason"),
+        ("event", "refusal"),
         [
-            (Received("agent2", Nak(SCAN, OFFER, "the plug-in fails to load")), "the plug-in fails to load"),
-            (GiveUp(OFFER, "the link broke"), "the link broke"),
+            (Received("agent2", Nak(SCAN, OFFER, LACKS)), LACKS),
+            (GiveUp(OFFER, "the link broke"), Refusal("unable", "the link broke")),
         ],
         ids=["NAK", "time is up"],
     )
-    def test_frozen_refused_or_late_takes_the_task_back(self, event: object, reason: str) -> None:
+    def test_frozen_refused_or_late_takes_the_task_back(self, event: object, refusal: Refusal) -> None:
         assert at_source(FROZEN, REST, event) == [
             Persist(TAKEN_BACK),
             Remember(RUNNING),
             Resume(BIRTH, 0, b"as it stopped"),
             Send("agent2", Abort(SCAN, OFFER)),
-            AttemptFailed("agent2", reason),
+            AttemptFailed("agent2", refusal),
         ]
 
     def test_frozen_repeats_the_transfer_at_a_steady_pace(self) -> None:
@@ -224,7 +227,7 @@ class TestSource:
     @pytest.mark.parametrize(
         "event",
         [
-            Received("agent2", Nak(SCAN, OFFER, "too late")),
+            Received("agent2", Nak(SCAN, OFFER, LACKS)),
             GiveUp(OFFER, "time is up"),
             Received("agent2", Reserved(SCAN, OFFER)),
             Received("agent3", Activated(SCAN, OFFER)),
@@ -258,7 +261,7 @@ class TestSource:
         assert at_source(OWNER, RUNNING, from_agent2(Prepared(SCAN, Epoch(1, "agent3")))) == []
 
 
-ANSWERS = [Activated(SCAN, OFFER), Nak(SCAN, OFFER, "no"), Unknown(SCAN, OFFER)]
+ANSWERS = [Activated(SCAN, OFFER), Nak(SCAN, OFFER, LACKS), Unknown(SCAN, OFFER)]
 
 
 class TestOthers:
@@ -270,7 +273,7 @@ class TestOthers:
 
     @pytest.mark.parametrize("record", [FROZEN, COMMITTED], ids=["frozen", "committed"])
     @pytest.mark.parametrize(
-        "message", [Activated(SCAN, OFFER), Nak(SCAN, OFFER, "no"), Unknown(SCAN, OFFER)], ids=repr
+        "message", [Activated(SCAN, OFFER), Nak(SCAN, OFFER, LACKS), Unknown(SCAN, OFFER)], ids=repr
     )
     def test_what_is_given_away_is_taken_and_declined_by_its_destination_alone(
         self, record: Record, message: object
@@ -292,8 +295,8 @@ class TestDestination:
         ]
 
     def test_reserve_is_refused_where_the_host_has_changed_since_its_bid(self) -> None:
-        assert at_destination(ABSENT, from_agent1(Reserve(SCAN, OFFER, REQUEST), "has a task of that name")) == [
-            Send("agent1", Nak(SCAN, OFFER, "has a task of that name"))
+        assert at_destination(ABSENT, from_agent1(Reserve(SCAN, OFFER, REQUEST), LACKS)) == [
+            Send("agent1", Nak(SCAN, OFFER, LACKS))
         ]
 
     def test_transfer_is_on_disk_before_it_is_confirmed(self) -> None:
@@ -306,8 +309,8 @@ class TestDestination:
         ]
 
     def test_transfer_that_cannot_be_built_is_refused(self) -> None:
-        assert at_destination(ABSENT, from_agent1(Transfer(SCAN, OFFER, b"x"), "the plug-in fails to load")) == [
-            Send("agent1", Nak(SCAN, OFFER, "the plug-in fails to load"))
+        assert at_destination(ABSENT, from_agent1(Transfer(SCAN, OFFER, b"x"), LACKS)) == [
+            Send("agent1", Nak(SCAN, OFFER, LACKS))
         ]
 
     def test_a_higher_offer_replaces_one_that_is_held(self) -> None:

@@ -129,7 +129,7 @@ def test_a_bid_after_the_decision_changes_nothing() -> None:
     bidding.tick(100.5)
     assert bidding.bid("a", 1.0, {}, 100.6) is None
     assert bidding.chosen == "b"
-    assert message_of(bidding.failed("b", "the link broke", 101.0)).endswith(
+    assert message_of(bidding.failed("b", Refusal("unable", "the link broke"), 101.0)).endswith(
         "a: answered later than 0.5 s; b: the link broke"
     )
 
@@ -152,16 +152,20 @@ def test_where_the_hand_off_fails_the_next_bidder_is_tried_until_there_is_none()
     bidding.bid("a", 1.0, {}, 100.1)
     assert bidding.bid("b", 2.0, {}, 100.1) == Awarded("a")
 
-    assert bidding.failed("b", "not yet its turn", 100.2) is None
-    assert bidding.failed("a", "did not answer the reservation in time", 101.1) == Awarded("b")
-    text = message_of(bidding.failed("b", "its plug-in fails to load", 101.2))
+    assert bidding.failed("b", Refusal("unable", "not yet its turn"), 100.2) is None
+    silent = Refusal("unable", "did not answer the reservation in time")
+    assert bidding.failed("a", silent, 101.1) == Awarded("b")
+    text = message_of(bidding.failed("b", Refusal("busy", "its plug-in fails to load", 1.5), 101.2))
 
     assert text == (
         "no neighbour can take ScanTarget: a: did not answer the reservation in time; b: its plug-in fails to load"
     )
     ledger = bidding.ledger(200.0)
     assert (ledger.outcome, ledger.winner) == ("stayed", "")
-    assert [line.fate for line in ledger.lines] == ["failed", "failed"]
+    assert [(line.fate, line.code, line.retry_after_s) for line in ledger.lines] == [
+        ("failed", "unable", None),
+        ("failed", "busy", 1.5),
+    ]
 
 
 def test_without_neighbours_it_is_decided_at_once() -> None:

@@ -22,6 +22,7 @@ from migration.handoff_samples import (
 )
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable.handoff import TIMES, recover, would_take
 from pancakes.durable.handoff_events import (
     Ack,
@@ -103,7 +104,7 @@ class TestLifeOnOneAgent:
     def test_a_stop_breaks_a_hand_off_off(self) -> None:
         effects = at_source(OWNER, FREEZING, Ended(Wanted.STOPPED, b"at the end"))
         # Before the write, which may fail.
-        assert effects[1] == AttemptFailed("agent2", "the task was stopped")
+        assert effects[1] == AttemptFailed("agent2", Refusal("conflict", "the task was stopped"))
 
     def test_a_stop_during_the_hand_off_is_refused(self) -> None:
         assert at_source(FROZEN, REST, Ended(Wanted.STOPPED)) == [
@@ -154,7 +155,7 @@ class TestFailedWrites:
         assert at_source(OWNER, FREEZING, PersistFailed("disk full", FROZEN)) == [
             Remember(RUNNING),
             Resume(BIRTH, 0, b"checkpoint"),
-            AttemptFailed("agent2", "disk full"),
+            AttemptFailed("agent2", Refusal("failed", "disk full")),
         ]
 
     def test_a_frozen_task_is_taken_back_as_soon_as_the_disk_allows_it(self) -> None:

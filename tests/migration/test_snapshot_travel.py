@@ -109,7 +109,7 @@ def test_every_message_travels_as_a_packet() -> None:
         messages.Refuse(SCAN, 1, Refusal("unsupported", "lacks the device type motors")),
         Reserve(SCAN, OFFER, request),
         *cut(Transfer(SCAN, OFFER, b"snapshot")),
-        messages.Nak(SCAN, OFFER, "no"),
+        messages.Nak(SCAN, OFFER, Refusal("busy", "no", 1.5)),
         *(
             kind(SCAN, OFFER)
             for kind in (

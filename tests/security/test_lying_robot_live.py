@@ -242,7 +242,7 @@ def test_what_is_brought_and_never_given_away_has_a_bound_and_leaves_others_thei
         until(lambda: _decided(robots) >= first + 32, "each is answered")  # noqa: B023
     kept = [it for it in robots.b.agent.records.all().values() if it.phase is Phase.PREPARED]
     assert len(kept) == MOST_IN_DOUBT
-    assert any("that d has brought and not handed over" in nak.reason for nak in robots.told(Nak))
+    assert any("that d has brought and not handed over" in nak.refusal.text for nak in robots.told(Nak))
     assert robots.a.ask(Migrate("Sink", to="b")).ok, "an honest task has its place"
 
 
@@ -256,7 +256,7 @@ def test_task_is_handed_over_only_by_an_agent_that_has_it(robots):
     snapshot = Snapshot(SINK, "test.Sink", robots.version("Sink"), "client", state={"numbers": [666]}).encode()
     robots.lie(robots.b, "client", Reserve(SINK, offer, _request(robots, SINK)))
     until(lambda: robots.told(Nak), "it is refused")
-    assert "d has no right to it" in robots.told(Nak)[0].reason
+    assert "d has no right to it" in robots.told(Nak)[0].refusal.text
     robots.lie(robots.b, "client", *cut(Transfer(SINK, offer, snapshot)), Commit(SINK, offer))
     robots.b.publish("system", Numbered(1), to=task_address("a/Sink"))
     robots.b.wait_until(lambda: not robots.b.agent.outbox.waiting(), PATIENCE_S, "it is acknowledged")

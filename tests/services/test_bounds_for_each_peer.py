@@ -86,7 +86,7 @@ def test_tasks_that_were_brought_and_taken_back_leave_a_bounded_number_of_marks(
             fleet.run_for(0.05)
     left = [it for it in b.agent.records.all().values() if it.phase is Phase.ABSENT]
     assert len(left) == 5
-    assert "remembers 5 tasks that c has brought and taken back, and no more" in {it.reason for it in declined}
+    assert "remembers 5 tasks that c has brought and taken back, and no more" in {it.refusal.text for it in declined}
     assert [line for line in b.lines("warning") if "b remembers 5 tasks that c has brought" in line], (
         "doctor tells that"
     )
@@ -98,7 +98,7 @@ def test_an_epoch_that_no_task_comes_to_is_not_taken(fleet):
     far = Epoch(MOST_STEP + 1, "c")
     say(fleet, "c", Owned((OwnerClaim(COUNT, far),)), "a", "kernel/Census")
     fleet.run_for(1.0)
-    assert [it.reason for it in declined] == [f"the epoch {far} is further from none than any task comes"]
+    assert [it.refusal.text for it in declined] == [f"the epoch {far} is further from none than any task comes"]
     assert "Count" in a.running() and a.agent.records.get(COUNT).seen.n == 0
     assert [line for line in a.lines("warning") if "c says that it owns a/Count, and is not believed" in line]
 

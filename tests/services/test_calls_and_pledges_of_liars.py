@@ -158,7 +158,7 @@ def test_task_is_not_handed_over_by_a_stranger_while_its_owner_has_no_permit(fle
     request = Solicit(COUNT, 1, "test.Count", version, "client")
     say(fleet, "d", Reserve(COUNT, Epoch(9, "d"), request), "e/client")
     fleet.run_for(0.5)
-    assert "d has no right to it" in next(body.reason for body in declined if isinstance(body, Nak))
+    assert "d has no right to it" in next(body.refusal.text for body in declined if isinstance(body, Nak))
 
 
 def test_one_guardian_alone_has_no_task_taken_over(fleet):

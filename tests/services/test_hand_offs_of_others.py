@@ -53,7 +53,7 @@ def test_a_snapshot_that_no_place_was_promised_for_is_declined_and_leaves_nothin
         say(fleet, "c", piece, "b")
     fleet.run_for(1.0)
     assert {type(answer) for answer in answers} == {Nak}
-    assert {answer.reason for answer in answers} == {"was not asked for a place for it first"}
+    assert {answer.refusal.text for answer in answers} == {"was not asked for a place for it first"}
     assert fleet.agents["b"].agent.records.all() == {}
 
 
@@ -72,7 +72,7 @@ def test_a_third_that_asks_for_a_place_for_a_task_on_its_way_takes_it_from_none(
         say(fleet, "c", request, "b")
     assert fleet.agents["a"].reply_to(asked).ok
     assert b.running() == ["Count"]
-    assert [answer.reason for answer in answers if isinstance(answer, Nak)]
+    assert [answer.refusal.text for answer in answers if isinstance(answer, Nak)]
 
 
 @pytest.mark.parametrize("moved", [False, True], ids=["from its birthplace", "from where it has moved"])
@@ -89,8 +89,8 @@ def test_task_is_taken_only_from_an_agent_that_has_it(fleet, moved):
     say(fleet, "c", Reserve(COUNT, Epoch(9, "c"), request), "b")
     fleet.run_for(1.0)
     (refused,) = [answer for answer in answers if isinstance(answer, Nak | Reserved)]
-    assert isinstance(refused, Nak) and refused.reason.startswith(f"{owner} has a/Count, under the epoch ")
-    assert "c has no right to it" in refused.reason
+    assert isinstance(refused, Nak) and refused.refusal.text.startswith(f"{owner} has a/Count, under the epoch ")
+    assert "c has no right to it" in refused.refusal.text
     assert fleet.agents[owner].running() == ["Count"]
 
 
@@ -161,7 +161,7 @@ def test_a_request_for_a_place_is_about_one_task(fleet):
     answers = answers_to(fleet, "c")
     say(fleet, "c", place_for(fleet, "T1", of="T2"), "b")
     fleet.run_for(1.0)
-    assert [answer.reason for answer in answers] == ["was asked for a place for c/T1 and told of c/T2"]
+    assert [answer.refusal.text for answer in answers] == ["was asked for a place for c/T1 and told of c/T2"]
 
 
 def test_an_agent_keeps_so_many_places_for_a_peer(fleet):
@@ -170,7 +170,9 @@ def test_an_agent_keeps_so_many_places_for_a_peer(fleet):
         say(fleet, "c", place_for(fleet, f"T{number}"), "b")
     fleet.run_for(1.0)
     assert [type(answer) for answer in answers].count(Reserved) == MOST_SLOTS
-    assert answers[-1].reason == "keeps 64 places for tasks of c already"
+    refusal = answers[-1].refusal
+    assert (refusal.code, refusal.text) == ("busy", "keeps 64 places for tasks of c already")
+    assert refusal.retry_after_s > 0
 
 
 def bring(fleet, name):
@@ -193,7 +195,7 @@ def test_what_a_peer_brings_and_never_gives_away_is_bounded(fleet):
     for number in range(MOST_IN_DOUBT + 3):
         bring(fleet, f"T{number}")
     assert len(kept(fleet)) == MOST_IN_DOUBT
-    reasons = [answer.reason for answer in answers if isinstance(answer, Nak)]
+    reasons = [answer.refusal.text for answer in answers if isinstance(answer, Nak)]
     assert reasons and "keeps 64 tasks that c has brought and not handed over" in reasons[0]
     assert fleet.agents["a"].ask(Migrate("Count", to="b")).ok, "that of others has its place"
 
@@ -222,7 +224,7 @@ def test_a_snapshot_of_another_task_than_a_place_was_promised_for_is_declined(fl
         say(fleet, "c", piece, "b")
     fleet.run_for(1.0)
     assert [type(answer) for answer in answers] == [Reserved, Nak]
-    assert answers[-1].reason == "the snapshot is of c/T2, not of c/T1"
+    assert answers[-1].refusal.text == "the snapshot is of c/T2, not of c/T1"
     assert fleet.agents["b"].agent.records.all() == {}
 
 

@@ -50,7 +50,7 @@ def test_a_name_is_taken_by_a_task_for_which_a_slot_is_kept(fleet):
     b = fleet.start("b")
     fleet.connect()
     request = request_of("a")
-    assert b.agent.host_state.reserve("a", Reserve(request.task_id, Epoch(1, "a"), request)) == ""
+    assert b.agent.host_state.reserve("a", Reserve(request.task_id, Epoch(1, "a"), request)) is None
     assert refusal(b, "c") == "has a task named Count already (a/Count)" and refusal(b, "a") == ""
     b.agent.host_state.free(request.task_id)
     assert refusal(b, "c") == ""

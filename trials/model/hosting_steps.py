@@ -9,6 +9,7 @@ from model.hosting_rim import Rim
 from model.hosting_world import BIRTH, LATER, PEER, REQUEST, Bounds, Violation, World
 from msgspec.structs import replace
 
+from pancakes.control import Refusal
 from pancakes.durable import state_machine as event
 from pancakes.durable.handoff import is_disputed
 from pancakes.durable.handoff_events import (
@@ -37,6 +38,7 @@ from pancakes.supervision.lifecycle import (
 )
 
 TASK: Final = TaskId("a", "Task")
+LACKS: Final = Refusal("unsupported", "lacks the device type motors")
 GOING: Final = (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
 """The phases in which nothing can be asked of a task."""
 MOST_WAIT: Final = 1
@@ -274,7 +276,7 @@ class Steps:
             yield "the other agent is chosen", asked, Award(PEER, REQUEST)
         for kind, offer in sorted(world.sent):
             if kind in ("reserve", "transfer"):
-                yield "NAK comes", world, Received(PEER, Nak(TASK, offer, "no"))
+                yield "NAK comes", world, Received(PEER, Nak(TASK, offer, LACKS))
             if kind == "reserve":
                 yield "RESERVED comes", world, Received(PEER, Reserved(TASK, offer))
             if kind == "transfer":

@@ -7,11 +7,12 @@ works on small numbers.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Final
 
 from model.parts import ALL, REQUEST, STREAM, TASK, Actor, Agent, App, Bounds, Core, Keep, Outcome, Violation, heard_of
 from model.words import cause, deeds, shows
 
+from pancakes.control import Refusal
 from pancakes.durable.handoff_events import (
     Ack,
     After,
@@ -47,6 +48,8 @@ CRASH = "crash"
 TAKE = "take a checkpoint"
 TIMERS = (GiveUp, InDoubt, Resend, ReservationExpired)
 """What fires at any time, whether it was put off or not; anything else that is put off comes once."""
+
+LACKS: Final = Refusal("unsupported", "lacks the device types motors")
 
 
 class Steps:
@@ -157,7 +160,7 @@ class Steps:
         if destination != self.names[i] or (isinstance(message, Reserve) and not self.bounds.reserve):
             return []
         if self.bounds.refusals and isinstance(message, Transfer | Reserve):
-            return [Received(source, message), Received(source, message, "lacks the device types motors")]
+            return [Received(source, message), Received(source, message, LACKS)]
         return [Received(source, message)]
 
     def checkpoint(self, actor: Actor) -> Checkpoint:
