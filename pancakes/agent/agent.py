@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import random
-import secrets
 import threading
 import uuid
 from collections.abc import Callable, Mapping, Sequence
@@ -226,11 +225,8 @@ class Agent:
             links=config.agent.links,
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
-        secret = (
-            f"{self.kernel.random_for('outbox').getrandbits(128):032x}"
-            if virtual is not None
-            else secrets.token_hex(16)
-        )
+        source = self.kernel.random_for("outbox") if virtual is not None else random.SystemRandom()
+        secret = f"{source.getrandbits(128):032x}"
         self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name, secret))
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         self.kernel.links = self.mesh.links

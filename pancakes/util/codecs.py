@@ -10,7 +10,8 @@ Two faults of msgspec (0.22) can crash the process without a message. This modul
   Python's own decoder.
 
 pyproject.toml forbids msgspec's functions elsewhere. `MALFORMED` lists all errors that decoding can raise. `sha256`
-does without OpenSSL, whose import costs megabytes. docs/architecture.md describes how the faults were found.
+and `blake2s` do without OpenSSL, whose import costs megabytes. docs/architecture.md describes how the faults were
+found.
 """
 
 from __future__ import annotations
@@ -46,6 +47,14 @@ def why_malformed(error: Exception) -> str:
     """Returns what is wrong with the bytes, to stand in a sentence behind what they should have been."""
     return "it is nested too deep" if isinstance(error, RecursionError) else str(error)
 
+
+try:
+    from _blake2 import blake2s as _own_blake2s
+except ImportError:  # a Python without its own
+    from hashlib import blake2s as _own_blake2s
+
+blake2s: Final = _own_blake2s
+"""The hash with a key, without OpenSSL."""
 
 try:
     from _sha256 import sha256 as _own_sha256  # type: ignore[import-not-found] # Python 3.11

@@ -12,7 +12,7 @@ Nothing is imported before it is asked for. A bad plug-in is reported by name an
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from importlib.metadata import Distribution, distributions
+from functools import partial
 from itertools import islice
 from typing import Any, Final, NamedTuple
 
@@ -20,6 +20,7 @@ import msgspec
 
 from pancakes.errors import ClassError, PluginError, chain_of
 from pancakes.util.class_checks import check_loaded
+from pancakes.util.entry_points import Distribution, distributions, load, points_in
 from pancakes.util.text import suggestion
 
 GROUPS: Final = {
@@ -293,7 +294,7 @@ def _way(error: BaseException) -> str:
     return " > ".join(way[-MOST_LINES:])
 
 
-_LOADING: Final = (__name__, "importlib", "importlib.metadata")
+_LOADING: Final = (__name__, "pancakes.util.entry_points", "importlib")
 MOST_CAUSES: Final = 4
 MOST_LINES: Final = 4
 
@@ -305,28 +306,30 @@ def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:
     seen = []
     for distribution in distributions():
         try:
-            points = [point for point in distribution.entry_points if point.group in GROUPS]
+            text = distribution.read("entry_points.txt") or ""
+            if "pancakes." not in text:
+                continue  # as nearly all: none needs its header read
+            points = [point for point in points_in(text) if point.group in GROUPS]
             if not points:
                 continue
-            version = _version(distribution)
+            version = Version(distribution.header("Name"), distribution.header("Version"))
         except Exception as error:  # foreign files: whatever is wrong with them is theirs
-            name = distribution.metadata.get_all("Name", ["a distribution"])[0]
-            place = f"{name} in {distribution.locate_file('')}"
+            place = f"{_name_of(distribution)} in {distribution.root}"
             unreadable.append(PluginError(f"the entry points of {place} cannot be read: {_line(error)}"))
             continue
         if version.distribution in seen:
             continue  # found again further down sys.path, as an editable install is from its own directory
         seen.append(version.distribution)
         for point in points:
-            offer = _Offer(version, point.value, point.load)
+            offer = _Offer(version, point.place, partial(load, point.place))
             same = groups[point.group].setdefault(point.name, [])
             if all(other.version != offer.version or other.value != offer.value for other in same):
                 same.append(offer)
     return groups, unreadable
 
 
-def _version(distribution: Distribution) -> Version:
-    metadata = distribution.metadata
-    if "Name" not in metadata or "Version" not in metadata:
-        raise ValueError("its metadata has no Name, or no Version")
-    return Version(metadata["Name"], metadata["Version"])
+def _name_of(distribution: Distribution) -> str:
+    try:
+        return distribution.header("Name")
+    except (ValueError, OSError):
+        return "a distribution"

@@ -1,13 +1,13 @@
 """A plug-in of a distribution of Pancakes that is not installed is answered with the command that brings it."""
 
 from configparser import ConfigParser
-from importlib import metadata
 from pathlib import Path
 
 import pytest
 
 from pancakes.config import parse
 from pancakes.errors import ConfigError
+from pancakes.util.entry_points import distributions
 from pancakes.util.plugins import BROUGHT_BY, GROUPS, Plugins, UnknownPlugin
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture
 def core_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the core is installed."""
-    found = [it for it in metadata.distributions() if it.metadata["Name"] == "pancakes-agents"]
+    found = [it for it in distributions() if it.header("Name") == "pancakes-agents"]
     monkeypatch.setattr("pancakes.util.plugins.distributions", lambda: iter(found))
 
 
