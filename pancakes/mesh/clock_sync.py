@@ -109,15 +109,17 @@ class ClockEstimate:
         fits = found is None or abs(offset_s - found.offset_at(at_s)) <= error_s + found.bound_at(at_s)
         if not fits:
             self.kept.clear()
-        self._keep(at_s, offset_s, error_s)
-        self.found = self._believed(at_s)
+        # What is believed is worked out again when it can become better, not with each of many like answers.
+        if self._keep(at_s, offset_s, error_s) or found is None or error_s < found.bound_at(at_s):
+            self.found = self._believed(at_s)
         return fits
 
     def rest(self) -> None:
         """The link has ended: keeps what is believed, without the answers, which take a hundred times the room."""
         self.kept.clear()
 
-    def _keep(self, at_s: float, offset_s: float, error_s: float) -> None:
+    def _keep(self, at_s: float, offset_s: float, error_s: float) -> bool:
+        """Keeps the best answer of each slot of time. Returns whether a slot has begun with this one."""
         kept = self.kept
         if kept:
             last = kept[-1]
@@ -125,10 +127,11 @@ class ClockEstimate:
             if at_s - last.slot_s < slot_s:
                 if error_s <= last.error_s + self._growth() * (at_s - last.at_s):
                     kept[-1] = PingAnswer(last.slot_s, at_s, offset_s, error_s)
-                return
+                return False
         kept.append(PingAnswer(at_s, at_s, offset_s, error_s))
         if len(kept) > MOST_KEPT:
             del kept[0]
+        return True
 
     def _growth(self) -> float:
         """Returns by how much an answer gets worse in each second."""
