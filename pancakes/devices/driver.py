@@ -271,7 +271,7 @@ class Actuator(Driver):
 
     @abstractmethod
     def hold(self) -> None:
-        """Goes to the safe hold: the state that is harmless and needs no attention (wheels: stand still)."""
+        """Goes to the safe hold: the state that is harmless and needs no attention (wheels: stopped)."""
 
     def tick(self) -> None:
         """Called at the device's rate, if it has one."""

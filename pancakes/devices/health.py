@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 import msgspec
 
 ROUNDING_S: Final = 1e-9
-"""A timer may come earlier than it should by a rounding; waiting for the rest would make virtual time stand still."""
+"""A timer may fire too early by a rounding error; waiting for the rest would stop virtual time."""
 
 Line = tuple[str, str]
 """A line for the log: its level, and its text."""
@@ -22,10 +22,10 @@ class MissRule(msgspec.Struct, frozen=True):
     """When a device fails that misses readings, or commands of an actuator.
 
     Attributes:
-        in_a_row: after so many misses in a row it fails, and is restarted.
+        in_a_row: after this number of misses in a row it fails, and is restarted.
         share: it also fails if this share is missed ...
-        within_s: ... in so many seconds of mission time, and `in_a_row` at the least. As often the log is told how
-            many were missed.
+        within_s: ... within this many seconds of mission time, and at least `in_a_row` of them. The number of misses
+            is logged at the same interval.
     """
 
     in_a_row: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 5
@@ -67,7 +67,7 @@ class Readings:
         self._too_many = False
 
     def came(self, now_s: float) -> list[Line]:
-        """A sound one has come; returns what the log is told."""
+        """Takes note of a sound reading; returns what to log."""
         with self._lock:
             lines = self._count(now_s)
             self._came += 1
@@ -75,7 +75,7 @@ class Readings:
             return [*lines, *self._heard(now_s)]
 
     def missed(self, why: str, now_s: float) -> tuple[list[Line], bool]:
-        """One has failed; returns what the log is told, and whether the device fails with it."""
+        """Takes note of a miss; returns what to log, and whether the device fails with it."""
         with self._lock:
             lines = self._count(now_s)
             if self._since_s == math.inf:
@@ -87,15 +87,15 @@ class Readings:
             return lines, self._too_many or self._in_a_row >= self._rule.in_a_row
 
     def alive(self, now_s: float) -> list[Line]:
-        """It has said something that is no reading, and is not silent; returns what the log is told."""
+        """Takes note of a sign of life that is not a reading; returns what to log."""
         with self._lock:
             return self._heard(now_s)
 
     def look(self, now_s: float) -> tuple[float, bool, list[Line]]:
-        """Looks whether it is silent.
+        """Checks whether the device is silent.
 
         Returns:
-            In how many seconds to look again, whether it is silent, and what the log is told.
+            In how many seconds to check again, whether it is silent, and what to log.
         """
         with self._lock:
             if self._silent_s is None:
@@ -130,7 +130,7 @@ class Readings:
         self._tries_then, self._missed_then = self._came + self._missed, self._missed
 
     def _count(self, now_s: float) -> list[Line]:
-        """Ends a count of misses that is over; returns what the log is told."""
+        """Ends a count of misses whose time is over; returns what to log."""
         rule = self._rule
         if now_s - self._since_s < rule.within_s - ROUNDING_S:
             return []

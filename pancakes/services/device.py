@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 MOST_REFUSED: Final = 256
-"""Of so many sources it is remembered why their commands were refused."""
+"""For at most this many sources, the reason why their commands were refused is remembered."""
 
 
 class DeviceSpec(msgspec.Struct, frozen=True):
@@ -210,7 +210,7 @@ class DeviceTask(TaskCore, Task):
         )
 
     def on_settings(self) -> None:
-        # A driver reads its settings when it is opened, so it is opened anew.
+        # A driver reads its settings when it is opened, so it is opened again.
         self._close_driver()
         self._open_driver()
 
@@ -447,7 +447,7 @@ class DeviceTask(TaskCore, Task):
 
     @on(CTRL, Hold, addressed=True)
     def hold(self, packet: Packet) -> None:
-        """Goes to the safe hold at once, where a service of this agent or the holder says so."""
+        """Goes to the safe hold at once, if a service of this agent or the holder asks for it."""
         if agent_of(packet.source) == self.agent or packet.source == self.kernel.registry.holder(self.name):
             self._hold(packet.body.reason)
 

@@ -42,7 +42,7 @@ KIND = "fence"
 
 
 class Fences:
-    """All marks of one agent. An actuator's are asked for and written by its own task alone, in any thread.
+    """All marks of one agent. Only an actuator's own task reads and writes its marks, in any thread.
 
     One journal entry for each actuator holds its marks of all tasks.
 

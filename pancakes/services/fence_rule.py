@@ -18,11 +18,11 @@ from pancakes.errors import MigrationError
 from pancakes.packet import Fence
 
 MOST_TASKS: Final = 1000
-"""An actuator that has seen so many tasks takes no other from elsewhere: what it has seen is never forgotten."""
+"""An actuator that has seen this many tasks takes no other from another agent: what it has seen is never forgotten."""
 MOST_OF_PEER: Final = 250
-"""And so many that one other agent has brought: else it would leave no room for those of others."""
+"""At most this many are of one other agent, which would otherwise leave no room for those of others."""
 MOST_ASKED: Final = 8
-"""So many agents, one after the other, may each say that they gave the task to the next one."""
+"""At most this many agents, one after the other, may each say that they gave the task to the next one."""
 
 
 class Mark(msgspec.Struct, frozen=True, array_like=True):

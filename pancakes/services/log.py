@@ -137,13 +137,13 @@ class Console(LogWriter):
 
 
 REMEMBERED = 2000
-"""So much of what was said on `log` is still known when a client asks, where nothing else is configured."""
+"""The number of lines and events of `log` that are remembered for clients, unless it is configured."""
 REMEMBERED_BYTES = 4 * 1024 * 1024
-"""All that is still known of what was said on `log` takes no more than this, about; the last is always known."""
+"""What is remembered of `log` takes about this much memory at most; the last line is always remembered."""
 PAGE = 60_000
-"""So many characters of it go into one answer; with four bytes for each, that still fits a frame."""
+"""At most this many characters of it go into one answer; at four bytes each, that still fits a frame."""
 LONGEST = 20_000
-"""Of a line that is longer only that is told."""
+"""A longer line is cut to this many characters."""
 
 
 class LogService(ServiceCore, Service):
@@ -153,7 +153,7 @@ class LogService(ServiceCore, Service):
     reboot, until it is stopped or ends by itself.
 
     Args:
-        record: the table `[record]`: the recorder's settings, and whether it is to `start`; None: there is none.
+        record: the table `[record]`: the recorder's settings, and whether it is to `start`; None: no such table.
         wanted: which recordings are to go on, by the paths of their recorders.
     """
 
@@ -162,17 +162,17 @@ class LogService(ServiceCore, Service):
 
         Attributes:
             console: whether it is shown on standard error.
-            level: the lowest level that is shown there; an event counts as `info`, or as `debug` where a line says the
+            level: the lowest level that is shown there; an event counts as `info`, or as `debug` if a line says the
                 same.
             traceback: whether a failure is shown there with its whole traceback.
             file: path of a JSON lines file that everything is appended to; empty: none.
-            file_limit_mib: so many MiB it takes; then it becomes FILE.1, what was that FILE.2, and a new one begins.
-            files: so many of them are kept; the oldest is removed.
-            share_kib_s: of what one source says, so many KiB a second of host time are written to the file, and as much
-                to the console, counted over 5 s; its warnings and errors have as much again. The rest is left out, and
-                a line says how much that was. 0: there is no limit.
-            remembered: so many of the newest lines and events are still known when a client asks, at most 2000; fewer
-                where they are large.
+            file_limit_mib: the size at which it becomes FILE.1, FILE.1 becomes FILE.2, and a new file begins.
+            files: how many of them are kept; the oldest is removed.
+            share_kib_s: how many KiB a second of host time one source may write to the file, and as much to the
+                console, counted over 5 s; its warnings and errors have as much again. The rest is left out, and a line
+                reports how much that was. 0: no limit.
+            remembered: how many of the newest lines and events are kept for clients that ask, at most 2000; fewer if
+                they are large.
         """
 
         console: bool = True
@@ -196,7 +196,7 @@ class LogService(ServiceCore, Service):
         self._recorder = f"{self.name}/{RECORDER}"
         self._records = record is not None and record["start"]
         self._record = {key: value for key, value in (record or {}).items() if key != "start"}
-        # What is to be recorded from the start begins anew with each start.
+        # A recording that begins with the agent begins again with each start.
         self._goes_on = NOTHING if self._records else wanted.newest.get(self._recorder, NOTHING)
         self._newest: deque[tuple[int, int, Packet]] = deque()  # number, bytes, and what was said
         self._recording = Path()  # the first file of what is recorded now
@@ -310,7 +310,7 @@ class LogService(ServiceCore, Service):
     def feed(self, slot: Slot, event: Any) -> None:
         life = slot.life
         if slot.name == RECORDER and life.state is State.STARTING and life.asker and isinstance(event, Finished):
-            # Whoever asked is told why, and nothing is amiss: it did not record before, and does not now.
+            # The one who asked gets the reason. This is not a failure: it did not record before, and does not now.
             event = replace(event, failed=False)
         super().feed(slot, event)
 

@@ -31,14 +31,14 @@ from pancakes.util.files import check_plain, is_still_at
 class RotatedFile:
     """Lines are appended to `path`; once it is full, it becomes `path.1`, that one `path.2`, and so on.
 
-    Each line is handed to the operating system at once, and a file is put aside by its name alone, so a process that is
-    killed loses nothing. A file is opened when the first line is written, and again after an error, and where another
-    program has moved or removed it meanwhile, as logrotate does.
+    Each line is handed to the operating system at once, and a file is put aside only by renaming it, so a process
+    that is killed loses nothing. A file is opened when the first line is written, and again after an error, or if
+    another program has moved or removed it meanwhile, as logrotate does.
 
     Args:
         path: the file; its directory is made.
-        limit_bytes: so large it becomes, at most; a single line that is larger is written whole.
-        files: so many are kept, the one that is written among them; at least 2.
+        limit_bytes: its largest size; a single line that is larger is written whole.
+        files: how many are kept, with the one being written; at least 2.
         moved: called before a new file begins in the place of one that has been moved or removed.
     """
 
@@ -112,7 +112,7 @@ RETRY_S: Final = 5.0
 class LogFile(LogWriter):
     """Writes what is said on `log` into a file, one JSON object a line.
 
-    A file that cannot be written, as on a full disk, is told once; what is said meanwhile is not in it.
+    A file that cannot be written, as on a full disk, is reported once; lines that come meanwhile are not in it.
     """
 
     class Settings(msgspec.Struct):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 WINDOW_S: Final = 5.0
-"""A share is counted over so many seconds of host time, so that a source may say much at once, now and then."""
+"""A share is counted over this many seconds of host time, so that a source may write much at once, now and then."""
 
 
 class Kind(NamedTuple):
@@ -39,7 +39,7 @@ class LeftOut(NamedTuple):
     Attributes:
         kind: the source of the lines, and whether they are urgent.
         lines: how many lines.
-        in_s: in so many seconds.
+        in_s: over how many seconds.
     """
 
     kind: Kind
@@ -82,7 +82,7 @@ class Shares:
         return False
 
     def spend(self, kind: Kind, size: int) -> None:
-        """A line that was admitted takes so many bytes."""
+        """Counts the bytes of a line that was admitted."""
         window = self._windows.get(kind)
         if window is not None:
             window.bytes += size

@@ -36,14 +36,14 @@ from pancakes.supervision.slots import Slot
 from pancakes.task import Task, TaskSpec
 
 SOON_S: Final = 0.0075
-"""After a rest, the first packet goes so much later to a follower that wants only so many a second, together with the
-packets that come meanwhile. Nearly all ticks come at multiples of 5 ms: a packet between two of them puts off none."""
+"""After a pause, a follower with a limited rate gets the first packet this much later, together with the packets that
+come meanwhile. Nearly all ticks come at multiples of 5 ms: a packet between two of them puts off none."""
 SOON_SHARE: Final = 0.25
-"""The same as a share of the time between two sendings, where that is less."""
+"""The same as a share of the time between two sendings, if that is less."""
 LEAST_HZ: Final = 0.001
-"""No follower may ask for less: so long the next sending is kept in mind, also where it has gone meanwhile."""
+"""No follower may ask for less: until its next sending it is remembered, even if it has gone meanwhile."""
 MOST_KEPT: Final = 4096
-"""So many sources and types are told apart; a peer that makes up one after the other must not fill the memory."""
+"""At most this many sources and types are distinguished: a peer that makes them up must not fill the memory."""
 
 
 class Follower:
@@ -245,7 +245,7 @@ class NetworkService(ServiceCore, Service):
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         super().on_failure(exception_type, exception_value, traceback)
-        # Its successor knows nothing of them, and an agent that follows anew would get everything twice.
+        # Its successor knows nothing of them, and an agent that follows again would get everything twice.
         for channel, by in list(self._followers):
             self._unfollow(channel, by)
 

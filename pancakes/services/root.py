@@ -170,7 +170,7 @@ class Measuring:
                     "timer": timer.method,
                     "rate_hz": timer.rate_hz,
                     "ticks": now[0] - was[0],
-                    # It counts from 0 again where the task began anew meanwhile.
+                    # It counts from 0 again if the task was restarted meanwhile.
                     "missed": max(0, after.missed.get(key, 0) - before.missed.get(key, 0)),
                     "tick_s": now[1] - was[1],
                     "tick_s2": now[2] - was[2],

@@ -77,7 +77,7 @@ class MissionStart:
     """Has an agent that has just begun take the mission's time from its fleet, before any of its services starts.
 
     So no task ever sees the time jump: timers, commands and what a task remembers are in the fleet's time from the
-    first tick on. A mission that runs is left alone. Leases rest on the host clock, which nothing here touches. In the
+    first tick on. A mission that runs is not changed. Leases rest on the host clock, which nothing here touches. In the
     actor of the root.
 
     Args:
@@ -281,7 +281,7 @@ class ServiceKeeper:
     # What the lives of the services ask for --------------------------------------------------------------------
 
     def show(self, place: ServicePlace) -> None:
-        """The root alone reads how far a service is."""
+        """Ignored: only the root needs to know how far a service is."""
 
     def ask_leave(self, place: ServicePlace) -> None:
         """Lets a service start once the last of its old tasks has ended: no task may run twice."""

@@ -27,18 +27,18 @@ LOOK_LATER_S: Final = 0.1
 WAITING: Final = 20_000
 """So many packets are noted between two questions; of more, the oldest are forgotten."""
 KEPT_NS: Final = 8_000_000_000
-"""So long a packet is known; what it led to elsewhere may be asked about seconds later."""
+"""A packet is remembered this long; what it led to elsewhere may be asked about seconds later."""
 MOST_KEPT: Final = 20_000
 MOST_ROWS: Final = 600
-"""So many packets go into one answer."""
+"""At most this many packets go into one answer."""
 STEP: Final = 100
-"""So many packets are taken or forgotten in one turn, which takes about 0.1 ms: so long a tick may have to wait, ..."""
+"""In one turn at most this many packets are taken or forgotten. It takes about 0.1 ms, which delays ticks, ..."""
 CHAINS_STEP: Final = 25
-"""... so many commands are followed back to what led to them, ..."""
+"""... this many commands are followed back to what led to them, ..."""
 ROWS_STEP: Final = 25
-"""... and so many packets made rows of."""
+"""... and rows are made of this many packets."""
 MOST_QUESTIONS: Final = 64
-"""So many questions wait for their answers; further ones are refused, ..."""
+"""At most this many questions wait for their answers; further ones are refused, ..."""
 MOST_ASKERS: Final = 16
 """... and those of further askers of one agent."""
 LARGE_BYTES: Final = 4096
@@ -104,7 +104,7 @@ class TracedPackets:
                 continue
             chain: list[Cause] = []
             found: Cause | None = key
-            # What is told already has been told with all that led to it.
+            # A packet that is reported already was reported with all that led to it.
             while found is not None and found in known and found not in seen and len(chain) < LONGEST:
                 chain.append(found)
                 cause = known[found][1].cause

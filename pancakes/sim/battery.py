@@ -28,8 +28,8 @@ class BatterySettings:
         motion_j_per_m: energy for each metre that a wheel rolls; both wheels count.
         sample_j: energy for one reading, by the type of the device; a type that is not listed takes nothing.
         packet_j: energy for one mission packet sent to another agent.
-        listen_w: what the radio takes while the agent's Network Service is awake. Whether it is, is told with each
-            reading of the battery.
+        listen_w: what the radio takes while the agent's Network Service is awake. Each reading of the battery
+            reports whether it is.
         noise_v: standard deviation of the measured voltage.
     """
 

@@ -22,8 +22,8 @@ from pancakes.sim.robot_models import IrRing, RobotModel, SonarRing, Wheels, rob
 class Disc:
     """A round body.
 
-    One that moves is told its velocity; it takes it up in the next step, and what it then touches takes from it what
-    would bring it into something solid.
+    A moving body is given its velocity, which it takes up in the next step. Contact with something solid takes away the
+    part of the velocity that would bring the body into it.
 
     Args:
         name: what it is called.
