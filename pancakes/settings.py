@@ -232,14 +232,17 @@ def known_keys(cls: type) -> tuple[str, ...]:
     return tuple(field.name for field in dataclasses.fields(cls) if field.init)
 
 
+@cache
 def required_keys(cls: type) -> tuple[str, ...]:
     """Returns the keys of a dataclass that have no default, in their order."""
-    return _required_keys(cls)
-
-
-@cache
-def _required_keys(cls: type) -> tuple[str, ...]:
-    return tuple(field.name for field in codecs.type_info(cls).fields if field.required)  # type: ignore[attr-defined]
+    if not dataclasses.is_dataclass(cls):
+        names, defaults = cls.__struct_fields__, cls.__struct_defaults__  # type: ignore[attr-defined]
+        without = len(names) - len(defaults)
+        later = zip(names[without:], defaults, strict=True)  # one that is given by its name may follow a default
+        return (*names[:without], *(name for name, default in later if default is msgspec.NODEFAULT))
+    missing = dataclasses.MISSING
+    given = (field for field in dataclasses.fields(cls) if field.init)
+    return tuple(field.name for field in given if field.default is missing and field.default_factory is missing)
 
 
 def paths_in(kind: Any, plain: Any, key: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:

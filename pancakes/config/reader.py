@@ -214,7 +214,7 @@ class _ConfigReader:
             self._check_name(key, name)
             if "name" in values:
                 self._fault((*key, "name"), f"unknown key; the name stands in the head of the table: [{table}.NAME]")
-            for required in required_keys(cls):
+            for required in required_keys(cls):  # type: ignore[arg-type]
                 if values.get(required) == "":
                     self._fault((*key, required), "is empty")
             given = {**implied.get(name, {}), **{k: v for k, v in values.items() if k != "name"}, "name": name}
@@ -234,7 +234,7 @@ class _ConfigReader:
             self._fault((*key, *problem.path), text, near)
         whole = "" not in bad  # else its parts are sound, and do not fit each other
         sound = {name: value for name, value in values.items() if whole and name in own and name not in bad}
-        return codecs.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)
+        return codecs.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)  # type: ignore[arg-type]
 
     def _other_name(self, table: str, name: str) -> str:
         """Return the table of the file that a `--set` probably meant which has made one of its own; empty: none."""

@@ -89,8 +89,18 @@ def owner_of(cls: type, name: str) -> type | None:
     return next((it for it in cls.__mro__ if name in vars(it)), None)
 
 
+def is_judged(cls: type) -> bool:
+    """Returns whether a class needs no judgement: the tests judge Pancakes' own, which takes a sixth of a start."""
+    return is_own(cls)
+
+
 def given_in(cls: type) -> Iterator[tuple[type, str, Any]]:
-    """Yields what the author of a class gives it: in which class it stands, its name, and what it is."""
+    """Yields what the author of a class gives it: in which class it stands, its name, and what it is.
+
+    For a class of Pancakes' own it yields nothing; see `is_judged`.
+    """
+    if is_judged(cls):
+        return
     for part in parts_of(cls):
         for name, value in vars(part).items():
             if part is cls or owner_of(cls, name) is part:
