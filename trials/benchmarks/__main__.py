@@ -36,7 +36,7 @@ TOPICS = (
     "guarded",
     "guarded_move",
 )
-PEER_TOPICS = ("peer_pairs", "peer_crowds")
+PEER_TOPICS = ("peer_pairs", "peer_ros2", "peer_crowds")
 """What needs environments of its own, and is therefore asked for."""
 GROWTH_TOPICS = ("task_growth", "routed_fleet")
 """What takes minutes, and is wanted by nobody who only wants to know whether all is well; asked for by name."""
@@ -52,7 +52,9 @@ LEAST_ROUNDS, MOST_ROUNDS = 5, 9
     "--rounds", default=LEAST_ROUNDS, show_default=True, type=click.IntRange(LEAST_ROUNDS), help="Runs of each side."
 )
 @click.option(
-    "--peers", is_flag=True, help="Measure beside pyzmq, zenoh and rospy as well, with --only beside what it names."
+    "--peers",
+    is_flag=True,
+    help="Measure beside pyzmq, zenoh, rospy, rclpy and mango as well, with --only beside what it names.",
 )
 @click.option(
     "--only",

@@ -56,6 +56,13 @@ ROSPY = Peer(
     ("rospy", "rosmaster.master", "std_msgs.msg", "msgpack"),
     hint="it is in no package index; Debian has it: `apt install python3-rospy python3-rosmaster python3-msgpack`",
 )
+RCLPY = Peer(
+    "rclpy",
+    SCRIPTS / "over_rclpy.py",
+    ("rclpy", "std_msgs.msg", "geometry_msgs.msg", "msgpack"),
+    (*(f"ros-kilted-{it}" for it in ("rclpy", "rmw-fastrtps-cpp", "std-msgs", "geometry-msgs")), "msgpack>=1"),
+)
+MANGO = Peer("mango", SCRIPTS / "over_mango.py", ("mango", "msgpack"), ("mango-agents>=2.1", "msgpack>=1"))
 
 
 def python_of(peer: Peer) -> Path:

@@ -1,7 +1,8 @@
-"""From a task to a task in another process, beside what a user might take instead: pyzmq, zenoh and rospy.
+"""From a task to a task in another process, beside what a user might take instead: pyzmq, zenoh, ROS and mango.
 
 The packets are the same, of 64 bytes and all that a packet says about itself, and are decoded at the receiver. The
 peers are used in the way that is fastest without losing any (see the scripts in `peers`). Nothing is bound to a core.
+Of rclpy it is the single-threaded executor: to its other one no other thread may publish.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from benchmarks import two_processes
-from benchmarks.environments import PYZMQ, ROSPY, ZENOH, Peer, PeerMissing, python_of
+from benchmarks.environments import MANGO, PYZMQ, RCLPY, ROSPY, ZENOH, Peer, PeerMissing, python_of
 from benchmarks.figure import Figure, Missing, Plan, Side, in_turns_of_all
 from benchmarks.peer_runs import pair
 
@@ -18,7 +19,7 @@ TITLE = "a task to a task in another process, beside what a user might take inst
 BESIDE = "the peer"
 SIZE = 64
 ROUND_TRIPS = 3000
-PACKETS = {"pancakes": 100_000, "pyzmq": 100_000, "zenoh": 100_000, "rospy": 30_000}
+PACKETS = {"pancakes": 100_000, "pyzmq": 100_000, "zenoh": 100_000, "rospy": 30_000, "rclpy": 10_000, "mango": 10_000}
 """How many go one way in a run."""
 ONE_WAY_WANTED = {"pyzmq": 1.0, "rospy": 4.0}
 
@@ -34,7 +35,7 @@ def measure(plan: Plan) -> Iterator[Figure | Missing]:
     our_rates: list[float] = []
     sides: list[Side] = [(ours, (our_trips, our_rates))]
     round_trips, one_way = [], []
-    for peer in (PYZMQ, ZENOH, ROSPY):
+    for peer in (PYZMQ, ZENOH, ROSPY, RCLPY, MANGO):
         try:
             theirs = _side(peer, trips, plan.share(PACKETS[peer.name]))
         except PeerMissing as error:

@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks.agent_process import PATIENCE_S, end
 from benchmarks.crowd import Shape
-from benchmarks.environments import ROSPY, ZENOH, Peer, environment
+from benchmarks.environments import RCLPY, ROSPY, ZENOH, Peer, environment
 
 
 class PeerProcess:
@@ -83,6 +83,11 @@ def peer_process(
         end([started])
 
 
+def ros2_variables() -> dict[str, str]:
+    """Returns what keeps the processes of this run to themselves: a DDS domain, and this machine."""
+    return {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
 def pair(peer: Peer, python: Path, round_trips: int, packets: int, size: int) -> dict[str, Any]:
     """Measures round trips, then packets one way, between two processes; returns what the near one reports.
 
@@ -96,6 +101,8 @@ def pair(peer: Peer, python: Path, round_trips: int, packets: int, size: int) ->
             variables = {"ROS_IP": "127.0.0.1", "ROS_HOME": directory, "ROS_LOG_DIR": directory}
             master = stack.enter_context(peer_process(peer, python, "master", variables=variables))
             variables["ROS_MASTER_URI"] = master.hear_of("at")
+        if peer is RCLPY:
+            variables = ros2_variables()
         far = stack.enter_context(peer_process(peer, python, "far", variables=variables))
         near = stack.enter_context(peer_process(peer, python, "near", far.hear_of("at"), variables=variables))
         near.say(round_trips=round_trips, packets=packets, size=size)

@@ -65,7 +65,7 @@ def _measure(started: Popen[bytes], began_s: float, reader: int, writer: int) ->
         os.close(writer)
         report = read_report(reader)
         start_ms = (time.perf_counter() - began_s) * 1e3
-        used_ms = time.clock_gettime(_clock_of(started)) * 1e3
+        used_ms = time.clock_gettime(clock_of(started)) * 1e3
         time.sleep(SETTLE_S)
         memory_mib = psutil.Process(started.pid).memory_info().rss / 2**20
         return [start_ms, used_ms, memory_mib, report["modules"], report["ours"]]
@@ -98,14 +98,14 @@ def bare_python(python: str | Path = sys.executable) -> list[float]:
         return _measure(started, began_s, reader, writer)
 
 
-def _clock_of(started: Popen[bytes]) -> int:
+def clock_of(started: Popen[bytes]) -> int:
     """Returns the clock of a process's processor time, in nanoseconds (Linux: clock_getcpuclockid)."""
     return (~started.pid << 3) | 2
 
 
 def percent_of_a_core(started: Popen[bytes], span_s: float) -> float:
     """Returns how much of a core a process takes, in per cent."""
-    clock = _clock_of(started)
+    clock = clock_of(started)
     time.sleep(SETTLE_S)
     before_s, began_s = time.clock_gettime(clock), time.monotonic()
     time.sleep(span_s)
