@@ -15,7 +15,9 @@ from typing import Any
 import click
 from benchmarks import short
 from benchmarks.compare import slower
+from benchmarks.environments import PeerMissing
 from benchmarks.figure import Failed, Figure, Missing, Plan
+from benchmarks.profiles import profile, summary
 from harness.ending import interruptible
 from harness.report import json_option, write
 
@@ -70,6 +72,13 @@ LEAST_ROUNDS, MOST_ROUNDS = 5, 9
     metavar="OLD.json",
     help="Print what became slower since the run that wrote this file with --json, by more than the noise.",
 )
+@click.option(
+    "--profile",
+    "profiled",
+    type=click.Choice(ALL_TOPICS),
+    metavar="TOPIC",
+    help="Measure nothing, but write a profile of a topic, in all its processes (see docs/performance.md).",
+)
 @click.option("--ci", is_flag=True, help="Measure only CPU, in a minute; compare it with trials/benchmarks/cpu.json.")
 @click.option("--write", "writes", is_flag=True, help="With --ci: write that file instead of comparing with it.")
 def bench(
@@ -79,6 +88,7 @@ def bench(
     peers: bool,
     only: tuple[str, ...],
     old_file: Path | None,
+    profiled: str | None,
     ci: bool,
     writes: bool,
 ) -> None:
@@ -92,6 +102,10 @@ def bench(
         raise click.UsageError("--write needs --ci.")
     if ci and (only or peers or old_file):
         raise click.UsageError("--ci measures its own steps, and takes no --only, --peers or --compare.")
+    if profiled is not None:
+        if only or peers or old_file or ci or json_file:
+            raise click.UsageError("--profile measures nothing: it takes only --quick and --rounds.")
+        _profile(profiled, quick, rounds)
     old = [] if old_file is None else _records_of(old_file)
     if ci:
         _short_form(json_file, writes)
@@ -124,6 +138,18 @@ def _records_of(file: Path) -> list[dict[str, Any]]:
     except ValueError:
         pass
     raise click.BadParameter(f"{file} is not what --json writes.", param_hint="--compare")
+
+
+def _profile(topic: str, quick: bool, rounds: int) -> None:
+    """Writes a profile of a topic, says what is in it and where it is, and ends."""
+    options = ["--only", topic, "--rounds", str(rounds), *["--quick"] * quick]
+    try:
+        file = profile(topic, ["-m", "benchmarks", *options])
+    except (PeerMissing, RuntimeError) as error:
+        sys.exit(f"no profile: {error}")
+    print("".join(f"{line}\n" for line in summary(file.read_text().splitlines())))
+    print(f"{file}: drop it on https://www.speedscope.app, which keeps it in the browser, or read it: a line a stack")
+    sys.exit(0)
 
 
 def _short_form(json_file: Path | None, writes: bool) -> None:

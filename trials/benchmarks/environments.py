@@ -62,6 +62,8 @@ RCLPY = Peer(
     ("rclpy", "std_msgs.msg", "geometry_msgs.msg", "msgpack"),
     (*(f"ros-kilted-{it}" for it in ("rclpy", "rmw-fastrtps-cpp", "std-msgs", "geometry-msgs")), "msgpack>=1"),
 )
+PYSPY = Peer("py-spy", SCRIPTS, ("pip",), ("py-spy>=0.4",))
+"""No peer, but what profiles are taken with; it has no module."""
 MANGO = Peer("mango", SCRIPTS / "over_mango.py", ("mango", "msgpack"), ("mango-agents>=2.1", "msgpack>=1"))
 
 

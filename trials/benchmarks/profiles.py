@@ -1,0 +1,67 @@
+"""`scripts/bench --profile TOPIC`: where the time of a topic goes, function by function, in all its processes.
+
+py-spy looks at all threads of all processes many times a second from outside, so nothing runs slower for it, and no
+function looks dearer than it is because it is small. It needs no rights beyond those of who starts it.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from benchmarks.environments import PYSPY, ROOT, python_of
+
+RATE_HZ = 500
+SHOWN = 15
+PLACE = ROOT / "runs"
+OURS = "pancakes"
+
+
+def profile(topic: str, command: Sequence[str]) -> Path:
+    """Runs a command under py-spy, and returns the file with its profile.
+
+    Args:
+        topic: names the file.
+        command: measures the topic; it is run by this Python.
+
+    Raises:
+        PeerMissing: py-spy could not be installed.
+        RuntimeError: it may not look at processes here, or the command failed.
+    """
+    spy = python_of(PYSPY).with_name("py-spy")
+    PLACE.mkdir(exist_ok=True)
+    file = PLACE / f"profile-{topic}.folded"
+    file.unlink(missing_ok=True)
+    options = ["--subprocesses", "--threads", "--function", "--rate", str(RATE_HZ), "--format", "raw"]
+    ended = subprocess.run([str(spy), "record", *options, "--output", str(file), "--", sys.executable, *command])
+    if not file.is_file():
+        raise RuntimeError(f"py-spy has written nothing, and ended with {ended.returncode}")
+    return file
+
+
+def summary(lines: Iterable[str]) -> list[str]:
+    """Returns the functions of Pancakes in which most time was spent, as text.
+
+    Args:
+        lines: of a profile: the functions of a stack from the outermost on, between `;`, and how often it was seen.
+    """
+    itself: Counter[str] = Counter()
+    whole: Counter[str] = Counter()
+    seen = 0
+    for line in lines:
+        stack, _, count = line.rpartition(" ")
+        frames = [frame for frame in stack.split(";") if frame.endswith(")")]
+        of_ours = [frame for frame in frames if f"({OURS}/" in frame or f"/{OURS}/" in frame]
+        if not of_ours:
+            continue  # the benchmark itself, or what is bare
+        seen += int(count)
+        itself[of_ours[-1]] += int(count)
+        for frame in set(of_ours):
+            whole[frame] += int(count)
+    told = ["by itself, with what it calls that is not Pancakes' own; with all that it calls"]
+    for frame, count in itself.most_common(SHOWN):
+        told.append(f"{count / seen:6.1%} {whole[frame] / seen:6.1%}  {frame}")
+    return told
