@@ -17,6 +17,7 @@ from benchmarks.environments import SCRIPTS, Peer, PeerMissing, python_of
 from benchmarks.figure import Figure, Plan, alone, in_turns_of_all
 from benchmarks.observers import Compared, Round, Span, quiet
 from benchmarks.peer_runs import pair
+from benchmarks.profiles import summary
 from click.testing import CliRunner, Result
 
 
@@ -147,6 +148,41 @@ def test_short_form_measures_each_step_of_its_file() -> None:
     assert set(steps) == set(short.known())
     for name in ("a tick", "a task's memory", "modules of ours at the start"):
         assert 0.1 < steps[name].ours() / steps[name].bare() / short.known()[name] < 10.0
+
+
+STACKS = """process 7:"agent";thread (7): main;run (pancakes/kernel/actor.py:1);put (pancakes/kernel/mailbox.py:2) 6
+process 7:"agent";thread (7): main;run (pancakes/kernel/actor.py:1);encode (msgpack/packer.py:3) 2
+process 8:"python -m benchmarks";thread (8): main;tell (pykka/_ref.py:4) 92"""
+
+
+def test_profile_sums_up_what_pancakes_does() -> None:
+    """What others do counts for the function that calls them; stacks without Pancakes do not count."""
+    _, first, second = summary(STACKS.splitlines())
+    assert first.split() == ["75.0%", "75.0%", "put", "(pancakes/kernel/mailbox.py:2)"]
+    assert second.split() == ["25.0%", "100.0%", "run", "(pancakes/kernel/actor.py:1)"]
+    (only,) = summary(["pykka (pykka/_ref.py:4) 92"])
+    assert "nothing" in only
+
+
+def test_profile_is_of_one_topic(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It runs the topic with the same options, says where its file is, and measures nothing itself."""
+    asked: list[tuple[str, list[str]]] = []
+
+    def taken(topic: str, command: list[str]) -> Path:
+        asked.append((topic, command))
+        if topic == "fleet":
+            raise RuntimeError("py-spy has written nothing")
+        (tmp_path / "profile").write_text(STACKS)
+        return tmp_path / "profile"
+
+    monkeypatch.setattr("benchmarks.__main__.profile", taken)
+    result = CliRunner().invoke(bench, ["--profile", "fan_out", "--quick"])
+    assert result.exit_code == 0 and "mailbox.py" in result.output and str(tmp_path / "profile") in result.output
+    assert asked == [("fan_out", ["-m", "benchmarks", "--only", "fan_out", "--rounds", "5", "--quick"])]
+    result = CliRunner().invoke(bench, ["--profile", "fleet"])
+    assert result.exit_code == 1 and "py-spy has written nothing" in result.output
+    for wrong in (["--ci"], ["--only", "fleet"], ["--json", f"{tmp_path}/x.json"]):
+        assert CliRunner().invoke(bench, ["--profile", "fan_out", *wrong]).exit_code == 2, wrong
 
 
 def observed(ratio: float, late_us: int, others_ms: float, bare_ms: float = 100.0) -> Round:

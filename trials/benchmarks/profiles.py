@@ -1,7 +1,8 @@
 """`scripts/bench --profile TOPIC`: where the time of a topic goes, function by function, in all its processes.
 
-py-spy looks at all threads of all processes many times a second from outside, so nothing runs slower for it, and no
-function looks dearer than it is because it is small. It needs no rights beyond those of who starts it.
+py-spy looks from outside, many times a second, which thread of each process has the interpreter, and what it is in. So
+no function looks dearer than it is for being small, as with cProfile, and threads that wait are not seen. It needs no
+rights beyond those of who starts it. Each look stops the process for a moment: the figures of such a run count nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.environments import PYSPY, ROOT, python_of
 
-RATE_HZ = 500
+RATE_HZ = 200
 SHOWN = 15
 PLACE = ROOT / "runs"
 OURS = "pancakes"
@@ -35,7 +36,7 @@ def profile(topic: str, command: Sequence[str]) -> Path:
     PLACE.mkdir(exist_ok=True)
     file = PLACE / f"profile-{topic}.folded"
     file.unlink(missing_ok=True)
-    options = ["--subprocesses", "--threads", "--function", "--rate", str(RATE_HZ), "--format", "raw"]
+    options = ["--subprocesses", "--gil", "--threads", "--function", "--rate", str(RATE_HZ), "--format", "raw"]
     ended = subprocess.run([str(spy), "record", *options, "--output", str(file), "--", sys.executable, *command])
     if not file.is_file():
         raise RuntimeError(f"py-spy has written nothing, and ended with {ended.returncode}")
@@ -61,7 +62,9 @@ def summary(lines: Iterable[str]) -> list[str]:
         itself[of_ours[-1]] += int(count)
         for frame in set(of_ours):
             whole[frame] += int(count)
+    if not seen:
+        return ["there is nothing of Pancakes in it"]
     told = ["by itself, with what it calls that is not Pancakes' own; with all that it calls"]
-    for frame, count in itself.most_common(SHOWN):
-        told.append(f"{count / seen:6.1%} {whole[frame] / seen:6.1%}  {frame}")
+    for frame, times in itself.most_common(SHOWN):
+        told.append(f"{times / seen:6.1%} {whole[frame] / seen:6.1%}  {frame}")
     return told
