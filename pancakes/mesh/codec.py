@@ -521,16 +521,15 @@ class RowEncoder:
     """Encodes packets as rows of the runs that begin with `head`, which all of them would have. Any thread.
 
     Attributes:
-        closed: the class of the last body whose class was closed and small: such a body needs no look before it is
-            encoded, and no care for how much memory that takes.
         most: how many bytes a row may have.
     """
 
-    __slots__ = ("closed", "most")
+    __slots__ = ("_known", "most")
 
     def __init__(self, head: bytes) -> None:
         self.most = _ROOM - len(head)
-        self.closed: type = _Nobody
+        # The class of the last body, and how such bodies are encoded. One value, because other threads change it too.
+        self._known: tuple[type, bool, Callable[[Any], bytes]] = (_Nobody, True, codecs.encode)
 
     def encode(self, packet: Packet) -> bytes:
         """Returns a packet as a row.
@@ -540,9 +539,11 @@ class RowEncoder:
         """
         body = packet.body
         try:
-            if body.__class__ is not self.closed:
-                body = self._look(body)
-            encode = codecs.encode_small if body.__class__ is self.closed else codecs.encode
+            cls, is_open, encode = self._known
+            if type(body) is not cls:
+                _, is_open, encode = self._known = _how_encoded(type(body))
+            if is_open:
+                body = encodable(body)
             try:
                 row = encode((packet.stamp, packet.seq, packet.cause, body))
             except TypeError:  # a number of numpy's, say, where its class has a number
@@ -555,14 +556,11 @@ class RowEncoder:
             raise unsendable(packet, error) from None
         return row
 
-    def _look(self, body: Any) -> Any:
-        """Returns a body as it may be encoded, and learns of its class."""
-        cls: type = type(body)
-        if is_closed(cls):
-            if is_small(cls):
-                self.closed = cls
-            return body
-        return encodable(body)
+
+def _how_encoded(cls: type) -> tuple[type, bool, Callable[[Any], bytes]]:
+    """Returns a class, whether its instances need a look before they are encoded, and what encodes them."""
+    is_open = not is_closed(cls)
+    return cls, is_open, codecs.encode_small if not is_open and is_small(cls) else codecs.encode
 
 
 def run_of(head: bytes, rows: Sequence[bytes]) -> bytes:

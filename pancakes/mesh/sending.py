@@ -69,14 +69,21 @@ class _Turn:
 
     def add(self, way: Way, row: bytes, retry: bool) -> None:
         """Takes an encoded packet."""
-        if self._size + len(row) > BATCH_BYTES and self._trains:  # a turn must not pile up what could be on its way
+        size = self._size + len(row)
+        if size > BATCH_BYTES and self._trains:  # a turn must not pile up what could be on its way
             self.flush()
-        self._size += len(row)
+            size = len(row)
+        self._size = size
         newest = self._last.get(way.place)
         if newest is not None and newest[0] is way:
-            newest[1].rows.append(row)
-            newest[1].retries += retry
-            return
+            train = newest[1]
+            train.rows.append(row)
+            train.retries += retry
+        else:
+            self._begin(way, row, retry)
+
+    def _begin(self, way: Way, row: bytes, retry: bool) -> None:
+        """Begins another train."""
         # What goes to all neighbours and what goes to one of them must not overtake each other.
         if way.place == NEIGHBOURS:
             self._last.clear()
@@ -166,7 +173,8 @@ class Sending:
         """See `Mesh.send`."""
         key = (packet.channel, packet.type, packet.source, packet.destination)
         way = self._ways.get(key)
-        if way is None or way.fence != packet.fence:
+        fence = packet.fence
+        if way is None or (way.fence is not fence and way.fence != fence):
             way = self._new_way(key, packet, retry)
         if way is None:
             return 1
