@@ -30,6 +30,7 @@ TOPICS = (
     "routed_link",
     "lateness",
     "many_tasks",
+    "many_topics",
     "start_up",
     "observers",
     "virtual_mission",
@@ -40,7 +41,7 @@ TOPICS = (
 )
 PEER_TOPICS = ("peer_pairs", "peer_ros2", "peer_crowds")
 """What needs environments of its own, and is therefore asked for."""
-GROWTH_TOPICS = ("task_growth", "routed_fleet")
+GROWTH_TOPICS = ("task_growth", "virtual_fleet", "routed_fleet")
 """What takes minutes, and is wanted by nobody who only wants to know whether all is well; asked for by name."""
 ALL_TOPICS = TOPICS + PEER_TOPICS + GROWTH_TOPICS
 LEAST_ROUNDS, MOST_ROUNDS = 5, 9

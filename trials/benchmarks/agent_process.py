@@ -193,19 +193,19 @@ def two_cores() -> tuple[int, int] | tuple[None, None]:
     return (cores[0], cores[1]) if len(cores) > 1 else (None, None)
 
 
-def read_report(reader: int) -> Any:
+def read_report(reader: int, patience_s: float = PATIENCE_S) -> Any:
     """Waits for the line of JSON that a process writes into a pipe."""
-    return json.loads(_read_line(reader))
+    return json.loads(_read_line(reader, patience_s))
 
 
-def _read_line(reader: int) -> bytes:
+def _read_line(reader: int, patience_s: float = PATIENCE_S) -> bytes:
     import select
 
     text = b""
-    until_s = time.monotonic() + PATIENCE_S
+    until_s = time.monotonic() + patience_s
     while not text.endswith(b"\n"):
         if not select.select([reader], [], [], max(0.0, until_s - time.monotonic()))[0]:
-            raise TimeoutError(f"nothing was reported within {PATIENCE_S:g} s")
+            raise TimeoutError(f"nothing was reported within {patience_s:g} s")
         part = os.read(reader, 65_536)
         if not part:
             raise RuntimeError("a process ended before it had reported anything")
