@@ -24,8 +24,8 @@ TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.me
          "bench.Steady": "benchmarks.steady:Steady", "bench.Busy": "benchmarks.lateness:Busy",
          "bench.Periodic": "benchmarks.lateness:Periodic", "bench.Judge": "benchmarks.lateness:Judge",
          "bench.Small": "benchmarks.many_tasks:Small", "bench.Kept": "benchmarks.guarded:Kept",
-         "bench.Member": "benchmarks.crowd_tasks:Member"}  # fmt: skip
-PACKETS = {"bench": "benchmarks.mesh_tasks", "bench_crowd": "benchmarks.crowd_tasks"}
+         "bench.Member": "benchmarks.mesh_tasks:Member"}  # fmt: skip
+PACKETS = {"bench": "benchmarks.mesh_tasks"}
 INSECURE = """
 [service.network]
 settings = { insecure = true }

@@ -1,20 +1,16 @@
 """Many agents at once, each a process of its own: eight that send to one, and eight of which each sends to all.
 
-    python -m benchmarks.crowd [--rounds 5] [--packets N] [8to1 | all | each]
-
-prints what ours alone do. What a packet costs is counted at its receivers: every one that arrives counts.
+What a packet costs is counted at its receivers: every one that arrives counts.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import select
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import msgspec
@@ -70,7 +66,6 @@ class Shape(msgspec.Struct, frozen=True):
 EIGHT_TO_ONE = Shape("8to1", range(1, MEMBERS + 1), [0], True, 30_000)
 ALL_TO_ALL = Shape("all", range(MEMBERS), range(MEMBERS), False, 10_000)
 ALL_TO_EACH = Shape("each", range(MEMBERS), range(MEMBERS), True, 5_000)
-SHAPES = {shape.name: shape for shape in (EIGHT_TO_ONE, ALL_TO_ALL, ALL_TO_EACH)}
 
 _TASK = """
 [channel.bench]
@@ -146,30 +141,8 @@ def rate(shape: Shape, packets: int, reports: dict[int, dict[str, Any]]) -> floa
     return wanted * len(shape.receivers) / (max(reports[it]["ended_s"] for it in shape.receivers) - began_s)
 
 
-def main() -> None:
-    """Prints the rates of ours alone."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.crowd", description=__doc__)
-    parser.add_argument("shapes", nargs="*", choices=[*SHAPES, []], metavar="SHAPE", help=", ".join(SHAPES))
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--packets", type=int, default=0, help="how many each sender sends to each receiver")
-    options = parser.parse_args()
-    for name in options.shapes or SHAPES:
-        shape = SHAPES[name]
-        packets = options.packets or shape.packets
-        rates, receiving_us, sending_us = [], [], []
-        for _ in range(options.rounds):
-            reports = pancakes(shape, packets)
-            rates.append(rate(shape, packets, reports))
-            senders = [reports[it]["cpu_s"] for it in shape.senders if it not in shape.receivers]
-            receivers = [reports[it]["cpu_s"] for it in shape.receivers]
-            receiving_us.append(sum(receivers) / shape.deliveries * shape.packets / packets * 1e6)
-            sending_us.append(sum(senders) / shape.deliveries * shape.packets / packets * 1e6)
-        print(
-            f"{name:6} {median(rates):10,.0f} /s ({min(rates):,.0f} to {max(rates):,.0f}); processor time for each"
-            f" packet: receivers {median(receiving_us):.2f} us, those that only send {median(sending_us):.2f} us",
-            flush=True,
-        )
-
-
-if __name__ == "__main__":
-    main()
+def cpu_us(shape: Shape, packets: int, reports: dict[int, dict[str, Any]]) -> list[float]:
+    """Returns the µs of processor time that a packet takes at its receiver, and at one that only sends."""
+    receivers = [reports[it]["cpu_s"] for it in shape.receivers]
+    senders = [reports[it]["cpu_s"] for it in shape.senders if it not in shape.receivers]
+    return [sum(side) / shape.deliveries * shape.packets / packets * 1e6 for side in (receivers, senders)]

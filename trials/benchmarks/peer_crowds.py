@@ -17,6 +17,7 @@ from benchmarks.peer_runs import zenoh_crowd
 TITLE = "many agents at once, packets that arrive, beside zenoh; bound to no core"
 BESIDE = "zenoh"
 SIZE = 64
+_SIDES = ("at the receiver", "at a sender")
 
 
 def measure(plan: Plan) -> Iterator[Figure | Missing]:
@@ -36,8 +37,18 @@ def measure(plan: Plan) -> Iterator[Figure | Missing]:
         return lambda: [crowd.rate(shape, packets, zenoh_crowd(python, shape, packets, SIZE))]
 
     to_one = Figure("8 agents to 1, 64 B", "1/s", "min", 1.7)
-    sides: list[Side] = [(ours(EIGHT_TO_ONE), [to_one.runs]), (theirs(EIGHT_TO_ONE), [to_one.bare_runs])]
-    yield from in_turns_of_all(plan, sides, [to_one])
+    at_receiver, at_senders = (Figure(f"the same: CPU of a packet, {it}", "µs", least=True) for it in _SIDES)
+
+    def ours_to_one() -> list[float]:
+        packets = plan.share(EIGHT_TO_ONE.packets)
+        reports = crowd.pancakes(EIGHT_TO_ONE, packets, SIZE)
+        return [crowd.rate(EIGHT_TO_ONE, packets, reports), *crowd.cpu_us(EIGHT_TO_ONE, packets, reports)]
+
+    sides: list[Side] = [
+        (ours_to_one, [to_one.runs, at_receiver.runs, at_senders.runs]),
+        (theirs(EIGHT_TO_ONE), [to_one.bare_runs]),
+    ]
+    yield from in_turns_of_all(plan, sides, [to_one, at_receiver, at_senders])
 
     key_each = Figure("all to all of 8, 64 B; a key a receiver", "1/s", "min", 1.8)
     key_all = Figure("all to all of 8, 64 B; a key a sender", "1/s", "min", 0.9, runs=key_each.runs)

@@ -43,6 +43,7 @@ def measure(plan: Plan) -> Iterator[Figure]:
     size = max(2 * LINKS, plan.share(AGENTS))
     met = Figure(f"{size} agents: from the first start until all have their links", "s")
     idle = Figure(f"{size} agents and the router, idle", "cores", wanted=PROCESSOR, absolute=True)
+    each = Figure(f"{size} agents: CPU of one, idle", "ms/s")
     memory = Figure(f"{size} agents: memory of one, shared pages shared", "MB", wanted=MEMORY, absolute=True)
     links = Figure(f"{size} agents: links of one", "")
     lost = Figure(f"{size // 10} of them talk at 10 Hz: packets that did not arrive", "", wanted=0.0, absolute=True)
@@ -76,10 +77,12 @@ def measure(plan: Plan) -> Iterator[Figure]:
                 time.sleep(SETTLE_S)
                 assert router.process is not None
                 processes = [agent.process.pid for agent in fleet.alive() if agent.process is not None]
-                used_s, began_s = sum(map(processor_s, [*processes, router.process.pid])), time.monotonic()
+                began_s, agents_s, router_s = time.monotonic(), _all_s(processes), processor_s(router.process.pid)
                 time.sleep(SPAN_S)
-                used_s = sum(map(processor_s, [*processes, router.process.pid])) - used_s
-                idle.runs.append(used_s / (time.monotonic() - began_s))
+                agents_s, router_s = _all_s(processes) - agents_s, processor_s(router.process.pid) - router_s
+                took_s = time.monotonic() - began_s
+                idle.runs.append((agents_s + router_s) / took_s)
+                each.runs.append(agents_s / took_s / size * 1e3)
                 memory.runs.append(sum(vitals_of(pid).pss_kib for pid in processes) * 1024 / 1e6 / size)
                 fleet.read()
                 links.runs.append(sum(len(agent.links) for agent in fleet.alive()) / size)
@@ -87,15 +90,19 @@ def measure(plan: Plan) -> Iterator[Figure]:
                 time.sleep(TALK_S)
                 (directory / "talk").unlink()
                 time.sleep(LAST_S)
-                heard, took_s = _heard(directory, set(hearers.values()))
+                heard, way_s = _heard(directory, set(hearers.values()))
         finally:
             router.end()
     if len(heard) < len(hearers):
         raise NotInTime(f"only {len(heard)} of {len(hearers)} speakers were heard")
     lost.runs.append(float(sum(last - count for last, count in heard.values())))
-    p50.runs.append(1000 * took_s[len(took_s) // 2])
-    p99.runs.append(1000 * took_s[len(took_s) * 99 // 100])
-    yield from (met, idle, memory, links, lost, p50, p99)
+    p50.runs.append(1000 * way_s[len(way_s) // 2])
+    p99.runs.append(1000 * way_s[len(way_s) * 99 // 100])
+    yield from (met, idle, each, memory, links, lost, p50, p99)
+
+
+def _all_s(processes: list[int]) -> float:
+    return sum(map(processor_s, processes))
 
 
 def _have_links(fleet: Fleet, enough: int) -> bool:

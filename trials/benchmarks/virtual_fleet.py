@@ -27,9 +27,9 @@ TITLE = "how the cost grows with the agents of a fleet in virtual time"
 BESIDE = ""
 AGENTS = (10, 100, 1_000)
 LINKS = 4
-SETTLE_S = 20.0
+SETTLE_S = 40.0
 """Virtual time until all have found their links."""
-SPAN_S = 60.0
+SPAN_S = 30.0
 FIRST_PORT = 7400
 
 
