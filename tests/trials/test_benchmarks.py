@@ -160,6 +160,11 @@ def test_profile_sums_up_what_pancakes_does() -> None:
     _, first, second = summary(STACKS.splitlines())
     assert first.split() == ["75.0%", "75.0%", "put", "(pancakes/kernel/mailbox.py:2)"]
     assert second.split() == ["25.0%", "100.0%", "run", "(pancakes/kernel/actor.py:1)"]
+    start = (
+        "main (pancakes/cli.py:1);<module> (pancakes/agent.py:1);<module> (pancakes/task.py:1);cache (pancakes/u.py:2)"
+    )
+    _, imported = summary([f"{start} 3"])
+    assert imported.endswith("(modules that are imported)")
     (only,) = summary(["pykka (pykka/_ref.py:4) 92"])
     assert "nothing" in only
 
