@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from functools import lru_cache
 from typing import Final, Protocol
 
 from pancakes.mesh.address import LOCAL, reachable_from
@@ -21,6 +22,9 @@ every agent the square of the fleet, for what all agents know: a new link gets t
 """
 TO_ONE: Final = 32
 """How many agents are in a beacon to one peer: of a thousand, each agent hears of each within half a minute."""
+
+MOST_CHOSEN: Final = 1024
+"""How many choices of an address are remembered."""
 
 _EVERYWHERE: Final = (LOCAL, "tcp")
 """Each agent dials these; other schemes only agents that are linked by them, or listen at them."""
@@ -52,6 +56,8 @@ class Gossiper:
         self._transport = transport
         self._few = few
         self._beacons = 0
+        # Beacons name the same agents to the same peers all the time.
+        self._address_for = lru_cache(MOST_CHOSEN)(self._choose)
 
     def beacon(self, own: Hello, peers: Peers, now_s: float) -> None:
         """Tells all peers of this agent and some others; or one peer, in turn, of many."""
@@ -86,19 +92,30 @@ class Gossiper:
         """Tells a peer of agents other than itself, as far as it can dial them; returns whether there were any."""
         if not self._tells or session.hello is None:
             return False
-        own = set(session.hello.listen)
-        schemes = {*_EVERYWHERE, *map(_scheme, (session.remote, *own))}
+        remote, own = session.remote, session.hello.listen
         named = [
             AgentSeen(name, address, age_s)
             for name, listen, age_s in agents
-            if own.isdisjoint(listen) and (address := self._best(session.remote, schemes, listen))
+            if (address := self._address_for(remote, own, listen))
         ]
         if named:
             self._say(session, Gossip(tuple(named)))
         return bool(named)
 
-    def _best(self, remote: str, schemes: set[str], listen: Sequence[str]) -> str:
-        """Returns the cheapest address of an agent that a peer can dial, the first of equal ones; empty: none."""
+    def _choose(self, remote: str, own: tuple[str, ...], listen: tuple[str, ...]) -> str:
+        """Returns the cheapest address of an agent that a peer can dial, the first of equal ones.
+
+        Args:
+            remote: the address of the peer.
+            own: where the peer listens.
+            listen: where the agent listens.
+
+        Returns:
+            Empty if there is none, or if the agent is the peer.
+        """
+        if not set(own).isdisjoint(listen):
+            return ""
+        schemes = {*_EVERYWHERE, *map(_scheme, (remote, *own))}
         there = reachable_from(remote, listen, self._transport.reach)
         dialled = [address for address in there if _scheme(address) in schemes]
         return min(dialled, key=lambda address: self._transport.facts(address).cost, default="")

@@ -286,7 +286,7 @@ class _Pipe:
 
     def quality(self) -> Quality:
         network = self.network
-        return network.default if self.exempt else network.quality(*self.agents)
+        return network.default if self.exempt else network.qualities.get(self.agents, network.default)
 
     def is_cut(self) -> bool:
         """Whether what is sent now is lost: then all that follows is, as in a stream."""

@@ -559,6 +559,9 @@ class Peers:
         named: list[str] = []
         for seen in agents:
             there = reachable(seen.address, remote)
+            # Beacons name what is known already, from each peer and all the time.
+            if self._few is None and there in self.book:
+                continue
             if there and nameable_from(remote, (there,), self._reach) and seen.name != self._own.name:
                 named.append(there)
                 if self._few is not None and self._may_be_named(there):
@@ -574,7 +577,6 @@ class Peers:
             peer: the peer that did; empty: a person.
         """
         addresses = [spelt(address) for address in addresses]
-        # Beacons name what is known already, from each peer and all the time.
         unknown = [address for address in addresses if address not in self.book]
         new = [address for address in unknown if self.book.learn(address, now_s, by=peer)]
         return self.tick(now_s) if new else []
