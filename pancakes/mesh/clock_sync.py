@@ -30,6 +30,8 @@ SOON_S: Final = 0.5
 MOST_KEPT: Final = 32
 LONGEST_SLOT_S: Final = 5.0
 """Of the answers in this time at least one is kept."""
+BETTER: Final = 0.5
+"""An answer whose error is at most this share of the present bound is believed at once, others with the next slot."""
 SLOTS: Final = 8
 """How many are kept of the time that has passed, if that is less than as many of the longest slots."""
 
@@ -109,8 +111,8 @@ class ClockEstimate:
         fits = found is None or abs(offset_s - found.offset_at(at_s)) <= error_s + found.bound_at(at_s)
         if not fits:
             self.kept.clear()
-        # What is believed is worked out again when it can become better, not with each of many like answers.
-        if self._keep(at_s, offset_s, error_s) or found is None or error_s < found.bound_at(at_s):
+        # What is believed is worked out again when it can become much better, not with each of many like answers.
+        if self._keep(at_s, offset_s, error_s) or found is None or error_s < BETTER * found.bound_at(at_s):
             self.found = self._believed(at_s)
         return fits
 
