@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmarks import big_world, many_tasks
+from benchmarks import big_world, many_tasks, many_topics, virtual_fleet
 
 
 def test_bench_writes_the_figures_of_a_topic(program: Any, tmp_path: Path) -> None:
@@ -32,3 +32,12 @@ def test_bench_measures_worlds_and_many_tasks() -> None:
         assert start_ms > 0 and memory_mib >= 0
     # What two agents take differs by less for so few tasks than it does by chance.
     assert all(map(math.isfinite, many_tasks.configured(20)))
+
+
+def test_bench_measures_fleets_and_many_topics() -> None:
+    """An agent of a fleet in virtual time costs something, and hardly more in a larger one; topics arrive."""
+    few, more = virtual_fleet.run(4, 20.0), virtual_fleet.run(12, 20.0)
+    assert all(figure > 0 for figure in (few[0], *few[2:], more[0], *more[2:]))
+    assert more[2] < 3 * few[2]
+    cores, packet_us, came_percent = many_topics.run(1.0)
+    assert cores > 0 and packet_us > 0 and 10.0 < came_percent < 120.0
