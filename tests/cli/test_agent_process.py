@@ -271,8 +271,8 @@ HEAVY = (
     # what only a recording, or a question about it, needs
     *("pancakes.recording.recording", "pancakes.services.traces"),
     # parts of Python, each of which takes milliseconds, and up to 4 MiB
-    *("asyncio", "concurrent.futures", "configparser", "ctypes", "difflib", "encodings.idna"),
-    *("http", "multiprocessing", "ssl", "subprocess", "unittest", "xml"),
+    *("asyncio", "concurrent.futures", "configparser", "ctypes", "difflib", "email", "encodings.idna", "hashlib"),
+    *("http", "importlib.metadata", "multiprocessing", "ssl", "subprocess", "tempfile", "unittest", "xml", "zipfile"),
 )
 IMPORTED = """
 import sys
