@@ -1,7 +1,6 @@
 """An agent whose answer cannot be sent goes on."""
 
 from pancakes.control import Describe
-from pancakes.mesh.mesh import Mesh
 from pancakes.mesh.session import PeerBusy
 from pancakes.task import Task
 from pancakes.testing import Fleet
@@ -12,15 +11,15 @@ def test_an_asker_that_does_not_listen_ends_neither_the_root_nor_a_service(monke
         a = fleet.start("a", tasks={"Task": Task})
         b = fleet.start("b")
         fleet.connect()
-        send = Mesh.send
+        send = a.agent.mesh.send
 
-        def busy(self, packet, retry=False):
+        def busy(packet, retry=False):
             if packet.type == "reply":
                 raise PeerBusy("b is too slow")
-            return send(self, packet, retry)
+            return send(packet, retry)
 
         with monkeypatch.context() as patch:
-            patch.setattr(Mesh, "send", busy)
+            patch.setattr(a.agent.mesh, "send", busy)
             for target in ("", "Task", "client", "nobody"):
                 b.publish("sysctrl", Describe(target), to="a")
             fleet.run_for(1.0)
