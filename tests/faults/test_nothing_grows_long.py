@@ -12,7 +12,7 @@ from pancakes.control import Follow, Migrate, Reschedule, Restart, Start, Stop, 
 from pancakes.durable import census
 from pancakes.durable.store import KEPT as LEDGERS
 from pancakes.errors import MailboxFull
-from pancakes.kernel import dead_letters
+from pancakes.kernel import dead_letters, stream
 from pancakes.packet import NEIGHBOURS, SYSCTRL, SYSTEM, Packet, join, packet_type, type_name
 from pancakes.simulation.fleet import Fleet
 from pancakes.task import Task, Tick, every, on, reliable
@@ -137,6 +137,7 @@ def trouble():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(census, "MOST_AGENTS", 3)  # bounds that are reached here, and hold
         patch.setattr(dead_letters, "MOST_TOLD", 3)
+        patch.setattr(stream, "MOST_ROUTES", 32)  # one for each agent that ever was spoken to
         for _ in range(2):
             made.one_round()
         yield made

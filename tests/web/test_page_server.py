@@ -148,7 +148,7 @@ def test_a_page_that_takes_nothing_holds_up_nobody_and_gets_the_newest_when_it_d
             ballast = json.loads(slow.recv(PATIENCE_S)).get("set", {}).get("ballast")
             if ballast is not None:
                 got.append(int(ballast.partition("x")[0]))
-        assert len(got) < rounds
+        assert len(got) <= rounds, "the first is of before, and at least one was left out"
         assert got == sorted(got)
         assert server.skipped > 0
 
