@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
+from importlib.metadata import entry_points
 from typing import Any, Final
 
 import click
@@ -20,7 +20,6 @@ from click.shell_completion import CompletionItem
 
 from pancakes.tools.cli.exit_codes import Guarded, with_help
 from pancakes.tools.cli.version import PROGRAM, VARIABLE, version_option
-from pancakes.util.entry_points import distributions, points_in
 from pancakes.util.text import suggestion
 
 GROUP: Final = "pancakes.commands"
@@ -55,7 +54,10 @@ class LazyGroup(Guarded, click.Group):
     @cached_property
     def _commands(self) -> dict[str, LazyCommand]:
         """All commands: its own, and after them those of other distributions. Imports none."""
-        installed = dict(sorted(_installed_commands(), key=lambda it: it[0]))
+        installed = {
+            point.name: LazyCommand(point.value, f"From {point.dist.name}." if point.dist is not None else "")
+            for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)
+        }
         return {**self._own, **{name: command for name, command in installed.items() if name not in self._own}}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -96,17 +98,6 @@ class LazyGroup(Guarded, click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, command.help) for name, command in self._commands.items()])
-
-
-def _installed_commands() -> Iterator[tuple[str, LazyCommand]]:
-    """Yield the commands of other distributions; what cannot be read is told by `Plugins` if it is asked for."""
-    for distribution in distributions():
-        with suppress(ValueError):
-            text = distribution.read("entry_points.txt") or ""
-            points = [it for it in points_in(text) if it.group == GROUP] if GROUP in text else []
-            if points:
-                help_ = f"From {distribution.header('Name')}."
-                yield from [(it.name, LazyCommand(it.place, help_)) for it in points]
 
 
 def _installed(name: str) -> click.Command:
