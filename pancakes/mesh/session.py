@@ -29,7 +29,7 @@ from pancakes.mesh.link import Link
 from pancakes.mesh.messages import Hello, RefuseLink
 from pancakes.mesh.transport import Connection, ConnectionHandler
 from pancakes.packet import LOG, NETWORK, SYSCTRL, SYSTEM, Fence
-from pancakes.security.roster import Bearer, Certified
+from pancakes.security.roster import Certified
 from pancakes.util.timebase import Timebase
 
 
@@ -366,7 +366,6 @@ class Session(ConnectionHandler):
         counted: how many mission packets were sent.
         certified: what the peer's certificate says, also once the link has ended, because what came over it may still
             wait to be looked at; None: the connection has none.
-        bearer: whose rights the peer has, once the link is up: those of its certificate, or else of what it said.
     """
 
     def __init__(self, owner: Owner, number: int, address: str, now: Callable[[], float], gate: Gate = OPEN) -> None:
@@ -374,7 +373,6 @@ class Session(ConnectionHandler):
         self.address = address
         self.link: Link | None = None
         self.certified: Certified | None = None
-        self.bearer = Bearer("", "")
         self.peer = ""
         self.hello: Hello | None = None
         self.is_up = False
@@ -434,8 +432,6 @@ class Session(ConnectionHandler):
     def on_link_up(self, hello: Hello, counters: Counters) -> None:
         """The link to the agent that said `hello` is up: from now on packets may be offered."""
         self.hello, self.peer = hello, hello.name
-        shown, said = self.certified, "operator" if hello.role == "client" else hello.role
-        self.bearer = Bearer(shown.name, shown.role, shown.groups) if shown is not None else Bearer(hello.name, said)
         with self._lock:
             counters.bytes_in += self.counters.bytes_in
             counters.bytes_out += self.counters.bytes_out

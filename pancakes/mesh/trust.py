@@ -129,9 +129,8 @@ class Trust:
         access = self._access
         if access is None:
             return ""
-        peer = session.peer
-        return fault_of_source(self._role, peer, session.role, packet) or access.fault_of_packet(
-            session.bearer, session.certified is not None, peer, packet
+        return fault_of_source(self._role, session.peer, session.role, packet) or access.fault_of_packet(
+            *_bearer(session), session.peer, packet
         )
 
     def asks_too_much(self, session: Session, first: Packet, number: int) -> str:
@@ -154,7 +153,7 @@ class Trust:
     def _bearer_of(self, peer: str) -> tuple[Bearer, bool] | None:
         """See `Access.bearer_of`. Any thread."""
         session = self._links.by_name().get(peer)
-        return (session.bearer, session.certified is not None) if session is not None else None
+        return _bearer(session) if session is not None else None
 
     # The roster
 
@@ -313,3 +312,10 @@ def keep(keys: Keys, text: bytes) -> tuple[str, int]:
         return "", 0
     said = ended.stderr.decode(errors="replace").strip().splitlines()
     return said[-1] if said else f"its check ended with {ended.returncode}", ended.returncode
+
+
+def _bearer(session: Session) -> tuple[Bearer, bool]:
+    shown = session.certified
+    if shown is not None:
+        return Bearer(shown.name, shown.role, shown.groups), True
+    return Bearer(session.peer, "operator" if session.role == "client" else session.role), False
