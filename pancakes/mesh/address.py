@@ -243,7 +243,6 @@ ReachOf = Callable[[str], Reach]
 """Returns from how far an address can be dialled."""
 
 
-@lru_cache(maxsize=1024)
 def reach_of(address: str) -> Reach:
     """Returns how far an address reaches of which no transport says anything else."""
     if is_local(address):
