@@ -1,5 +1,6 @@
 """Settings: a dataclass says what may be set; plain values from a file or a packet are checked against it."""
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,6 +14,7 @@ from pancakes.settings import (
     check_settings,
     make_settings,
     plain_settings,
+    required_keys,
 )
 
 if TYPE_CHECKING:
@@ -313,3 +315,21 @@ class TestStructures:
 
         assert plain_settings(bicycle) == {"front": tyre, "others": {"spare": (tyre,)}}
         assert plain_settings(make_settings(Tyre, {})) == tyre
+
+
+class LaterNeeded(Struct, kw_only=True):
+    gain: float = 1.0
+    port: str
+    limits: dict[str, float] = {}
+
+
+def test_required_keys_may_follow_defaults():
+    assert required_keys(LaterNeeded) == ("port",)
+
+
+def test_free_tables_are_checked_with_the_rest():
+    assert check_settings(LaterNeeded, {"port": "a", "limits": {"low": 1.0}}) == []
+    (odd,) = check_settings(LaterNeeded, {"port": "a", "limits": {"low": math.inf}})
+    assert odd.path == ("limits", "low")
+    (bad,) = check_settings(LaterNeeded, {"port": "a", "limits": {"low": "x"}})
+    assert bad.path == ("limits", "low")
