@@ -35,9 +35,9 @@ class TypeQueue:
     """What waits for one reader on one channel under one bound: packets of one type, or of all types without a bound.
 
     Any thread puts, and only the reader's takes. A light packet that finds room needs no lock: a deque changes in one
-    step. A packet always enters its queue before its place in the mailbox's order, and leaves that place before its
-    queue; so whoever has taken a place finds a packet. Publishers that put at the same moment may pass the limit by one
-    packet each.
+    step. A packet enters its queue before the mailbox's order, and leaves the order before its queue: if a thread has
+    taken a place in the order, a packet is in the queue. Publishers that put at the same moment may pass the limit by
+    one packet each.
 
     Args:
         channel: the queue of its channel.

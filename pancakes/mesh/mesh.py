@@ -169,7 +169,6 @@ class Mesh:
         self._sessions: dict[int, Session] = {}
         self._draining: dict[int, Session] = {}  # ended here, and still read until the peer acknowledges the goodbye
         self._sending = Sending(self._lost, defer, self.seek)
-        self.send = self._sending.send  # type: ignore[method-assign] # without a call in between
         self._links = Links(self._sending.change)
         self._log = LinkLog(on_log, peers)
         self._state = "new"

@@ -56,7 +56,7 @@ class ChangeTask(msgspec.Struct, frozen=True):
 
 
 class Look(msgspec.Struct, frozen=True):
-    """Say what you carry; answered by `Looked`, unless the task stands still."""
+    """Asks what the task carries. It answers with `Looked`, unless it is paused."""
 
 
 class StandStill(msgspec.Struct, frozen=True):
