@@ -225,9 +225,9 @@ def test_launch_names_a_host_that_cannot_take_part(rig: Rig, hosts: SshHosts, tr
         first.hear("b is ready")
     expected = {
         "away": "robot2 has no SSH server at that port (ssh: connect to host 127.0.0.1 port",
-        "key": "robot2 does not take your key",
+        "key": "robot2 does not accept your key",
         "host key": "robot2 shows a host key that is not known here",
-        "python": "robot2: Pancakes needs Python 3.11 or newer there, and it has only Python 3.9.2: install one there",
+        "python": "robot2: Pancakes needs Python 3.11 or newer, and this host has only Python 3.9.2: install",
         "pancakes": "robot2 has no Pancakes to run b with: pancakes deploy brings it there",
         "running": "the agent b of the fleet yard runs already on robot2 (process",
     }[trouble]

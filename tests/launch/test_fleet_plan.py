@@ -49,7 +49,7 @@ def test_of_a_folder_all_files_are_taken_by_name_and_worlds_come_first(tmp_path:
 
 
 def test_an_empty_folder_is_a_mistake(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"folder: has no configuration in it"):
+    with pytest.raises(ConfigError, match=r"folder: contains no configuration"):
         make_fleet([tmp_path], (), None, None)
 
 
@@ -96,7 +96,7 @@ def test_the_command_line_has_the_last_word(tmp_path: Path) -> None:
     assert (first.config.agent.seed, second.config.agent.seed) == (7, 7)
     assert first.restart.policy == "always"
     assert first.sets == ("clock.speed=3", "agent.seed=7")
-    with pytest.raises(ConfigError, match=r"--set c:clock.speed=3: c: is none of the agents a, b"):
+    with pytest.raises(ConfigError, match=r"--set c:clock.speed=3: c: is not one of the agents a, b"):
         make_fleet(paths, ("c:clock.speed=3",), None, None)
 
 
@@ -112,7 +112,7 @@ def test_all_mistakes_of_all_files_are_named_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("first", "second", "problem"),
     [
-        ('listen = "tcp://127.0.0.1:7401"', 'listen = "tcp://127.0.0.1:7401"', "listens at this port already"),
+        ('listen = "tcp://127.0.0.1:7401"', 'listen = "tcp://127.0.0.1:7401"', "already listens at this port"),
         ('state_dir = "s"', 'state_dir = "s"', "is the state directory of a"),
     ],
 )
@@ -135,7 +135,7 @@ def test_ports_that_are_given_out_freely_do_not_clash(tmp_path: Path) -> None:
 def test_two_agents_of_one_name(tmp_path: Path) -> None:
     paths = [write(tmp_path / "a.toml"), write(tmp_path / "b.toml", "a")]
 
-    with pytest.raises(ConfigError, match=r"b.toml: \[agent\] name: .*a.toml is an agent of the name 'a' already"):
+    with pytest.raises(ConfigError, match=r"b.toml: \[agent\] name: .*a.toml already defines an agent 'a'"):
         make_fleet(paths, (), None, None)
 
 
@@ -155,7 +155,7 @@ def test_two_agents_of_one_name(tmp_path: Path) -> None:
         (
             "[fleet]\n[agent.a]\nafter = ['bb']\n[agent.b]\nafter = ['b']\n",
             [
-                "fleet.toml:4: [agent.a] after[0]: there is no agent 'bb' in this fleet, did you mean 'b'?",
+                "fleet.toml:4: [agent.a] after[0]: this fleet has no agent 'bb', did you mean 'b'?",
                 "fleet.toml:6: [agent.b] after[0]: an agent cannot wait for itself",
             ],
         ),
@@ -174,7 +174,7 @@ def test_two_agents_of_one_name(tmp_path: Path) -> None:
             "[fleet]\n[agent.a]\nset = { clock.sped = 1 }\n",
             ["fleet.toml:4: [clock] sped: unknown key, did you mean 'speed'?"],
         ),
-        ("[fleet]\n[agent.x]\n", ["fleet.toml:3: [agent.x] config: there is no file {}/x.toml"]),
+        ("[fleet]\n[agent.x]\n", ["fleet.toml:3: [agent.x] config: the file {}/x.toml does not exist"]),
     ],
 )
 def test_mistakes_of_a_fleet_file(tmp_path: Path, text: str, expected: list[str]) -> None:
@@ -259,7 +259,7 @@ def test_a_fault_of_one_agent_hides_none_of_another(tmp_path: Path) -> None:
         "b.toml:4: [agent] seed: expected newline or end of document after a statement",
         "b.toml:6: [clock] speed: expected a number > 0, not 0",
         "d.toml:5: [clock] spede: unknown key, did you mean 'speed'?",
-        f"fleet.toml:5: [agent.c] config: there is no file {tmp_path}/c.toml",
+        f"fleet.toml:5: [agent.c] config: the file {tmp_path}/c.toml does not exist",
     ]
 
 

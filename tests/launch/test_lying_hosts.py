@@ -44,16 +44,16 @@ def host(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("answer", "sentence"),
     [
-        ('MARK{"id": "one"}\n', "robot1 answers what Pancakes does not say (Expected `int`, got `str` - at `$.id`)"),
-        ('MARK{"id": NUMBER, "fault": [1]}\n', "robot1 answers what Pancakes does not say"),
+        ('MARK{"id": "one"}\n', "robot1 sends an answer that is not Pancakes' (Expected `int`, got `str` - at `$.id`)"),
+        ('MARK{"id": NUMBER, "fault": [1]}\n', "robot1 sends an answer that is not Pancakes'"),
         (
             'MARK{"id": NUMBER, "result": 5}\n',
-            "robot1 answers look with what cannot be read: Expected `object`, got `int`",
+            "the answer of robot1 to 'look' cannot be read: Expected `object`, got `int`",
         ),
-        ('MARK{"id": NUMBER}\n', "robot1 answers look with what cannot be read: Expected `object`, got `null`"),
-        ('MARK{"id": NUMBER, "result": {"user": "pi"}}\n', "robot1 answers look with what cannot be read"),
-        (f"MARK{DEEP}\n", "robot1 answers what Pancakes does not say"),
-        ("x" * (LONGEST_LINE + 1), "robot1 answers what Pancakes does not say (a line of more than 16 MiB)"),
+        ('MARK{"id": NUMBER}\n', "the answer of robot1 to 'look' cannot be read: Expected `object`, got `null`"),
+        ('MARK{"id": NUMBER, "result": {"user": "pi"}}\n', "the answer of robot1 to 'look' cannot be read"),
+        (f"MARK{DEEP}\n", "robot1 sends an answer that is not Pancakes'"),
+        ("x" * (LONGEST_LINE + 1), "robot1 sends an answer that is not Pancakes' (a line of more than 16 MiB)"),
     ],
     ids=["number", "fault", "result", "none", "part", "deep", "line"],
 )

@@ -1,1 +1,1 @@
-"""Fleets on one machine: which agents are to run, in which order, and what happens when one ends."""
+"""Launch a fleet: which agents run, on which host, in which order, and what happens when one ends."""

@@ -1,6 +1,6 @@
-"""Clear the state of agents before a launch (`--fresh`): what they remember of their tasks is removed.
+"""Clear the state directories of agents before a launch (`--fresh`).
 
-Every agent of the fleet must be stopped: a task may have migrated to one that still runs, and would run twice.
+All agents of the fleet must be stopped: a task may have migrated to one that still runs, and would then run twice.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from pancakes.journal import empty
 from pancakes.util.runtime_dir import entries
 
 ASK_S: Final = 2.0
-"""How long the peers of a fleet have to name themselves."""
+"""How long peers have to answer, in seconds."""
 
 
 def check_alone(configs: Iterable[Config]) -> None:
-    """See to it that no other agent of a fleet runs, as far as can be seen from here.
+    """Check that no other agent of these fleets runs, as far as this machine can see.
 
-    A task may have moved there. Its agent of old would start it a second time, once that has forgotten it.
+    A task may have migrated there. With its state cleared, its former agent would start it a second time.
 
     Args:
-        configs: the configurations of the agents that are to begin from empty state; none of them runs yet.
+        configs: the configurations of the agents whose state will be cleared; none of them runs yet.
 
     Raises:
         PancakesError: another agent of their fleets runs on this machine, or answers at the address of a peer.
@@ -46,24 +46,24 @@ def check_alone(configs: Iterable[Config]) -> None:
     if others:
         raise PancakesError(
             "\n".join(
-                f"{name} of the fleet {fleet} runs outside this launch ({where}), and may have tasks that moved there:"
-                f" begun from empty state, they would run twice. Stop it first: pancakes down {name}"
+                f"{name} of the fleet {fleet} runs outside this launch ({where}), and tasks may have migrated there:"
+                f" with empty state they would run twice. Stop it first: pancakes down {name}"
                 for (fleet, name), where in sorted(others.items())
             )
         )
 
 
 def remembers(config: Config) -> bool:
-    """Return whether an agent has something in its state directory."""
+    """Return whether the state directory of an agent contains anything."""
     directory = state_dir_of(config)
     return directory is not None and directory.is_dir() and any(directory.iterdir())
 
 
 def empty_state(config: Config) -> Path | None:
-    """Remove what an agent that does not run remembers.
+    """Empty the state directory of an agent that does not run.
 
     Returns:
-        Its state directory; None if there was nothing in it, or it has none.
+        The state directory; None if it was empty, or the agent has none.
 
     Raises:
         JournalError: the directory is in use, or cannot be changed.
@@ -73,7 +73,7 @@ def empty_state(config: Config) -> Path | None:
 
 
 def _at(fleet: str, addresses: Sequence[str]) -> list[tuple[str, str]]:
-    """Return name and address of the agents of a fleet that answer at addresses, and of those that these know."""
+    """Return name and address of the agents of a fleet that answer at `addresses`, and of the peers that they know."""
     if not addresses:
         return []
     try:

@@ -1,8 +1,8 @@
-"""Read fleet files: from `fleet.toml`, folders and `--set` to the agents of a launch, or to all faults at once.
+"""Read fleet files: `fleet.toml`, folders and `--set` become the agents of a launch, or one error with all faults.
 
-`load_fleet` reads one file into frozen dataclasses. `make_fleet` reads all that a command line names, merges what is
-set for each agent, and returns one `Member` per agent in the order of start. Nothing is started here. `check_free`
-checks that no running agent has the name, and no program the port, of a member.
+`load_fleet` reads one file into frozen dataclasses. `make_fleet` reads all files of a command line, merges the changes
+for each agent, and returns one `Member` per agent in the order of start. `check_free` checks that no running agent has
+the name of a member and no program has its port. Nothing is started here.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ Policy = Literal["no", "on-failure", "always"]
 
 @dataclass(frozen=True, slots=True)
 class ProcessRestart:
-    """What the launcher does when an agent's process has ended by itself.
+    """What the launcher does when the process of an agent has ended by itself.
 
     Attributes:
-        policy: `on-failure`: it is started again where its exit code is not 0, as after a crash; `always`: also where
-            it ended in order, as after `pancakes down`; `no`: never.
+        policy: `on-failure`: restart the agent if its exit code is not 0, as after a crash; `always`: also after a
+            graceful stop, as by `pancakes down`; `no`: never.
         at_most: how many restarts are tried ...
-        within_s: ... in so many seconds in which it is ready; one more end, and the agent is given up. The pauses, and
-            starts that fail, take none of this time.
-        pause_s: how long the first restart waits, in seconds. Each further one in `within_s` waits twice as long as the
-            one before, less up to a quarter, by chance.
-        pause_max_s: no restart waits longer than this.
+        within_s: ... in this many seconds in which the agent is ready; after one more end it is given up. Pauses and
+            failed starts do not count as time here.
+        pause_s: how long the first restart waits, in seconds. Each further one within `within_s` waits twice as long as
+            the one before, minus a random part of up to a quarter.
+        pause_max_s: the longest pause before a restart, in seconds.
     """
 
     policy: Policy = "on-failure"
@@ -66,12 +66,12 @@ class Member:
     Attributes:
         name: the agent's name.
         path: its configuration file.
-        sets: what is changed of that file, as `--set` takes it.
-        config: the configuration that follows.
+        sets: the changes to that file, as `--set` takes them.
+        config: the resulting configuration.
         restart: what happens when its process ends.
-        after: the agents that must be ready before it is started, and that end after it.
+        after: the agents that must be ready before it starts, and that end after it.
         host: where it runs, as `ssh` takes it: `pi@robot1`; empty: on this machine.
-        unchecked: what its configuration names and is not installed here, so that it could not be checked.
+        unchecked: the names in its configuration that are not installed here, and so were not checked.
     """
 
     name: str
@@ -85,20 +85,20 @@ class Member:
 
 
 def overrides(table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield `table.key=value` for each value in nested tables, so that keys beside it stay as the file has them."""
+    """Yield `table.key=value` for each value in nested tables; the other keys of the file stay unchanged."""
     for keys, value in leaves(table) if table else ():
         yield f"{key_text(keys)}={value_text(value)}"
 
 
 def whose(change: str, agents: Sequence[str]) -> tuple[Sequence[str], str]:
-    """Return the agents that a change from the command line concerns, and what is left of it for them.
+    """Return the agents that a change from the command line applies to, and the change without the agent's name.
 
     Args:
         change: `AGENT:table.key=value`, or `table.key=value` for all agents.
         agents: the names of all agents.
 
     Raises:
-        ConfigError: it names an agent that is none of these.
+        ConfigError: the change names an unknown agent.
     """
     keys, equals, value = change.partition("=")
     agent, colon, rest = keys.partition(":")
@@ -106,7 +106,7 @@ def whose(change: str, agents: Sequence[str]) -> tuple[Sequence[str], str]:
         return agents, change
     if agent not in agents:
         near = suggestion(agent, agents)
-        raise ConfigError([Fault(f"--set {change}", agent, f"is none of the agents {', '.join(agents)}", near)])
+        raise ConfigError([Fault(f"--set {change}", agent, f"is not one of the agents {', '.join(agents)}", near)])
     return (agent,), f"{rest}{equals}{value}"
 
 
@@ -118,12 +118,12 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class FleetTable:
-    """The table `[fleet]`: the settings that all of its agents share.
+    """The table `[fleet]`: the settings that all agents of the fleet share.
 
     Attributes:
-        name: the fleet that they belong to; empty: each says so in its own file.
-        set: what is changed of each agent's file: tables and keys as in that file, such as `{ clock.speed = 5 }`.
-        restart: what happens when one of their processes ends, where its own table does not say.
+        name: the name of the fleet; empty: the file of each agent names it.
+        set: changes to each agent's file: tables and keys as in that file, such as `{ clock.speed = 5 }`.
+        restart: what happens when a process ends, unless the table of the agent has its own `restart`.
     """
 
     name: str = ""
@@ -133,13 +133,13 @@ class FleetTable:
 
 @dataclass(frozen=True, slots=True)
 class MemberTable:
-    """A table `[agent.NAME]`: one agent of the fleet. It bears this name, whatever its configuration file says.
+    """A table `[agent.NAME]`: one agent of the fleet. NAME replaces the name in its configuration file.
 
     Attributes:
-        config: its configuration file, counted from the folder of the fleet file; empty: `NAME.toml`.
-        set: what is changed of that file, besides what `[fleet]` says.
-        restart: what happens when its process ends; None: what `[fleet]` says.
-        after: the agents that must be ready before it is started, and that end after it.
+        config: its configuration file, relative to the folder of the fleet file; empty: `NAME.toml`.
+        set: changes to that file, in addition to those of `[fleet]`.
+        restart: what happens when its process ends; None: as `[fleet]` says.
+        after: the agents that must be ready before it starts, and that end after it.
         host: where it runs, as `ssh` takes it: `pi@robot1`, or a name of `~/.ssh/config`; empty: on this machine.
     """
 
@@ -152,12 +152,12 @@ class MemberTable:
 
 @dataclass(frozen=True, slots=True)
 class FleetFile:
-    """All that a fleet file says.
+    """The content of a fleet file.
 
     Attributes:
         fleet: the table `[fleet]`.
         agents: its agents by name, in the order of the file.
-        places: where each key stands, for messages.
+        places: file and line of each key, for messages.
     """
 
     fleet: FleetTable
@@ -166,7 +166,7 @@ class FleetFile:
 
 
 def is_fleet(values: Mapping[str, Any]) -> bool:
-    """Return whether a file's values are those of a fleet file, and not an agent's configuration."""
+    """Return whether the values of a file are those of a fleet file rather than of an agent's configuration."""
     return "fleet" in values
 
 
@@ -174,7 +174,7 @@ def load_fleet(path: str) -> FleetFile:
     """Read a fleet file.
 
     Raises:
-        ConfigError: it cannot be read, or is not sound; it carries every fault.
+        ConfigError: the file cannot be read, or is invalid; the error has all faults.
     """
     tables = read_tables(text_of(path), path, named=("agent",))
     reader = _FleetReader(tables.values, tables.places)
@@ -193,7 +193,7 @@ def fleet_schema() -> dict[str, Any]:
 
 
 class _FleetReader:
-    """Make a `FleetFile` and collect faults."""
+    """Make a `FleetFile` and collect its faults."""
 
     def __init__(self, values: dict[str, Any], places: KeyPlaces) -> None:
         self._values = values
@@ -249,10 +249,10 @@ class _FleetReader:
             if other == name:
                 self._fault(key, "an agent cannot wait for itself")
             elif other not in agents:
-                self._fault(key, f"there is no agent {other!r} in this fleet", suggestion(other, agents))
+                self._fault(key, f"this fleet has no agent {other!r}", suggestion(other, agents))
 
     def _check_circles(self, agents: Mapping[str, MemberTable]) -> None:
-        """Take away the agents that wait for none, over and over; those that are left wait in a circle."""
+        """Find agents that wait for each other: remove those that wait for no one, until none can be removed."""
         waiting = {name: list(table.after) for name, table in agents.items()}
         while free := [name for name, after in waiting.items() if not after]:
             waiting = {
@@ -274,15 +274,15 @@ class _Draft:
     """A member before its configuration has been read.
 
     Attributes:
-        said_at: where a fleet file says what is set, by the place that its configuration will name.
-        after: None if no fleet file says it.
+        set_at: where the fleet file sets each change, by the place that an error in the configuration names.
+        after: None if no fleet file has it.
         host: where it runs; empty: on this machine.
     """
 
     name: str
     path: Path
     sets: tuple[str, ...] = ()
-    said_at: Mapping[str, str] = field(default_factory=dict)
+    set_at: Mapping[str, str] = field(default_factory=dict)
     restart: ProcessRestart = ProcessRestart()
     after: tuple[str, ...] | None = None
     host: str = ""
@@ -298,22 +298,21 @@ def make_fleet(
     local: bool = False,
     check_hosts: bool = False,
 ) -> list[Member]:
-    """Read a fleet; nothing is started, and what runs already is not looked at.
+    """Read a fleet. Nothing is started, and running agents are not checked.
 
     Args:
-        paths: configuration files of agents, fleet files, and folders: of a folder its `fleet.toml` is read, or else
-            all of its `*.toml`, by name. Environments come first, if no fleet file gives the order.
+        paths: configuration files of agents, fleet files, and folders. Of a folder, `fleet.toml` is read; without one,
+            all `*.toml`, by name. Environments come first, unless a fleet file gives the order.
         extra: `[AGENT:]table.key=value` from the command line.
-        policy: whether an agent is started again when it ends; None: as the fleet file says.
-        plugins: where drivers and tasks come from; None leaves what they ask of the configurations unchecked, as that
-            of agents that run on another host.
-        must_load: whether it is a fault where one of these that a configuration names cannot be imported.
-        local: whether they speak within this machine alone, and take no TCP port.
-        check_hosts: whether those that run on another host are checked with the plug-ins of this machine, as far as
-            these are installed here.
+        policy: whether an agent is restarted when it ends; None: as the fleet file says.
+        plugins: where drivers and tasks come from; None: their settings are not checked.
+        must_load: whether a driver or task that cannot be imported is a fault.
+        local: whether the agents communicate only within this machine, and use no TCP port.
+        check_hosts: whether agents of other hosts are checked with the plug-ins of this machine, as far as these are
+            installed here. Otherwise the settings of their drivers and tasks are not checked.
 
     Raises:
-        ConfigError: a file is not sound, or two of them do not fit together; it carries every fault.
+        ConfigError: a file is invalid, or two files conflict; the error has all faults.
     """
     drafts, faults = _drafts(paths)
     names = [draft.name for draft in drafts]
@@ -334,15 +333,15 @@ def make_fleet(
         changes = tuple(sets[draft.name])
         restart = draft.restart if policy is None else replace(draft.restart, policy=policy)
         try:
-            # What is not installed here may be installed on another host.
+            # A plug-in that is missing here may be installed on the host.
             missing: set[str] | None = set() if draft.host else None
             known = plugins if check_hosts or not draft.host else None
             config = load(draft.path, changes, known, must_load=must_load and not draft.host, missing=missing)
         except ConfigError as error:
-            faults += [fault._replace(where=draft.said_at.get(fault.where, fault.where)) for fault in error.faults]
+            faults += [fault._replace(where=draft.set_at.get(fault.where, fault.where)) for fault in error.faults]
             continue
         if config.agent.name != draft.name:
-            problem = f"is another name than {draft.name!r}, by which the launcher knows this agent"
+            problem = f"differs from {draft.name!r}, the name of this agent in the launch"
             faults.append(config.places.fault(("agent", "name"), problem))
         after, unchecked = draft.after or (), tuple(sorted(missing or ()))
         members.append(Member(draft.name, draft.path, changes, config, restart, after, draft.host, unchecked))
@@ -354,16 +353,16 @@ def make_fleet(
 
 
 def check_free(members: Sequence[Member]) -> Claim:
-    """See to it that on this machine no other agent has the name of a member, and no other program its port.
+    """Check that no other agent on this machine has the name of a member, and no other program has its port.
 
     Returns:
-        What keeps other launchers from these ports.
+        A claim that keeps other launchers from these ports.
 
     Raises:
-        PancakesError: one of them is in use; the sentence says which, and by which agent, if that is known.
+        PancakesError: a name or port is in use; the sentences name it, and the agent that uses it if that is known.
     """
-    there = entries()
-    running = {(entry.fleet, entry.name): entry.pid for entry in there}
+    registered = entries()
+    running = {(entry.fleet, entry.name): entry.pid for entry in registered}
     problems = []
     is_taken = False
     here = [member for member in members if not member.host]
@@ -376,9 +375,9 @@ def check_free(members: Sequence[Member]) -> Claim:
         for address in _places(member):
             if fault := listening_fault(address.host, address.port):
                 is_taken = True
-                problems.append(f"{agent.name} cannot listen at {address}: {fault}{_by(address, there)}")
+                problems.append(f"{agent.name} cannot listen at {address}: {fault}{_by(address, registered)}")
     if is_taken:
-        problems.append("end what listens there, or launch with --local, which takes no port; --set changes one port")
+        problems.append("stop the program that uses the port, launch with --local (no ports), or --set another port")
     claim = Claim.to(address.port for member in here for address in _places(member))
     if problems or claim is None:
         if claim is not None:
@@ -388,14 +387,14 @@ def check_free(members: Sequence[Member]) -> Claim:
 
 
 def _elsewhere(drafts: Sequence[_Draft]) -> Iterator[Fault]:
-    """What runs on another host cannot speak within this machine."""
+    """Yield a fault for each agent on another host: `local://` reaches only this machine."""
     for draft in drafts:
         if draft.host:
             yield Fault("--local", draft.name, f"runs on {draft.host}, which local:// does not reach")
 
 
 def _stay_within(drafts: Sequence[_Draft], sets: Mapping[str, list[str]]) -> None:
-    """Change what is set of the members' files so that they need no port. What is wrong in a file is said later."""
+    """Add changes so that the members need no ports. Faults of a file are reported later, when it is loaded."""
     tables: dict[str, Any] = {}
     for draft in drafts:
         try:
@@ -427,7 +426,7 @@ def _drafts(paths: Sequence[Path]) -> tuple[list[_Draft], list[Fault]]:
     for index, draft in enumerate(drafts):
         earlier = next((other for other in drafts[:index] if other.name == draft.name), None)
         if earlier is not None:
-            problem = f"{earlier.path!s} is an agent of the name {draft.name!r} already"
+            problem = f"{earlier.path!s} already defines an agent {draft.name!r}"
             faults.append(Fault(str(draft.path), "[agent] name", problem))
     return drafts, faults
 
@@ -439,13 +438,13 @@ def _files(path: Path) -> list[Path]:
         return [path / FLEET_FILE]
     files = sorted(path.glob("*.toml"))
     if not files:
-        raise ConfigError([Fault(str(path), "folder", "has no configuration in it: no *.toml")])
+        raise ConfigError([Fault(str(path), "folder", "contains no configuration (*.toml)")])
     return files
 
 
 def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
-    """Yield the agents of a file; a fault of one of them goes to `faults`, and hides no other."""
-    values = read_tables(text_of(str(path)), str(path)).values  # its faults are told when it is read as a whole
+    """Yield the agents of a file. A faulty agent adds to `faults`; the others are yielded all the same."""
+    values = read_tables(text_of(str(path)), str(path)).values  # its faults are reported when it is loaded
     if path.name != FLEET_FILE and not is_fleet(values):
         yield _Draft(_name_in(values) or path.stem, path)
         return
@@ -457,22 +456,22 @@ def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
             faults.append(found.places.fault(("agent", name, "config"), str(error)))
             continue
         if not file.is_file():
-            faults.append(found.places.fault(("agent", name, "config"), f"there is no file {file}"))
+            faults.append(found.places.fault(("agent", name, "config"), f"the file {file} does not exist"))
             continue
         try:
             own = read_tables(text_of(str(file)), str(file)).values
         except ConfigError as error:
             faults += error.faults
             continue
-        said_at: dict[str, str] = {}
+        set_at: dict[str, str] = {}
         if found.fleet.name:
-            said_at[f"agent.fleet={value_text(found.fleet.name)}"] = found.places.where("fleet", "name")
+            set_at[f"agent.fleet={value_text(found.fleet.name)}"] = found.places.where("fleet", "name")
         if _name_in(own) != name:
-            said_at[f"agent.name={value_text(name)}"] = found.places.where("agent", name)
-        said_at.update(dict.fromkeys(overrides(found.fleet.set), found.places.where("fleet", "set")))
-        said_at.update(dict.fromkeys(overrides(table.set), found.places.where("agent", name, "set")))
-        places = {set_text(text): where for text, where in said_at.items()}
-        yield _Draft(name, file, tuple(said_at), places, table.restart or found.fleet.restart, table.after, table.host)
+            set_at[f"agent.name={value_text(name)}"] = found.places.where("agent", name)
+        set_at.update(dict.fromkeys(overrides(found.fleet.set), found.places.where("fleet", "set")))
+        set_at.update(dict.fromkeys(overrides(table.set), found.places.where("agent", name, "set")))
+        places = {set_text(text): where for text, where in set_at.items()}
+        yield _Draft(name, file, tuple(set_at), places, table.restart or found.fleet.restart, table.after, table.host)
 
 
 def _name_in(values: Mapping[str, Any]) -> str:
@@ -482,7 +481,7 @@ def _name_in(values: Mapping[str, Any]) -> str:
 
 
 def _in_order(members: Sequence[Member], free: Sequence[str]) -> list[Member]:
-    """Let agents of which nothing else is said come after the environments: what acts ends before its world does."""
+    """Start agents without an `after` after the environments: so a robot ends before its world does."""
 
     def acts(member: Member) -> bool:
         return member.config.agent.role != "environment"
@@ -493,7 +492,7 @@ def _in_order(members: Sequence[Member], free: Sequence[str]) -> list[Member]:
 
 
 def _by(address: Address, running: Iterable[RunningAgent]) -> str:
-    """Return which agent has the port of an address, as the end of a sentence; empty: that is not known."""
+    """Return which agent has the port of an address, as the end of a sentence; empty: unknown."""
     for entry in running:
         if any(parse_address(listen).port == address.port for listen in entry.listen):
             return f", by {entry.name} of the fleet {entry.fleet} (process {entry.pid})"
@@ -501,7 +500,7 @@ def _by(address: Address, running: Iterable[RunningAgent]) -> str:
 
 
 def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
-    """What two members cannot both have."""
+    """Yield a fault for each port and each state directory that two members of a host share."""
     for index, member in enumerate(members):
         for other in members[:index]:
             if other.host != member.host:
@@ -509,7 +508,7 @@ def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
             places = member.config.places
             for one, another in product(_places(member), _places(other)):
                 if _same_port(one, another):
-                    problem = f"{other.name} ({other.path}) listens at this port already"
+                    problem = f"{other.name} ({other.path}) already listens at this port"
                     yield places.fault(("agent", "listen"), problem)
             directory, taken = _state_dir(member), _state_dir(other)
             if directory is not None and taken is not None and directory.absolute() == taken.absolute():
@@ -518,7 +517,7 @@ def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
 
 
 def _state_dir(member: Member) -> Path | None:
-    """Return the state directory of a member; None: it has none, or says when it starts that it knows of none."""
+    """Return the state directory of a member; None: it has none, or none can be found (reported at its start)."""
     try:
         return state_dir_of(member.config)
     except NoHome:
@@ -526,7 +525,7 @@ def _state_dir(member: Member) -> Path | None:
 
 
 def _places(member: Member) -> list[Address]:
-    """The addresses that a member listens at, as far as they have a port that is known beforehand."""
+    """Return the addresses that a member listens at, without those whose port the system chooses."""
     return [address for address in map(parse_address, member.config.agent.listen) if address.port]
 
 

@@ -1,7 +1,7 @@
-"""Ports of a fleet: those of its files, free ones instead, or none at all with `local://`.
+"""Choose the ports of a fleet: those of its files, free ports, or none with `local://`.
 
-Addresses are found in, and replaced in, the tables of the agents' files; the result is a list of `--set` changes. A
-`Claim` keeps other launchers on this machine from ports on which no agent listens yet.
+The functions find and replace addresses in the tables of the agents' files, and return `--set` changes. A `Claim` keeps
+other launchers on this machine from ports on which no agent listens yet.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pancakes.mesh.address import LOCAL, Address, local_address, parse_address
 
 
 def addresses_in(value: Any) -> list[Address]:
-    """Return the addresses with a port in a table, or in what stands in one, each once."""
+    """Return the addresses with a port in a table, a list or a string, each once."""
     if isinstance(value, str):
         address = _address(value)
         return [address] if address is not None else []
@@ -29,11 +29,11 @@ def addresses_in(value: Any) -> list[Address]:
 
 
 def moved(table: Mapping[str, Any], others: Mapping[Address, str]) -> list[str]:
-    """Return what is to be set in an agent's file so that it has other addresses, as `--set` takes it.
+    """Return the `--set` changes that give an agent's file other addresses.
 
     Args:
-        table: what the file says.
-        others: by address, what stands in its place.
+        table: the values of the file.
+        others: the new address for each address.
     """
     changed = [(keys, _with(value, others), value) for keys, value in leaves(table)]
     return [f"{key_text(keys)}={value_text(now)}" for keys, now, before in changed if now != before]
@@ -47,7 +47,7 @@ def _with(value: Any, others: Mapping[Address, str]) -> Any:
 
 
 def _address(text: str) -> Address | None:
-    """Return the address that a text is; None if it is none with a port."""
+    """Parse an address with a port; return None if the text is something else."""
     try:
         found = parse_address(text)
     except ValueError:
@@ -56,14 +56,13 @@ def _address(text: str) -> Address | None:
 
 
 def within_machine(tables: Mapping[str, Mapping[str, Any]], fleets: Mapping[str, str]) -> dict[str, list[str]]:
-    """Return what is to be set in each agent's file, as `--set` takes it.
+    """Return the `--set` changes for each agent's file that replace TCP addresses by `local://` ones.
 
-    An agent is found by its name; another place where something listens, such as a hardware bus, has its port as its
-    name.
+    The local address of an agent has its name. Any other listener, such as a hardware bus, is named after its port.
 
     Args:
-        tables: what the agents' files say, by agent.
-        fleets: the agents' fleets, likewise.
+        tables: the values of the agents' files, by agent.
+        fleets: the agents' fleets, by agent.
     """
     own = {agent: table["agent"] for agent, table in tables.items() if isinstance(table.get("agent"), dict)}
     at_port = {
@@ -72,7 +71,7 @@ def within_machine(tables: Mapping[str, Mapping[str, Any]], fleets: Mapping[str,
         for address in addresses_in(it.get("listen"))
     }
     found: dict[str, list[str]] = {}
-    for agent, it in own.items():  # another file is not sound, and reading it as a configuration says so
+    for agent, it in own.items():  # files without a table [agent] are reported when they are loaded
         table = tables[agent]
         others: dict[Address, str] = {
             address: at_port.get(address.port, f"{LOCAL}://{fleets[agent]}/port-{address.port}")
@@ -85,14 +84,14 @@ def within_machine(tables: Mapping[str, Mapping[str, Any]], fleets: Mapping[str,
 
 
 NOT_LENT: Final = range(15_000, 32_000)
-"""The system lends none of these ports to a program that dials, before an agent listens there."""
+"""Ports below the range that the system gives to outgoing connections, so that none is taken in between."""
 
 
 class Claim:
-    """Keep other launchers on this machine from some ports, also while no agent listens there yet.
+    """Keep other launchers on this machine from some ports, even before an agent listens there.
 
-    Two fleets that are started at once would else both find them free. It ends with the process at the latest. A claim
-    is a socket in Linux's abstract namespace, which all users of a network namespace share, as they share its ports.
+    Otherwise two fleets that start at the same time would both find the ports free. A claim ends with the process at
+    the latest. It is a socket in Linux's abstract namespace: like ports, all users of a network namespace share it.
     """
 
     def __init__(self, held: list[socket.socket]) -> None:
@@ -103,7 +102,7 @@ class Claim:
         """Claim ports; return None if another launcher has claimed one of them."""
         claim = cls([])
         if sys.platform != "linux":
-            return claim  # which claims nothing: two launchers may find the ports free
+            return claim  # an empty claim: two launchers may find the same ports free
         for port in ports:
             held = socket.socket(socket.AF_UNIX)
             claim._held.append(held)
@@ -115,7 +114,7 @@ class Claim:
         return claim
 
     def release(self) -> None:
-        """Give the ports up. A second call does nothing."""
+        """Release the ports. A second call does nothing."""
         held, self._held = self._held, []
         for it in held:
             it.close()
@@ -124,15 +123,15 @@ class Claim:
 def claim_ports(
     tables: Mapping[str, Mapping[str, Any]], schemes: Sequence[str] = ("tcp", "udp")
 ) -> tuple[Claim | None, dict[str, list[str]]]:
-    """See to it that the agents of a fleet can listen, at other ports if need be.
+    """Claim the ports of a fleet; if one of them is taken, choose free ports instead.
 
     Args:
-        tables: what the agents' files say, by agent.
-        schemes: of the addresses whose ports are meant.
+        tables: the values of the agents' files, by agent.
+        schemes: the schemes of the addresses whose ports are claimed.
 
     Returns:
-        A claim to the ports that the files name, and nothing to be set; or, where one of these ports is taken, no
-        claim, and what is to be set in each agent's file so that all of them use free ones.
+        A claim to the ports of the files, and no changes; or, if a port is taken, no claim, and the `--set` changes for
+        each agent's file that move all agents to free ports.
     """
     addresses = [address for address in addresses_in(dict(tables)) if address.scheme in schemes]
     claim = Claim.to(dict.fromkeys(address.port for address in addresses))
@@ -148,9 +147,9 @@ def claim_ports(
 
 
 def listening_fault(host: str, port: int, scheme: str = "tcp") -> str:
-    """Return why no program could listen there now, as a phrase; empty if one could."""
+    """Return why a program cannot listen at this address now, as a phrase; empty if it can."""
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, _kind(scheme)) as probe:
-        if scheme == "tcp":  # over UDP this would let two programs have one port
+        if scheme == "tcp":  # with UDP, two programs could bind the same port
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
@@ -164,7 +163,7 @@ def _kind(scheme: str) -> socket.SocketKind:
 
 
 def _take_free_port(host: str, scheme: str) -> tuple[socket.socket, int]:
-    """Take a free port; the socket keeps it until it is closed, so that no two calls return the same."""
+    """Return a socket bound to a free port, and the port; no other call gets this port until the socket is closed."""
     held = socket.socket(type=_kind(scheme))
     for port in random.SystemRandom().sample(NOT_LENT, len(NOT_LENT)):
         with contextlib.suppress(OSError):

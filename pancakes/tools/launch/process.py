@@ -1,8 +1,8 @@
-"""Processes of launched agents: started by fork server or `subprocess`, and ended with their launcher.
+"""Start and end the processes of launched agents, by a fork server or `subprocess`.
 
-On Linux the agents are forked from one process that has loaded what each of them needs: they start in half the time and
-share memory. While an agent is forked, the launcher is a child subreaper, so it becomes the parent of the agent and
-learns how it ends. Use a `Starter` in one thread that stays: the agents end with that thread.
+On Linux the agents are forked from one process that has already loaded what they need: they start in half the time and
+share memory. While it forks an agent, the launcher is a child subreaper: it becomes the agent's parent, and gets its
+exit code. Use a `Starter` in one long-lived thread: when that thread ends, the agents end.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ from pancakes.util.clock import MonotonicClock
 
 
 class ForkedProcess:
-    """A child that `subprocess` has not made, and that is used as one that it has.
+    """A child process that was forked elsewhere, with the interface of `subprocess.Popen`.
 
     Attributes:
-        pid: its number.
-        returncode: its exit code, minus the number of the signal that ended it; None: it runs, or `poll` was not asked.
+        pid: its process number.
+        returncode: its exit code, or minus the number of the signal that ended it; None: it runs, or `poll` was not
+            called since it ended.
     """
 
     def __init__(self, pid: int) -> None:
@@ -40,16 +41,16 @@ class ForkedProcess:
         self._process = psutil.Process(pid)
 
     def poll(self) -> int | None:
-        """Return its exit code; None: it runs."""
+        """Return the exit code; None: the process runs."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.wait(0.0)
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait until it has ended; return its exit code.
+        """Wait until the process has ended; return its exit code.
 
         Raises:
-            subprocess.TimeoutExpired: it has not within `timeout` seconds.
+            subprocess.TimeoutExpired: it still runs after `timeout` seconds.
         """
         if self.returncode is None:
             try:
@@ -59,11 +60,11 @@ class ForkedProcess:
         return self.returncode
 
     def terminate(self) -> None:
-        """Send it SIGTERM, if it runs."""
+        """Send SIGTERM if the process runs."""
         self._send(signal.SIGTERM)
 
     def kill(self) -> None:
-        """Send it SIGKILL, if it runs."""
+        """Send SIGKILL if the process runs."""
         self._send(signal.SIGKILL)
 
     def _send(self, number: signal.Signals) -> None:
@@ -75,19 +76,19 @@ class ForkedProcess:
 PROGRAM: Final = "pancakes.tools.cli.fork_server"
 ANSWER_BYTES: Final = 64
 ANSWER_S: Final = 30.0
-"""An agent is forked within so long, and what it needs is loaded before the first one; else there is none."""
+"""How long the fork server may take to fork an agent, in seconds; the first time it also loads the modules."""
 _PR_SET_CHILD_SUBREAPER: Final = 36  # from <linux/prctl.h>
 
 
 class ForkServer:
-    """The launcher's end of its fork server, which begins with the first agent, and anew if it has ended.
+    """The launcher's end of its fork server, which starts with the first agent, and again if it has ended.
 
-    To be used in one thread that stays: the fork server and the agents end with it.
+    Use it in one long-lived thread: when that thread ends, the fork server and the agents end.
 
     Args:
-        environment: the environment of the agents; None: that of this process, as it is when the first one starts.
+        environment: the environment of the agents; None: that of this process when the first agent starts.
         program: the module that forks; one that uses `pancakes.tools.cli.fork_server` may fork other programs.
-        own_session: whether the fork server, and with it what it forks, has a session of its own.
+        own_session: whether the fork server and its children have a session of their own.
     """
 
     def __init__(
@@ -104,30 +105,30 @@ class ForkServer:
 
         Args:
             arguments: those of `pancakes-agent`, without `--ready-fd`.
-            output: the file descriptor that takes its standard output and error.
-            ready_fd: the one that it tells when it is ready; None: none.
+            output: the file descriptor of its standard output and error.
+            ready_fd: the file descriptor that it writes to once it is ready; None: none.
 
         Raises:
-            OSError: no process can be made.
+            OSError: the process cannot be created.
         """
         files = (output,) if ready_fd is None else (output, ready_fd)
         return ForkedProcess(self.fork_for(msgpack.packb(list(arguments)), files))
 
     def fork_for(self, message: bytes, files: Sequence[int]) -> int:
-        """Fork a child for a message to the program; return its process number.
+        """Send a message to the program, which forks a child for it; return the child's process number.
 
         Args:
-            message: what the child is to do.
+            message: what the child will do.
             files: the file descriptors that it gets.
 
         Raises:
-            OSError: no process can be made.
+            OSError: the process cannot be created.
         """
         for _ in range(2):
             try:
                 pid, error = msgpack.unpackb(self._ask(message, files))
             except ConnectionError:
-                self.close()  # it has ended: another one begins
+                self.close()  # the fork server has ended: start another one
             except TimeoutError:
                 self.close()
                 raise
@@ -135,15 +136,15 @@ class ForkServer:
                 if error:
                     raise OSError(error, os.strerror(error))
                 return int(pid)
-        raise OSError(errno.ECHILD, f"the fork server, {self._program}, ends as it begins")
+        raise OSError(errno.ECHILD, f"the fork server, {self._program}, ends at its start")
 
     def close(self) -> None:
-        """End the fork server. Its agents go on."""
+        """End the fork server. The agents run on."""
         if self._channel is not None:
             self._channel.close()
             self._channel = None
         if self._process is not None:
-            self._process.kill()  # it may stand still
+            self._process.kill()  # it may hang, so do not ask it to end
             self._process.wait()
             self._process = None
 
@@ -176,16 +177,16 @@ class ForkServer:
 
 
 def _adopt_orphans(adopts: bool) -> None:
-    """Have the children of this process's children come to it where their parents end, or no longer."""
+    """Make this process the new parent of its grandchildren whose parent ends, or stop that."""
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopts), 0, 0, 0)
 
 
 HOST = MonotonicClock()
-"""Processes live in the host's time, whatever the mission's clock does."""
+"""Processes are timed in host time, whatever the mission clock does."""
 
 
 class Starter:
-    """Start agents, each a process of its own. In one thread that stays: the agents end with it."""
+    """Start agents, each in its own process. Use it in one long-lived thread: the agents end with that thread."""
 
     def __init__(self) -> None:
         self._server = ForkServer() if sys.platform.startswith("linux") else None
@@ -195,12 +196,12 @@ class Starter:
 
         Args:
             config: its configuration file.
-            sets: what is changed of that, as `--set` takes it.
-            output: the file descriptor that takes its standard output and error.
+            sets: the changes to that file, as `--set` takes them.
+            output: the file descriptor of its standard output and error.
             ready_fd: a file descriptor that it writes a line to once it is ready.
 
         Raises:
-            OSError: no process can be made.
+            OSError: the process cannot be created.
         """
         arguments = ["--config", str(config), f"--die-with-parent={os.getpid()}"]
         for change in sets:
@@ -214,19 +215,19 @@ class Starter:
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
-            # A session of its own: an interrupt at the terminal reaches the launcher, which stops its agents in order.
+            # Its own session: Ctrl-C at the terminal reaches only the launcher, which stops its agents gracefully.
             start_new_session=True,
             pass_fds=() if ready_fd is None else (ready_fd,),
         )
 
     def close(self) -> None:
-        """Start no more agents; those that it has started go on."""
+        """Start no more agents; those that run continue."""
         if self._server is not None:
             self._server.close()
 
 
 def end_all(processes: Iterable[AgentProcess], within_s: float) -> None:
-    """End processes, and wait for that: in good order if they can, by force if they do not in time."""
+    """End processes and wait for it: gracefully within `within_s` seconds, then by force."""
     running = [process for process in processes if process.poll() is None]
     for process in running:
         process.terminate()

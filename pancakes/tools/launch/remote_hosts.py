@@ -1,7 +1,7 @@
-"""Hosts of a fleet: what each is, tunnels to its agents, and the agents of a launch that run there.
+"""Work with the hosts of a fleet: probe them, tunnel to their agents, and run agents of a launch on them.
 
-`open_hosts` connects to all hosts at once and lists all that cannot be reached. A tunnel is a Unix socket that OpenSSH
-leads to an agent's own; the agent takes what comes through it for its own user's, so it asks for no keys.
+`open_hosts` connects to all hosts at once and lists those that cannot be reached. A tunnel is a Unix socket that
+OpenSSH forwards to the socket of an agent. The agent takes the connection for its own user's, and asks for no keys.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class HostService(TypedDict):
 
 
 class HostedAgent(TypedDict):
-    """What is on a host of an agent; see `pancakes.tools.remote_host.host_probe`, as for the others."""
+    """What a host has of an agent. `pancakes.tools.remote_host.host_probe` documents this and the other answers."""
 
     keys: bool
     python: str
@@ -72,7 +72,7 @@ class HostEntry(TypedDict):
 
 
 class HostLook(TypedDict):
-    """What a host says of itself."""
+    """The answer of a host to a probe."""
 
     user: str
     python: list[int]
@@ -95,7 +95,7 @@ class Host:
     Attributes:
         name: the host, as `ssh` takes it.
         link: the connection.
-        is_: what it is (`pancakes.tools.remote_host.host_probe`).
+        is_: its answer to the probe (`pancakes.tools.remote_host.host_probe`).
     """
 
     name: str
@@ -103,11 +103,11 @@ class Host:
     is_: HostLook
 
     def agent(self, name: str) -> HostedAgent:
-        """Return what is there of an agent."""
+        """Return what the host has of an agent."""
         return self.is_["agents"][name]
 
     def runs(self, member: Member) -> int:
-        """Return the process of an agent there; 0: it does not run."""
+        """Return the process number of an agent on the host; 0: it does not run."""
         agent = member.config.agent
         entries = self.is_["running"]
         return next((it["pid"] for it in entries if (it["fleet"], it["name"]) == (agent.fleet, agent.name)), 0)
@@ -115,13 +115,13 @@ class Host:
 
 @contextmanager
 def open_hosts(members: Sequence[Member]) -> Iterator[dict[str, Host]]:
-    """Reach the hosts of agents, all at once, and let them go at the end.
+    """Connect to the hosts of agents, all at once, and disconnect at the end.
 
     Yields:
-        The hosts by name; none if all agents run on this machine.
+        The hosts by name; empty if all agents run on this machine.
 
     Raises:
-        PancakesError: a host cannot be reached, or cannot run Pancakes; the sentences name all of these.
+        PancakesError: hosts cannot be reached, or cannot run Pancakes; the sentences name all of them.
     """
     links: dict[str, HostLink] = {}
     try:
@@ -142,10 +142,10 @@ def _looked(members: Sequence[Member], links: Mapping[str, HostLink]) -> dict[st
         fleets = {it.name: it.config.agent.fleet for it in members if it.host == name}
         found: HostLook = links[name].obtain("look", OPEN_S, HostLook, fleet_of=fleets)
         if missing := [agent for agent in fleets if agent not in found["agents"]]:
-            raise HostError(f"{name} says nothing of {', '.join(missing)}")
+            raise HostError(f"{name} did not report on {', '.join(missing)}")
         return found
 
-    # Side by side: hosts that say nothing take their time once, and not one after the other.
+    # In parallel, so that several silent hosts cost one timeout and not one each.
     with ThreadPoolExecutor(max_workers=max(1, len(links))) as threads:
         looks = {name: threads.submit(look, name) for name in links}
     for name, looked in looks.items():
@@ -160,51 +160,51 @@ def _looked(members: Sequence[Member], links: Mapping[str, HostLink]) -> dict[st
 
 LOOK_S: Final = 0.05
 END_S: Final = 2.0
-"""A way that has not ended so long after it was told to is killed."""
+"""How long a tunnel may take to end before it is killed, in seconds."""
 _NOW: Final = MonotonicClock().now
 
 
 @contextmanager
 def tunnels(hosts: Iterable[Host]) -> Iterator[dict[str, str]]:
-    """Make a way to each agent of some hosts, whether it runs or not, and take them away at the end. It may wait.
+    """Open a tunnel to each agent of some hosts, whether it runs or not, and close them at the end. Blocks.
 
     Yields:
-        The address of each agent, by its name.
+        The local address of each agent, by its name.
 
     Raises:
-        PancakesError: a host cannot be reached, or does not let these ways be made.
+        PancakesError: a host cannot be reached, or does not allow tunnels.
     """
-    folder = tempfile.mkdtemp(prefix="pancakes-way-")
+    folder = tempfile.mkdtemp(prefix="pancakes-tunnel-")
     addresses: dict[str, str] = {}
-    made: list[_Tunnel] = []
+    opened: list[_Tunnel] = []
     try:
         for host in hosts:
-            ways = {}
+            sockets = {}
             for name, agent in host.is_["agents"].items():
                 path = Path(folder) / f"{len(addresses)}.sock"
-                ways[path] = agent["socket"]
+                sockets[path] = agent["socket"]
                 addresses[name] = f"{LOCAL}://{path}"
-            made.append(_Tunnel(host.name, ways))
+            opened.append(_Tunnel(host.name, sockets))
         until_s = _NOW() + OPEN_S
-        for tunnel in made:
+        for tunnel in opened:
             tunnel.wait(until_s)
         yield addresses
     finally:
-        for tunnel in made:
+        for tunnel in opened:
             tunnel.close()
         shutil.rmtree(folder, ignore_errors=True)
 
 
 class _Tunnel:
-    """The ways to the agents of one host."""
+    """The tunnels to the agents of one host: the remote socket for each local one."""
 
-    def __init__(self, host: str, ways: dict[Path, str]) -> None:
-        self._host, self._ways = host, ways
-        options = [word for here, there in ways.items() for word in ("-L", f"{here}:{there}")]
+    def __init__(self, host: str, sockets: dict[Path, str]) -> None:
+        self._host, self._sockets = host, sockets
+        options = [word for local, remote in sockets.items() for word in ("-L", f"{local}:{remote}")]
         options += ["-o", "ExitOnForwardFailure=yes", "-o", "StreamLocalBindMask=0177"]
         self._errors = scratch_file()
         try:
-            # It ends with what is at the other end of its standard input, however that ends.
+            # The remote shell ends when its standard input closes, however this program ends.
             command = [*ssh_command(host, "-T", *options), "exec sh -c 'while read -r line; do :; done'"]
             self._process = start_ssh(command, subprocess.DEVNULL, self._errors)
         except OSError as error:
@@ -212,13 +212,13 @@ class _Tunnel:
             raise PancakesError(no_ssh(error)) from None
 
     def wait(self, until_s: float) -> None:
-        while not all(path.exists() for path in self._ways):
+        while not all(path.exists() for path in self._sockets):
             code = self._process.poll()
-            said = os.pread(self._errors, 65_536, 0).decode("utf-8", "replace")
+            errors = os.pread(self._errors, 65_536, 0).decode("utf-8", "replace")
             if code is not None:
-                raise Unreachable(sentence_of(self._host, code, said))
+                raise Unreachable(sentence_of(self._host, code, errors))
             if _NOW() > until_s:
-                raise Unreachable(silent(self._host, OPEN_S, said))
+                raise Unreachable(silent(self._host, OPEN_S, errors))
             time.sleep(LOOK_S)
 
     def close(self) -> None:
@@ -235,21 +235,21 @@ class _Tunnel:
 
 
 ALIVE_S: Final = 5.0
-"""So often a host hears that the launcher lives: where it hears nothing, it ends the agents."""
+"""How often a host is sent a sign of life, in seconds: without it, the host ends the agents."""
 KILL_S: Final = 2.0
-"""A connection over which no agent that was killed has ended for so long is given up."""
+"""How long a host may take to report the end of a killed agent before its connection is closed, in seconds."""
 LOST: Final = 255
-"""The exit code of an agent whose connection has ended, as that of `ssh`."""
+"""The exit code of an agent whose connection is lost: the one that `ssh` uses."""
 
 
 class LaunchListener(AgentListener, Protocol):
-    """Learn what becomes of the agents of a launch, in the thread that runs it."""
+    """Receive the events of the agents of a launch, in the thread that runs it."""
 
     def started(self, name: str, pid: int, host: str = "") -> None:
-        """Take the process of an agent; `host` is where it runs, empty for this machine."""
+        """Handle that an agent runs as process `pid` on `host`; empty: on this machine."""
 
     def failed(self, name: str, reason: str) -> None:
-        """Take the reason why an agent could not be started, as a phrase."""
+        """Handle that an agent could not be started; `reason` is a phrase."""
 
 
 @dataclass(frozen=True)
@@ -258,9 +258,9 @@ class HostStart:
 
     Attributes:
         config: its configuration, as TOML.
-        sets: what is changed of it, as `--set` takes it.
+        sets: the changes to it, as `--set` takes them.
         keys: the files of its keys for this run, in base64.
-        fresh: whether it forgets what it remembers of its tasks, the first time.
+        fresh: whether its state directory is cleared before the first start.
     """
 
     config: str
@@ -274,10 +274,10 @@ class HostAgents:
 
     Args:
         members: the agents that have a host.
-        starts: what each needs.
-        links: the connections that are open already, by host; they are closed here.
-        selector: is told which file descriptors are waited for; what it has for each is to be called.
-        now: the host time.
+        starts: what each needs to start.
+        links: the open connections by host; `close` closes them.
+        selector: file descriptors are registered with it; the data of each is the callback to call.
+        now: returns host time, in seconds.
     """
 
     def __init__(
@@ -310,7 +310,7 @@ class HostAgents:
         return min([self._alive_s, *self._kill_s.values()])
 
     def start(self, name: str) -> None:
-        """Start an agent; the connection to its host is made again where it was lost."""
+        """Start an agent; connect to its host again if that connection was lost."""
         member, start = self._members[name], self._starts[name]
         link = self._links.get(member.host)
         if link is None or link.lost:
@@ -344,7 +344,7 @@ class HostAgents:
         self._order(name, "kill")
 
     def tick(self) -> None:
-        """Time has passed."""
+        """Do what is due: signs of life, and connections to give up."""
         now_s = self._now()
         if now_s >= self._alive_s:
             self._alive_s = now_s + ALIVE_S
@@ -379,7 +379,7 @@ class HostAgents:
         self._watch_writes(link)
 
     def _watch_writes(self, link: HostLink) -> None:
-        """Wait until the connection takes more, where requests wait."""
+        """Wait for the connection to be writable while it has requests to send."""
         registered = link.writes in self._selector.get_map()
         if link.has_more and not registered:
             self._selector.register(link.writes, selectors.EVENT_WRITE, lambda: self._write(link))
@@ -393,13 +393,13 @@ class HostAgents:
     def _read(self, host: str) -> None:
         link = self._links[host]
         handles = (link.reads, link.writes)
-        told = link.read()
+        messages = link.read()
         if link.lost:
             self._lost(host, handles)
             return
         self._watch_writes(link)
-        for it in told:
-            self._take(host, it)
+        for message in messages:
+            self._take(host, message)
 
     def _lose(self, host: str, within_s: float) -> None:
         link = self._links[host]
@@ -416,22 +416,22 @@ class HostAgents:
             self._run.discard(name)
             self._listener.ended(name, LOST, self._links[host].lost)
 
-    def _take(self, host: str, told: dict[str, Any]) -> None:
-        name = told.get("agent") or self._asked.pop((host, told.get("id", 0)), "")
+    def _take(self, host: str, message: dict[str, Any]) -> None:
+        name = message.get("agent") or self._asked.pop((host, message.get("id", 0)), "")
         if name not in self._run:
             return
-        if "fault" in told:
+        if "fault" in message:
             self._run.discard(name)
-            self._listener.failed(name, f"{host} {told['fault']}")
-        elif "result" in told:
-            result = told["result"]
+            self._listener.failed(name, f"{host} {message['fault']}")
+        elif "result" in message:
+            result = message["result"]
             pid = result.get("pid") if isinstance(result, dict) else None
             self._listener.started(name, pid if isinstance(pid, int) else 0, host)
-        elif told.get("event") == "line":
-            self._listener.printed(name, told.get("text", ""))
-        elif told.get("event") == "said":
-            self._listener.said(name, told.get("text", ""))
-        elif told.get("event") == "ended":
+        elif message.get("event") == "line":
+            self._listener.printed(name, message.get("text", ""))
+        elif message.get("event") == "said":
+            self._listener.said(name, message.get("text", ""))
+        elif message.get("event") == "ended":
             self._run.discard(name)
             self._kill_s.pop(name, None)
-            self._listener.ended(name, told.get("code", LOST))
+            self._listener.ended(name, message.get("code", LOST))

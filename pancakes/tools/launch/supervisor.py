@@ -1,9 +1,9 @@
 """Supervise a launched fleet: when each agent starts, restarts and ends, and the processes that do it.
 
-`LaunchPlan` decides and is pure: events in, actions out. An agent starts once those it comes after are ready. If its
-process ends by itself, it is restarted as its policy says, or given up. On the way down an agent is told to end once
-those that come after it have ended. `Runner` carries the actions out in the main thread: processes, pipes, signals,
-other hosts.
+`LaunchPlan` decides and is pure: events in, actions out. An agent starts once the agents in its `after` are ready. If
+its process ends by itself, the plan restarts it as its policy says, or gives it up. At the end, the plan stops an agent
+once the agents that come after it have ended. `Runner` executes the actions in the main thread: processes, pipes,
+signals, other hosts.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ from pancakes.tools.remote_host.agent_processes import AgentProcesses
 from pancakes.util.clock import MonotonicClock
 
 READY_S: Final = 30.0
-"""An agent that is not ready after so long is named, in seconds."""
+"""An agent that is not ready after this time is reported, in seconds."""
 END_S: Final = 2.5
-"""An agent that was told to end is killed after so long; it ends itself sooner even where a task is stuck."""
+"""How long an agent may take to stop before it is killed, in seconds; it stops sooner even if a task is stuck."""
 ALL_END_S: Final = 5.0
-"""So long after it was told to stop, whatever still runs is killed."""
+"""How long the whole fleet may take to stop before all of it is killed, in seconds."""
 BAD_CONFIGURATION: Final = 4
-"""The exit code of an agent that would end in the same way each time."""
+"""The exit code for a bad configuration: a restart would end in the same way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,18 +87,18 @@ class Kill:
 
 @dataclass(frozen=True, slots=True)
 class BeginMission:
-    """Let the mission of these agents begin, which they hold at 0."""
+    """Begin the mission of these agents, whose mission clock is held at 0."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class TellPerson:
-    """Tell the person what has become of an agent.
+    """Tell the person what happened to an agent.
 
     Attributes:
-        name: the agent; empty if it is about the fleet.
-        event: what happened, in a word for programs.
+        name: the agent; empty: the whole fleet.
+        event: what happened, as one word for programs.
         text: the same as a phrase for people, to be read after the agent's name.
     """
 
@@ -111,12 +111,12 @@ Action = SpawnProcess | Terminate | Kill | BeginMission | TellPerson
 
 
 class _PlannedAgent:
-    """What the plan knows of one agent.
+    """The state of one agent in the plan.
 
     Attributes:
-        life: how far its process is.
-        how: how its process has ended, as a phrase; empty: it has not, or people know.
-        kill_s: when it is killed, once it was told to end.
+        life: the state of its process.
+        how: how its process has ended, as a phrase; empty: it has not ended, or this was already reported.
+        kill_s: when it is killed if it still runs, in host time; None: it was not told to end.
     """
 
     def __init__(self, member: Member) -> None:
@@ -153,8 +153,8 @@ class LaunchPlan:
 
     Args:
         members: its agents, in the order in which they are to start.
-        begin: whether missions that wait at 0 are let begin once all agents are ready.
-        source: the pauses before restarts are drawn with it; None: with one of its own.
+        begin: whether missions that are held at 0 begin once all agents are ready.
+        source: the random numbers for the pauses before restarts; None: a new source.
     """
 
     def __init__(self, members: Sequence[Member], begin: bool = True, source: random.Random | None = None) -> None:
@@ -168,7 +168,7 @@ class LaunchPlan:
 
     @property
     def over(self) -> bool:
-        """Whether nothing runs any more, nor will."""
+        """Whether no agent runs, and none will start."""
         return all(place.over for place in self._places.values())
 
     @property
@@ -178,7 +178,7 @@ class LaunchPlan:
 
     @property
     def deadline_s(self) -> float | None:
-        """When `tick` is due; None if nothing is waited for."""
+        """When `tick` is due, in host time; None if nothing is due."""
         times = [it.kill_s for it in self._places.values() if it.runs and not it.killed and it.kill_s is not None]
         for place in self._places.values():
             if place.life.state is State.STARTING and not place.late:
@@ -190,26 +190,26 @@ class LaunchPlan:
         return min(times, default=None)
 
     def start(self, now_s: float) -> list[Action]:
-        """Begin."""
+        """Start the agents that come after no other."""
         for place in self._places.values():
             self._feed(place, StartAsked(), now_s)
         self._admit(now_s)
         return self._done()
 
     def unstartable(self, name: str, reason: str, now_s: float) -> list[Action]:
-        """A process could not be made, for a reason that is a phrase."""
+        """Handle that a process could not be started; `reason` is a phrase."""
         self._failed = True
         self._feed(self._places[name], Finished(f"cannot be started: {reason}", True, hopeless=True), now_s)
         self._give_up_followers(now_s)
         return self._done()
 
     def ready(self, name: str, now_s: float, rests: Mapping[str, str] = MappingProxyType({})) -> list[Action]:
-        """An agent says that all which should run at its start does.
+        """Handle that an agent is ready: all of its tasks that start with it run.
 
         Args:
             name: the agent.
-            now_s: the time.
-            rests: those of its tasks that do not start because of what happened when it ran before, and why.
+            now_s: host time.
+            rests: the tasks that do not start because of what happened in an earlier run, and why.
         """
         place = self._places[name]
         if place.life.state is not State.STARTING:
@@ -219,27 +219,27 @@ class LaunchPlan:
             for task, why in rests.items():
                 self._tell(name, "rests", f"does not start {task}: {why}")
             if self._begun and place.member.config.clock.hold:
-                # An agent that was started again holds its mission once more, while that of the others goes on.
+                # A restarted agent holds its mission clock again, while the mission of the others continues.
                 self._actions.append(BeginMission((name,)))
             self._admit(now_s)
             self._begin_if_all_are_ready()
         return self._done()
 
     def ended(self, name: str, code: int, now_s: float, how: str = "") -> list[Action]:
-        """A process has ended.
+        """Handle that a process has ended.
 
         Args:
             name: the agent.
-            code: its exit code; minus the number of the signal that ended it.
-            now_s: the time.
-            how: the same as a phrase, where the exit code does not say it.
+            code: its exit code, or minus the number of the signal that ended it.
+            now_s: host time.
+            how: how it ended, as a phrase; empty: as the exit code says.
         """
         place = self._places[name]
         stopping = self._stopping_s is not None
         place.how = (how or _how(code)) + (", killed because it took too long" if place.killed else "")
         failed = code != 0 and not stopping
-        story = f"has ended ({place.how})"
-        self._feed(place, Finished(story, failed, code == BAD_CONFIGURATION, closing=stopping), now_s)
+        text = f"has ended ({place.how})"
+        self._feed(place, Finished(text, failed, code == BAD_CONFIGURATION, closing=stopping), now_s)
         if stopping:
             self._stop_next(now_s)
         elif place.over:
@@ -247,7 +247,7 @@ class LaunchPlan:
         return self._done()
 
     def stop(self, now_s: float) -> list[Action]:
-        """A person wants an end; one that says so for the second time does not want to wait."""
+        """Stop the fleet gracefully; the second call kills what still runs."""
         if self._stopping_s is not None:
             self._kill((place for place in self._places.values() if place.runs), now_s)
             return self._done()
@@ -261,7 +261,7 @@ class LaunchPlan:
         return self._done()
 
     def tick(self, now_s: float) -> list[Action]:
-        """Time has passed."""
+        """Do what is due: restarts, warnings about late agents, and kills."""
         for place in self._places.values():
             due_s = place.life.restarts.due_s
             if due_s is not None and now_s >= due_s:
@@ -286,7 +286,7 @@ class LaunchPlan:
     # Starting --------------------------------------------------------------------------------------------------
 
     def _admit(self, now_s: float) -> None:
-        """Start the agents that wait and come after none that is not ready."""
+        """Start the waiting agents whose predecessors (`after`) are all ready."""
         for place in self._places.values():
             if place.life.state is State.CALLED_OFF:
                 self._feed(place, LeaveRefused("the fleet ends"), now_s)
@@ -294,7 +294,7 @@ class LaunchPlan:
                 self._feed(place, Admitted(), now_s)
 
     def _give_up_followers(self, now_s: float) -> None:
-        """An agent has ended for good: those that come after it will never start."""
+        """Give up the waiting agents that come after an agent which has ended for good."""
         lost = True
         while lost:
             lost = False
@@ -303,8 +303,8 @@ class LaunchPlan:
                 if place.waits and gone:
                     self._failed = lost = True
                     self._feed(place, LeaveRefused(f"{gone[0]}, which it comes after, has ended", for_good=True), now_s)
-                    told = f"is not started: {gone[0]}, which it comes after, has ended"
-                    self._tell(place.member.name, "given_up", told)
+                    text = f"is not started: {gone[0]}, which it comes after, has ended"
+                    self._tell(place.member.name, "given_up", text)
         if self._begin and not self._begun and any(place.runs for place in self._places.values()) and self._held():
             self._begin = False
             self._tell("", "held", "the mission does not begin: not all agents of the fleet run")
@@ -323,7 +323,7 @@ class LaunchPlan:
     # Stopping --------------------------------------------------------------------------------------------------
 
     def _stop_next(self, now_s: float) -> None:
-        """Tell those to end that no running agent comes after, the last that was started first."""
+        """Stop the agents that no running agent comes after, in reverse order of start."""
         for name, place in reversed(self._places.items()):
             later = any(other.runs and name in other.member.after for other in self._places.values())
             if place.life.state in (State.STARTING, State.RUNNING) and not later:
@@ -337,7 +337,7 @@ class LaunchPlan:
                 self._feed(place, StopAsked(), now_s)
                 self._feed(place, Overdue(place.life.incarnation), now_s)
 
-    # What a life asks for --------------------------------------------------------------------------------------
+    # Effects of a life ------------------------------------------------------------------------------------------
 
     def _feed(self, place: _PlannedAgent, event: Event, now_s: float) -> None:
         place.life, effects = handle(place.life, event, now_s, self._source.uniform)
@@ -351,7 +351,7 @@ class LaunchPlan:
                     self._actions.append(Kill(name))
                 case Tell():
                     self._tell_life(place, effect, now_s)
-                # The plan looks itself at what is due, and at what has ended (`tick`, `_admit`, `_stop_next`).
+                # The plan checks by itself what is due and what has ended (`tick`, `_admit`, `_stop_next`).
                 case AskLeave() | TellToEnd() | LetGo() | TryAt() | LookAgain() | Settle() | WriteRest() | Answer():
                     pass
                 case _:
@@ -401,22 +401,22 @@ _CHUNK: Final = 65_536
 
 
 class LaunchReporter(Protocol):
-    """Take what a fleet says; in the thread that runs it."""
+    """Report the output and events of a fleet, in the thread that runs it."""
 
     def line(self, agent: str, text: str) -> None:
-        """An agent has printed a line."""
+        """Report a line that an agent has printed."""
 
     def told(self, agent: str, event: str, text: str) -> None:
-        """Something has become of an agent; of the fleet where `agent` is empty. See `TellPerson`."""
+        """Report what happened to an agent, or to the fleet if `agent` is empty. See `TellPerson`."""
 
 
 LetBegin = Callable[[dict[str, int]], list[str]]
-"""Lets the mission of agents begin, given their processes by name; returns sentences about what went wrong.
+"""Begins the mission of agents, given their process numbers by name; returns sentences about what went wrong.
 
-It may wait, in a thread of its own."""
+It runs in a thread of its own, and may block."""
 
 Elsewhere = Callable[[selectors.BaseSelector, Callable[[], float]], HostAgents]
-"""Returns what starts and ends the agents that run on other hosts."""
+"""Makes the `HostAgents` that start and end the agents on other hosts."""
 
 
 class LocalAgents:
@@ -424,8 +424,8 @@ class LocalAgents:
 
     Args:
         members: the agents.
-        selector: is told which pipes are waited for; what it has for each is to be called.
-        listener: learns what becomes of them.
+        selector: pipes are registered with it; the data of each is the callback to call.
+        listener: receives the events of the agents.
     """
 
     def __init__(
@@ -467,7 +467,7 @@ class LocalAgents:
         self._processes.look()
 
     def close(self) -> None:
-        """End all agents by force, and what starts them."""
+        """End all agents by force, and the fork server."""
         end_all(self._processes.processes(), 0.0)
         self._starter.close()
 
@@ -475,14 +475,14 @@ class LocalAgents:
 class Runner:
     """Run a fleet until it has ended, in the main thread.
 
-    SIGINT, SIGTERM and SIGHUP end it in order, for the second time at once.
+    SIGINT, SIGTERM and SIGHUP stop it gracefully; the second signal stops it at once.
 
     Args:
         members: its agents.
-        plan: what decides.
-        reporter: what is told to the person.
+        plan: decides what to do.
+        reporter: reports to the person.
         let_begin: see `LetBegin`.
-        elsewhere: see `Elsewhere`; it is asked for where a member has a host.
+        elsewhere: see `Elsewhere`; needed if a member has a host.
     """
 
     def __init__(
@@ -511,10 +511,10 @@ class Runner:
         self._wake_reader, self._wake_writer = os.pipe()
         os.set_blocking(self._wake_writer, False)
         os.set_blocking(self._wake_reader, False)
-        # The kernel may hand a signal to any thread: this wakes the one that waits here.
+        # The operating system may deliver a signal to any thread; this wakes the main thread.
         signal.set_wakeup_fd(self._wake_writer, warn_on_full_buffer=False)
         for number in (*_ENDS, signal.SIGCHLD):
-            if number == signal.SIGCHLD or signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
+            if number == signal.SIGCHLD or signal.getsignal(number) is not signal.SIG_IGN:  # `nohup` ignores SIGHUP
                 signal.signal(number, self._heard)
         self._selector.register(self._wake_reader, selectors.EVENT_READ, self._woken)
         if self._elsewhere is not None:
@@ -538,7 +538,7 @@ class Runner:
         deadline_s = min((it for it in times if it is not None), default=None)
         timeout_s = None if deadline_s is None else max(0.0, deadline_s - self._now())
         for key, _ in self._selector.select(timeout_s):
-            if self._selector.get_map().get(key.fd) is key:  # the end of a process closes its pipes
+            if self._selector.get_map().get(key.fd) is key:  # an earlier callback may have closed this pipe
                 key.data()
         while self._posted:
             self._posted.popleft()()
@@ -551,12 +551,12 @@ class Runner:
         self._local.look()
 
     def _post(self, function: Callable[[], None]) -> None:
-        """Have a function called in the main thread. Any thread."""
+        """Call a function in the main thread, soon. Any thread."""
         self._posted.append(function)
-        with contextlib.suppress(BlockingIOError):  # it is full of reasons to wake up
+        with contextlib.suppress(BlockingIOError):  # a full pipe wakes the main thread anyway
             os.write(self._wake_writer, b"\0")
 
-    # What the plan wants -------------------------------------------------------------------------------------
+    # Actions of the plan -------------------------------------------------------------------------------------
 
     def _do(self, actions: Sequence[Action]) -> None:
         for action in actions:
@@ -584,9 +584,9 @@ class Runner:
 
         def let_begin() -> None:
             problems = self._let_begin(pids)
-            self._post(lambda: told(problems))
+            self._post(lambda: report(problems))
 
-        def told(problems: list[str]) -> None:
+        def report(problems: list[str]) -> None:
             for problem in problems:
                 self._say(self._reporter.told, "", "held", problem)
             if not problems:
@@ -594,7 +594,7 @@ class Runner:
 
         threading.Thread(target=let_begin, name="begin", daemon=True).start()
 
-    # What becomes of agents (`LaunchListener`) --------------------------------------------------------------------
+    # Events of agents (`LaunchListener`) ------------------------------------------------------------------------
 
     def started(self, name: str, pid: int, host: str = "") -> None:
         """See `LaunchListener`."""
@@ -623,7 +623,7 @@ class Runner:
         self._do(self._plan.unstartable(name, reason, self._now()))
 
     def _say(self, say: Callable[..., None], *what: Any) -> None:
-        """Say something. Where the reader of the output has ended (`| head`), the fleet ends, in silence."""
+        """Report something. If the reader of the output has ended (`| head`), stop the fleet without more output."""
         if self._mute:
             return
         try:

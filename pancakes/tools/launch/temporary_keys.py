@@ -1,4 +1,4 @@
-"""Keys for one run of a fleet: an authority in a temporary folder that is removed at the end of the run."""
+"""Make keys for one run of a fleet: an authority in a temporary folder that is removed at the end of the run."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _NONE: Final[Mapping[str, bool]] = {}
 
 @contextmanager
 def keys_of_run(configs: Mapping[str, Config], elsewhere: Mapping[str, bool] = _NONE) -> Iterator[Mapping[str, Path]]:
-    """Make keys for the agents of a run that speak to other machines, and remove them at its end.
+    """Make keys for the agents of a run that connect to other machines, and remove them at its end.
 
-    A fleet of which an agent has keys already gets no others: they would not believe each other. An agent that its file
-    calls `insecure` gets none.
+    A fleet in which an agent already has keys gets no temporary ones: the agents would not trust each other. An agent
+    whose file says `insecure` gets none.
 
     Args:
         configs: the agents' configurations, by name.
         elsewhere: the agents that run on other hosts, and whether each has keys there.
 
     Yields:
-        The folder with the keys of each agent that gets some.
+        The folder with the keys of each agent that gets keys.
 
     Raises:
         PancakesError: the library that makes keys is not installed.
@@ -40,18 +40,18 @@ def keys_of_run(configs: Mapping[str, Config], elsewhere: Mapping[str, bool] = _
     if not wanting:
         yield {}
         return
-    with needing_extra("no keys can be made for this run (without --local)"):
+    with needing_extra("keys for this run cannot be made (--local needs none)"):
         from pancakes.security.authority import Authority
     with tempfile.TemporaryDirectory(prefix="pancakes-keys-") as directory:
         authorities: dict[str, Authority] = {}
         found: dict[str, Path] = {}
         for name in wanting:
             agent = configs[name].agent
-            there = Path(directory) / agent.fleet
+            fleet_folder = Path(directory) / agent.fleet
             if (authority := authorities.get(agent.fleet)) is None:
-                authority = authorities[agent.fleet] = Authority.founded(agent.fleet, there / "authority")
+                authority = authorities[agent.fleet] = Authority.founded(agent.fleet, fleet_folder / "authority")
                 authority.allow(AccessRule((EVERY,), (EVERY,)))  # all of them run for the person who launches them
-            folder = there / "keys" / name
+            folder = fleet_folder / "keys" / name
             if agent.role == "client":
                 authority.enrol_with_key("operator", name.partition(".")[0]).write(folder)
             else:
@@ -61,12 +61,12 @@ def keys_of_run(configs: Mapping[str, Config], elsewhere: Mapping[str, bool] = _
 
 
 def set_keys(folder: Path | None) -> tuple[str, ...]:
-    """Return what is to be set in an agent's file so that it has the keys of a folder, as `--set` takes it."""
+    """Return the `--set` changes that give an agent the keys of a folder."""
     return (f"service.network.settings.keys={value_text(str(folder))}",) if folder is not None else ()
 
 
 def _wanting(configs: Mapping[str, Config], elsewhere: Mapping[str, bool]) -> list[str]:
-    """Return the agents that are to get keys."""
+    """Return the agents that need keys for this run."""
     open_ = {name: config for name, config in configs.items() if not _network(config).get("insecure")}
     plugins = Plugins()
     if not any(_is_keyed(config, plugins) for config in open_.values()):
@@ -87,7 +87,7 @@ def _has_keys(config: Config, there: bool | None) -> bool:
 
 
 def _is_keyed(config: Config, plugins: Plugins) -> bool:
-    """Return whether an agent, or a driver of it, is to connect by a way that is encrypted if there are keys."""
+    """Return whether an agent, or a driver or task of it, uses a transport that is encrypted if the agent has keys."""
     devices = (value for device in config.devices.values() for value in device.settings.values())
     tasks = (value for task in config.tasks.values() for value in task.settings.values())
     return bool(keyed_addresses(config.agent, plugins)) or any(
