@@ -82,13 +82,13 @@ def _toml(value: object) -> str:
 @pytest.mark.parametrize(
     ("set_", "key", "why"),
     [
-        ('agent.state_dir="/etc/passwd"', "[agent] state_dir", "/etc/passwd is no directory"),
-        ('agent.state_dir="/etc/passwd/a/b"', "[agent] state_dir", "/etc/passwd is no directory"),
+        ('agent.state_dir="/etc/passwd"', "[agent] state_dir", "/etc/passwd is not a directory"),
+        ('agent.state_dir="/etc/passwd/a/b"', "[agent] state_dir", "/etc/passwd is not a directory"),
         ('agent.listen=["tcp://192.0.2.7:7401"]', "[agent] listen", "tcp://192.0.2.7:7401: cannot assign requested"),
         ('agent.listen=["tcp://no-such.invalid:7401"]', "[agent] listen", "tcp://no-such.invalid:7401: "),
-        ('agent.listen=["local:///etc/passwd/x"]', "[agent] listen", "/etc/passwd is no directory"),
-        ('agent.local_group="no-such-group"', "[agent] local_group", "there is no group 'no-such-group'"),
-        (r'agent.local_group="a\u0000b"', "[agent] local_group", r"there is no group 'a\x00b'"),
+        ('agent.listen=["local:///etc/passwd/x"]', "[agent] listen", "/etc/passwd is not a directory"),
+        ('agent.local_group="no-such-group"', "[agent] local_group", "the group 'no-such-group' does not exist"),
+        (r'agent.local_group="a\u0000b"', "[agent] local_group", r"the group 'a\x00b' does not exist"),
     ],
 )
 def test_what_cannot_start_on_this_machine_is_a_warning(rig: Rig, set_: str, key: str, why: str):
@@ -96,7 +96,7 @@ def test_what_cannot_start_on_this_machine_is_a_warning(rig: Rig, set_: str, key
     checked = rig.agent(path, "--set", set_, "--check")
     assert checked.ended() == 0
     line = next(line for line in checked.everything().splitlines() if line.startswith("warning: ") and key in line)
-    assert "on this machine it does not start: " in line and why in line
+    assert "it would not start on this machine: " in line and why in line
     started = rig.agent(path, "--set", set_)
     assert started.ended() in (1, 4), "the warning is true"
     assert "defect" not in started.everything() and "Traceback" not in started.everything()

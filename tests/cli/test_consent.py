@@ -62,7 +62,7 @@ def test_what_drops_a_state_asks_first(rig: Rig, words: str) -> None:
     rig.install("count", POINTS, STATED)
     rig.ready("a", '[task.Count]\ntype = "count.Count"\n')
     refused = rig.pancakes(*words.split())
-    assert refused.returncode == 1 and "state is lost. With --force it is done" in refused.stderr
+    assert refused.returncode == 1 and "state is lost. Pass --force to do it" in refused.stderr
     assert rig.pancakes(*words.split(), "--dry-run").returncode == 0
     assert {row["incarnation"] for row in rig.listed("task", "list", "--long") if row["task"] == "Count"} == {1}
     code, shown = answered(rig, "n", *words.split())
@@ -77,7 +77,7 @@ def test_revoke_asks_first(rig: Rig) -> None:
     rig.keys.authority("test").enrol_with_key("operator", "bob")
     words = ("fleet", "revoke", "bob", "laptop stolen")
     refused = rig.pancakes(*words)
-    assert refused.returncode == 1 and "believes operator/bob any more, for good. With --force" in refused.stderr
+    assert refused.returncode == 1 and "believes operator/bob any more, for good. Pass --force" in refused.stderr
     code, shown = answered(rig, "n", *words)
     assert code == 1 and shown.endswith("nothing was done")
     assert rig.pancakes("fleet", "can", "bob", "look", "a").returncode == 0
@@ -89,7 +89,7 @@ def test_down_names_what_it_ends_and_asks_before_it_ends_several_fleets(rig: Rig
     agents = [rig.ready("a"), rig.ready("b"), rig.ready("c", fleet="other")]
     what = "this ends c of the fleet other; a, b of the fleet test: --fleet names one of them"
     refused = rig.pancakes("down")
-    said = f"{what}. With --force it is done, with --dry-run only shown. Nothing was done\n"
+    said = f"{what}. Pass --force to do it, or --dry-run to check it first. Nothing was done\n"
     assert (refused.returncode, refused.stderr) == (1, said)
     code, shown = answered(rig, "n", "down")
     assert code == 1 and f"{what}. Do it? [y/N]" in shown

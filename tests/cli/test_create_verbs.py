@@ -60,7 +60,7 @@ def test_task_create_outlives_its_agent_and_fits_a_file(rig: Rig):
 
     rig.ready("a")
     asked = rig.pancakes("task", "remove", "a/Count")
-    assert asked.returncode == 1 and "a/client/Count ends for good, and its state is lost. With --force" in asked.stderr
+    assert asked.returncode == 1 and "a/client/Count ends for good, and its state is lost. Pass --force" in asked.stderr
     (row,) = rig.listed("task", "remove", "a/Count", "--force")
     assert (row["task"], row["done"]) == ("Count", "removed")
     assert [row["task"] for row in rig.listed("task", "list") if row["type"] == "count.Count"] == []

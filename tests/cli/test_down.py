@@ -67,7 +67,7 @@ def test_down_names_an_agent_that_does_not_answer(rig: Rig, freeze: Callable[[Ru
     assert result.stderr.splitlines() == [
         "ends a, b of the fleet test",
         f"b ({rig.addresses(b)[0]}) did not answer: nothing came within 2 s",
-        f"b is told to end by a signal to its process {b.pid}",
+        f"b does not answer: sent a signal to its process {b.pid}",
         f"b (process {b.pid}) has not ended within 2 s",
     ]
     assert b.process.poll() is None
@@ -81,7 +81,7 @@ def test_down_ends_an_agent_whose_network_sleeps_by_its_process(rig: Rig):
 
     result = rig.pancakes("down", "--timeout", "10", "--format", "json")
     assert (result.returncode, sorted(rows(result.stdout))) == (0, [("a", "ended"), ("b", "ended")])
-    assert f"b is told to end by a signal to its process {b.pid}" in result.stderr
+    assert f"b does not answer: sent a signal to its process {b.pid}" in result.stderr
     assert b.ended() == 0
 
 

@@ -49,16 +49,16 @@ def test_keys_of_another_agent_or_none_are_not_taken(rig: Rig):
     assert agent.ended() == 4
     assert (
         f"{config}:6: [agent] listen: 'tcp://127.0.0.1:0' needs keys of the agent a of the fleet test: run pancakes"
-        " fleet join, or use local://a for this machine alone" in agent.everything()
+        " fleet join, or use local://a for this machine only" in agent.everything()
     )
     checked = rig.agent(config, "--check")
     assert checked.ended() == 0
-    said = f"warning: {config}:6: [agent] listen: on this machine it does not start: "
+    said = f"warning: {config}:6: [agent] listen: it would not start on this machine: "
     assert said in checked.everything()
     by_verb = rig.pancakes("config", "check", str(config))
     assert by_verb.returncode == 0 and by_verb.stderr.startswith(said) and "is sound" in by_verb.stdout
     (row,) = rig.listed("config", "check", str(config))
-    assert row["faults"] == [] and row["warnings"][0]["problem"].startswith("on this machine it does not start")
+    assert row["faults"] == [] and row["warnings"][0]["problem"].startswith("it would not start on this machine")
 
 
 def test_keys_that_were_revoked_let_an_agent_run_and_warn(rig: Rig):

@@ -90,7 +90,7 @@ def test_launch_tells_where_a_task_has_gone_until_fresh(rig: Rig, field: Path):
     assert [line for line in said if line.startswith("gate | ") and "gate/client/Walk does not start" in line]
 
     refused = rig.pancakes("launch", str(field), "--fresh")
-    assert refused.returncode == 1 and "is lost. With --force it is done" in refused.stderr
+    assert refused.returncode == 1 and "is lost. Pass --force to do it" in refused.stderr
     fleet = rig.launch(field, "--fresh", "--force")
     fleet.hear("gate begins afresh")
     heard(fleet, "task_started task=Walk")

@@ -24,17 +24,17 @@ demo field --duration 500ms  # '500ms' is less than 1s
 task rate a/Count 1_0
 agent lisst
 agent info
-agent info x/north/a  # names no agent: write it as AGENT or FLEET/AGENT
+agent info x/north/a  # is not a valid agent name: write it as AGENT or FLEET/AGENT
 agent info test/a/client
-agent info north/a --fleet south  # a command speaks to one fleet, not to south (--fleet) and north
+agent info north/a --fleet south  # a command talks to one fleet, not to south (--fleet) and north
 agnt
 task list --state runing
 task list --timeout nan
-task list north/a south/a  # a command speaks to one fleet, not to north and south
+task list north/a south/a  # a command talks to one fleet, not to north and south
 task stop Count
 task stop a/b/c/d/e
 task stop a/
-task info x/north/a/device/load  # names no task
+task info x/north/a/device/load  # is not a valid task name
 task start a/Idle --set step
 task rate a/Count fast
 task rate a/Count -1

@@ -134,7 +134,7 @@ def test_why_of_what_is_not_there_is_a_sentence(why, tmp_path):
         (("--seq", "99"), 1, "there is no such command with the number 99"),
         (("--type", "gripper", "--slowest", "1"), 1, "no such command that answers a packet that was recorded"),
         (("--at", "1s", "--list"), 2, "ask one of them"),
-        (("--at", "soon"), 2, "is no time"),
+        (("--at", "soon"), 2, "is not a time"),
     ):
         assert sentence in " ".join(why(*options, code=code).output.split())
     result = invoked("why", str(tmp_path / "none.mcap"))

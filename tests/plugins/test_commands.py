@@ -69,11 +69,11 @@ def test_one_that_cannot_be_imported_is_named_and_stops_no_other(installed: Path
 
 
 def test_one_that_is_no_command_is_named(installed: Path):
-    assert pancakes("seven").stderr == "the command 'seven' of number 1.0 is no click command: 7\n"
+    assert pancakes("seven").stderr == "the command 'seven' of number 1.0 is not a click command: 7\n"
 
 
 def test_none_takes_the_name_of_a_verb_of_pancakes(installed: Path):
-    assert "What agents say and do." in pancakes("--help").stdout
+    assert "Show the log and the events of agents." in pancakes("--help").stdout
     assert "Log Service" in pancakes("log", "--help").stdout
 
 

@@ -1,4 +1,4 @@
-"""`pancakes-agent`: runs one agent from its configuration file, until it is told to stop."""
+"""`pancakes-agent`: run one agent from its configuration file until it is asked to stop."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from pancakes.tools.cli.exit_codes import Guarded
 from pancakes.tools.cli.version import version_option
 
 LOWEST_READY_FD: Final = 3
-"""Those below are the standard streams."""
+"""The descriptors below it are the standard streams."""
 
 
 @click.command(cls=Guarded)
 @click.option("--config", "path", metavar="FILE", required=True, help="The agent's configuration, a TOML file.")
 @click.option(
-    "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says. Repeatable."
+    "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a key of the file with VALUE. Repeatable."
 )
 @click.option(
     "--record",
     metavar="[FILE]",
     is_flag=False,
     flag_value="",
-    help="Record what is said on its channels; without FILE, where its configuration says.",
+    help="Record the packets on its channels, to FILE or to the path that its configuration names.",
 )
-@click.option("--traceback", is_flag=True, help="Show a failure of a task with its whole traceback.")
-@click.option("--check", is_flag=True, help="Only check the configuration and the plug-ins; run nothing.")
+@click.option("--traceback", is_flag=True, help="Log the whole traceback when a task fails.")
+@click.option("--check", is_flag=True, help="Check the configuration and the plug-ins, then exit.")
 @click.option(
     "--die-with-parent",
     "parent_pid",
@@ -34,13 +34,13 @@ LOWEST_READY_FD: Final = 3
     type=click.IntRange(min=0),
     is_flag=False,
     flag_value=0,
-    help="Stop when the process that launched this one ends; PID says which that was.",
+    help="Stop when the process that launched this one, PID, ends.",
 )
 @click.option(
     "--ready-fd",
     metavar="FD",
     type=click.IntRange(min=LOWEST_READY_FD),
-    help="Write a line to this file descriptor, and close it, once all tasks that run from the start do.",
+    help="Write a line to this file descriptor and close it when all tasks that start with the agent run.",
 )
 @version_option("pancakes-agent")
 def agent(
@@ -54,10 +54,9 @@ def agent(
 ) -> None:
     """Run an agent.
 
-    SIGINT or SIGTERM stops it in good order; the same signal a second time ends it at once. SIGHUP does the same if its
-    standard input is a terminal; else the agent begins its log file and its recording again if they were moved, and
-    goes on.
-    The exit code is 0 if it was stopped, 1 if it cannot run, 4 where its configuration is bad.
+    SIGINT or SIGTERM stops the agent gracefully; a second one ends it at once. SIGHUP does the same if standard input
+    is a terminal. Otherwise SIGHUP reopens the log file and the recording if they were moved (log rotation).
+    The exit code is 0 if it was stopped, 1 if it cannot run, 4 if its configuration is bad.
 
     \b
     Example:

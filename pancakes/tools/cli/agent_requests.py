@@ -1,6 +1,6 @@
-"""Ask agents for something, and confirm with a person what loses data: shared by all verbs that speak to agents.
+"""Send requests to agents, and ask the user before data is lost: shared by all verbs that talk to agents.
 
-One rule for all verbs: what loses something asks on a terminal, and needs `--force` elsewhere.
+One rule for all verbs: a command that loses data asks first on a terminal, and needs `--force` elsewhere.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 
 def survey(ask: Ask, *agents: str) -> list[dict[str, Any]]:
-    """Return what the agents say of themselves; name on standard error those that said nothing.
+    """Return the descriptions of agents; name on standard error those that do not answer.
 
     Args:
         ask: how to ask.
-        agents: only these; empty strings do not count, so that an argument that was left out can be passed on.
+        agents: only these; empty strings are ignored, so that an omitted argument can be passed on.
 
     Raises:
-        Unreachable: no agent answers, or there is none of a name.
+        Unreachable: no agent answers, or a named agent does not exist.
     """
     with ask.client() as client:
         return survey_with(client, *agents)
 
 
 def survey_with(client: Client, *agents: str) -> list[dict[str, Any]]:
-    """As `survey`, with a client that is there."""
+    """As `survey`, with a client that is open already."""
     found = client.survey(*agents)
     for sentence in found.silent:
         show_text(sentence, err=True)
@@ -46,18 +46,18 @@ def survey_with(client: Client, *agents: str) -> list[dict[str, Any]]:
 
 
 def ask_each(ask: Ask, body: Any, *agents: str) -> list[tuple[str, Any]]:
-    """Ask all agents, or those named, the same, all at once; name on standard error those that gave no answer.
+    """Send a request to all agents, or those named; name on standard error those that do not answer.
 
     Args:
         ask: how to ask.
         body: a control packet's body that changes nothing, such as `Channels()`.
-        agents: only these; empty strings do not count.
+        agents: only these; empty strings are ignored.
 
     Returns:
-        The agents' names, each with the result that it answered with.
+        The names of the agents that answered, each with its result.
 
     Raises:
-        Unreachable: no agent answers, or there is none of a name.
+        Unreachable: no agent answers, or a named agent does not exist.
         ControlRefused: all of them refuse.
     """
     with ask.client() as client:
@@ -72,16 +72,16 @@ def ask_each(ask: Ask, body: Any, *agents: str) -> list[tuple[str, Any]]:
 
 
 def request_result(client: Client, agent: str, body: Any) -> Any:
-    """Have an agent do something, and return the result that it answers with; see `request`."""
+    """Send a control packet to an agent, and return the result in its reply; see `request`."""
     return request(client, agent, body).result
 
 
 def request(client: Client, agent: str, body: Any) -> Reply:
-    """Have an agent do something, and return its reply once it has done it.
+    """Send a control packet to an agent, and return its reply, which comes when the work is done.
 
     Raises:
-        ControlRefused: it refuses; the message is its reason.
-        Unreachable: it does not answer.
+        ControlRefused: the agent refuses; the message is its reason.
+        Unreachable: the agent does not answer.
     """
     reply = client.request(agent, body)
     if not reply.ok:
@@ -90,10 +90,10 @@ def request(client: Client, agent: str, body: Any) -> Reply:
 
 
 def resolve_fleet(client: Client, name: TaskName) -> TaskName:
-    """Return the task that is meant by a name, which may begin with a fleet if it has three parts.
+    """Return the task that a name means; a name of three parts may begin with a fleet.
 
-    `A/B/C` is the task C of the service B of the agent A, if there is such an agent. Otherwise it is the task C of
-    the agent B of the fleet A, and from then on the client speaks to that fleet alone.
+    `A/B/C` is the task C of the service B of the agent A, if such an agent exists. Otherwise it is the task C of the
+    agent B of the fleet A, and the client then talks only to that fleet.
     """
     if not name.service or client.is_reachable(name.agent) or not client.is_reachable(name.service, name.agent):
         return name
@@ -102,13 +102,13 @@ def resolve_fleet(client: Client, name: TaskName) -> TaskName:
 
 
 def resolve_service(client: Client, name: TaskName) -> TaskName:
-    """Return the name of a task with its service, which the agent is asked for if it was not said.
+    """Return the name of a task with its service; ask the agent for the service if the name lacks it.
 
-    An agent would take the name of a service for that service, and stop it as a whole.
+    Without the service, a name that a service also has would mean the service, and the agent would stop all of it.
 
     Raises:
-        ControlRefused: the agent has no such task, or two of them.
-        Unreachable: it does not answer.
+        ControlRefused: the agent has no such task, or several.
+        Unreachable: the agent does not answer.
     """
     name = resolve_fleet(client, name)
     if name.service:
@@ -120,39 +120,39 @@ def resolve_service(client: Client, name: TaskName) -> TaskName:
         return name._replace(service=services[0])
     if services:
         choices = " or ".join(f"{agent}/{service}/{name.task}" for service in services)
-        raise ControlRefused(f"{agent} has several tasks {name.task!r}: say {choices}")
+        raise ControlRefused(f"{agent} has several tasks {name.task!r}: use {choices}")
     if name.task in [row["service"] for row in described["services"]]:
         raise ControlRefused(f"{agent}/{name.task} is a service, not a task: see pancakes service --help")
     if any(row["state"] != "running" for row in described["services"]):
-        # It refuses, and names the task's service if that does not run.
+        # The agent refuses this, and its reason names the task's service if that service does not run.
         request_result(client, agent, Describe(name.task))
     elsewhere = _agent_of(client, f"{agent}/{name.task}", name.task)
     if elsewhere:
-        raise ControlRefused(f"{agent}/{name.task} is on {elsewhere}: say {elsewhere}/{name.task}")
+        raise ControlRefused(f"{agent}/{name.task} is on {elsewhere}: use {elsewhere}/{name.task}")
     hint = did_you_mean(name.task, [row["task"] for row in described["tasks"]])
     raise ControlRefused(f"{agent} has no task {name.task!r}{hint}")
 
 
 def _agent_of(client: Client, task_id: str, task: str) -> str:
-    """Return the agent that has a task, given its identity and name; empty: none that answers."""
+    """Return the agent that has a task, given its identity and name; empty if no agent that answers has it."""
     for row in client.tasks():
         if row.task == task:
-            told = client.request(row.agent, Describe(f"{row.service}/{row.task}"))
-            if told.ok and told.result["fence"] and told.result["fence"]["task_id"] == task_id:
+            reply = client.request(row.agent, Describe(f"{row.service}/{row.task}"))
+            if reply.ok and reply.result["fence"] and reply.result["fence"]["task_id"] == task_id:
                 return row.agent
     return ""
 
 
 def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str, body: Any, **others: Any) -> None:
-    """Have an agent do something with a task or a service, and show that it was done.
+    """Send a control packet about a task or a service, and print that it was done.
 
     Args:
-        ask: how to print it.
-        client: asks the agent.
+        ask: has the printer.
+        client: sends the request.
         name: the task or the service.
-        done: what was done, if it was not only asked whether it would be.
+        done: the word for what was done; unused in a dry run.
         body: the control packet's body.
-        others: what is shown besides.
+        others: further columns to print.
     """
     reply = request(client, name.agent, body)
     result = reply.result if isinstance(body, Reschedule) else {}
@@ -160,25 +160,25 @@ def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str,
     ask.printer.table([row], tuple(row))
 
 
-force_option = click.option("--force", is_flag=True, help="Do it without asking. Needed if this is no terminal.")
-"""The option `--force` of verbs that lose something; its parameter is `force`."""
+force_option = click.option("--force", is_flag=True, help="Do not ask first. Required if this is not a terminal.")
+"""The option `--force` of verbs that lose data; its parameter is `force`."""
 
 
 def confirm(meaning: str, force: bool, dry_run: bool = False) -> None:
-    """Go on only if a person means it: with `--force`, or after they were asked on the terminal.
+    """Return only if the user confirms: with `--force`, or by answering the question on the terminal.
 
     Args:
         meaning: what is lost, as a sentence without its full stop.
         force: whether `--force` was given.
-        dry_run: whether nothing is done anyway.
+        dry_run: whether this is a dry run, which needs no confirmation.
 
     Raises:
-        ControlRefused: they do not, or nobody can be asked.
+        ControlRefused: the user declines, or there is no terminal to ask on.
     """
     if force or dry_run:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise ControlRefused(f"{meaning}. With --force it is done, with --dry-run only shown. Nothing was done")
+        raise ControlRefused(f"{meaning}. Pass --force to do it, or --dry-run to check it first. Nothing was done")
     if not click.confirm(f"{meaning}. Do it?", err=True):
         raise ControlRefused("nothing was done")
 
@@ -186,21 +186,19 @@ def confirm(meaning: str, force: bool, dry_run: bool = False) -> None:
 def request_confirmed(
     client: Client, agent: str, body: Callable[[bool, bool], Any], force: bool, dry_run: bool
 ) -> Reply:
-    """Have an agent do what it refuses without force; its refusal, which says what that would mean, is the question.
+    """Request what the agent refuses without force, and ask the user with the text of that refusal.
 
     Args:
-        client: asks the agent.
+        client: sends the requests.
         agent: the agent.
         body: makes the control packet's body, given whether it is forced and whether it is a dry run.
         force: whether `--force` was given.
         dry_run: whether `--dry-run` was given.
 
     Raises:
-        ControlRefused: the agent refuses it in any case, or it is not meant.
+        ControlRefused: the agent refuses even with force, or the user declines.
         Unreachable: the agent does not answer.
     """
-    # only now: many a verb that asks needs no client
-
     if force or dry_run or not (sys.stdin.isatty() and sys.stderr.isatty()):
         return request(client, agent, body(force, dry_run))
     request(client, agent, body(True, True))

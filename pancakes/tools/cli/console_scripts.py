@@ -1,4 +1,4 @@
-"""Where the programs begin: it is imported before anything else of ours, and first sees to an early SIGINT."""
+"""The entry points of the programs. It is imported first, so that an early SIGINT is handled quietly."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Exit codes, and the one place where an error becomes a sentence for a person and an exit code for a script.
+"""Exit codes, and the one place that turns an error into a sentence for people and an exit code for scripts.
 
-A `Guarded` click command ends with such a sentence instead of a traceback, also if the reader of its output ends early
+A `Guarded` click command ends with such a sentence instead of a traceback, even if the reader of its output ends early
 (`| head`).
 """
 
@@ -21,24 +21,24 @@ from pancakes.util.docstring import docstring_of
 
 OK: Final = 0
 REFUSED: Final = 1
-"""It was understood and is not done: an agent refused it, a port is in use, ..."""
+"""The command was understood but not carried out: an agent refused it, a port is in use, ..."""
 USAGE: Final = 2
-"""The command line itself is wrong; click says so."""
+"""The command line itself is wrong; click reports it."""
 UNREACHABLE: Final = 3
 """No agent answered."""
 BAD_CONFIGURATION: Final = 4
 UNREAD: Final = 141
-"""The reader of its output ended early. A shell gives other tools this exit code when SIGPIPE ends them."""
+"""The reader of the output ended early. Shells give the same exit code to tools that SIGPIPE ends."""
 
 TRACEBACK: Final = "PANCAKES_TRACEBACK"
-"""The environment variable with which a defect shows its traceback, for the developer who mends it."""
+"""The environment variable that makes a defect show its traceback, for the developer who fixes it."""
 
 UNWRITABLE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
-"""What says that output cannot be written because of where it goes to: a full disk, for example."""
+"""Errors of the place that output goes to, such as a full disk."""
 
 
 def exit_code(error: PancakesError) -> int:
-    """Return the exit code that an error stands for."""
+    """Return the exit code for an error."""
     if isinstance(error, ConfigError):
         return BAD_CONFIGURATION
     if isinstance(error, Unreachable):
@@ -47,8 +47,8 @@ def exit_code(error: PancakesError) -> int:
 
 
 def fail(error: Exception) -> NoReturn:
-    """Say what is wrong on standard error, and exit."""
-    from pancakes.tools.cli.output import show_text  # only now: help needs no msgspec
+    """Print what is wrong to standard error, and exit."""
+    from pancakes.tools.cli.output import show_text  # late import: help needs no msgspec
 
     if isinstance(error, PancakesError):
         show_text(str(error), err=True)
@@ -79,17 +79,17 @@ def end_unread() -> NoReturn:
 
 
 def forget_output() -> None:
-    """Discard the text that Python still has for standard output: its end would else report an error."""
+    """Discard the output that Python still buffers: flushing it at exit would report an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 @contextmanager
 def sentences() -> Iterator[None]:
-    """Make sentences of the errors that leave its block: the user of a command sees no traceback."""
+    """Turn errors that leave the block into sentences, so that users see no traceback."""
     try:
         yield
     except (click.ClickException, click.exceptions.Exit, click.Abort):
-        raise  # click has sentences of its own for these
+        raise  # click prints its own sentences for these
     except BrokenPipeError:
         end_unread()
     except Exception as error:
@@ -107,9 +107,9 @@ def with_help(command: click.Command) -> click.Command:
 
 
 class Guarded(click.Command):
-    """A click command whose errors become sentences, also where the reader of its output ends early (`| head -1`).
+    """A click command whose errors become sentences, even if the reader of its output ends early (`| head -1`).
 
-    A group of this class does so for its commands, too.
+    A group of this class also does this for its commands.
     """
 
     def make_context(self, *args: Any, **more: Any) -> click.Context:

@@ -1,7 +1,8 @@
 """The program of a fork server: it loads what every agent needs, and forks agents as children of the launcher.
 
-`python -m pancakes.tools.cli.fork_server FD PID`, with the number of a socket, and the process of the launcher. It ends
-when the launcher closes the socket, or ends; the agents go on. `pancakes.tools.launch.process` is the launcher's end.
+`python -m pancakes.tools.cli.fork_server FD PID`: FD is a socket, PID the process of the launcher. The fork server ends
+when the launcher ends or closes the socket; its agents keep running. `pancakes.tools.launch.process` is the launcher's
+side.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from pancakes.tools.cli.parent_death import die_with_parent
 from pancakes.util.plugins import Plugins
 
 LOADED: Final = ("pancakes.agent", "pancakes.durable", "pancakes.journal", "pancakes.mesh", "pancakes.services")
-"""Agents run what is in these packages. Plug-ins are loaded by each agent: a thread that one begins would be lost."""
+"""The packages that agents run. Each agent loads plug-ins itself: a thread that a plug-in starts is lost in a fork."""
 LONGEST: Final = 1 << 20
 """The largest message for one child, in bytes."""
 MOST_FILES: Final = 16
@@ -31,7 +32,7 @@ STANDARD_STREAMS: Final = (1, 2)
 
 
 def main() -> None:
-    """Load what agents need, and fork them as it is asked to."""
+    """Load what agents need, and fork an agent for each request."""
     channel = connected()
     load(LOADED)
     child = serve(channel)
@@ -43,14 +44,14 @@ def main() -> None:
 
 
 def connected() -> socket.socket:
-    """Return the socket that the program's arguments name. From here on the program ends with its launcher."""
+    """Return the socket that the program's arguments name, and tie this process to its launcher's life."""
     channel, launcher_pid = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])
     die_with_parent(launcher_pid)
     return channel
 
 
 def load(packages: Sequence[str]) -> None:
-    """Import all modules of some packages, into memory that what is forked shares."""
+    """Import all modules of some packages, into memory that the forked processes share."""
     gc.disable()
     for name in packages:
         package = importlib.import_module(name)
@@ -58,14 +59,14 @@ def load(packages: Sequence[str]) -> None:
             importlib.import_module(module.name)
     Plugins().unreadable()  # reading the entry points loads parts of Python, too
     gc.collect()
-    gc.freeze()  # no collection writes to what all of them share
+    gc.freeze()  # so that no garbage collection writes to shared memory pages
 
 
 def serve(channel: socket.socket) -> tuple[bytes, list[int]] | None:
     """Fork a child for each message, until the launcher ends.
 
     Returns:
-        None at that end; in each child its message, and the file descriptors that came with it.
+        None when the launcher ends; in each child its message, and the file descriptors that came with it.
     """
     while True:
         data, files, _, _ = socket.recv_fds(channel, LONGEST, MOST_FILES)
@@ -85,22 +86,23 @@ def serve(channel: socket.socket) -> tuple[bytes, list[int]] | None:
 
 
 def _fork(channel: socket.socket) -> bool:
-    """Fork a child, and tell the launcher its process; return whether this is the child.
+    """Fork a child, and report its process id to the launcher; return whether this is the child.
 
-    A process between the two ends at once: the system gives its child to the launcher, which asks for that. The child
-    waits until then, because it may ask the system to end it with its parent.
+    It forks twice. The process between the two ends at once, so the system makes the launcher the parent of the child
+    (the launcher asked to be such a parent). The child waits for that, because it may ask the system to end it with its
+    parent.
     """
-    said, say = os.pipe()
-    held, release = os.pipe()
+    report_reader, report_writer = os.pipe()
+    release_reader, release_writer = os.pipe()
     try:
         between = os.fork()
     except OSError:
-        for file in (said, say, held, release):
+        for file in (report_reader, report_writer, release_reader, release_writer):
             os.close(file)
         raise
     if between == 0:
-        os.close(said)
-        os.close(release)
+        os.close(report_reader)
+        os.close(release_writer)
         pid, error = 0, 0
         try:
             pid = os.fork()
@@ -108,27 +110,27 @@ def _fork(channel: socket.socket) -> bool:
             error = failed.errno or 0
         else:
             if pid == 0:
-                os.close(say)
-                if not os.read(held, 1):  # the fork server has ended, and the launcher knows nothing of this one
+                os.close(report_writer)
+                if not os.read(release_reader, 1):  # the fork server has ended: the launcher does not know this child
                     os._exit(0)
-                os.close(held)
+                os.close(release_reader)
                 return True
-        os.write(say, msgpack.packb([pid, error]))
+        os.write(report_writer, msgpack.packb([pid, error]))
         os._exit(0)
-    os.close(say)
-    os.close(held)
-    answer = os.read(said, LONGEST)
+    os.close(report_writer)
+    os.close(release_reader)
+    answer = os.read(report_reader, LONGEST)
     os.waitpid(between, 0)
-    os.close(said)
-    os.write(release, b"\0")
-    os.close(release)
+    os.close(report_reader)
+    os.write(release_writer, b"\0")
+    os.close(release_writer)
     channel.send(answer)
     return False
 
 
 def _take_place(arguments: Sequence[str], files: Sequence[int]) -> list[str]:
-    """Give an agent a session and its output; return its arguments, with the descriptor that learns of its start."""
-    # An interrupt at the terminal reaches the launcher, which stops its agents in order.
+    """Give an agent its own session and output; return its arguments, with the descriptor that reports its start."""
+    # In its own session it gets no Ctrl-C of the terminal: the launcher gets that, and stops its agents in order.
     os.setsid()
     output, *ready = files
     for stream in STANDARD_STREAMS:

@@ -1,6 +1,6 @@
 """Show a running fleet in Foxglove until Ctrl-C (`pancakes view --foxglove`).
 
-It subscribes to all channels of the fleet: the core channels, and those that tasks have made, as soon as they exist.
+It subscribes to all channels of the fleet: the core channels, and the channels of tasks as soon as they exist.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class FleetChannels:
     """Subscribe to all channels of the agents of a fleet.
 
     Args:
-        client: reaches the agents; of one fleet.
-        hearer: makes the function that takes the packets of one channel, in a thread of that channel.
-        say: takes a sentence where a channel cannot be subscribed to.
+        client: reaches the agents of one fleet.
+        hearer: makes the callback for the packets of one channel. Each channel calls it in its own thread.
+        say: prints a sentence if a channel cannot be subscribed to.
     """
 
     def __init__(
@@ -45,44 +45,44 @@ class FleetChannels:
         self._refused: set[str] = set()
 
     def look(self, described: Iterable[Mapping[str, Any]]) -> None:
-        """Subscribe to what is there and was not before.
+        """Subscribe to channels that are new.
 
         Args:
-            described: what the agents say of themselves (`Client.survey`).
+            described: the descriptions of the agents (`Client.survey`).
         """
         own = [f"{it['agent']}/{name}" for it in described for name in it["channels"] if name not in CORE_CHANNELS]
         for channel in (*CORE_CHANNELS, *own):
             if channel in self._subscribers:
                 continue
             try:
-                heard = self._client.subscribe(channel, callback=self._hearer(), foreign=True)
+                subscriber = self._client.subscribe(channel, callback=self._hearer(), foreign=True)
             except PancakesError as error:
                 if channel not in self._refused:
                     self._refused.add(channel)
                     self._say(f"{channel} is not shown: {error}")
                 continue
-            self._subscribers[channel] = heard
+            self._subscribers[channel] = subscriber
 
     def close(self) -> None:
         """End all subscribers."""
-        for heard in self._subscribers.values():
-            heard.close()
+        for subscriber in self._subscribers.values():
+            subscriber.close()
         self._subscribers.clear()
 
 
 LOOK_S: Final = 2.0
-"""How often new channels are looked for."""
+"""The period of the search for new channels."""
 
 
 def show_in_foxglove(port: int | None, ask: Ask) -> None:
     """Serve the packets of a fleet to Foxglove until the program is interrupted.
 
     Args:
-        port: the port on this machine; None: the usual one, or a free one if that is taken.
-        ask: which agents, and how the address is printed.
+        port: the port on this machine; None: the usual one, or a free one if the usual one is taken.
+        ask: which agents to show, and how to print the address.
 
     Raises:
-        PancakesError: there is no agent, the port is taken, or the library is missing.
+        PancakesError: no agent answers, the port is taken, or the library is missing.
     """
     with needing_extra("nothing can be served to Foxglove"):
         from pancakes.tools.web.foxglove_server import FoxgloveServer
@@ -95,11 +95,11 @@ def show_in_foxglove(port: int | None, ask: Ask) -> None:
         began_ns = wall_ns() - int(client.now() * NANOSECONDS)
 
         def hearer() -> Callable[[ReceivedPacket[Any]], None]:
-            viewer = Viewer()  # one for each channel, because each has a thread of its own
+            viewer = Viewer()  # one for each channel, because each channel has its own thread
 
-            def hear(heard: ReceivedPacket[Any]) -> None:
-                packet = replace(heard.packet, destination="")  # which is this program
-                entry = RecordedPacket(began_ns + int(heard.at_s * NANOSECONDS), heard.agent, packet)
+            def hear(received: ReceivedPacket[Any]) -> None:
+                packet = replace(received.packet, destination="")  # the destination was this program
+                entry = RecordedPacket(began_ns + int(received.at_s * NANOSECONDS), received.agent, packet)
                 server.show_packet(entry)
                 for message in viewer.messages(entry):
                     server.show(message)
@@ -115,7 +115,7 @@ def show_in_foxglove(port: int | None, ask: Ask) -> None:
                 try:
                     channels.look(client.survey().agents)
                 except PancakesError:
-                    continue  # no agent answers: it may come back
+                    continue  # no agent answers now: one may come back
         finally:
             channels.close()
             server.close()

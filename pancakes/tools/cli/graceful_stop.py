@@ -1,7 +1,7 @@
-"""Stop agents in good order: ask them, wait until they are gone, and end by a signal those that do not answer.
+"""Stop agents gracefully: ask each to end, wait until it is gone, and send a signal to those that do not answer.
 
-`GracefulStop` ends agents group by group: first those that act, then a simulated world; of a fleet file, first those
-that come after others.
+`GracefulStop` ends agents group by group: simulated worlds last, and the agents of a fleet file in reverse order of
+their `after`.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Target:
     """One agent that has to end.
 
     Attributes:
-        process: its process, if that is one of this machine.
-        host: the other host on which it runs; None: this machine, or it is not known.
+        process: its process, if that is on this machine.
+        host: the other host on which it runs; None: this machine, or unknown.
         gone: whether it has ended.
     """
 
@@ -49,7 +49,7 @@ class GracefulStop:
 
     Args:
         timeout_s: how long an agent may take to answer, and to end.
-        dry_run: whether it is only asked.
+        dry_run: whether to ask only whether each agent would end.
 
     Attributes:
         timeout_s, dry_run: the same.
@@ -64,7 +64,7 @@ class GracefulStop:
         self.code = OK
 
     def end_all(self, here: Mapping[tuple[str, str], RunningAgent], fleet: str) -> None:
-        """End the agents of this machine, or of one fleet on it; those on other machines go on."""
+        """End the agents of this machine, or only those of one fleet. Agents on other machines keep running."""
         reached = list(here.values())
         names = [entry.name for entry in reached]
         if len(set(names)) < len(names):
@@ -75,24 +75,26 @@ class GracefulStop:
             self.end_named(Where(fleet=fleet), names, here)
 
     def end_named(self, at: Where, names: Sequence[str], here: Mapping[tuple[str, str], RunningAgent]) -> None:
-        """End agents that are found from some addresses (none: on this machine)."""
+        """End agents that are found at some addresses; without addresses, on this machine."""
         with Client(at, self.timeout_s) as client:
-            described, silent = _described(client, names)
-            answered = {(told["fleet"], told["agent"]) for told in described}
-            # An agent that was named together with an address may be on another machine. Its namesake here is another.
-            mute = [] if at.addresses else [it for key, it in here.items() if it.name in names and key not in answered]
-            if len(silent) > len(mute):
+            described, sentences = _described(client, names)
+            answered = {(it["fleet"], it["agent"]) for it in described}
+            # With an address, a named agent may be on another machine: an agent of that name here is a different one.
+            silent = (
+                [] if at.addresses else [it for key, it in here.items() if it.name in names and key not in answered]
+            )
+            if len(sentences) > len(silent):
                 self.code = UNREACHABLE
-            targets = [_target(told, here) for told in described]
+            targets = [_target(it, here) for it in described]
             worlds = [target for target in targets if target.role == "environment"]
-            self._end_group(client, [it for it in targets if it not in worlds], [_target_of(entry) for entry in mute])
+            self._end_group(client, [it for it in targets if it not in worlds], [_target_of(entry) for entry in silent])
             self._end_group(client, worlds)
 
     def end_fleet(self, file: Path, names: Sequence[str]) -> None:
-        """End those agents of a fleet file that run, or those of them that are named.
+        """End the agents of a fleet file that run, or only those that are named.
 
         Raises:
-            PancakesError: the file is not sound, it has no agent of a name, or a host cannot be reached.
+            PancakesError: the file is invalid, it lacks a named agent, or a host cannot be reached.
         """
         from pancakes.tools.launch.fleet_file import make_fleet
         from pancakes.tools.launch.remote_hosts import open_hosts, tunnels
@@ -100,10 +102,10 @@ class GracefulStop:
         members = make_fleet([file], (), None, None)
         if unknown := [name for name in names if all(member.name != name for member in members)]:
             known = ", ".join(member.name for member in members)
-            raise PancakesError(f"{file} has no agent {unknown[0]!r}, only {known}")
+            raise PancakesError(f"{file} has no agent {unknown[0]!r}. It has {known}")
         wanted = [member for member in members if not names or member.name in names]
         here = {(entry.fleet, entry.name): entry for entry in entries()}
-        with open_hosts(wanted) as hosts, tunnels(hosts.values()) as ways, ExitStack() as stack:
+        with open_hosts(wanted) as hosts, tunnels(hosts.values()) as tunnel_of, ExitStack() as stack:
             targets: dict[str, Target] = {}
             addresses: dict[str, list[str]] = {}
             for member in wanted:
@@ -111,12 +113,12 @@ class GracefulStop:
                 entry = None if member.host else here.get((fleet, member.name))
                 if member.host and hosts[member.host].runs(member):
                     targets[member.name] = Target(member.name, fleet, role, None, hosts[member.host])
-                    addresses.setdefault(fleet, []).append(ways[member.name])
+                    addresses.setdefault(fleet, []).append(tunnel_of[member.name])
                 elif entry is not None:
                     targets[member.name] = _target_of(entry)
                     addresses.setdefault(fleet, []).extend(entry.listen[:1])
             if not targets:
-                show_text(f"nothing of {file} runs", err=True)
+                show_text(f"no agent of {file} runs", err=True)
             clients = {
                 fleet: stack.enter_context(Client(Where(tuple(at), fleet), self.timeout_s))
                 for fleet, at in addresses.items()
@@ -125,19 +127,18 @@ class GracefulStop:
                 for fleet, client in clients.items():
                     group = [targets[member.name] for member in wave if member.config.agent.fleet == fleet]
                     described, _ = _described(client, [target.name for target in group]) if group else ([], [])
-                    told = {it["agent"] for it in described}
-                    self._end_group(
-                        client, [it for it in group if it.name in told], [it for it in group if it.name not in told]
-                    )
+                    names_described = {it["agent"] for it in described}
+                    answering = [it for it in group if it.name in names_described]
+                    self._end_group(client, answering, [it for it in group if it.name not in names_described])
 
-    def _end_group(self, client: Client, answering: Sequence[Target], mute: Sequence[Target] = ()) -> None:
-        """End agents at the same time, and wait until they are gone: those that do not answer by a signal."""
-        ending = [target for target in mute if self._signal(target)]
+    def _end_group(self, client: Client, answering: Sequence[Target], silent: Sequence[Target] = ()) -> None:
+        """End agents at the same time, and wait until they are gone. Silent ones are ended by a signal."""
+        ending = [target for target in silent if self._signal(target)]
         ending += [target for target in answering if self._ask(client, target)]
 
         def all_gone() -> bool:
             for target in ending:
-                # What was seen to be gone may come back: its launcher may start it again.
+                # Keep the first "gone": a launcher may start the agent again meanwhile.
                 target.gone = target.gone or _is_gone(client, target)
             return all(target.gone for target in ending)
 
@@ -150,7 +151,7 @@ class GracefulStop:
                 self._fail(f"{target.name}{process} has not ended within {self.timeout_s:g} s", UNREACHABLE)
 
     def _ask(self, client: Client, target: Target) -> bool:
-        """Ask an agent to end; return whether it does."""
+        """Ask an agent to end; return whether it will end."""
         try:
             reply = client.request(target.name, Shutdown(self.dry_run))
         except NoAnswer as error:
@@ -164,7 +165,7 @@ class GracefulStop:
         return not self.dry_run
 
     def _signal(self, target: Target) -> bool:
-        """End an agent that does not answer, such as one whose network sleeps; return whether to wait for its end."""
+        """End an agent that does not answer, such as one whose network sleeps; return whether to wait for it."""
         if self.dry_run:
             self._done(target, DRY_RUN)
             return False
@@ -185,7 +186,7 @@ class GracefulStop:
         except psutil.AccessDenied:
             self._fail(f"{target.name} (process {pid}) belongs to another user", REFUSED)
             return False
-        show_text(f"{target.name} is told to end by a signal to its process {pid}", err=True)
+        show_text(f"{target.name} does not answer: sent a signal to its process {pid}", err=True)
         return True
 
     def _end_there(self, target: Target, host: Host) -> None:
@@ -212,7 +213,7 @@ class GracefulStop:
 
 
 def waves(members: Sequence[Member]) -> Iterator[list[Member]]:
-    """Yield agents in the order in which they end: each once those that come after it have ended."""
+    """Yield agents in the order in which they end: an agent ends only after those that start after it."""
     left = list(members)
     while left:
         needed = {other for member in left for other in member.after}
@@ -222,7 +223,7 @@ def waves(members: Sequence[Member]) -> Iterator[list[Member]]:
 
 
 def _described(client: Client, names: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return what agents say of themselves, and a sentence for each that says nothing; one hides no other."""
+    """Return the descriptions of agents, and print a sentence for each that does not answer; return both."""
     found, silent = _survey(client, names)
     for sentence in silent:
         show_text(sentence, err=True)
@@ -236,17 +237,17 @@ def _survey(client: Client, names: Sequence[str]) -> tuple[list[dict[str, Any]],
         if len(names) < 2:
             return [], str(error).splitlines()
         parts = [_survey(client, [name]) for name in names]
-        return [told for part, _ in parts for told in part], [sentence for _, part in parts for sentence in part]
+        return [it for part, _ in parts for it in part], [sentence for _, part in parts for sentence in part]
     return list(found.agents), list(found.silent)
 
 
 def _target(described: dict[str, Any], here: Mapping[tuple[str, str], RunningAgent]) -> Target:
     name, fleet = described["agent"], described["fleet"]
     entry = here.get((fleet, name))
-    # An agent of this name may run here and another one elsewhere: only its own word says which was asked.
-    told = described["process"]
-    own = entry is not None and told is not None and told["pid"] == entry.pid
-    return Target(name, fleet, described["role"], _process(entry.pid) if own and entry is not None else None)
+    # Agents of the same name may run here and elsewhere: compare process ids to know which of them answered.
+    process = described["process"]
+    is_here = entry is not None and process is not None and process["pid"] == entry.pid
+    return Target(name, fleet, described["role"], _process(entry.pid) if is_here and entry is not None else None)
 
 
 def _target_of(entry: RunningAgent) -> Target:
@@ -254,7 +255,7 @@ def _target_of(entry: RunningAgent) -> Target:
 
 
 def _process(pid: int) -> psutil.Process | None:
-    """Return a process; None: it has ended already."""
+    """Return a process, or None if it has ended already."""
     import psutil
 
     try:

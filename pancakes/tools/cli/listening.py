@@ -1,4 +1,4 @@
-"""Listen to channels for as long as a verb is to go on, and say what was missed meanwhile."""
+"""Listen to channels for a verb, and report the packets that were missed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from pancakes.tools.cli.streaming import say, until_ended
 from pancakes.util.text import did_you_mean
 
 LOOK_S = 0.2
-"""At least that often `listen` gives its caller a turn."""
+"""The longest time, in seconds, before `listen` yields to its caller."""
 MOST_WAITING = 100_000
 """At most this many packets wait for a terminal that is slow."""
 
 Heard = Subscriber[ReceivedPacket[Any]]
-"""What comes on a channel."""
+"""The packets of a channel."""
 
 types_option = click.option(
     "--type", "types", metavar="TYPE", multiple=True, help="Only packets of this type. Repeatable."
@@ -37,11 +37,11 @@ from_option = click.option(
 
 @contextmanager
 def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[tuple[Client, Heard]]:
-    """Listen to a channel of an agent, until Ctrl-C at the latest.
+    """Listen to a channel of an agent, at most until Ctrl-C.
 
     Args:
         name: the channel.
-        types: only packets of these types; none: all.
+        types: only packets of these types; empty: all.
         ask: how to ask.
     """
     with (
@@ -56,27 +56,27 @@ def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[
 def listen(
     client: Client, subscriber: Heard, for_s: float | None = None, bounded: bool = False
 ) -> Iterator[ReceivedPacket[Any] | None]:
-    """Yield the packets as they come, and None now and then if none comes.
+    """Yield the packets as they come, and None at least every `LOOK_S` if none comes.
 
     Args:
         client: reaches the agents.
-        subscriber: what is listened to.
-        for_s: ends after this time; None: never.
-        bounded: whether the caller will end by itself, so that it should not wait for ever for agents that went away.
+        subscriber: the subscription.
+        for_s: end after this time; None: never.
+        bounded: whether the caller ends by itself. Then it should not wait for ever for agents that went away.
 
     Raises:
-        Unreachable: at the end, or for as long as the client's time limit, none of the agents is there.
+        Unreachable: no agent was connected at the end, or for as long as the client's time limit.
     """
     now_s = client.now()
     end_s = math.inf if for_s is None else now_s + for_s
-    heard_s = now_s
+    connected_s = now_s
     while now_s < end_s:
-        heard = subscriber.take(min(end_s - now_s, LOOK_S))
-        yield heard
+        packet = subscriber.take(min(end_s - now_s, LOOK_S))
+        yield packet
         now_s = client.now()
-        if heard is not None or subscriber.away() != subscriber.agents():
-            heard_s = now_s
-        elif bounded and now_s - heard_s >= client.timeout_s:
+        if packet is not None or subscriber.away() != subscriber.agents():
+            connected_s = now_s
+        elif bounded and now_s - connected_s >= client.timeout_s:
             raise Unreachable(f"{', '.join(subscriber.away())} did not come back within {client.timeout_s:g} s")
     if subscriber.away() == subscriber.agents():
         raise Unreachable(f"{', '.join(subscriber.away())} went away and did not come back")
@@ -84,7 +84,7 @@ def listen(
 
 @contextmanager
 def telling_losses(client: Client, subscriber: Heard, channel: str) -> Iterator[None]:
-    """Say at the end how many packets were published and did not come to be seen."""
+    """Print at the end how many published packets were not shown."""
     try:
         yield
     except KeyboardInterrupt:
@@ -103,16 +103,16 @@ def _tell_losses(client: Client, subscriber: Heard, channel: str) -> None:
     for agent in agents:
         lost = sum(peer["dropped"].get(channel, 0) for peer in agent["mesh"]["peers"] if client.is_own(peer["name"]))
         if lost:
-            say(f"{lost} packets were given up by {agent['agent']}: the way to this terminal was too slow")
+            say(f"{lost} packets were dropped by {agent['agent']}: its link to this terminal was too slow")
 
 
 def from_any(source: str, addresses: Sequence[str]) -> bool:
-    """Return whether a packet comes from one of these addresses, or one below; no addresses: from anywhere."""
+    """Return whether a packet comes from one of these addresses or below; without addresses, always True."""
     return not addresses or any(covers(address.rstrip("/"), source) for address in addresses)
 
 
 def doubt_types(types: Sequence[str]) -> None:
-    """Name the types that are not installed here. The agents may know them; perhaps the user meant another one."""
+    """Warn of types that are not installed here: the agents may know them, or the user mistyped one."""
     from pancakes.packet import known_types
     from pancakes.util.plugins import Plugins
 

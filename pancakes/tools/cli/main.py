@@ -1,7 +1,7 @@
-"""`pancakes`: the command line that speaks to running agents and runs demos.
+"""`pancakes`: the command line that talks to running agents and runs demos.
 
-A verb is imported only when it is used, so that the others start fast: `HELP` names them. Other
-distributions add commands by entry point (`pancakes.commands`).
+A verb is imported only when it is used, so that the program starts fast; `HELP` lists the verbs. Other distributions
+add commands by entry point (`pancakes.commands`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class LazyCommand:
 
     Attributes:
         place: `module:name`.
-        help: its line in the help of the group.
+        help: its line in the group's help.
     """
 
     place: str
@@ -43,7 +43,7 @@ class LazyGroup(Guarded, click.Group):
     """A click group whose commands are imported late.
 
     Args:
-        lazy: its own commands, by name; no installed command takes the name of one.
+        lazy: its own commands, by name. An installed command cannot replace one of them.
         attributes: see `click.Group`.
     """
 
@@ -53,7 +53,7 @@ class LazyGroup(Guarded, click.Group):
 
     @cached_property
     def _commands(self) -> dict[str, LazyCommand]:
-        """All commands: its own, and after them those of other distributions. Imports none."""
+        """All commands: its own, then those of other distributions. None is imported."""
         installed = {
             point.name: LazyCommand(point.value, f"From {point.dist.name}." if point.dist is not None else "")
             for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)
@@ -104,7 +104,7 @@ def _installed(name: str) -> click.Command:
     """Import a command of another distribution.
 
     Raises:
-        PluginError: it cannot be imported, two distributions offer it, or it is no click command.
+        PluginError: it cannot be imported, two distributions offer it, or it is not a click command.
     """
     from pancakes.errors import PluginError
     from pancakes.util.plugins import Plugins
@@ -113,37 +113,37 @@ def _installed(name: str) -> click.Command:
     command = plugins.get(GROUP, name)
     if not isinstance(command, click.Command):
         distribution, version = plugins.version(GROUP, name)
-        raise PluginError(f"the command {name!r} of {distribution} {version} is no click command: {command!r}")
+        raise PluginError(f"the command {name!r} of {distribution} {version} is not a click command: {command!r}")
     return command
 
 
 HELP: Final = {
-    "agent": "Agents that run.",
-    "task": "Tasks that agents have.",
-    "service": "Services that agents have.",
-    "channel": "Channels, and the packets on them.",
-    "param": "Settings of tasks.",
-    "fleet": "Who belongs to a fleet, and what its members may do.",
-    "log": "What agents say and do.",
-    "record": "Recordings of what agents say.",
+    "agent": "List and show running agents.",
+    "task": "Show, control and migrate the tasks of agents.",
+    "service": "Show and control the services of agents.",
+    "channel": "Show channels, and the packets on them.",
+    "param": "Read and change the settings of tasks.",
+    "fleet": "Manage the members of a fleet and their rights.",
+    "log": "Show the log and the events of agents.",
+    "record": "Record agents, and show recordings.",
     "replay": "Feed a recording into a fleet.",
-    "rerun": "Run a recorded task through its present code.",
-    "why": "What led to the commands of a recording's actuators.",
-    "view": "A page that shows what a fleet does.",
-    "report": "A recording as a page, and as pictures for a paper.",
+    "rerun": "Run a recorded task again with its present code.",
+    "why": "Explain the commands to actuators in a recording.",
+    "view": "Show a fleet live on a web page.",
+    "report": "Turn a recording into a page and figures for a paper.",
     "top": "Watch agents and tasks: rates, lateness, load.",
-    "what-if": "What a change would do, before it is done.",
+    "what-if": "Show what a change would do, before you make it.",
     "launch": "Run a fleet from its files.",
-    "deploy": "Bring a fleet to its hosts, and keep it running there.",
-    "down": "End agents in order.",
+    "deploy": "Install a fleet on its hosts, and keep it running there.",
+    "down": "Stop agents gracefully.",
     "demo": "Run a whole mission, and judge it.",
-    "new": "Begin a task, driver, service, cost or plug-in of one's own.",
+    "new": "Create a package for your own task, driver, service, cost or plug-in.",
     "config": "Check and show configuration files.",
-    "plugin": "What is installed for agents to use.",
-    "doctor": "Look for what is wrong on this machine and with its agents.",
-    "completion": "Completion of names in the shell.",
+    "plugin": "List the plug-ins that are installed for agents.",
+    "doctor": "Look for faults on this machine and in its agents.",
+    "completion": "Set up completion of names in your shell.",
 }
-"""The verbs, each with its line in the help. The module of a verb is called as the verb is."""
+"""The verbs, each with its line in the help. The module of a verb has the verb's name."""
 
 COMMANDS: Final = {
     name: LazyCommand(f"pancakes.tools.cli.verbs.{(verb := name.replace('-', '_'))}:{verb}", help_)
@@ -154,12 +154,12 @@ COMMANDS: Final = {
 @click.group(cls=LazyGroup, lazy=COMMANDS)
 @version_option("pancakes")
 def pancakes() -> None:
-    """Robots and sensor nodes that work as one.
+    """Control robots and sensor nodes that work as one.
 
-    It finds the agents of this machine by itself, others with --at HOST:PORT, and the rest of the fleet through any
-    one of them. To run an agent: pancakes-agent.
+    pancakes finds the agents of this machine by itself. To reach others, pass --at HOST:PORT of any one of them: it
+    knows the rest of its fleet. To run an agent, use pancakes-agent.
 
-    Exit codes: 0 ok, 1 refused, 2 usage, 3 unreachable, 4 bad configuration; 130 interrupted, 141 where the
+    Exit codes: 0 ok, 1 refused, 2 usage, 3 unreachable, 4 bad configuration; 130 interrupted, 141 if the
     reader of the output ends early (| head).
     """
 
@@ -168,7 +168,7 @@ def main() -> None:
     """The console script."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the shell (>&-)
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - it stays open to the end
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - stays open until the process ends
     if VARIABLE in os.environ:
         from pancakes.tools.cli.verbs.completion import answer_shell
 

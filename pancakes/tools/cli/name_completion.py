@@ -1,7 +1,8 @@
 """Complete names in the shell from what the running agents report.
 
-A completion takes `LIMIT_S` at most, and completes nothing if something fails. A choice that ends in a slash is only a
-part of a name: if it is the only one, what is below it is offered, because a shell would end the word after it.
+A completion takes at most `LIMIT_S`, and offers nothing if something fails. A choice that ends in a slash is only a
+part of a name. If it would be the only choice, the names below it are offered, because a shell would end the word
+after a single choice.
 """
 
 from __future__ import annotations
@@ -19,42 +20,42 @@ if TYPE_CHECKING:
 
 
 LIMIT_S: Final = 1.0
-"""How long a person waits for a completion, at most."""
+"""The longest time, in seconds, that a user waits for a completion."""
 
 Choices = Iterable[tuple[str, str]]
-"""Names, each with a line that says what it is."""
+"""Names, each with a line that describes it."""
 
 
 def names(noun: str, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Complete the name of an agent, or of what an agent has: `task`, `service` or `channel`."""
+    """Complete the name of an agent, or of a `task`, `service` or `channel` of an agent."""
     return agents(ctx, param, incomplete) if noun == "agent" else _below(ctx, incomplete, _BELOW[noun])
 
 
 def agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Complete `AGENT`; those that stand on the line already are not offered again."""
+    """Complete `AGENT`; agents that are on the command line already are not offered again."""
     named = ctx.params.get(param.name or "")
     taken = named if isinstance(named, (list, tuple)) else ()
-    fleet, slash, begun = incomplete.rpartition("/")
+    fleet, slash, prefix = incomplete.rpartition("/")
     return [
         CompletionItem(f"{fleet}{slash}{found['agent']}", help=f"{found['role']} in {found['fleet']}")
         for found in descriptions(ctx)
-        if found["agent"].startswith(begun) and found["agent"] not in taken and fleet in ("", found["fleet"])
+        if found["agent"].startswith(prefix) and found["agent"] not in taken and fleet in ("", found["fleet"])
     ]
 
 
 def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
-    """Return what the agents (or only those named) say of themselves; nothing if none answers in time."""
+    """Return the descriptions of all agents, or of those named; empty if none answers in time."""
     from pancakes.client import Client
 
     try:
         with Client(_at(ctx), LIMIT_S) as client:
             return _printable(client.survey(*agents).agents)
-    except Exception:  # no error may disturb a user who types
+    except Exception:  # an error must not print into the line that the user types
         return []
 
 
 def answer(ctx: click.Context, agent: str, body: Any) -> Any:
-    """Return the result that an agent answers a control packet with; None if it gives none in time."""
+    """Return an agent's result for a control packet; None if it does not answer in time."""
     from pancakes.client import Client
 
     try:
@@ -65,7 +66,7 @@ def answer(ctx: click.Context, agent: str, body: Any) -> Any:
 
 
 def _printable(value: Any) -> Any:
-    """Return what an agent says with the control characters of its texts escaped: a shell shows what it completes."""
+    """Return an agent's answer with control characters escaped, because a shell prints what it completes."""
     if isinstance(value, dict):
         return {key: _printable(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -74,7 +75,7 @@ def _printable(value: Any) -> Any:
 
 
 def _at(ctx: click.Context) -> Where:
-    """The addresses and the fleet that are on the line already."""
+    """The addresses and the fleet that are on the command line already."""
     from pancakes.client import Where
 
     return Where(tuple(ctx.params.get("at") or ()), ctx.params.get("fleet") or "")
@@ -83,16 +84,16 @@ def _at(ctx: click.Context) -> Where:
 def _below(
     ctx: click.Context, incomplete: str, choices: Callable[[dict[str, Any], str], Choices]
 ) -> list[CompletionItem]:
-    """Complete what is named below an agent.
+    """Complete the name of something that an agent has.
 
     Args:
-        choices: given an agent's description and what is written after `AGENT/`, returns what it has.
+        choices: returns what an agent has, given its description and the text after `AGENT/`.
     """
-    agent, slash, begun = incomplete.partition("/")
+    agent, slash, prefix = incomplete.partition("/")
     found = descriptions(ctx, agent) if slash else descriptions(ctx)
-    if slash and not found:  # then it is a fleet
+    if slash and not found:  # the first part is a fleet, not an agent
         of_fleet = [description for description in descriptions(ctx) if description["fleet"] == agent]
-        below = _among(of_fleet, begun, choices)
+        below = _among(of_fleet, prefix, choices)
         return [CompletionItem(f"{agent}/{item.value}", help=item.help) for item in below]
     return _among(found, incomplete, choices)
 
@@ -100,34 +101,34 @@ def _below(
 def _among(
     found: Sequence[dict[str, Any]], incomplete: str, choices: Callable[[dict[str, Any], str], Choices]
 ) -> list[CompletionItem]:
-    """Complete what is named below one of some agents; see `_below`."""
-    agent, slash, begun = incomplete.partition("/")
-    there = {description["agent"]: description for description in found if description["agent"].startswith(agent)}
-    if not slash and len(there) > 1:
-        return [CompletionItem(f"{name}/") for name in there]
+    """Complete the name of something that one of these agents has; see `_below`."""
+    agent, slash, prefix = incomplete.partition("/")
+    matching = {description["agent"]: description for description in found if description["agent"].startswith(agent)}
+    if not slash and len(matching) > 1:
+        return [CompletionItem(f"{name}/") for name in matching]
     return [
         CompletionItem(f"{name}/{choice}", help=help_ or None)
-        for name, description in there.items()
-        for choice, help_ in choices(description, begun)
-        if choice.startswith(begun)
+        for name, description in matching.items()
+        for choice, help_ in choices(description, prefix)
+        if choice.startswith(prefix)
     ]
 
 
-def _tasks(description: dict[str, Any], begun: str) -> Choices:
-    """The tasks of an agent; with their services where a service is begun, or a name is in several services."""
+def _tasks(description: dict[str, Any], prefix: str) -> Choices:
+    """The tasks of an agent; with their services if the prefix is one, or if several services have the name."""
     rows = [(row["service"], row["task"], f"{row['type']}, {row['state']}") for row in description["tasks"]]
     names = [task for _, task, _ in rows]
-    short = [(task if names.count(task) == 1 else f"{service}/{task}", what) for service, task, what in rows]
-    if any(choice.startswith(begun) for choice, _ in short):
+    short = [(task if names.count(task) == 1 else f"{service}/{task}", help_) for service, task, help_ in rows]
+    if any(choice.startswith(prefix) for choice, _ in short):
         return short
-    full = [(f"{service}/{task}", what) for service, task, what in rows]
-    of_services = list(dict.fromkeys(service for service, _, _ in rows if service.startswith(begun)))
-    return full if len(of_services) < 2 else [(f"{service}/", "") for service in of_services]
+    full = [(f"{service}/{task}", help_) for service, task, help_ in rows]
+    services = list(dict.fromkeys(service for service, _, _ in rows if service.startswith(prefix)))
+    return full if len(services) < 2 else [(f"{service}/", "") for service in services]
 
 
 _BELOW: Final[dict[str, Callable[[dict[str, Any], str], Choices]]] = {
     "task": _tasks,
-    "service": lambda found, begun: ((row["service"], row["state"]) for row in found["services"]),
-    "channel": lambda found, begun: ((name, "") for name in found["channels"]),
+    "service": lambda found, prefix: ((row["service"], row["state"]) for row in found["services"]),
+    "channel": lambda found, prefix: ((name, "") for name in found["channels"]),
 }
-"""What an agent has, by its kind: as the agent describes itself, given what is written of the name."""
+"""The choices for each kind of name, given an agent's description and the text so far."""

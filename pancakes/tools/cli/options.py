@@ -1,8 +1,8 @@
 """Arguments and options that verbs share: names of agents and what they have, `--at`, `--fleet`, `--format`.
 
 An agent, task, service or channel is named `AGENT`, `AGENT/TASK`, `AGENT/SERVICE/TASK`, `AGENT/SERVICE` or
-`AGENT/CHANNEL`. The fleet may come first (`FLEET/AGENT/TASK`); then the verb speaks to that fleet. If a name can be
-read in two ways, `AGENT/SERVICE/TASK` wins if such an agent exists (`pancakes.tools.cli.agent_requests.resolve_fleet`).
+`AGENT/CHANNEL`. The fleet may come first (`FLEET/AGENT/TASK`); then the verb talks to that fleet. A name of three
+parts means `AGENT/SERVICE/TASK` if such an agent exists (`pancakes.tools.cli.agent_requests.resolve_fleet`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class TaskName(NamedTuple):
 
     Attributes:
         agent: the agent that it is on.
-        service: its service; empty if that was not said.
+        service: its service; empty if it was not given.
         task: its name.
     """
 
@@ -39,7 +39,7 @@ class TaskName(NamedTuple):
 
     @property
     def target(self) -> str:
-        """It as the agent itself reads it (see `pancakes.control`)."""
+        """The name as the agent itself reads it (see `pancakes.control`)."""
         return f"{self.service}/{self.task}" if self.service else self.task
 
     def __str__(self) -> str:
@@ -59,7 +59,7 @@ class ServiceName(NamedTuple):
 
     @property
     def target(self) -> str:
-        """It as the agent itself reads it, also where one of its tasks has the same name."""
+        """The name as the agent itself reads it, even if one of its tasks has the same name."""
         return f"{self.service}/"
 
     def __str__(self) -> str:
@@ -82,39 +82,39 @@ class ChannelName(NamedTuple):
 
 
 _FLEET: Final = "pancakes.fleet"
-"""Under this name a command keeps the fleet that stands before one of its names."""
+"""The key in the click context for the fleet that precedes one of the command's names."""
 
 
 def note_fleet(type_: click.ParamType, fleet: str, param: click.Parameter | None, ctx: click.Context | None) -> None:
-    """Note the fleet that stands before a name, for `fleet_of_command`; all names of a command must be of the same."""
+    """Note the fleet that precedes a name, for `fleet_of_command`; all names of a command must be in one fleet."""
     if ctx is not None and ctx.meta.setdefault(_FLEET, fleet) != fleet:
-        type_.fail(f"a command speaks to one fleet, not to {ctx.meta[_FLEET]} and {fleet}", param, ctx)
+        type_.fail(f"a command talks to one fleet, not to {ctx.meta[_FLEET]} and {fleet}", param, ctx)
 
 
 def fleet_of_command(option: str) -> str:
-    """Return the fleet that a command is about: that of `--fleet`, or that before its names; empty: any."""
-    said: str = click.get_current_context().meta.get(_FLEET, "")
-    if option and said and option != said:
-        raise click.UsageError(f"a command speaks to one fleet, not to {option} (--fleet) and {said}")
-    return option or said
+    """Return the fleet of a command, from `--fleet` or from its names; empty: any fleet."""
+    named: str = click.get_current_context().meta.get(_FLEET, "")
+    if option and named and option != named:
+        raise click.UsageError(f"a command talks to one fleet, not to {option} (--fleet) and {named}")
+    return option or named
 
 
 class NameType(click.ParamType):
-    """Read a name, with or without its fleet before it; also the type of an option.
+    """Read a name, with or without its fleet; for arguments and options.
 
     Args:
-        noun: what bears such a name: `agent`, `task`, `service` or `channel`.
+        noun: what the name is for: `agent`, `task`, `service` or `channel`.
         name: how the name is written.
-        counts: how many parts it may have; a name of the largest number begins with the fleet.
-        made: makes the name of its parts, without the fleet.
-        how: how to write it, for a sentence that refuses what is no such name.
+        counts: how many parts it may have; with the largest number, the first part is the fleet.
+        make: makes the name from its parts, without the fleet.
+        how: how to write it, for the message about a malformed name.
     """
 
-    def __init__(self, noun: str, name: str, counts: Sequence[int], made: Callable[..., Any], how: str = "") -> None:
+    def __init__(self, noun: str, name: str, counts: Sequence[int], make: Callable[..., Any], how: str = "") -> None:
         self.noun = noun
         self.name = name
         self._counts = counts
-        self._made = made
+        self._make = make
         self._how = how or f"write it as {name} or FLEET/{name}"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -122,10 +122,10 @@ class NameType(click.ParamType):
             return value
         parts = value.split("/")
         if len(parts) not in self._counts or (len(parts) > 1 and not all(parts)):
-            self.fail(f"{value!r} names no {self.noun}: {self._how}", param, ctx)
+            self.fail(f"{value!r} is not a valid {self.noun} name: {self._how}", param, ctx)
         if len(parts) == max(self._counts):
             note_fleet(self, parts.pop(0), param, ctx)
-        return self._made(*parts)
+        return self._make(*parts)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType`."""
@@ -145,17 +145,17 @@ TASK_NAME: Final = NameType(
     "AGENT/TASK",
     (2, 3, 4),
     _task_name,
-    "write it as AGENT/TASK or AGENT/SERVICE/TASK, with FLEET/ before it where that is needed",
+    "write it as AGENT/TASK or AGENT/SERVICE/TASK, with FLEET/ before it if needed",
 )
 SERVICE_NAME: Final = NameType("service", "AGENT/SERVICE", (2, 3), ServiceName)
 CHANNEL_NAME: Final = NameType("channel", "AGENT/CHANNEL", (2, 3), ChannelName)
 
 an_agent = click.argument("agent", metavar="[AGENT]", default="", type=AGENT_NAME)
-"""The argument `agent` of a verb about all agents, or one of them; a string, empty if it was left out."""
+"""The argument `agent` of a verb about all agents or one of them; a string, empty if omitted."""
 the_agent = click.argument("agent", metavar="AGENT", type=AGENT_NAME)
 """The argument `agent` of a verb about one agent; a string."""
 agents = click.argument("agents", metavar="[AGENT]...", nargs=-1, type=AGENT_NAME)
-"""The argument `agents` of a verb about all agents, or those that are named; a tuple of strings."""
+"""The argument `agents` of a verb about all agents or those named; a tuple of strings."""
 a_channel = click.argument("name", metavar="AGENT/CHANNEL", type=CHANNEL_NAME)
 """The argument `name` of a verb about one channel, a `ChannelName`."""
 a_task = click.argument("name", metavar="AGENT/TASK", type=TASK_NAME)
@@ -182,11 +182,11 @@ class AgentAddress(click.ParamType):
 
 
 class Duration(click.ParamType):
-    """A time such as `30s`, `500ms`, `2min` or `1h`; a number alone means seconds. It becomes seconds.
+    """A time such as `30s`, `500ms`, `2min` or `1h`, converted to seconds; a plain number means seconds.
 
     Args:
-        least_s: it is at least so long; 0 itself is none.
-        most_s: it is at most so long.
+        least_s: the shortest time; 0 itself is always refused.
+        most_s: the longest time.
     """
 
     name = "duration"
@@ -202,7 +202,7 @@ class Duration(click.ParamType):
             return value
         found = re.fullmatch(r"([0-9]+\.?[0-9]*|\.[0-9]+)\s*(|ms|s|min|h)", str(value).strip())
         if found is None or float(found[1]) == 0.0:
-            self.fail(f"{value!r} is no time: write it as 30s, 500ms, 2min or 1h", param, ctx)
+            self.fail(f"{value!r} is not a time: write it as 30s, 500ms, 2min or 1h", param, ctx)
         duration_s = float(found[1]) * self._UNITS_S[found[2]]
         if duration_s < self._least_s:
             self.fail(f"{value!r} is less than {self._least_s:g}s", param, ctx)
@@ -212,21 +212,21 @@ class Duration(click.ParamType):
 
 
 class FiniteRange(click.FloatRange):
-    """A number within bounds; unlike click's own, it takes neither NaN nor infinity, nor `1_0` for 10."""
+    """A number within bounds; unlike click's own, it refuses NaN, infinity, and `1_0` for 10."""
 
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number: float = super().convert(value, param, ctx)
         if "_" in str(value):
-            self.fail(f"{value!r} is no number", param, ctx)
+            self.fail(f"{value!r} is not a number", param, ctx)
         if not math.isfinite(number):
-            self.fail(f"{value!r} is no finite number", param, ctx)
+            self.fail(f"{value!r} is not a finite number", param, ctx)
         return number
 
 
 class TakesNumbers(click.Command):
-    """A command with a number among its arguments: `-1` is one, and no option, so that it is refused as a number."""
+    """A command with a number among its arguments: `-1` is read as a number, not as an option."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if any(re.fullmatch(r"-\.?\d.*", it) for it in args):
@@ -253,13 +253,12 @@ format_option = format_option_of("table", "How to print the answer.")
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """How a verb asks agents, and prints what they answer: what its options `--at`, `--fleet` and so on say.
+    """How a verb asks agents and prints their answers, from its options `--at`, `--fleet` and so on.
 
     Attributes:
-        where: the addresses and the fleet, which may also stand in front of a name
-            (`pancakes.tools.cli.options`).
+        where: the addresses and the fleet; the fleet may also come from a name (see this module).
         timeout_s: how long to wait for answers.
-        printer: prints what they answer.
+        printer: prints the answers.
     """
 
     where: Where
@@ -279,7 +278,7 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
     Its parameter is `ask`.
 
     Args:
-        timeout_s: the time limit if none is given.
+        timeout_s: the default of `--timeout`.
     """
     options = (
         format_option,
@@ -288,7 +287,7 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
             metavar="HOST:PORT",
             type=AgentAddress(),
             multiple=True,
-            help="Ask the agent at this address and its fleet, instead of those of this machine. Repeatable.",
+            help="Ask the agent at this address and its fleet, not the agents of this machine. Repeatable.",
         ),
         click.option("--fleet", metavar="NAME", default="", help="Only agents of this fleet."),
         click.option(
@@ -317,12 +316,12 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
 
 
 asks_agents = asks_agents_for(3.0)
-"""For verbs that only look."""
+"""For verbs that only read."""
 orders_agents = asks_agents_for(10.0)
 """For verbs that change something: a task may be busy before it can stop."""
 
-dry_run_option = click.option("--dry-run", is_flag=True, help="Only ask whether it would be done, and change nothing.")
-"""The option `dry_run` of every verb that changes something; the agent itself checks, as far as it would."""
+dry_run_option = click.option("--dry-run", is_flag=True, help="Check whether it would be done, but change nothing.")
+"""The option `dry_run` of every verb that changes something; the agent itself makes its checks."""
 
 
 def keep_state_option(help_: str) -> Callable[[_F], _F]:
@@ -335,6 +334,6 @@ agent_sets_option = click.option(
     "sets",
     multiple=True,
     metavar="[AGENT:]KEY=VALUE",
-    help="Change a key of one agent's configuration, or of all. Repeatable.",
+    help="Override a configuration key of one agent, or of all agents. Repeatable.",
 )
 """The option `--set` of the verbs that start agents; its parameter is `sets`."""

@@ -1,6 +1,6 @@
-"""Print what verbs have found: as tables and sentences for people, or as JSON for programs.
+"""Print the results of verbs: as tables and sentences for people, or as JSON for programs.
 
-`--format` makes a `Printer`, and a verb hands it the value and what people see of it, once.
+`--format` makes a `Printer`. A verb passes it, once, the value and how people see that value.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 DRY_RUN: Final = "dry run"
-"""What stands under `done` if a verb only asked whether it would be done."""
+"""The value of the column `done` after a dry run."""
 
 
 def show_text(text: str = "", *, err: bool = False, nl: bool = True, head: str = "", colour: str | None = None) -> None:
-    """Print text, which may come from others: its control characters are escaped.
+    """Print text, which may come from other programs: its control characters are escaped.
 
     Args:
         text: what to print.
         err: whether to print it to standard error.
         nl: whether a new line follows.
-        head: our own words before it, which may have colours.
-        colour: the text's colour, if its terminal has any.
+        head: our own text before it, which may have colours.
+        colour: the text's colour, on terminals with colours.
     """
     shown = printable(text)
     click.echo(head + (click.style(shown, fg=colour) if colour else shown), err=err, nl=nl)
@@ -49,8 +49,7 @@ class Rows(NamedTuple):
 Part = str | Rows | Mapping[str, Any] | Iterable["Part"]
 """What people see: text, a table, sections by their titles, or several of these.
 
-Under the title of a section stand facts (a mapping), a table (rows with the same keys), or text. One that has nothing
-is left out.
+A section holds facts (a mapping), a table (rows with the same keys), or text. Empty sections are left out.
 """
 
 
@@ -68,9 +67,8 @@ class Printer:
         """Print an answer.
 
         Args:
-            value: what programs get: a plain value, as JSON. Numbers that JSON does not know (NaN, infinity) become
-                null.
-            parts: what people get instead. A generator runs only if they do.
+            value: what programs get, as JSON: a plain value. Numbers that JSON lacks (NaN, infinity) become null.
+            parts: what people get instead. A generator runs only for people.
         """
         if self.is_json:
             show_text(printable_data(msgspec.json.format(encode_json(body_to_plain(value)), indent=2).decode()))
@@ -89,7 +87,7 @@ class Printer:
                 _show_part(part)
 
     def note(self, text: str) -> None:
-        """Print a sentence about the work: to standard error if programs read standard output."""
+        """Print a remark: to standard error if standard output is JSON."""
         show_text(text, err=self.is_json)
 
     def stream(
@@ -98,11 +96,11 @@ class Printer:
         text: Callable[[Any], str],
         colour: Callable[[Any], str | None] = lambda value: None,
     ) -> Stream:
-        """Return what prints values as they come, a line each; as a context manager it ends their list.
+        """Return a `Stream` that prints values as they come, one per line; use it as a context manager.
 
         Args:
-            bounded: whether the verb ends by itself. Then JSON is a list, else one object a line.
-            text: makes the text of a value for people.
+            bounded: whether the verb ends by itself. Then JSON is a list, otherwise one object per line.
+            text: formats a value for people.
             colour: returns the colour of a value's text, if it has one.
         """
         return Stream(self.is_json, bounded, text, colour)
@@ -136,14 +134,14 @@ class Stream:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        # A user who ends the command early still gets a list. If the command failed, there may be nothing to end.
+        # Close the JSON list, also if the user ends the command early. A command that failed may not have opened it.
         if self._list and (kind is None or issubclass(kind, KeyboardInterrupt) or self.printed):
             if not isinstance(error, BrokenPipeError):
                 show_text("\n]" if self.printed else "[]")
 
 
 def one_line(value: Any) -> str:
-    """Return a value as JSON in one line; numbers that JSON does not know (NaN, infinity) become null."""
+    """Return a value as JSON on one line; numbers that JSON lacks (NaN, infinity) become null."""
     return printable_data(encode_json(body_to_plain(value)).decode())
 
 
@@ -185,7 +183,7 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
     from rich.text import Text
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in columns:  # in a narrow terminal a name is folded, because one that is cut off is of no use
+    for column in columns:  # a narrow terminal folds names, because a truncated name is of no use
         table.add_column(column, justify="right" if _numeric(rows, column) else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(_text(row[column])) for column in columns))
@@ -193,12 +191,12 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
 
 
 def show_drawn(*things: Any) -> None:
-    """Print tables and texts of rich to standard output."""
+    """Print rich tables and texts to standard output."""
     from rich.console import Console
 
-    # Into a file or a pipe nothing is cut off or folded.
+    # Output to a file or a pipe is not truncated or folded.
     console = Console(width=None if sys.stdout.isatty() else 1000)
-    # click prints it, because rich ends the process in its own way if the reader of the output has ended.
+    # Print by click, because rich ends the process in its own way if the reader of the output has ended.
     with console.capture() as captured:
         for thing in things:
             console.print(thing)
@@ -228,7 +226,7 @@ def _text(value: Any) -> str:
 
 
 def _inner(value: Any) -> str:
-    """Return a value inside of another: a list or table keeps its brackets, so that its end can be seen."""
+    """Format a value inside another: a list or table keeps its brackets, so that its end is visible."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{printable(str(key))} {_inner(item)}' for key, item in value.items())}}}"
     if isinstance(value, (list, tuple)):

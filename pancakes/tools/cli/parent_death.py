@@ -1,6 +1,6 @@
-"""End this process with the one that launched it, so that no agent stays behind if a launcher is killed. Linux only.
+"""End this process when its launcher ends, so that no agent is left behind if a launcher is killed. Linux only.
 
-Imported only if asked for: `ctypes` costs each agent memory.
+Imported only if needed: `ctypes` costs each agent memory.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ _PR_SET_PDEATHSIG: Final = 1  # from <linux/prctl.h>
 def die_with_parent(expected_pid: int) -> None:
     """Ask the kernel to send SIGTERM to this process when its parent ends.
 
-    Linux counts the thread that launched us as the parent, so a launcher does it from one that stays.
+    Linux means the thread that started this process, so a launcher must start it from a thread that keeps running.
 
     Args:
-        expected_pid: the parent; 0: the present one. With it, a parent that died before this call is seen too.
+        expected_pid: the parent's process id, to detect a parent that died before this call; 0: the present parent.
 
     Raises:
-        PancakesError: the parent has ended already, or this system cannot do it.
+        PancakesError: the parent has ended already, or this system does not support it.
     """
     if not sys.platform.startswith("linux"):
         raise PancakesError(f"--die-with-parent works only on Linux, not on {sys.platform}")
     parent_pid = expected_pid or os.getppid()
     if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0) != 0:
-        raise PancakesError(f"--die-with-parent cannot be had: {os.strerror(ctypes.get_errno())}")
-    if os.getppid() != parent_pid:  # it ended before the kernel was asked
+        raise PancakesError(f"--die-with-parent failed: {os.strerror(ctypes.get_errno())}")
+    if os.getppid() != parent_pid:  # the parent ended before the call above
         raise PancakesError(f"the process {parent_pid}, which launched this agent, has ended")

@@ -1,6 +1,6 @@
-"""Check what keeps an agent with a valid configuration from starting on this machine, or from being reached.
+"""Check whether an agent with a valid configuration could start on this machine and be reached.
 
-`pancakes config check` and `pancakes-agent --check` warn of the same. No agent is started.
+`pancakes config check` and `pancakes-agent --check` give the same warnings. No agent is started.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
 
 def start_doubts(config: Config) -> Iterator[tuple[KeyPath, str]]:
-    """Yield why an agent would not start here, each a phrase behind the key that it is about.
+    """Yield the reasons why an agent would not start here, each with its configuration key.
 
-    Nothing is made or changed. Names of hosts are looked up, which may take some seconds.
+    It creates and changes nothing. It looks up host names, which may take some seconds.
     """
     if reason := _of_state(config):
         yield ("agent", "state_dir"), reason
     group = config.agent.local_group
     if group and not _is_group(group):
-        yield ("agent", "local_group"), f"there is no group {group!r} on this machine"
+        yield ("agent", "local_group"), f"the group {group!r} does not exist on this machine"
     for address in config.agent.listen:
         if reason := _of_local(address) if is_local(address) else why_not_here(address):
             yield ("agent", "listen"), f"cannot listen at {address}: {reason}"
@@ -42,7 +42,7 @@ def start_doubts(config: Config) -> Iterator[tuple[KeyPath, str]]:
 def _is_group(name: str) -> bool:
     try:
         grp.getgrnam(name)
-    except (KeyError, ValueError):  # ValueError: a NUL is in it
+    except (KeyError, ValueError):  # ValueError: the name contains NUL
         return False
     return True
 
@@ -66,23 +66,23 @@ def _of_local(address: str) -> str:
 
 
 def _why_not_made(path: Path) -> str:
-    """Return why a directory is none and cannot be made; empty: it is one, or can."""
-    there = next((it for it in (path, *path.absolute().parents) if os.path.lexists(it)), Path("/"))
-    if not there.is_dir():
-        return f"{there} is no directory"
-    return "" if os.access(there, os.W_OK | os.X_OK) else f"this user may not write in {there}"
+    """Return why a directory is missing and cannot be made; empty if it exists or can be made."""
+    existing = next((it for it in (path, *path.absolute().parents) if os.path.lexists(it)), Path("/"))
+    if not existing.is_dir():
+        return f"{existing} is not a directory"
+    return "" if os.access(existing, os.W_OK | os.X_OK) else f"this user may not write in {existing}"
 
 
-NOT_HERE: Final = "on this machine it does not start"
+NOT_HERE: Final = "it would not start on this machine"
 
 
 def machine_doubts(config: Config, plugins: Plugins) -> list[Fault]:
-    """Return what `pancakes config check` and `pancakes-agent --check` warn of: both say the same.
+    """Return the warnings of `pancakes config check` and `pancakes-agent --check`.
 
-    The configuration may be for another machine, so none of it is a fault.
+    They are warnings, not errors, because the configuration may be for another machine.
 
     Args:
-        config: a sound configuration.
+        config: a valid configuration.
         plugins: where transports come from.
     """
     from pancakes.agent.transport_settings import keys_for, network_settings

@@ -1,4 +1,4 @@
-"""Print one thing after the other until Ctrl-C, and the signals that end a command."""
+"""Print a stream until Ctrl-C, and handle the signals that end a command."""
 
 from __future__ import annotations
 
@@ -22,60 +22,61 @@ if TYPE_CHECKING:
 
 
 def end_by_signals(*signals: signal.Signals) -> None:
-    """From here on these signals end the process at once: nothing is left that must end in order. Main thread."""
+    """Let these signals end the process at once from now on. Call it in the main thread."""
     for number in signals:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
 
 
 class Interrupted(threading.Event):
-    """Is set once one of some signals has come."""
+    """An event that is set when one of some signals arrives."""
 
     def __init__(self) -> None:
         super().__init__()
         self.seen: list[int] = []
 
     def is_set(self) -> bool:
-        # The thread that sets the event runs later than the handler.
+        # The handler notes the signal before the thread sets the event.
         return bool(self.seen) or super().is_set()
 
 
 def event_at(*signals: signal.Signals, again: int | None = None) -> Interrupted:
-    """Return an event that is set when one of these signals comes. Main thread, and once in a process.
+    """Return an event that is set when one of these signals arrives.
 
-    It is set by a thread that reads what Python writes for each signal at once, and not by a handler. That runs in the
-    main thread between any two of its steps, also within the event's own `wait`, which has the lock that `set` needs.
-    And where the signal comes in the moment before the main thread sleeps there, or in another thread, it does not run
-    until something else ends the sleep: of 120 views that were ended on a busy machine, 3 went on.
+    Call it in the main thread, and once in a process. A thread sets the event: it reads the byte that Python writes at
+    once for each signal (`signal.set_wakeup_fd`). A Python signal handler could not set it safely, for two reasons. The
+    handler runs in the main thread, possibly inside the event's own `wait`, which holds the lock that `set` needs. And
+    if the signal arrives just before the main thread sleeps, or in another thread, the handler runs only when something
+    else ends the sleep: on a busy machine, 3 of 120 views did not end.
 
     Args:
-        signals: which.
-        again: the exit code with which the second one ends the process at once; None: the second one does nothing.
+        signals: the signals.
+        again: the exit code with which a second signal ends the process at once; None: a second signal does nothing.
     """
     event = Interrupted()
     seen = event.seen
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
 
-    def pass_on() -> None:
-        heard = 0
-        while not heard or again is not None:
-            heard += sum(number in signals for number in os.read(reader, 64))
-            if heard:
+    def watch() -> None:
+        count = 0
+        while not count or again is not None:
+            count += sum(number in signals for number in os.read(reader, 64))
+            if count:
                 event.set()
-            if heard > 1 and again is not None:  # the main thread may sleep, and know of neither
+            if count > 1 and again is not None:  # the main thread may sleep, so its handler may not have run
                 os._exit(again)
 
-    def hear(number: int, frame: FrameType | None) -> None:
+    def note(number: int, frame: FrameType | None) -> None:
         if seen and again is not None:
             os._exit(again)
         seen.append(number)
 
-    threading.Thread(target=pass_on, name="interrupts", daemon=True).start()
+    threading.Thread(target=watch, name="interrupts", daemon=True).start()
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     for number in signals:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
-            signal.signal(number, hear)
+        if signal.getsignal(number) is not signal.SIG_IGN:  # `nohup` has SIGHUP ignored: leave that
+            signal.signal(number, note)
     return event
 
 
@@ -84,7 +85,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 @contextmanager
 def until_ended() -> Iterator[None]:
-    """End its block in good order and without a message at Ctrl-C, or where the reader of the output ends."""
+    """End the block in order and without a message at Ctrl-C, or when the reader of the output ends."""
     quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.tools.cli.quiet_interrupt`
     try:
         if quiet:
@@ -92,7 +93,7 @@ def until_ended() -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         if sys.stdout.isatty():
-            show_text()  # so that the shell's prompt does not stand behind the ^C
+            show_text()  # so that the shell's prompt begins on a new line, after the ^C
     except BrokenPipeError:
         forget_output()
     finally:
@@ -101,18 +102,18 @@ def until_ended() -> Iterator[None]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """The first SIGINT ends what goes on in good order, the second one ends the process at once."""
+    """End the block in order at the first SIGINT; let a second one end the process at once."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     raise KeyboardInterrupt
 
 
 def say(text: str) -> None:
-    """Say something about the stream on standard error, where it does not mix with it."""
+    """Print a remark about the stream to standard error, so that it does not mix with the stream."""
     show_text(text, err=True)
 
 
 def load_packets(plugins: Plugins | None = None) -> None:
-    """Register the packet types of all distributions; name on standard error those that cannot be loaded."""
+    """Register the packet types of all distributions; print to standard error those that cannot be loaded."""
     from pancakes.util.plugins import Plugins
 
     for fault in (plugins or Plugins()).load_packets():

@@ -12,17 +12,17 @@ import pancakes
 
 PROGRAM: Final = "pancakes"
 VARIABLE: Final = "_PANCAKES_COMPLETE"
-"""The environment variable with which a shell asks how the line may go on."""
+"""The environment variable with which a shell asks for completions."""
 
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _PACKAGE: Final = Path(pancakes.__file__).parent
 WRITTEN: Final = "commit.txt"
-"""A wheel that is no release has its commit in this file of the package; `scripts/release` writes it."""
+"""The file of the package that holds the commit of a wheel that is not a release; `scripts/release` writes it."""
 
 
 def version_text(package: Path = _PACKAGE) -> str:
-    """Return the version, with the commit where the package is none of a release.
+    """Return the version, and the commit if the package is not of a release.
 
     Args:
         package: the folder of the package.
@@ -35,7 +35,7 @@ def version_text(package: Path = _PACKAGE) -> str:
 
 
 def _commit_of_clone(root: Path) -> str:
-    """Return the commit of a clone, and whether it has changes; empty: it is a release, or no clone."""
+    """Return the commit of a clone, and whether it has changes; empty if this is a release or not a clone."""
     if not (root / ".git").exists():
         return ""
     commit = _git(root, "rev-parse", "--short=12", "HEAD")
@@ -46,11 +46,11 @@ def _commit_of_clone(root: Path) -> str:
 
 
 def _git(root: Path, *arguments: str) -> str:
-    import subprocess  # only now: each start of an agent would take as much longer
+    import subprocess  # late import: it would slow each start of an agent
 
     try:
         found = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, timeout=10.0)
-    except (OSError, subprocess.TimeoutExpired):  # there is no git here
+    except (OSError, subprocess.TimeoutExpired):  # git is missing
         return ""
     return found.stdout.strip() if found.returncode == 0 else ""
 
