@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Sequence
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -66,12 +67,16 @@ class Readings:
         self._told = 0  # misses of this count that the log knows of
         self._too_many = False
 
-    def came(self, now_s: float) -> list[Line]:
+    def came(self, now_s: float) -> Sequence[Line]:
         """Takes note of a sound reading; returns what to log."""
         with self._lock:
-            lines = self._count(now_s)
+            is_usual = self._since_s == math.inf and not self._silent
+            lines: Sequence[Line] = () if is_usual else self._count(now_s)
             self._came += 1
             self._in_a_row = 0
+            if is_usual:
+                self._last_s = now_s
+                return lines
             return [*lines, *self._heard(now_s)]
 
     def missed(self, why: str, now_s: float) -> tuple[list[Line], bool]:

@@ -35,9 +35,15 @@ _BOUNDS: Final = (
 )
 
 
-def fault_of_reading(body: Any) -> str:
-    """Says which number in the body of a packet is no reading: `level is 1.2, above 1`; empty: all are sound."""
-    return _fault(body, arrays=False)
+def reading_check(cls: Any) -> Callable[[Any], str]:
+    """Return what checks the bodies of a class as readings.
+
+    It returns which number is no reading: `level is 1.2, above 1`; or nothing, if all are sound.
+    """
+    check = _check_of_class(cls, arrays=False)
+    if check is None:
+        return lambda body: ""
+    return lambda body: fault.lstrip(".") if (fault := check(body)) else ""
 
 
 def fault_of_command(body: Any) -> str:
@@ -46,20 +52,15 @@ def fault_of_command(body: Any) -> str:
     A body that a task of this agent has made was never decoded, so what its fields are is looked at as well.
     """
     cls: Any = type(body)
-    if fault := _fault(body, arrays=True):
-        return fault
+    check = _check_of_class(cls, arrays=True)
+    if check is not None and (fault := check(body)):
+        return fault.lstrip(".")
     try:
         if not _has_arrays(cls):
             codecs.convert(body_to_plain(body), cls)
     except (msgspec.ValidationError, TypeError, ValueError, RecursionError) as error:
         return str(error)
     return ""
-
-
-def _fault(body: Any, arrays: bool) -> str:
-    cls: Any = type(body)
-    check = _check_of_class(cls, arrays)
-    return check(body).lstrip(".") if check is not None else ""
 
 
 @cache
@@ -133,7 +134,20 @@ def _checks_fields(
                 return f".{name}{fault}"
         return ""
 
-    return check_fields
+    if len(checks) < 2 or not all(_is_unbound(field.type) for field in info.fields):
+        return check_fields
+    get_all = operator.attrgetter(*(name for name, _, _ in checks))
+
+    def check_numbers(value: Any) -> str:
+        # A sum is finite only if all of its numbers are: most readings need no look at each.
+        try:
+            if isinstance(value, info.cls) and math.isfinite(sum(get_all(value))):
+                return ""
+        except (TypeError, OverflowError):
+            pass
+        return check_fields(value)
+
+    return check_numbers
 
 
 def _checks_items(check: _Check | None) -> _Check | None:

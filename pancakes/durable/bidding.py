@@ -36,7 +36,7 @@ from pancakes.durable.snapshot import offer_of
 from pancakes.durable.store import Ledgers
 from pancakes.errors import MigrationError
 from pancakes.kernel.actor import ActorCore
-from pancakes.kernel.handlers import LATEST, on, reliable
+from pancakes.kernel.handlers import on, reliable
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.mesh import Mesh
 from pancakes.migration import Cost, CostChoice, CostFacts, Ledger, appraise, cost_text, is_of_core
@@ -133,7 +133,6 @@ class TaskMigrator(TaskCore, Task):
         self._times = Times()
         self._negotiations: dict[TaskId, tuple[Negotiation, Reference]] = {}
         self._meter = LoadMeter()
-        self._readings: dict[str, Any] = {}  # the newest of each device type that a cost function reads
         self._appraising: dict[int, tuple[str, Solicit]] = {}  # the agents that are to have the answers, by number
         self._questions = 0
 
@@ -144,13 +143,15 @@ class TaskMigrator(TaskCore, Task):
         else:
             # In virtual time nothing of the wall may enter.
             self._state.measured = IDLE
-        for device_type in sorted({it for cost in self._state.costs().values() for it in cost.reads}):
-            self.subscribe(SYSTEM, device_type, self._on_reading, keep=LATEST)
+        device_types = {"battery", *(it for cost in self._state.costs().values() for it in cost.reads)}
+        self.kernel.stream.tap(SYSTEM, self._state.readings.take, tuple(sorted(device_types)))
         for service in self._state.services():
             tell(service, MigratorBegan())
 
     def on_stop(self) -> None:
-        self._state.measured = self._state.battery_level = None
+        self.kernel.stream.untap(SYSTEM, self._state.readings.take)
+        self._state.readings.newest.clear()
+        self._state.measured = None
         self._state.negotiated = ()
         appraiser = self.kernel.actor(APPRAISER)
         if appraiser is not None:
@@ -318,16 +319,6 @@ class TaskMigrator(TaskCore, Task):
 
     # Being asked -----------------------------------------------------------------------------------------------
 
-    @on(SYSTEM, "battery", keep="latest")
-    def on_battery(self, packet: Packet) -> None:
-        """Remembers what is left of this agent's battery."""
-        if agent_of(packet.source) == self.agent:
-            self._state.battery_level = packet.body.level
-
-    def _on_reading(self, packet: Packet) -> None:
-        if agent_of(packet.source) == self.agent:
-            self._readings[packet.type] = packet.body
-
     @on(NETWORK, Solicit, keep=KEEP, addressed=True)
     def on_solicit(self, packet: Packet) -> None:
         """Answers whether this agent would take a task, and at what cost."""
@@ -363,7 +354,7 @@ class TaskMigrator(TaskCore, Task):
         self._questions += 1
         number = self._questions
         self._appraising[number] = (peer, request)
-        facts = CostFacts(load, dict(self._readings), settings, state)
+        facts = CostFacts(load, dict(self._state.readings.newest), settings, state)
         tell(self._appraiser(), Appraise(self, number, request.cost, facts))
         self.after_host(APPRAISED_S, lambda: self._not_appraised(number))
 

@@ -30,7 +30,7 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.kernel.timer import TaskTimer
 from pancakes.migration import HostLoad
-from pancakes.packet import join
+from pancakes.packet import Packet, join
 
 if TYPE_CHECKING:
     import psutil
@@ -192,6 +192,28 @@ MOST_SLOTS: Final = 64
 """Most slots that are kept for the tasks of one peer."""
 
 
+class OwnReadings:
+    """Keeps the newest reading of each device type that this agent publishes. Any thread.
+
+    It is a tap of `system`, not a subscription: what a bid needs now and then must not cost a turn for each reading.
+
+    Args:
+        agent: the agent's name.
+
+    Attributes:
+        newest: the body of the newest reading, by device type.
+    """
+
+    def __init__(self, agent: str) -> None:
+        self._prefix = f"{agent}/"
+        self.newest: dict[str, Any] = {}
+
+    def take(self, packet: Packet) -> None:
+        """Keep a reading, unless it is from another agent. In its publisher's thread."""
+        if packet.source.startswith(self._prefix):
+            self.newest[packet.type] = packet.body
+
+
 class HostState:
     """Says whether this agent can take a task, and how busy it is. Any thread.
 
@@ -206,7 +228,7 @@ class HostState:
 
     Attributes:
         costs: returns the cost functions that are installed, by name.
-        battery_level: what is left of this agent's battery, from 0 to 1, as it last said; None before that.
+        readings: the newest readings of this agent's devices; the Task Migrator says of which types.
         measured: how busy the agent was lately; None before the first look.
         negotiated: the tasks for which the Task Migrator compares bids.
         shortest_lease: the task with the shortest lease that this agent guards, as the guardian says; None: it guards
@@ -229,11 +251,17 @@ class HostState:
         self._lock = threading.Lock()
         self._hosting: dict[str, None] = {}  # the services that host tasks, also where they are stopped now
         self._reservations = Reservations()
-        self.battery_level: float | None = None
+        self.readings = OwnReadings(kernel.agent)
         self.measured: MeasuredLoad | None = None
         self.negotiated: tuple[TaskId, ...] = ()
         self.shortest_lease: GuardRegister | None = None
         self.register_of: Callable[[TaskId], GuardRegister | None] = lambda task_id: None
+
+    @property
+    def battery_level(self) -> float | None:
+        """What is left of this agent's battery, from 0 to 1, as it last said; None before that."""
+        battery = self.readings.newest.get("battery")
+        return battery.level if battery is not None else None
 
     # What the services keep true -------------------------------------------------------------------------------
 

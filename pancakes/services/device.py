@@ -14,7 +14,7 @@ import msgspec
 from pancakes.control import Hold, SetFence
 from pancakes.devices.driver import Actuator, Driver, Sensor
 from pancakes.devices.health import Line, MissRule, Readings
-from pancakes.devices.validation import fault_of_command, fault_of_reading
+from pancakes.devices.validation import fault_of_command, reading_check
 from pancakes.durable.ownership import TaskAt
 from pancakes.errors import MailboxFull, NoPermit, PancakesError, describe
 from pancakes.events import Log
@@ -189,6 +189,7 @@ class DeviceTask(TaskCore, Task):
         self._guard_s = math.inf
         self._holding = True
         self._crowded = False
+        self._checks: dict[type, Callable[[Any], str]] = {}  # of readings, by the classes that have come
         self._refused: dict[str, str] = {}
         self.readings = Readings(device.missed, "reading", None, 0.0)
 
@@ -286,12 +287,16 @@ class DeviceTask(TaskCore, Task):
 
     def _fault_of(self, reading: Any) -> str:
         """Says why a body is no reading of this device; empty: it is one."""
-        driver = self.device.cls
-        wanted = body_class(driver.type)
-        if wanted is not None and not is_of_type(reading, driver.type):
-            brought = f"{driver.__qualname__} brings a {type(reading).__name__}"
-            return f"{brought}, and its type is {driver.type!r}, whose readings are each a {wanted.__name__}"
-        return fault_of_reading(reading)
+        cls = reading.__class__
+        check = self._checks.get(cls)
+        if check is None:
+            driver = self.device.cls
+            wanted = body_class(driver.type)
+            if wanted is not None and not is_of_type(reading, driver.type):
+                brought = f"{driver.__qualname__} brings a {cls.__name__}"
+                return f"{brought}, and its type is {driver.type!r}, whose readings are each a {wanted.__name__}"
+            check = self._checks[cls] = reading_check(cls)
+        return check(reading)
 
     def missed(self, why: str) -> bool:
         """A reading, or a command, has failed; returns whether that was one too many. Any thread."""
@@ -310,7 +315,8 @@ class DeviceTask(TaskCore, Task):
             self.log(level, f"{self.name}: {text}")
 
     def _publish(self, reading: Any) -> None:
-        self._say(self.readings.came(self.now()))
+        if lines := self.readings.came(self.now()):
+            self._say(lines)
         try:
             self.publish(SYSTEM, reading)
         except MailboxFull as error:
