@@ -265,7 +265,7 @@ def test_warnings_and_failures_are_told_once_each_with_how_often(book):
         ("warning", "slow", 3),
         ("task_failed", "task T, error ValueError: no", 1),
     ]
-    assert [(it.kind, it.text) for it in said.told] == [("revolution", "count 3")]
+    assert [(it.kind, it.text) for it in said.events] == [("revolution", "count 3")]
 
 
 def test_a_packet_that_is_not_what_its_name_says_is_counted_and_the_rest_is_told(book):

@@ -1,5 +1,4 @@
-"""Reports: what a recording shows, as a page that needs nothing but itself, and as pictures for a paper.
+"""Make reports of recordings: one self-contained HTML page, and pictures for a paper.
 
-Packets go through `findings` one by one, in bounded memory; what it finds is plain data. Only `drawing` and what
-stands on it need matplotlib.
+Packets go through `findings` one by one, in bounded memory; the result is plain data. Only `plots` needs matplotlib.
 """

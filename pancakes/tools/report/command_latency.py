@@ -1,7 +1,7 @@
-"""What led to the commands of actuators, over which steps, and how long each took. Pure, in bounded memory.
+"""Measure what led to the commands of actuators: the chain of packets and the time of each step. Pure, bounded memory.
 
-`Reactions` groups chains of one shape. `PickedCommands` keeps commands for a person to look at one by one: evenly
-spread, and the slowest.
+`Reactions` groups chains of the same shape. `PickedCommands` keeps single commands for a person to look at: an even
+sample, and the slowest.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from pancakes.recording.records import RecordedPacket
 from pancakes.tools.report.time_series import Distribution
 
 MOST_EVEN: Final = 24_000
-"""The most commands that are kept, as many of each actuator; if there were more, each second one is left out, ..."""
+"""The most commands in the even sample, shared equally among the actuators; beyond that every second one is dropped."""
 MOST_EVEN_EACH: Final = 4000
-"""... and the most of one actuator."""
+"""The most commands of one actuator in the even sample."""
 MOST_SLOW: Final = 50
-"""The number of the slowest to each actuator that are kept as well."""
+"""How many of the slowest commands to each actuator are kept in addition."""
 MOST_ACTUATORS: Final = 100
-"""The most actuators that are told apart."""
+"""The most actuators; commands to further ones are only counted."""
 BODY_CHARACTERS: Final = 60
 
 
 @dataclass(frozen=True, slots=True)
 class PickedCommand:
-    """A command and its chain, as little of it as a report tells.
+    """A command and its chain, with only what a report shows.
 
     Attributes:
-        mission_s: when it was given.
-        text: what it said, cut off after some characters.
-        steps: what led to it, the first cause first and itself last.
-        latency_s: from the first cause to it.
+        mission_s: when it was given, in mission time.
+        text: its body as text, cut off after some characters.
+        steps: the packets of its chain: the first cause first, the command last.
+        latency_s: the time from the first cause to the command.
     """
 
     mission_s: float
@@ -45,7 +45,7 @@ class PickedCommand:
 
     @classmethod
     def of(cls, command: ActuatorCommand, time: MissionTime) -> PickedCommand:
-        """Make one of a command; not of its stamp, as an agent that is started again counts its time from scratch."""
+        """Convert a command. Its stamp is not used: a restarted agent counts mission time from 0 again."""
         text = body_text(command.packet.body, BODY_CHARACTERS)
         return cls(time.at(command.time_ns), text, command.chain.steps, command.chain.latency_s)
 
@@ -55,10 +55,10 @@ class ActuatorCommands:
     """The commands to one actuator.
 
     Attributes:
-        agent: where it is.
-        type: its device type.
+        agent: the agent with the actuator.
+        type: the device type of the actuator.
         count: how many commands there were.
-        stride: of so many one was kept, the slowest aside.
+        stride: one of this many is in the even sample.
     """
 
     agent: str
@@ -69,7 +69,7 @@ class ActuatorCommands:
     _slow: list[tuple[float, int, PickedCommand]] = field(default_factory=list)
 
     def add(self, command: ActuatorCommand, most: int, time: MissionTime) -> None:
-        """Take a command, in the order of time; keep at most so many, the slowest aside."""
+        """Take a command, in the order of time; keep at most `most` in the even sample."""
         number = self.count
         self.count += 1
         latency_s = command.chain.latency_s
@@ -87,23 +87,23 @@ class ActuatorCommands:
                 self.stride *= 2
 
     def commands(self) -> list[PickedCommand]:
-        """Return those that were kept, oldest first."""
+        """Return the commands that were kept, oldest first."""
         by_number = dict(self._even)
         by_number.update((-number, picked) for _, number, picked in self._slow)
         return [by_number[number] for number in sorted(by_number)]
 
     def slowest(self) -> list[PickedCommand]:
-        """Return those that took longest from their first cause, the slowest first."""
+        """Return the commands with the longest time from their first cause, the slowest first."""
         return [picked for _, _, picked in sorted(self._slow, key=lambda it: (-it[0], -it[1])) if len(picked.steps) > 1]
 
 
 @dataclass
 class PickedCommands:
-    """What was kept of all commands.
+    """The commands that were kept, by actuator.
 
     Attributes:
-        time: turns the recording's time into mission time.
-        left_out: how many were to further actuators than are told apart.
+        time: converts recording time to mission time.
+        left_out: how many commands were left out because there were too many actuators.
     """
 
     time: MissionTime = MissionTime()
@@ -126,12 +126,12 @@ class PickedCommands:
         return [actuator for _, actuator in sorted(self._by_actuator.items())]
 
     def plain(self) -> dict[str, Any]:
-        """Return all of it as plain values, each name once.
+        """Return all commands as plain values for the page, with each name only once.
 
-        `names`: publishers with the types of their packets. `kinds`: the shapes of chains, each a list of places in
-        `names`. `texts`: what commands said. `actuators`: `agent`, `type`, `count`, `stride`, and `commands`, each a
-        list: mission time in ms, place in `texts`, place in `kinds`, the number of each step's packet, and of each step
-        but the last the microseconds on its way, and until the next.
+        `names`: publishers with the types of their packets. `kinds`: the shapes of chains, each a list of indices in
+        `names`. `texts`: the bodies of commands. `actuators`: `agent`, `type`, `count`, `stride`, and `commands`, each
+        a list: mission time in ms, index in `texts`, index in `kinds`, the packet number of each step, and for each
+        step except the last the microseconds on its way, and the microseconds until the next packet.
         """
         names: dict[str, int] = {}
         kinds: dict[tuple[int, ...], int] = {}
@@ -165,7 +165,7 @@ class PickedCommands:
 
 
 MOST_SHAPES: Final = 200
-"""The most kinds of chains that are told apart."""
+"""The most shapes of chains; chains of further shapes are only counted."""
 
 
 @dataclass
@@ -174,9 +174,9 @@ class Reaction:
 
     Attributes:
         steps: publisher and packet type of each step, the first cause first.
-        latency_s: from the first cause to the command.
-        step_sums_s: of each step but the last, the time to the next one: summed, travel included.
-        travel_sums_s: of that, the time between agents.
+        latency_s: the times from the first cause to the command.
+        step_sums_s: for each step except the last, the sum of the times to the next step, travel included.
+        travel_sums_s: the part of `step_sums_s` that was spent between agents.
     """
 
     steps: tuple[str, ...]
@@ -186,17 +186,17 @@ class Reaction:
 
     @property
     def count(self) -> int:
-        """How many chains."""
+        """How many chains there are."""
         return self.latency_s.count
 
     @property
     def step_means_s(self) -> list[float]:
-        """The mean time of each step but the last to the next one."""
+        """The mean time from each step except the last to the next one."""
         return [total / self.count for total in self.step_sums_s]
 
     @property
     def travel_means_s(self) -> list[float]:
-        """Of `step_means_s`, what was spent between agents."""
+        """The part of `step_means_s` that was spent between agents."""
         return [total / self.count for total in self.travel_sums_s]
 
     def add(self, chain: Chain) -> None:
@@ -215,11 +215,11 @@ class Reactions:
     """The chains behind the commands on `ctrl`.
 
     Attributes:
-        task_id: only commands of this task; empty: of all.
+        task_id: count only the commands of this task; empty: of all tasks.
         commands: how many commands there were.
-        uncaused: how many of them answered nothing: a timer led to them, or nothing of theirs was recorded.
-        left_out: how many were of further shapes than are told apart.
-        picked: those that can be looked at one by one.
+        uncaused: how many of them have no known cause: a timer led to them, or their cause was not recorded.
+        left_out: how many were left out because there were too many shapes.
+        picked: the commands that a person can look at one by one.
     """
 
     task_id: str = ""
@@ -228,7 +228,7 @@ class Reactions:
     left_out: int = 0
     picked: PickedCommands = field(default_factory=PickedCommands)
     _by_shape: dict[tuple[str, ...], Reaction] = field(default_factory=dict)
-    # Of causes only the names and times count; what they said may be large.
+    # Only names and times of causes are needed; their bodies may be large.
     _chains: CommandChains = field(default_factory=lambda: CommandChains(bodies=False))
 
     def add(self, entry: RecordedPacket) -> None:
@@ -236,11 +236,11 @@ class Reactions:
         self._take(self._chains.add(entry))
 
     def close(self) -> None:
-        """Take what is left, now that no more packets come."""
+        """Take the commands that still wait for causes: no more packets will come."""
         self._take(self._chains.close())
 
     def add_command(self, command: ActuatorCommand) -> None:
-        """Count a command, whatever task gave it."""
+        """Count a command of any task."""
         self.commands += 1
         self.picked.add(command)
         if not command.caused:
@@ -256,11 +256,11 @@ class Reactions:
         reaction.add(command.chain)
 
     def reactions(self) -> list[Reaction]:
-        """Return the chains by their shape, the most frequent first."""
+        """Return the chains grouped by shape, the most frequent first."""
         return sorted(self._by_shape.values(), key=lambda it: (-it.count, it.steps))
 
     def alike(self, chain: Chain) -> Reaction | None:
-        """Return all chains of the shape of one; None if that is none that is told apart."""
+        """Return all chains with the shape of `chain`; None if that shape was left out."""
         return self._by_shape.get(chain.shape)
 
     def _take(self, commands: list[ActuatorCommand]) -> None:

@@ -1,4 +1,4 @@
-"""All that a report tells of a recording: packets go in, plain data comes out. Pure, in bounded memory."""
+"""Collect everything that a report shows of a recording: packets go in, plain data comes out. Pure, bounded memory."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ MOST_TOPICS: Final = 2000
 
 @dataclass
 class Findings:
-    """What was found.
+    """What a recording shows, in mission time.
 
     Attributes:
-        task_id: the only task that it is about; empty: all.
-        packets: how many packets were looked at.
-        first_ns: when the first was recorded; see `RecordedPacket`.
-        last_ns: when the last was.
+        task_id: the only task to report on; empty: all.
+        packets: how many packets the recording has.
+        first_ns: when the first packet was recorded; see `RecordedPacket`.
+        last_ns: when the last packet was recorded.
         topics: how many packets there were, by agent, channel and type.
-        strange: how many packets could not be made sense of: their types were other ones when they were recorded.
-        time: turns the recording's time into mission time, in which everything is told.
+        strange: how many packets were skipped because their types are unknown here, or had other fields then.
+        time: converts recording time to mission time.
     """
 
     task_id: str = ""
@@ -49,12 +49,12 @@ class Findings:
 
     @classmethod
     def of(cls, entries: Iterable[RecordedPacket], task_id: str = "", time: MissionTime = MissionTime()) -> Findings:  # noqa: B008
-        """Look at packets in the order of time.
+        """Collect the findings of packets.
 
         Args:
-            entries: the packets.
-            task_id: tell only of this task: which agents ran it, its rates, moves, commands and packets; empty: of all.
-            time: turns the recording's time into mission time.
+            entries: the packets, in the order of time.
+            task_id: report only on this task: its agents, rates, migrations, commands and packets; empty: all.
+            time: converts recording time to mission time.
         """
         findings = cls(task_id, time=time, reactions=Reactions(task_id, picked=PickedCommands(time)))
         for entry in entries:
@@ -80,7 +80,7 @@ class Findings:
 
     @property
     def duration_s(self) -> float:
-        """From the first packet to the last, in mission time."""
+        """The mission time from the first packet to the last."""
         return self.end_s - self.begin_s
 
     @property

@@ -1,7 +1,7 @@
-"""Make a report of a recording: read it, draw it, and write one HTML page that needs nothing from outside.
+"""Make a report of a recording: read it, draw it, and write one self-contained HTML page.
 
-The page works on any screen and on paper. Its picker shows what led to any command; without scripts the slowest
-commands are left.
+The page works on any screen and on paper. Its picker explains any command; without scripts, the page shows only the
+slowest commands.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ def static_text(name: str) -> str:
 
 
 SLOWEST: Final = 5
-"""The number of the slowest commands to each actuator that are shown where scripts do not run, too."""
+"""How many of the slowest commands to each actuator are shown even without scripts."""
 
 
 def picker_html(found: Reactions) -> str:
-    """Return the part of the page, with its data and its script. Without scripts the slowest commands are left."""
+    """Return the picker with its data and its script, and tables of the slowest commands."""
     picked = found.picked
     data = picked.plain()
     by_steps = {it.steps: it for it in found.reactions()}
     shapes = (tuple(data["names"][place] for place in kind) for kind in data["kinds"])
     data["distributions"] = [_distribution(by_steps.get(shape)) for shape in shapes]
-    # Nothing in it may look like the end of the script.
+    # The data must not contain `</script>`.
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
-    left_out = f" {picked.left_out:,} commands to further actuators are left out." if picked.left_out else ""
+    left_out = f" {picked.left_out:,} commands to other actuators are left out." if picked.left_out else ""
     return (
         Template(static_text("picker.html")).substitute(left_out=left_out)
         + _slowest(picked)
@@ -93,26 +93,26 @@ def make_page(
     """Return the page.
 
     Args:
-        title: what it is about.
-        about: what is known of the recording as a whole.
-        notes: sentences on what is missing in it.
-        findings: what was found.
-        pictures: those that there are, by name.
+        title: the title of the page.
+        about: facts about the whole recording.
+        notes: sentences about what the recording lacks.
+        findings: what the recording shows.
+        pictures: the pictures that were drawn, by name.
     """
     sections = [
-        ("paths", "Paths", _shown(pictures, "paths", "Nothing in the recording has a place.")),
-        ("tasks", "Which agent ran which task", _shown(pictures, "tasks", "No task of a mission is in the recording.")),
-        ("moves", "Moves of tasks", _moves(findings, pictures)),
-        ("batteries", "Batteries", _shown(pictures, "batteries", "No battery is in the recording.")),
+        ("paths", "Paths", _shown(pictures, "paths", "The recording has no positions.")),
+        ("tasks", "Which agent ran which task", _shown(pictures, "tasks", "The recording has no task of a mission.")),
+        ("moves", "Migrations", _moves(findings, pictures)),
+        ("batteries", "Batteries", _shown(pictures, "batteries", "The recording has no battery.")),
         ("rates", "Rates", _rates(findings, pictures)),
         ("lateness", "Lateness", _lateness(findings, pictures)),
         ("drops", "Drops", _drops(findings, pictures)),
         ("traffic", "Traffic", _traffic(findings, pictures)),
         ("reactions", "Cause and effect", _reactions(findings, pictures)),
-        ("log", "What was said", _event_digest(findings)),
+        ("log", "Log", _event_digest(findings)),
     ]
     links = "".join(f'<a href="#{key}">{escape(name)}</a> ' for key, name, _ in sections)
-    told = "".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in about.items())
+    facts = "".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in about.items())
     noted = "".join(f'<p class="note">{escape(note)}</p>' for note in notes)
     body = "".join(f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>' for key, name, html in sections)
     style = static_text("report.css") + static_text("picker.css")
@@ -120,7 +120,7 @@ def make_page(
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{style}</style></head><body>"
-        f"<header><h1>{escape(title)}</h1><dl>{told}</dl></header>{noted}<nav>{links}</nav>"
+        f"<header><h1>{escape(title)}</h1><dl>{facts}</dl></header>{noted}<nav>{links}</nav>"
         f"<main>{body}</main></body></html>\n"
     )
 
@@ -143,7 +143,7 @@ def _folded(title: str, html: str) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table; numbers are aligned to the right, what is not known is left empty."""
+    """Return a table; numbers are aligned to the right, unknown values are empty."""
     kept = list(rows)
     numeric = [any(isinstance(row[place], int | float) for row in kept) for place in range(len(head))]
     cells = [' class="n"' if it else "" for it in numeric]
@@ -157,7 +157,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def _wide(html: str) -> str:
-    """Return what may be wider than a screen; it scrolls by finger, by wheel and by the arrow keys."""
+    """Wrap content that may be wider than the screen, so that it scrolls by finger, wheel and arrow keys."""
     return f'<div class="wide" tabindex="0">{html}</div>'
 
 
@@ -172,7 +172,7 @@ def _text(value: Any) -> str:
 def _moves(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     moves = findings.moves
     if not moves.moves:
-        return _faint("No task was asked to move.")
+        return _faint("No task was asked to migrate.")
     html = _shown(pictures, "moves", "") if "moves" in pictures else ""
     html += "".join(_move(move) for move in moves.moves)
     return html + (_faint(f"{moves.left_out} more are left out.") if moves.left_out else "")
@@ -185,10 +185,11 @@ def _move(move: TaskMove) -> str:
     only = f"Only {ledger.to} was asked. " if ledger.to else ""
     parts = [f"Asked for by {asker}; cost: {ledger.cost}. {only}It took {_seconds(ledger.duration_s)} of host time."]
     if move.frozen_s is not None and move.started_s is not None:
-        parts.append(f"In mission time it stood still for {_seconds(move.started_s - move.frozen_s)}.")
+        parts.append(f"The task was paused for {_seconds(move.started_s - move.frozen_s)} of mission time.")
     if move.silence_s is not None:
         parts.append(
-            f"Between its last packet there and its first here were {_seconds(move.silence_s)} of mission time."
+            f"Its last packet from the old agent and its first from the new one are {_seconds(move.silence_s)} of"
+            " mission time apart."
         )
     rows = [(it.peer, it.answer, it.cost, it.fate, it.reason) for it in ledger.lines]
     asked = _table(("asked", "answer", "cost", "fate", "reason"), rows) if rows else _faint("No neighbour was asked.")
@@ -203,8 +204,8 @@ def _seconds(seconds: float) -> str:
 
 
 _NO_FIGURES: Final = (
-    "The recording has no figures of tasks: they are sampled by recorders that record all channels, or the channel"
-    " named recording as well."
+    "The recording has no figures of tasks. A recorder samples them if it records all channels, or the channel named"
+    " recording."
 )
 
 
@@ -216,8 +217,8 @@ def _rates(findings: Findings, pictures: Mapping[str, Picture]) -> str:
         for _, timer in sorted(findings.rates.timers.items())
         for at in timer.at
     ]
-    head = ("agent", "task", "timer", "asked for [Hz]", "achieved [Hz]", "for [s]")
-    return _shown(pictures, "rates", "No task was driven by time for long enough.") + _table(head, rows)
+    head = ("agent", "task", "timer", "requested [Hz]", "achieved [Hz]", "for [s]")
+    return _shown(pictures, "rates", "No time-driven task ran for long enough.") + _table(head, rows)
 
 
 def _lateness(findings: Findings, pictures: Mapping[str, Picture]) -> str:
@@ -237,9 +238,9 @@ def _lateness(findings: Findings, pictures: Mapping[str, Picture]) -> str:
         for _, timer in sorted(findings.rates.timers.items(), key=lambda it: (-it[1].lateness_max_s, it[0]))
     ]
     head = ("agent", "task", "timer", "ticks", "missed", "mean [ms]", "p50 [ms]", "p99 [ms]", "largest [ms]")
-    shown = _shown(pictures, "lateness", "No tick was late, as is so in virtual time.")
-    told = _faint("In mission time. The largest counts from the start of the task on, also before the recording began.")
-    return shown + (_table(head, rows) + told if "lateness" in pictures else "")
+    shown = _shown(pictures, "lateness", "No tick was late. In virtual time, ticks are never late.")
+    note = _faint("In mission time. The largest counts from the start of the task, even before the recording began.")
+    return shown + (_table(head, rows) + note if "lateness" in pictures else "")
 
 
 def _report_page_ms(seconds: float | None) -> float | None:
@@ -251,49 +252,47 @@ def _drops(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     if not rates.samples:
         return _faint(_NO_FIGURES)
     rows = [(it.agent, it.task, it.total) for it in rates.drops.values() if it.total]
-    html = _shown(pictures, "drops", "No packet fell out of a mailbox.")
+    html = _shown(pictures, "drops", "No packet was dropped from a mailbox.")
     if rows:
         html += _table(("agent", "task", "packets"), sorted(rows, key=lambda row: -row[2]))
     lost = [(agent, peer, link.dropped) for (agent, peer), link in rates.links.items() if link.dropped]
     if lost:
-        html += "<h3>On links whose other end was slow</h3>" + _table(("from", "to", "packets"), lost)
+        html += "<h3>On links with a slow receiver</h3>" + _table(("from", "to", "packets"), lost)
     odd = [
         (agent, rates.undelivered[agent], rates.dead_letters[agent])
         for agent in sorted(rates.undelivered)
         if rates.undelivered[agent] or rates.dead_letters[agent]
     ]
-    return html + (_table(("agent", "without a reader", "handler failed"), odd) if odd else "")
+    return html + (_table(("agent", "no subscriber", "handler failed"), odd) if odd else "")
 
 
 def _traffic(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     traffic = findings.traffic
-    html = _shown(pictures, "traffic-links", "Nothing that went between agents was recorded.")
+    html = _shown(pictures, "traffic-links", "The recording has no packets between agents.")
     if "traffic-links" in pictures:
         html += _shown(pictures, "traffic-channels", "")
         for name, flow in (("link", traffic.links), ("channel", traffic.channels)):
             counted = [(it, int(flow.packets.total(it)), int(flow.bytes.total(it))) for it in flow.names()]
             html += _table((name, "packets", "bytes"), counted)
-        html += _faint(
-            "Packets that were recorded, in the size in which they travel; without what links say themselves."
-        )
+        html += _faint("Recorded packets with their size on the wire, without the messages of the links themselves.")
     if findings.rates.links:
         links = [
             (agent, peer, _report_page_ms(link.rtt_s), link.packets_out, link.bytes_out, link.packets_in, link.bytes_in)
             for (agent, peer), link in sorted(findings.rates.links.items())
         ]
         head = ("agent", "link to", "round trip [ms]", "packets out", "bytes out", "packets in", "bytes in")
-        html += _folded("Links as agents count them, since they stood", _table(head, links))
+        html += _folded("Links as the agents count them, since they were connected", _table(head, links))
     rows = [(*topic, count) for topic, count in sorted(findings.topics.items())]
-    return html + _folded("All that was recorded", _table(("agent", "channel", "type", "packets"), rows))
+    return html + _folded("All recorded packets", _table(("agent", "channel", "type", "packets"), rows))
 
 
 def _reactions(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     found = findings.reactions
     if not found.commands:
         return _faint("No actuator was commanded.")
-    alone = f"{found.uncaused:,} of them answer no packet" if found.uncaused else "each of them answers a packet"
-    said = f"{found.commands:,} commands to actuators; {alone} that was recorded."
-    html = f"<p>{said}</p>" + _shown(pictures, "reactions", "")
+    caused = f"{found.uncaused:,} of them answer no packet" if found.uncaused else "each of them answers a packet"
+    text = f"{found.commands:,} commands to actuators; {caused} that was recorded."
+    html = f"<p>{text}</p>" + _shown(pictures, "reactions", "")
     for it in found.reactions()[:12]:
         means, travels = [*it.step_means_s, None], [*it.travel_means_s, None]
         rows = [
@@ -309,15 +308,15 @@ def _reactions(findings: Findings, pictures: Mapping[str, Picture]) -> str:
 
 
 def _event_digest(findings: Findings) -> str:
-    said = findings.events
-    html = "<h3>Warnings, errors, failures</h3>" + (_said(said.grave) if said.grave else _faint("None."))
-    if said.told:
-        html += "<h3>Events</h3>" + _said(said.told)
-    return html + (_faint(f"{said.left_out} more are left out.") if said.left_out else "")
+    digest = findings.events
+    html = "<h3>Warnings, errors, failures</h3>" + (_log_table(digest.grave) if digest.grave else _faint("None."))
+    if digest.events:
+        html += "<h3>Events</h3>" + _log_table(digest.events)
+    return html + (_faint(f"{digest.left_out} more are left out.") if digest.left_out else "")
 
 
-def _said(happenings: Sequence[DigestEntry]) -> str:
-    rows = [(round(it.t_s, 2), it.agent, it.kind, it.text, it.count) for it in happenings]
+def _log_table(entries: Sequence[DigestEntry]) -> str:
+    rows = [(round(it.t_s, 2), it.agent, it.kind, it.text, it.count) for it in entries]
     return _table(("time [s]", "agent", "what", "", "times"), rows)
 
 
@@ -326,13 +325,13 @@ FIGURES: Final = "report.json"
 
 
 @dataclass(frozen=True)
-class Made:
-    """A report that was made.
+class Report:
+    """The files of a report.
 
     Attributes:
         page: its page.
-        files: all its files, the page first, each with what it shows.
-        notes: sentences on what is missing in the recording.
+        files: all its files with their captions, the page first.
+        notes: sentences about what the recording lacks.
     """
 
     page: Path
@@ -340,30 +339,31 @@ class Made:
     notes: tuple[str, ...]
 
 
-def make_report(path: Path, out: Path, task_id: str = "") -> Made:
+def make_report(path: Path, out: Path, task_id: str = "") -> Report:
     """Make a report.
 
     Args:
         path: the recording: a file with its parts, or all files of a folder.
-        out: the folder for the report; files of its names that are there are replaced.
-        task_id: tell only of this task, `birthplace/name`; empty: of all.
+        out: the folder for the report; existing files of the same names are replaced.
+        task_id: report only on this task, `birthplace/name`; empty: on all.
 
     Raises:
-        PancakesError: there is no such recording or task, matplotlib or mcap is missing, or nothing can be written.
+        PancakesError: the recording or task does not exist, matplotlib or mcap is missing, or the report cannot be
+            written.
     """
     with needing_extra("a report cannot be drawn"):
         import matplotlib  # noqa: F401
-    with needing_extra("no recording can be read"):
+    with needing_extra("a recording cannot be read"):
         from pancakes.recording.reader import RecordingReader
     reader = RecordingReader(path)
     findings = Findings.of(reader.entries(), task_id, reader.mission_time())
     if not findings.packets:
         raise RecordingError(f"{path} has no packets" + _because(reader.notes()))
     if task_id and not findings.timeline.lanes:
-        raise PancakesError(f"no task {task_id!r} is in {path}: `pancakes record info` lists those that are")
-    notes = [f"{note}: the rest of it is not in this report" if "cut off" in note else note for note in reader.notes()]
+        raise PancakesError(f"{path} has no task {task_id!r}: `pancakes record info` lists its tasks")
+    notes = [f"{note}: this report lacks the rest" if "cut off" in note else note for note in reader.notes()]
     if findings.strange:
-        notes.append(f"{findings.strange} packets are of types that are unknown here, or were others once: left out")
+        notes.append(f"{findings.strange} packets are left out: their types are unknown here, or have changed since")
     virtual = any(reading.about.get("clock") == "mission time" for reading in reader.readings)
     about = {
         "recording": ", ".join(file.name for file in reader.files),
@@ -376,7 +376,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
     if not virtual and speeds - {1.0}:
         took_s = (findings.last_ns - findings.first_ns) / NANOSECONDS
         many = ", ".join(f"{speed:g}" for speed in sorted(speeds))
-        about["took"] = f"{took_s:.1f} s of host time, at {many} mission seconds a second"
+        about["took"] = f"{took_s:.1f} s of host time, at {many} mission seconds per second"
     if task_id:
         about["task"] = task_id
     try:
@@ -385,8 +385,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
         raise PancakesError(f"the report cannot be written to {out}: {error.strerror or error}") from None
 
 
-def _write(path: Path, out: Path, findings: Findings, about: dict[str, str], notes: list[str]) -> Made:
-
+def _write(path: Path, out: Path, findings: Findings, about: dict[str, str], notes: list[str]) -> Report:
     out.mkdir(parents=True, exist_ok=True)
     pictures = draw_all(findings, out)
     title = f"Report on {path.name if path.is_file() else path.resolve().name}"
@@ -396,14 +395,14 @@ def _write(path: Path, out: Path, findings: Findings, about: dict[str, str], not
     figures.write_text(json.dumps(findings.plain(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     files = [(page, "the report"), (figures, "its figures, for other programs")]
     files += [(out / f"{it.name}{suffix}", it.caption) for it in pictures for suffix in (".png", ".svg")]
-    return Made(page, tuple(files), tuple(notes))
+    return Report(page, tuple(files), tuple(notes))
 
 
 def draw_all(findings: Findings, out: Path) -> list[Picture]:
-    """Draw all that there is something to see of, into files as well.
+    """Draw the pictures that the findings have data for, and write their files.
 
     Args:
-        findings: what was found.
+        findings: what the recording shows.
         out: the folder.
 
     Raises:
@@ -411,7 +410,7 @@ def draw_all(findings: Findings, out: Path) -> list[Picture]:
     """
     from pancakes.tools.report import plots
 
-    # Those that move or run tasks come first: they get the colours that are easiest to tell apart.
+    # Robots and agents come first: they get the colours that are easiest to tell apart.
     busy = [*sorted(findings.paths.commands), *sorted(findings.paths.batteries), *findings.agents]
     palette = Palette([*busy, *findings.paths.truth])
     traffic = findings.traffic

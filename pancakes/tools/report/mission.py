@@ -1,4 +1,4 @@
-"""What happened on a mission: paths of bodies, tasks by agent, migrations, and what was logged. Pure: packets go in."""
+"""Collect what happened on a mission: paths of bodies, tasks by agent, migrations, and the log. Pure: packets go in."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ MOST_BODIES = 64
 
 @dataclass
 class Body:
-    """Something that has a place.
+    """Something that has a position.
 
     Attributes:
-        name: what it is called; of an agent, the agent's name.
-        kind: `robot`, `sensor` or `mover` where the world says so; `agent` if only its own poses are known.
+        name: its name; for an agent, the agent's name.
+        kind: `robot`, `sensor` or `mover`, as the world says; `agent` if only its own poses are known.
         path: time in seconds, x and y in metres, heading in radians.
     """
 
@@ -51,7 +51,7 @@ class BodyPaths:
 
     Attributes:
         truth: the bodies of the world, by name.
-        poses: what each agent took for its own pose.
+        poses: each agent's own estimates of its pose.
         commands: which task commanded the actuators of each agent, and when.
         batteries: the level of each agent's battery, from 0 to 1, over time.
     """
@@ -91,13 +91,13 @@ class BodyPaths:
             commands.append(CommandSpan(task, t_s, t_s))
 
     def bodies(self) -> list[Body]:
-        """Return the bodies to draw: those of the world, and agents of which only their own poses are known."""
+        """Return the bodies to draw: those of the world, and agents known only by their own poses."""
         shown = [body for body in self.truth.values() if body.path.kept]
         return shown + [body for name, body in self.poses.items() if name not in self.truth]
 
 
 INNER: Final = ("log", "network", "device")
-"""Services whose tasks belong to the agent itself, and to no mission."""
+"""Services whose tasks belong to the agent itself, not to a mission."""
 ENDS: Final = {
     "task_stopped": "stopped",
     "task_handed_over": "handed over",
@@ -113,8 +113,8 @@ class Span:
     Attributes:
         from_s: when it began.
         to_s: when it ended, or the recording did.
-        epoch: how often it had been handed over; None if that is not known.
-        ended: how it ended; empty if it ran to the end.
+        epoch: how often the task had migrated before; None if unknown.
+        ended: how it ended; empty if it ran until the end of the recording.
     """
 
     from_s: float
@@ -131,7 +131,7 @@ class TaskLane:
         agent: the agent.
         task: the task's name.
         service: its service.
-        task_id: its identity for life; empty if it is not known.
+        task_id: its identity for life; empty if unknown.
         spans: when it ran there.
     """
 
@@ -148,7 +148,7 @@ class TaskTimeline:
 
     Attributes:
         lanes: the tasks on agents, by agent, service and task.
-        seen_s: when something was last seen of each agent.
+        seen_s: the time of each agent's last packet.
     """
 
     lanes: dict[tuple[str, str, str], TaskLane] = field(default_factory=dict)
@@ -171,7 +171,7 @@ class TaskTimeline:
                 self._runs(agent, parts[1], parts[2], t_s, packet.fence.epoch[0], packet.fence.task_id)
 
     def _unseen(self, agent: str, since_s: float) -> None:
-        """Another recording of an agent begins, or one goes on: what was between, such as a crash, was seen by none."""
+        """End the open spans of an agent whose recording begins again: the time in between was not recorded."""
         for lane in self.lanes.values():
             if lane.agent == agent and lane.spans and not lane.spans[-1].ended:
                 lane.spans[-1].to_s, lane.spans[-1].ended = since_s, "not recorded"
@@ -195,7 +195,7 @@ class TaskTimeline:
         lane.task_id = lane.task_id or task_id
         open_span = lane.spans[-1] if lane.spans and not lane.spans[-1].ended else None
         if open_span is None and lane.spans and t_s == lane.spans[-1].to_s:
-            return  # what it said as it ended
+            return  # its last packet, from just before it ended
         if open_span is None:
             lane.spans.append(Span(t_s, t_s, epoch))
         else:
@@ -203,7 +203,7 @@ class TaskTimeline:
             open_span.epoch = epoch if epoch is not None else open_span.epoch
 
     def close(self) -> None:
-        """The recording has ended: what still ran did so as long as its agent was seen."""
+        """End the recording: tasks that still run are taken to have run until the last packet of their agent."""
         for lane in self.lanes.values():
             if lane.spans and not lane.spans[-1].ended:
                 lane.spans[-1].to_s = self.seen_s[lane.agent]
@@ -220,19 +220,19 @@ class TaskTimeline:
 
 MOST_MOVES: Final = 500
 AWAIT_S: Final = 30.0
-"""A task that publishes on its new agent within this time after a hand-over counts as having moved there."""
+"""How long after a hand-off the start of the task on its new agent may follow, in seconds of mission time."""
 
 
 @dataclass
 class TaskMove:
-    """One move, or one that came to nothing.
+    """One migration, or an attempt that failed.
 
     Attributes:
-        at_s: when it was over.
-        ledger: who was asked, what each said, and what came of it.
-        frozen_s: when the task stood still at its source; None if that was not recorded.
-        started_s: when it ran again at the winner.
-        silence_s: between its last packet there and its first here.
+        at_s: when it ended.
+        ledger: which agents were asked, their answers, and the outcome.
+        frozen_s: when the task was paused at its source; None if this was not recorded.
+        started_s: when it ran again at the winner; None if this was not recorded.
+        silence_s: the time between its last packet from the source and its first from the winner.
     """
 
     at_s: float
@@ -247,31 +247,31 @@ class TaskMove:
         return self.ledger.task_id.rpartition("/")[2]
 
     def goes(self, task_id: str, source: str, winner: str) -> bool:
-        """Return whether it is the move of a task from one agent to another."""
+        """Return whether this is the migration of a task from `source` to `winner`."""
         return (self.ledger.task_id, self.ledger.source, self.ledger.winner) == (task_id, source, winner)
 
     def plain(self) -> dict[str, Any]:
         """Return it as plain values, with the lines of the ledger as `answers`."""
-        told = msgspec.to_builtins(self.ledger)
-        answers = told.pop("lines")
+        ledger = msgspec.to_builtins(self.ledger)
+        answers = ledger.pop("lines")
         times = {key: getattr(self, key) for key in ("at_s", "frozen_s", "started_s", "silence_s")}
-        return {**told, **times, "answers": answers}
+        return {**ledger, **times, "answers": answers}
 
 
 @dataclass
 class Moves:
-    """All moves of a recording.
+    """All migrations of a recording.
 
     Attributes:
-        moves: them, in the order of time.
-        left_out: how many there were beyond those that are kept.
+        moves: the migrations, in the order of time.
+        left_out: how many more there were than are kept.
     """
 
     moves: list[TaskMove] = field(default_factory=list)
     left_out: int = 0
     _frozen_s: dict[tuple[str, str], float] = field(default_factory=dict)
     _arrived_s: dict[tuple[str, str], float] = field(default_factory=dict)
-    _spoke: dict[str, tuple[str, float]] = field(default_factory=dict)
+    _last_packet: dict[str, tuple[str, float]] = field(default_factory=dict)
     _changes: dict[tuple[str, str, str], tuple[float, float]] = field(default_factory=dict)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
@@ -279,7 +279,7 @@ class Moves:
         if agent_of(packet.source) != agent:
             return
         if packet.fence is not None:
-            self._spoken(agent, packet.fence.task_id, t_s)
+            self._note_packet(agent, packet.fence.task_id, t_s)
         body = packet.body
         if packet.channel != LOG or not isinstance(body, Event):
             return
@@ -290,11 +290,11 @@ class Moves:
             self._arrived_s[agent, task] = t_s
             self._settle(agent, task, t_s)
         elif body.kind == "migration":
-            self._told(body.fields, t_s)
+            self._note_migration(body.fields, t_s)
 
-    def _spoken(self, agent: str, task_id: str, t_s: float) -> None:
-        before = self._spoke.get(task_id)
-        self._spoke[task_id] = (agent, t_s)
+    def _note_packet(self, agent: str, task_id: str, t_s: float) -> None:
+        before = self._last_packet.get(task_id)
+        self._last_packet[task_id] = (agent, t_s)
         if before is None or before[0] == agent:
             return
         self._changes[task_id, before[0], agent] = (t_s, t_s - before[1])
@@ -304,21 +304,21 @@ class Moves:
                 return
 
     def _settle(self, agent: str, task: str, t_s: float) -> None:
-        """A task runs. Its move may be known already, because each of the two agents reports it."""
+        """Note that a task has started. Its migration may be known already, as both agents report it."""
         for move in reversed(self.moves[-20:]):
             awaited = (move.task, move.ledger.winner) == (task, agent) and move.ledger.outcome == "moved"
             if awaited and move.started_s is None and t_s - move.at_s < AWAIT_S:
                 move.started_s = t_s
                 return
 
-    def _told(self, fields: Mapping[str, Any], t_s: float) -> None:
+    def _note_migration(self, fields: Mapping[str, Any], t_s: float) -> None:
         if len(self.moves) >= MOST_MOVES:
             self.left_out += 1
             return
         try:
             move = TaskMove(t_s, codecs.convert(fields, Ledger))
         except msgspec.ValidationError:
-            return  # an event of a user's own that bears the same name
+            return  # a user's event with the same name
         self.moves.append(move)
         ledger = move.ledger
         if ledger.outcome != "moved":
@@ -333,12 +333,12 @@ class Moves:
             move.silence_s = change[1]
 
     def only(self, task_id: str) -> None:
-        """Forget the moves of all tasks but one."""
+        """Forget the migrations of all tasks except one."""
         self.moves = [move for move in self.moves if move.ledger.task_id == task_id]
 
 
 MOST: Final = 300
-"""The most different ones that are kept of each sort."""
+"""The most different entries of each list."""
 LONGEST: Final = 300
 GRAVE: Final = (
     "task_failed",
@@ -349,7 +349,7 @@ GRAVE: Final = (
     "command_refused",
     "recording_stopped",
 )
-"""Events that tell of something that went wrong."""
+"""Events about failures."""
 USUAL: Final = (
     "ready",
     "asked",
@@ -367,19 +367,19 @@ USUAL: Final = (
     "migration_refused",
     "recording_started",
 )
-"""Events that other parts of the report tell of, or that say little."""
+"""Events that other parts of the report show, or that say little."""
 
 
 @dataclass
 class DigestEntry:
-    """Something that was said, once or several times in the same words.
+    """A log entry, which may occur several times with the same text.
 
     Attributes:
-        t_s: when it was said first.
-        agent: the agent that said it.
+        t_s: when it first occurred.
+        agent: the agent that logged it.
         kind: `warning`, `error`, or the event's kind.
-        text: what.
-        count: how often.
+        text: its text.
+        count: how often it occurred.
     """
 
     t_s: float
@@ -391,16 +391,16 @@ class DigestEntry:
 
 @dataclass
 class EventDigest:
-    """What was said on `log`.
+    """The entries on `log`, grouped by text.
 
     Attributes:
         grave: warnings, errors and failures.
-        told: events of the mission's own.
-        left_out: how many different ones there were beyond those that are kept.
+        events: the mission's own events.
+        left_out: how many more different entries there were than are kept.
     """
 
     grave: list[DigestEntry] = field(default_factory=list)
-    told: list[DigestEntry] = field(default_factory=list)
+    events: list[DigestEntry] = field(default_factory=list)
     left_out: int = 0
     _known: dict[tuple[str, str, str], DigestEntry] = field(default_factory=dict)
 
@@ -414,7 +414,7 @@ class EventDigest:
         elif isinstance(body, Event) and body.kind in GRAVE:
             self._note(self.grave, t_s, agent, body.kind, _text(body.fields))
         elif isinstance(body, Event) and body.kind not in USUAL:
-            self._note(self.told, t_s, agent, body.kind, _text(body.fields))
+            self._note(self.events, t_s, agent, body.kind, _text(body.fields))
 
     def _note(self, into: list[DigestEntry], t_s: float, agent: str, kind: str, text: str) -> None:
         text = text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
@@ -424,8 +424,8 @@ class EventDigest:
         elif len(into) >= MOST:
             self.left_out += 1
         else:
-            happening = self._known[agent, kind, text] = DigestEntry(t_s, agent, kind, text)
-            into.append(happening)
+            entry = self._known[agent, kind, text] = DigestEntry(t_s, agent, kind, text)
+            into.append(entry)
 
 
 def _text(fields: Any) -> str:

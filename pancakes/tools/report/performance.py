@@ -1,4 +1,4 @@
-"""How agents fared: rates, lateness and drops from the sampled figures, and traffic by link and channel. Pure."""
+"""Measure how agents performed: rates, lateness and drops from sampled figures; traffic by link and channel. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pancakes.tools.report.time_series import Counts, TimeSeries
 
 @dataclass
 class AtRate:
-    """What a timer did while it was asked for one rate: ticks in so many seconds of mission time."""
+    """The ticks of a timer while one rate was requested, and the mission time that this took."""
 
     asked_hz: float
     ticks: int = 0
@@ -21,7 +21,7 @@ class AtRate:
 
     @property
     def achieved_hz(self) -> float | None:
-        """Ticks for each second; None if it was too short to tell."""
+        """Ticks per second; None if the time was too short to measure it."""
         return self.ticks / self.during_s if self.during_s * self.asked_hz >= 3.0 else None
 
 
@@ -32,16 +32,16 @@ class TimerRates:
     Attributes:
         agent: the agent.
         task: the task, as `service/task`.
-        task_id: its identity for life; empty if it cannot move.
+        task_id: its identity for life; empty if it cannot migrate.
         timer: the method.
-        at: what it did at each rate that it was asked for, in the order of time.
+        at: its ticks at each requested rate, in the order of time.
         ticks: how often it was called.
-        missed: ticks that were left out.
-        lateness_sum_s: of all ticks together, in mission time.
-        lateness_max_s: the largest.
+        missed: ticks that were skipped.
+        lateness_sum_s: the sum over all ticks, in mission time.
+        lateness_max_s: the largest lateness, in mission time.
         lateness: over time, the mean of the ticks since the sample before, in seconds.
-        lateness_counts: how many of the ticks were how late, by the number of the bucket (see `latenesses.bucket_of`);
-            empty if that was not recorded.
+        lateness_counts: how many ticks were how late, by the number of the bucket (see `latenesses.bucket_of`); empty
+            if this was not recorded.
     """
 
     agent: str
@@ -63,7 +63,7 @@ class TimerRates:
         return self.lateness_sum_s / self.ticks if self.ticks else 0.0
 
     def lateness_quantile_s(self, share: float) -> float | None:
-        """Return the lateness that this share of the ticks stayed below, to within 10 %; None: no tick was counted."""
+        """Return a quantile of the lateness, accurate to 10 %; None: no tick was counted."""
         return quantile_s(self.lateness_counts, share)
 
     def add(self, t_s: float, mission_s: float, incarnation: int, now: TimerFigures) -> None:
@@ -71,8 +71,8 @@ class TimerRates:
         for bucket, count in now.lateness_counts:
             self.lateness_counts[bucket] = self.lateness_counts.get(bucket, 0) + count
         before, self._before = self._before, (mission_s, incarnation, now)
-        # Ticks before the recording began are no part of it; of the largest lateness the time is not known.
-        # Where mission time has gone back the agent was started again, and counts all from scratch.
+        # Ticks before the recording began do not count. The largest lateness may be from before: its time is unknown.
+        # If mission time has gone back, the agent was restarted, and all its counters began at 0 again.
         if before is not None and (mission_s < before[0] or before[1] != incarnation or now.ticks < before[2].ticks):
             before = (mission_s, incarnation, TimerFigures(now.timer, now.rate_hz, 0, 0, 0.0, 0.0))
         if before is None:
@@ -94,7 +94,7 @@ class TimerRates:
 
 @dataclass
 class Drops:
-    """Packets that fell out of a task's mailbox on one agent: how many so far, over time."""
+    """Packets dropped from a task's mailbox on one agent: the total, and the count over time."""
 
     agent: str
     task: str
@@ -112,12 +112,12 @@ class Drops:
 
 @dataclass
 class Rates:
-    """How tasks and links fared.
+    """The figures of tasks and links.
 
     Attributes:
-        samples: how many samples there were; 0: the recording has none.
-        timers: by agent, task and timer.
-        drops: by agent and task.
+        samples: how many samples the recording has.
+        timers: the timers, by agent, task and timer.
+        drops: the dropped packets, by agent and task.
         links: the newest figures of each link, by the agent that counts and its peer.
         undelivered: packets that no subscriber took, by agent.
         dead_letters: packets whose handlers failed, by agent.
@@ -131,7 +131,7 @@ class Rates:
     dead_letters: dict[str, int] = field(default_factory=dict)
 
     def add(self, agent: str, figures: TaskFigures, t_s: float) -> None:
-        """Take what was sampled of an agent."""
+        """Take a sample of an agent."""
         self.samples += 1
         for task in figures.tasks:
             self._add_task(agent, task, figures.mission_s, t_s)
@@ -144,7 +144,7 @@ class Rates:
         drops.add(t_s, task.dropped)
         for figures in task.timers:
             if figures.rate_hz <= 0 and not figures.ticks:
-                continue  # a driver that reads nothing by itself
+                continue  # a driver without readings of its own
             key = (agent, task.task, figures.timer)
             timer = self.timers.setdefault(key, TimerRates(agent, task.task, task.task_id, figures.timer))
             timer.add(t_s, mission_s, task.incarnation, figures)
@@ -158,11 +158,11 @@ class Rates:
 
 @dataclass
 class Flow:
-    """What went between agents, or on channels.
+    """The traffic between agents, or on channels.
 
     Attributes:
-        packets: counted over time, by name.
-        bytes: their sizes as they travel, over time, by name.
+        packets: the number of packets over time, by name.
+        bytes: their size on the wire over time, by name.
     """
 
     packets: Counts = field(default_factory=Counts)
@@ -174,7 +174,7 @@ class Flow:
         self.bytes.add(t_s, name, size)
 
     def take(self, other: Flow, name: str) -> None:
-        """Add what another flow has counted under a name."""
+        """Add the counts of another flow under a name."""
         for counts, of in ((self.packets, other.packets), (self.bytes, other.bytes)):
             for slot, number in of.slots[name].items():
                 counts.add((slot + 0.5) * of.slot_s, name, number)
@@ -186,14 +186,14 @@ class Flow:
 
 @dataclass
 class Traffic:
-    """What travelled between agents.
+    """The packets that travelled between agents.
 
-    A packet that travels may be seen twice, where it leaves and where it arrives. It counts where it arrives; where
-    the receiver was not recorded, where it leaves.
+    A packet may be recorded twice: by its sender and by its receiver. It is counted at the receiver; if the receiver
+    was not recorded, at the sender.
 
     Attributes:
-        links: by link, as `FROM → TO`.
-        channels: by channel, all links together.
+        links: the traffic by link, as `FROM → TO`.
+        channels: the traffic by channel, all links together.
         heard: the agents that were recorded.
     """
 
@@ -221,11 +221,11 @@ class Traffic:
     def _size(self, packet: Packet) -> int:
         try:
             return len(encode_packet(packet))
-        except LocalProtocolError:  # a body whose class is not installed here may be of a kind that does not travel
+        except LocalProtocolError:  # if its class is not installed here, a body may have no wire format
             return 0
 
     def close(self) -> None:
-        """The recording has ended: what left for agents that were not recorded counts where it left."""
+        """End the recording: count packets to agents that were not recorded at their sender."""
         for name in list(self._leaving.packets.slots):
             to = name.rpartition(" → ")[2]
             if to in self.heard or (to == NEIGHBOURS and len(self.heard) > 1):

@@ -1,7 +1,7 @@
-"""Plots of a report: the style for a paper's columns, plots of the mission, and plots of how the agents fared.
+"""Draw the plots of a report: of the mission, and of the agents' performance, in the style of a paper's columns.
 
-Colours can be told apart by colour-blind people. `matplotlib` is imported only when something is drawn. A plot function
-returns None if there is nothing to see.
+Colour-blind people can tell the colours apart. `matplotlib` is imported only when something is drawn. A plot function
+returns None if there is nothing to show.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#8c6d31", "#7f7f7f")
-"""Okabe and Ito's, without the yellow, which is hardly seen on white, and two more."""
+"""The colours of Okabe and Ito without yellow, which is hard to see on white, and two more."""
 DASHES: Final = ((0, ()), (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
 MARKERS: Final = ("^", "s", "D", "v", "o", "P", "X", "*")
 INK, FAINT = "#333333", "#9a9a9a"
@@ -37,17 +37,17 @@ COLUMN_IN: Final = 3.5
 WIDE_IN: Final = 7.16
 DPI: Final = 300
 ON_SCREEN: Final = 1.9
-"""Pixels of a page for each point of a picture: a screen is read from further away than paper."""
+"""Pixels on the page per point of a picture: people read a screen from further away than paper."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture, drawn.
+    """A drawn picture.
 
     Attributes:
-        name: of its files.
+        name: the name of its files.
         caption: what it shows.
-        svg: the picture as SVG, for a page: ink takes the colour of the text around it.
+        svg: the picture as SVG for a page: its ink has the colour of the text around it.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Palette:
 
 @contextmanager
 def figure(width_in: float, height_in: float) -> Iterator[Figure]:
-    """A figure in the report's style, for as long as it is drawn and saved."""
+    """Yield a figure in the report's style; draw and save it inside the context."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -101,7 +101,7 @@ def save(made: Figure, out: Path, name: str, caption: str) -> Picture:
 
     made.savefig(out / f"{name}.png", dpi=DPI)
     buffer = io.StringIO()
-    # The same recording gives the same bytes.
+    # The same recording gives the same bytes, so no date and no random ids.
     with matplotlib.rc_context({"svg.hashsalt": name}):
         made.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
     svg = buffer.getvalue()
@@ -110,7 +110,7 @@ def save(made: Figure, out: Path, name: str, caption: str) -> Picture:
 
 
 def _for_page(svg: str, name: str) -> str:
-    """Return an SVG that can stand in a page beside others: its own names only, and the page's ink."""
+    """Prepare an SVG for a page with others: its ids become unique, its ink takes the colour of the text."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r' width="([\d.]+)pt" height="[\d.]+pt"', _as_wide_as_room, svg, count=1)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
@@ -127,13 +127,13 @@ def _as_wide_as_room(size: re.Match[str]) -> str:
 
 
 def time_axis(axes: Axes, findings: Findings) -> None:
-    """Make the horizontal axis one of the recording's time."""
+    """Show the recording's time on the horizontal axis."""
     axes.set_xlim(findings.begin_s, max(findings.end_s, findings.begin_s + 1e-3))
     axes.set_xlabel(f"{findings.time.name} [s]")
 
 
 def plot_line(axes: Axes, points: Sequence[tuple[Any, ...]], number: int, colour: str, label: str, **how: Any) -> None:
-    """Draw a line through points; its dashes follow from its number among the lines of a colour."""
+    """Draw a line through points; `number`, its number among the lines of its colour, chooses the dashes."""
     dashes = DASHES[number % len(DASHES)]
     axes.plot([x for x, _ in points], [y for _, y in points], ls=dashes, color=colour, label=label, **how)
 
@@ -146,12 +146,12 @@ def label_rows(axes: Axes, labels: Sequence[str]) -> None:
 
 
 def label_log(axis: Axis) -> None:
-    """Write plain numbers along a logarithmic axis, once everything on it has been drawn."""
+    """Write plain numbers along a logarithmic axis. Call it after everything on the axis has been drawn."""
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     low, high = axis.get_view_interval()
-    if high < 30 * low:  # hardly a power of ten on it
+    if high < 30 * low:  # at most one power of ten, so label other digits too
         digits = "234568" if high < 5 * low else "25"
         axis.set_minor_formatter(FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in digits else ""))
     else:
@@ -159,7 +159,7 @@ def label_log(axis: Axis) -> None:
 
 
 def unit_of_bytes(largest: float) -> tuple[float, str]:
-    """Return by what to divide bytes a second so that figures are short, and the unit."""
+    """Return the divisor for bytes per second that makes figures short, and its unit."""
     for factor, unit in ((1e6, "MB/s"), (1e3, "kB/s")):
         if largest >= factor:
             return factor, unit
@@ -173,7 +173,7 @@ MOST_MOVES = 12
 
 
 def draw_paths(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw where all bodies went, and which task drove them. None if nothing has a place."""
+    """Draw the paths of all bodies, and which task drove them. None if there are no positions."""
     bodies = findings.paths.bodies()
     if not bodies:
         return None
@@ -198,17 +198,17 @@ def draw_paths(findings: Findings, palette: Palette, out: Path) -> Picture | Non
         axes.set_ylabel("y [m]")
         handles, labels = _path_legend(bodies, tasks, palette)
         made.legend(handles, labels, loc="outside upper center", ncols=min(3, len(handles)), handlelength=2.2)
-        told = _how_known(findings, tasks)
-        return save(made, out, "paths", f"Paths, {told}. Crosses: starts; markers: ends.")
+        source = _path_source(findings, tasks)
+        return save(made, out, "paths", f"Paths, {source}. Crosses: starts; markers: ends.")
 
 
-def _how_known(findings: Findings, tasks: Sequence[str]) -> str:
-    told = "as the agents knew them"
+def _path_source(findings: Findings, tasks: Sequence[str]) -> str:
+    text = "as estimated by the agents"
     if findings.paths.truth:
-        told = "as the simulated world knew them"
+        text = "from the simulated world"
         if findings.paths.poses:
-            told += "; dots: what the robots took for their poses"
-    return f"{told}; line styles: the task that commanded the wheels" if tasks else told
+            text += "; dots: the robots' own estimates of their poses"
+    return f"{text}; line styles: the task that commanded the wheels" if tasks else text
 
 
 def _body(axes: Axes, body: Body, commands: Sequence[CommandSpan], tasks: Sequence[str], palette: Palette) -> None:
@@ -273,7 +273,7 @@ def draw_timeline(findings: Findings, palette: Palette, out: Path) -> Picture | 
             _arrow(axes, move, lanes)
         label_rows(axes, [f"{lane.agent}  {lane.task}" for lane in lanes])
         time_axis(axes, findings)
-        moved = " Arrows: moves." if any(move.ledger.outcome == "moved" for move in findings.moves.moves) else ""
+        moved = " Arrows: migrations." if any(move.ledger.outcome == "moved" for move in findings.moves.moves) else ""
         return save(made, out, "tasks", f"Which agent ran which task. Crosses: failures.{moved}")
 
 
@@ -291,7 +291,7 @@ def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
 
 
 def draw_batteries(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw what was left in the batteries. None if no agent has one."""
+    """Draw the levels of the batteries. None if no agent has one."""
     batteries = findings.paths.batteries
     if not batteries:
         return None
@@ -307,11 +307,11 @@ def draw_batteries(findings: Findings, palette: Palette, out: Path) -> Picture |
         axes.margins(y=0.08)
         time_axis(axes, findings)
         made.legend(loc="outside upper center", ncols=min(4, len(batteries)), handlelength=1.6)
-        return save(made, out, "batteries", "What is left of the batteries' range. Vertical lines: moves of tasks.")
+        return save(made, out, "batteries", "Battery levels. Vertical lines: migrations.")
 
 
 def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw what the neighbours asked for in each move. None if no neighbour was asked."""
+    """Draw the costs that the neighbours bid for each migration. None if no neighbour was asked."""
     moves = [move for move in findings.moves.moves if any(it.cost is not None for it in move.ledger.lines)][:MOST_MOVES]
     if not moves:
         return None
@@ -331,10 +331,8 @@ def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | Non
         labels = [f"{move.task} at {move.at_s:.0f} s: {it.peer}" for move, it in rows]
         label_rows(axes, labels)
         axes.set_xlim(-0.04 * largest, 1.35 * largest)
-        axes.set_xlabel("cost asked for")
-        return save(
-            made, out, "moves", "What neighbours asked for when a task was to move; filled: the agent that got it."
-        )
+        axes.set_xlabel("cost of the bid")
+        return save(made, out, "moves", "The neighbours' bids for each migration. Filled: the agent that got the task.")
 
 
 MOST_ROWS = 40
@@ -345,7 +343,7 @@ NEGLIGIBLE_S = 1e-9
 
 
 def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw the rates that were asked for and achieved. None if no figures were recorded."""
+    """Draw the requested and achieved rates. None if no figures were recorded."""
     rows = [
         (timer, shown)
         for _, timer in sorted(findings.rates.timers.items())
@@ -362,7 +360,7 @@ def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | Non
                 first = not place and not number
                 got_hz = max(achieved_hz, 1e-3)
                 axes.plot([asked_hz, got_hz], [place, place], lw=0.8, color=FAINT, zorder=1)
-                label = "asked for" if first else ""
+                label = "requested" if first else ""
                 axes.plot(asked_hz, place, "o", ms=5.5, mfc="none", mec=INK, mew=0.8, label=label)
                 axes.plot(got_hz, place, "o", ms=3, color=colour, label="achieved" if first else "")
         label_rows(axes, [_timer_name(timer) for timer, _ in rows])
@@ -371,7 +369,7 @@ def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | Non
         label_log(axes.xaxis)
         axes.set_xlabel("rate [Hz of mission time]")
         made.legend(loc="outside upper center", ncols=2)
-        return save(made, out, "rates", "Rates of time-driven tasks: asked for, and achieved.")
+        return save(made, out, "rates", "Rates of time-driven tasks: requested and achieved.")
 
 
 def _timer_name(timer: TimerRates) -> str:
@@ -379,7 +377,7 @@ def _timer_name(timer: TimerRates) -> str:
 
 
 def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw how late ticks were. None if nothing was, or no figures were recorded."""
+    """Draw how late ticks were. None if no tick was late, or no figures were recorded."""
     timers = [timer for _, timer in sorted(findings.rates.timers.items()) if timer.ticks]
     late = sorted((timer for timer in timers if timer.lateness_max_s > NEGLIGIBLE_S), key=lambda it: -it.lateness_max_s)
     if not late:
@@ -411,13 +409,11 @@ def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | 
         right.set_ylabel("mean lateness [ms]")
         time_axis(right, findings)
         made.legend(loc="outside upper right", ncols=3, handlelength=1.8)
-        return save(
-            made, out, "lateness", "How late ticks were; right: the means of a second each, of the latest tasks."
-        )
+        return save(made, out, "lateness", "Lateness of ticks. Right: the mean of each second, for the latest tasks.")
 
 
 def draw_drops(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draw the packets that fell out of mailboxes. None if none did."""
+    """Draw the packets that were dropped from mailboxes. None if none were."""
     drops = sorted((it for it in findings.rates.drops.values() if it.total), key=lambda it: -it.total)[:MOST_LINES]
     if not drops:
         return None
@@ -433,17 +429,17 @@ def draw_drops(findings: Findings, palette: Palette, out: Path) -> Picture | Non
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         time_axis(axes, findings)
         made.legend(loc="outside upper center", ncols=2, handlelength=1.8)
-        return save(made, out, "drops", "Packets that fell out of mailboxes because their readers were slow, so far.")
+        return save(made, out, "drops", "Packets dropped from mailboxes so far, because their readers were slow.")
 
 
 def draw_traffic(findings: Findings, out: Path, name: str, flow: Flow, of: str) -> Picture | None:
     """Draw packets and bytes over time. None if nothing travelled.
 
     Args:
-        findings: from when to when the recording is.
+        findings: gives the time axis.
         out: the folder.
-        name: of the files.
-        flow: what travelled.
+        name: the name of the files.
+        flow: the traffic.
         of: what its kinds are called, such as `link`.
     """
     names = flow.names()
@@ -465,7 +461,7 @@ def draw_traffic(findings: Findings, out: Path, name: str, flow: Flow, of: str) 
             time_axis(axes, findings)
         handles, labels = left.get_legend_handles_labels()
         made.legend(handles, labels, loc="outside upper center", ncols=4, handlelength=1.8)
-        less = f"; {len(others)} with less are left out" if others else ""
+        less = f"; {len(others)} with less traffic are left out" if others else ""
         return save(made, out, name, f"Packets and bytes between agents, by {of}{less}.")
 
 
@@ -476,7 +472,7 @@ def _line(axes: Axes, counts: Counts, kind: str, span_s: tuple[float, float], fa
 
 
 def draw_reactions(findings: Findings, out: Path) -> Picture | None:
-    """Draw the most frequent chains that led to commands. None if none has a cause."""
+    """Draw the most frequent chains that led to commands. None if no command has a known cause."""
     reactions = findings.reactions.reactions()[:MOST_SHAPES]
     if not reactions:
         return None
@@ -492,8 +488,8 @@ def draw_reactions(findings: Findings, out: Path) -> Picture | None:
             made,
             out,
             "reactions",
-            "From the first cause to the actuator's command, by kind of chain. Left: when each step was taken, on"
-            " average; hatched: on the way between agents. Right: how long it took.",
+            "From the first cause to the actuator's command, by kind of chain. Left: the mean time of each step;"
+            " hatched: on the way between agents. Right: the whole time.",
         )
 
 
@@ -520,7 +516,7 @@ def _step_name(step: str) -> str:
 def _times(axes: Axes, it: Reaction) -> None:
     values = sorted(1e3 * value for value in it.latency_s.kept)
     low, high = values[0], values[min(len(values) - 1, int(0.995 * len(values)))]
-    # One value throughout, as in virtual time, still wants a bar of some width.
+    # If all values are equal, as in virtual time, the bar still needs some width.
     margin = max(0.05 * (high - low), 0.02 * high, 1e-3)
     bounds = (max(0.0, low - margin), high + margin)
     axes.hist(values, bins=40, range=bounds, color=COLOURS[0], lw=0)

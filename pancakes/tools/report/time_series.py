@@ -1,4 +1,4 @@
-"""Values over time, counts in slots, and distributions, in bounded memory however long a recording is. Pure."""
+"""Keep values over time, counts in slots, and distributions in bounded memory, however long a recording is. Pure."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 MOST_POINTS: Final = 3000
-"""More than a picture can show."""
+"""The most points of a time series: more than a picture can show."""
 MOST_SLOTS: Final = 160
 MOST_SAMPLES: Final = 5000
 
 
 @dataclass
 class Thinned:
-    """Items in bounded memory. Where they become too many, every other one is left out, and of those to come.
+    """Items in bounded memory. If they become too many, every second one is dropped, now and from then on.
 
     Attributes:
-        most: so many are kept.
+        most: the most items that are kept.
         kept: the items that were kept, oldest first.
-        count: how many there were.
-        stride: of so many one is kept.
+        count: how many items were added.
+        stride: one of this many is kept.
     """
 
     most: int
@@ -56,7 +56,7 @@ class TimeSeries(Thinned):
         super().add(point)
 
     def whole(self) -> list[tuple[Any, ...]]:
-        """Return the points, the newest one included."""
+        """Return the kept points, and the newest one."""
         if self.last is not None and self.kept[-1] is not self.last:
             return [*self.kept, self.last]
         return self.kept
@@ -64,18 +64,18 @@ class TimeSeries(Thinned):
 
 @dataclass
 class Counts:
-    """How much there was in slots of equal length; where the slots become too many, they become longer.
+    """Counts in time slots of equal length. If there are too many slots, their length is doubled.
 
     Attributes:
-        slot_s: how long a slot is.
-        slots: what was counted in each, by kind.
+        slot_s: the length of a slot, in seconds.
+        slots: the count in each slot, by kind.
     """
 
     slot_s: float = 1.0
     slots: dict[str, dict[int, float]] = field(default_factory=dict)
 
     def add(self, t_s: float, kind: str, number: float = 1.0) -> None:
-        """Count something at a time; times need no order."""
+        """Count something at a time; the times may come in any order."""
         slot = int(t_s // self.slot_s)
         while slot >= MOST_SLOTS:
             self.slot_s *= 2.0
@@ -85,16 +85,16 @@ class Counts:
         counts[slot] = counts.get(slot, 0.0) + number
 
     def total(self, kind: str) -> float:
-        """Return all of a kind."""
+        """Return the total of a kind."""
         return sum(self.slots.get(kind, {}).values())
 
     def rates(self, kind: str, end_s: float) -> list[tuple[float, float]]:
-        """Return how much a second there was of a kind, slot by slot: the time of its middle, and the rate."""
+        """Return the rate of a kind per second in each slot: the time of the slot's middle, and the rate."""
         counts = self.slots.get(kind, {})
         rates = []
         for slot in range(max(1, math.ceil(end_s / self.slot_s))):
             begin_s = slot * self.slot_s
-            # The last slot is cut short by the end; a part of one says little.
+            # The end cuts the last slot short, and the rate of a short slot says little.
             length_s = min(self.slot_s, end_s - begin_s)
             if length_s == self.slot_s or slot < 3:
                 rates.append((begin_s + length_s / 2, counts.get(slot, 0.0) / max(length_s, 1e-3)))
@@ -109,10 +109,10 @@ def _halved(counts: dict[int, float]) -> dict[int, float]:
 
 
 class Distribution(Thinned):
-    """Values of which a distribution is wanted.
+    """The distribution of values.
 
     Attributes:
-        largest: of all values, kept or not.
+        largest: the largest of all values, kept or not.
     """
 
     largest = -math.inf
@@ -126,10 +126,10 @@ class Distribution(Thinned):
         self.largest = max(self.largest, value)
 
     def quantile(self, share: float) -> float:
-        """Return the value that this share of all stayed below, from 0 to 1."""
+        """Return the quantile for a share from 0 to 1."""
         ordered = sorted(self.kept)
         return float(ordered[min(len(ordered) - 1, int(share * len(ordered)))])
 
     def quantiles(self) -> dict[str, float]:
-        """Return the values that 50, 90 and 99 of a hundred stayed below, as `p50`, `p90` and `p99`."""
+        """Return the percentiles `p50`, `p90` and `p99`."""
         return {f"p{round(100 * share)}": self.quantile(share) for share in (0.5, 0.9, 0.99)}

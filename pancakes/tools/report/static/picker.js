@@ -1,4 +1,4 @@
-// The part of a report in which a command is picked, and its chain is seen. The data are in the page.
+// The picker of a report: a person picks a command and sees its chain. The data are in the page.
 "use strict";
 (() => {
   const data = JSON.parse(document.getElementById("commands-data").textContent);
@@ -75,7 +75,7 @@
     draw();
   }
 
-  /** The distribution of what is like this one, as it was counted of all and not only of those that can be picked. */
+  /** Shows the distribution of all commands with the same kind of chain, not only of those that can be picked. */
   function alike(row) {
     const found = caused(row) && data.distributions[row[2]];
     find("picker-alike").textContent = found
@@ -157,7 +157,7 @@
   choice.addEventListener("change", () => choose(Number(choice.value)));
   slider.addEventListener("input", () => pick(Number(slider.value)));
   when.addEventListener("change", () => {
-    // The one that was in force then: the newest that is not later.
+    // The command that was in force then: the newest that is not later.
     const msec = Math.round(Number(when.value) * 1000);
     let found = 0;
     byTime.forEach((row, number) => row[0] <= msec && (found = number));
@@ -168,7 +168,7 @@
   find("picker-after").addEventListener("click", () => pick(place + 1));
   find("picker-slowest").addEventListener("click", () => {
     const order = byTime.map((_, number) => number).sort((a, b) => latencyUs(byTime[b]) - latencyUs(byTime[a]) || a - b);
-    // Pressed again it goes on from the slowest to the next slowest.
+    // Another click picks the next slowest.
     rank = order[rank] === place ? (rank + 1) % order.length : 0;
     pick(order[rank]);
   });
