@@ -70,13 +70,13 @@ class Readings:
     def came(self, now_s: float) -> Sequence[Line]:
         """Takes note of a sound reading; returns what to log."""
         with self._lock:
-            is_usual = self._since_s == math.inf and not self._silent
-            lines: Sequence[Line] = () if is_usual else self._count(now_s)
+            if self._since_s == math.inf and not self._silent:  # nothing was missed of late
+                self._came += 1
+                self._last_s = now_s
+                return ()
+            lines = self._count(now_s)
             self._came += 1
             self._in_a_row = 0
-            if is_usual:
-                self._last_s = now_s
-                return lines
             return [*lines, *self._heard(now_s)]
 
     def missed(self, why: str, now_s: float) -> tuple[list[Line], bool]:

@@ -35,15 +35,12 @@ _BOUNDS: Final = (
 )
 
 
-def reading_check(cls: Any) -> Callable[[Any], str]:
-    """Return what checks the bodies of a class as readings.
+def reading_check(cls: Any) -> Callable[[Any], str] | None:
+    """Return what checks the bodies of a class as readings; None: there is no number in them.
 
-    It returns which number is no reading: `level is 1.2, above 1`; or nothing, if all are sound.
+    It returns which number is no reading, as ` is 1.2, above 1` behind the name of its field; empty: all are sound.
     """
-    check = _check_of_class(cls, arrays=False)
-    if check is None:
-        return lambda body: ""
-    return lambda body: fault.lstrip(".") if (fault := check(body)) else ""
+    return _check_of_class(cls, arrays=False)
 
 
 def fault_of_command(body: Any) -> str:

@@ -18,6 +18,7 @@ from pancakes.kernel.handlers import Subscription
 from pancakes.kernel.mailbox import ChannelQueue, Mailbox, TypeQueue
 from pancakes.kernel.payload_size import LIGHT_BYTES, is_small, weight_of
 from pancakes.packet import CORE_CHANNELS, CTRL, NEIGHBOURS, TO_TASK, Packet, agent_of, covers, type_of
+from pancakes.packet import body_class as body_class_of
 from pancakes.util.class_checks import check_called
 from pancakes.util.text import fault_of_name, hint_of
 
@@ -421,7 +422,8 @@ class InformationStream:
     ) -> Route:
         """Makes the snapshot; `body_class`: the class of all bodies, if it is known."""
         is_elsewhere = destination != "" and agent_of(destination) != self.agent
-        is_light = is_elsewhere or (body_class is not None and is_small(body_class))
+        known_class = body_class or body_class_of(type_name)
+        is_light = is_elsewhere or (known_class is not None and is_small(known_class))
         with self._lock:
             readers = self._readers.get(channel)
             if readers is None:

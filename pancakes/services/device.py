@@ -295,8 +295,9 @@ class DeviceTask(TaskCore, Task):
             if wanted is not None and not is_of_type(reading, driver.type):
                 brought = f"{driver.__qualname__} brings a {cls.__name__}"
                 return f"{brought}, and its type is {driver.type!r}, whose readings are each a {wanted.__name__}"
-            check = self._checks[cls] = reading_check(cls)
-        return check(reading)
+            check = self._checks[cls] = reading_check(cls) or (lambda reading: "")
+        fault = check(reading)
+        return fault.lstrip(".") if fault else ""
 
     def missed(self, why: str) -> bool:
         """A reading, or a command, has failed; returns whether that was one too many. Any thread."""
@@ -315,17 +316,18 @@ class DeviceTask(TaskCore, Task):
             self.log(level, f"{self.name}: {text}")
 
     def _publish(self, reading: Any) -> None:
-        if lines := self.readings.came(self.now()):
-            self._say(lines)
         try:
-            self.publish(SYSTEM, reading)
+            stamp_s = self.publish(SYSTEM, reading).stamp
         except MailboxFull as error:
+            stamp_s = self.now()
             # A sensor goes on although a reader is slow. Said once: at 10 readings a second it would drown the rest.
             if not self._crowded:
                 self._crowded = True
                 self.log("warning", f"readings of {self.name} are lost: {error}")
         else:
             self._crowded = False
+        if lines := self.readings.came(stamp_s):
+            self._say(lines)
 
     @on(SYSTEM, None, addressed=True)
     def receive(self, packet: Packet) -> None:

@@ -13,7 +13,7 @@ from pancakes.kernel.handlers import Subscription, queue, reliable
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.payload_size import LIGHT_BYTES
 from pancakes.kernel.stream import InformationStream
-from pancakes.packet import Packet
+from pancakes.packet import Packet, packet_type
 
 
 class Dispatch:
@@ -115,6 +115,10 @@ def test_what_is_for_no_channel_is_told_one_by_one():
     assert refused == [(1, UnknownChannel), (2, UnknownChannel)]
 
 
+TEXT = "test.text_of_a_run"
+
+
+@packet_type(TEXT)
 @dataclass(frozen=True)
 class Text:
     text: str = ""
@@ -127,10 +131,10 @@ class Text:
 def test_what_came_together_weighs_what_it_took_on_the_wire(size, heavy):
     """Where that is not known each is weighed by itself."""
     stream = InformationStream("a")
-    reader = Reader(stream, "a/client/T", pose=queue(9))
-    stream.inject_all(packets(1), nobody, 20)  # the second finds the way known
-    bodies = [Text("x" * (LIGHT_BYTES + 100)), Text("x" * 40)]
-    run = [Packet("system", "pose", "b/client/S", "*", 0.0, seq, body) for seq, body in enumerate(bodies, start=2)]
+    reader = Reader(stream, "a/client/T", **{TEXT: queue(9)})
+    bodies = [Text(), Text("x" * (LIGHT_BYTES + 100)), Text("x" * 40)]
+    first, *run = [Packet("system", TEXT, "b/client/S", "*", 0.0, seq, it) for seq, it in enumerate(bodies, start=1)]
+    stream.inject_all([first], nobody, 20)  # the others find the route known
     stream.inject_all(run, nobody, size)
     assert reader.queue.heavy_bytes == pytest.approx(heavy, abs=100)
     assert reader.got() == [1, 2, 3] and reader.queue.heavy_bytes == 0

@@ -52,7 +52,7 @@ def number_of(rig: TlsRig, agent: Agent) -> int:
 
 
 def newer(rig: TlsRig, *revoked: str) -> Roster:
-    """Signs a newer roster, which no agent has heard of yet."""
+    """Sign a newer roster, which no agent has heard of yet."""
     for name in revoked:
         rig.authority.revoke(name, "lost")
     return rig.authority.sign()
@@ -123,7 +123,7 @@ def test_what_came_over_a_link_that_has_ended_since_has_no_more_rights(rig, monk
 
 
 class Held:
-    """Takes the place of the check of a signature, and says nothing until it may."""
+    """Take the place of the check of a signature, and says nothing until it may."""
 
     def __init__(self, rig: TlsRig) -> None:
         self._rig = rig
@@ -216,7 +216,7 @@ def speaks(rig: TlsRig, a: Agent, name: str = "y") -> Given:
 
 
 def reason_of(rig: TlsRig, peer: BarePeer) -> str:
-    """Waits for the end of a link; returns why it ended."""
+    """Wait for the end of a link; returns why it ended."""
     rig.until(lambda: peer.over)
     assert peer.over is not None
     return peer.over.reason
@@ -327,11 +327,12 @@ def test_a_person_whose_time_ends_while_the_link_stands_loses_it(rig, monkeypatc
     peer = BarePeer(rig.clock.now, "alice.1", role="client")
     rig.with_keys(rig.enrol("alice", "operator", days=1)).dial(a.address, peer)
     b = rig.agent("b", [a.address])
-    rig.until(lambda: peer.is_up and a.knows("alice.1", "b"))
+    rig.until(lambda: peer.is_up and a.knows("alice.1", "b") and b.knows("a"))
     monkeypatch.setattr("pancakes.security.keys.wall_ns", lambda: wall_ns() + 2 * 86_400 * 10**9)
     why_ended = reason_of(rig, peer)
     assert "alice.1 is not believed any more: its certificate ended 24.0 hours ago" in why_ended
-    assert a.knows("b") and b.knows("a"), "machines have no end"
+    # The certificates of machines have no end. On a slow machine their link may have been silent, and made again.
+    rig.until(lambda: a.knows("b") and b.knows("a"))
 
 
 def test_a_person_whose_time_was_over_a_minute_ago_comes_in(rig):

@@ -101,6 +101,7 @@ def steps() -> list[Step]:
         Step("a delivery to 1", "ns", _first(partial(cpu.delivery_ns, 1, DELIVERIES)), tell),
         Step("a delivery to 100", "ns", _first(partial(cpu.delivery_ns, 100, DELIVERIES // 50)), tell),
         Step("a turn of one packet, with its delivery", "ns", _first(partial(cpu.turn_ns, TURNS)), tell),
+        Step("a reading from a driver's thread", "ns", _first(partial(cpu.driver_ns, DELIVERIES)), tell),
         Step("a tick", "ns", _first(partial(cpu.tick_ns, TICKING_S)), tick),
         Step("a packet at 1 kHz", "µs", _first(partial(cpu.paced_us, PACED)), paced),
         Step(
