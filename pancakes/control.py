@@ -512,14 +512,14 @@ class Refusal(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, error: Exception) -> Refusal:
-        """Returns the refusal that an error leads to."""
+        """Return the refusal that an error leads to."""
         if isinstance(error, PancakesError):
             return cls(error.code, str(error), error.retry_after_s)
         return cls("invalid" if isinstance(error, ValueError) else "failed", str(error))
 
     @classmethod
     def if_any(cls, text: str, code: RefusalCode = "unable") -> Refusal | None:
-        """Returns the refusal for a reason; None if the reason is empty."""
+        """Return the refusal for a reason; None if the reason is empty."""
         return cls(code, text) if text else None
 
 

@@ -58,12 +58,12 @@ class CodeLine:
 
 
 def package_of(module: str) -> str:
-    """Returns the top-level package of a module."""
+    """Return the top-level package of a module."""
     return module.partition(".")[0]
 
 
 def place_of_user(traceback: TracebackType | None, cls: type | None) -> CodeLine | None:
-    """Returns the innermost line of the user's code; None: there is none.
+    """Return the innermost line of the user's code; None: there is none.
 
     A user's code is what lies in the user's own files and, because a plug-in may be installed, the package of the
     class that failed; if that has no line, the packages of the classes that it inherits from.
@@ -82,7 +82,7 @@ def place_of_user(traceback: TracebackType | None, cls: type | None) -> CodeLine
 
 
 def place_of(traceback: TracebackType | None) -> CodeLine | None:
-    """Returns the innermost line that is not of Python itself, else the innermost of all; None: there is none."""
+    """Return the innermost line that is not of Python itself, else the innermost of all; None: there is none."""
     places = _places(traceback)
     return next((place for place in places if not place.standard), places[0] if places else None)
 
@@ -220,7 +220,7 @@ class ControlRefused(PancakesError):
 
     @classmethod
     def of(cls, refusal: Refusal | None) -> ControlRefused:
-        """Returns the error for what an agent has answered."""
+        """Return the error for what an agent has answered."""
         if refusal is None:
             return cls("it was refused without a reason", "failed")
         return cls(refusal.text, refusal.code, refusal.retry_after_s)
@@ -267,7 +267,7 @@ EXTRAS: Final = {
 
 
 def missing_extra(error: Exception) -> str:
-    """Returns the module of an extra that an import did not find; empty: there is none."""
+    """Return the module of an extra that an import did not find; empty: there is none."""
     module = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     return module if module in EXTRAS else ""
 
@@ -303,7 +303,7 @@ LINES_OF_TRACEBACK: Final = 60
 
 
 def describe(error: BaseException, cls: type | None = None) -> str:
-    """Returns an error and what led to it in one line, with the innermost line of the user's code.
+    """Return an error and what led to it in one line, with the innermost line of the user's code.
 
     For example `ValueError: bad colour (from KeyError: 'x') at blink.py:12 in on_tick`. An error of Pancakes' own is a
     sentence already, and needs neither its type nor what led to it.
@@ -327,7 +327,7 @@ def describe(error: BaseException, cls: type | None = None) -> str:
 
 
 def traceback_of(error: BaseException) -> str:
-    """Returns the whole traceback of an error, as Python shows it, so far as it fits `LONGEST_TRACEBACK`."""
+    """Return the whole traceback of an error, as Python shows it, so far as it fits `LONGEST_TRACEBACK`."""
     from traceback import TracebackException  # only now: few agents ever need it
 
     shown = TracebackException(type(error), error, error.__traceback__, limit=-LINES_OF_TRACEBACK)
@@ -340,7 +340,7 @@ def traceback_of(error: BaseException) -> str:
 
 
 def chain_of(error: BaseException) -> Iterator[BaseException]:
-    """Yields an error, the one that led to it, and so on, each once."""
+    """Yield an error, the one that led to it, and so on, each once."""
     seen: set[int] = set()
     following: BaseException | None = error
     while following is not None and id(following) not in seen:

@@ -87,7 +87,7 @@ class Log:
 
 
 def _filled(text: object, arguments: tuple[Any, ...]) -> str:
-    """Returns a line. As with logging, a mistake in it costs the line its form, and not the task its life."""
+    """Return a line. As with logging, a mistake in it costs the line its form, and not the task its life."""
     line = str(text)
     if not arguments:
         return line
@@ -116,7 +116,7 @@ def check_levels(cls: type) -> None:
 
 
 def _unknown_levels(code: CodeType) -> Iterator[tuple[str, int]]:
-    """Yields what stands for a level in `self.log("...")` and `self.log. ...()`, with its line.
+    """Yield what stands for a level in `self.log("...")` and `self.log. ...()`, with its line.
 
     Of words, only those that others have for a level: the log may be given to another function with any.
     """
@@ -179,7 +179,7 @@ class LogLine(msgspec.Struct, frozen=True):
 
 
 def level_of(body: Any) -> str:
-    """Returns the level of what is said on `log`: an event is `info`, or `debug` if a line says the same."""
+    """Return the level of what is said on `log`: an event is `info`, or `debug` if a line says the same."""
     if isinstance(body, LogLine):
         return body.level
     return "debug" if isinstance(body, Event) and body.kind in SAID_IN_A_LINE else "info"
@@ -190,7 +190,7 @@ _ENVELOPE: Final = ("t_s", "agent", "source", "kind", "entry", "utc")
 
 
 def record_of(packet: Packet) -> dict[str, Any]:
-    """Returns a packet of `log` as one record of a JSON lines file.
+    """Return a packet of `log` as one record of a JSON lines file.
 
     Source and time are those of the packet, whatever an event claims: a field of the event with such a name gets a `_`
     at its end.
@@ -208,7 +208,7 @@ def record_of(packet: Packet) -> dict[str, Any]:
 
 
 def line_of(record: dict[str, Any]) -> str:
-    """Returns a record as one line of JSON, its keys in their order."""
+    """Return a record as one line of JSON, its keys in their order."""
     import json  # takes 2 ms of an agent's start, for files and questions that most agents never see
 
     return printable_data(json.dumps(record, ensure_ascii=False, default=str, separators=(", ", ": ")))

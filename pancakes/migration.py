@@ -63,7 +63,7 @@ class CostFacts(msgspec.Struct, frozen=True):
     state: Mapping[str, Any] = {}
 
     def reading(self, type: str) -> Any:
-        """Returns the newest reading of a device type.
+        """Return the newest reading of a device type.
 
         Raises:
             MigrationError: there has been none yet; the agent then refuses.
@@ -73,7 +73,7 @@ class CostFacts(msgspec.Struct, frozen=True):
         return self.readings[type]
 
     def offered(self, field: str) -> Any:
-        """Returns a field of the task's state.
+        """Return a field of the task's state.
 
         Raises:
             MigrationError: the task does not tell it, or has none yet; the agent then refuses.
@@ -96,7 +96,7 @@ class Cost(ABC):
     _made_as: ClassVar[Made] = Made((), "a cost", "`def terms(self, facts)`")
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` if `terms` cannot be called as Pancakes calls it, or `reads` is no tuple of names."""
+        """Raise `ClassError` if `terms` cannot be called as Pancakes calls it, or `reads` is no tuple of names."""
         super().__init_subclass__(**others)
         check_overrides(cls)
         check_marks(cls, "a cost")
@@ -108,7 +108,7 @@ class Cost(ABC):
 
     @abstractmethod
     def terms(self, facts: CostFacts) -> Mapping[str, float]:
-        """Returns what the cost is made of, by a name for people; their sum is the cost.
+        """Return what the cost is made of, by a name for people; their sum is the cost.
 
         Each must be finite and not negative, else the agent refuses, as it does if the function takes longer than
         0.4 s. It is called in a thread of its own; those of the core in the Task Migrator's.
@@ -118,7 +118,7 @@ class Cost(ABC):
         """
 
     def __call__(self, facts: CostFacts) -> float:
-        """Returns the cost."""
+        """Return the cost."""
         return math.fsum(self.terms(facts).values())
 
 
@@ -194,7 +194,7 @@ CORE: Final = tuple(cost.name for cost in (ActiveTasks, EmptyBattery, BusyHost, 
 
 
 def cost_of(choice: CostChoice, known: Mapping[str, Cost]) -> Cost:
-    """Returns the cost function that is chosen, among those that are `known` by name.
+    """Return the cost function that is chosen, among those that are `known` by name.
 
     Raises:
         MigrationError: one is not known, or a weight is no weight.
@@ -211,22 +211,22 @@ def cost_of(choice: CostChoice, known: Mapping[str, Cost]) -> Cost:
 
 
 def is_of_core(choice: CostChoice) -> bool:
-    """Returns whether all cost functions that are chosen are the core's: these wait for nothing."""
+    """Return whether all cost functions that are chosen are the core's: these wait for nothing."""
     return all(name in CORE for name in names_of(choice))
 
 
 def names_of(choice: CostChoice) -> tuple[str, ...]:
-    """Returns the names of the cost functions that are chosen."""
+    """Return the names of the cost functions that are chosen."""
     return (choice,) if isinstance(choice, str) else tuple(choice)
 
 
 def cost_text(choice: CostChoice) -> str:
-    """Returns the choice for people: `tasks`, or `1 tasks + 2 battery`."""
+    """Return the choice for people: `tasks`, or `1 tasks + 2 battery`."""
     return choice if isinstance(choice, str) else " + ".join(f"{weight:g} {name}" for name, weight in choice.items())
 
 
 def faults_of_weights(weights: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Returns (name, problem) for each weight that is none; an empty name means the table as a whole."""
+    """Return (name, problem) for each weight that is none; an empty name means the table as a whole."""
     if not weights:
         return [("", "names no cost function")]
     return [
@@ -237,7 +237,7 @@ def faults_of_weights(weights: Mapping[str, float]) -> list[tuple[str, str]]:
 
 
 def fault_of_choice(choice: CostChoice) -> str:
-    """Returns what is wrong with a choice by itself, whatever functions there are; or an empty string."""
+    """Return what is wrong with a choice by itself, whatever functions there are; or an empty string."""
     if isinstance(choice, str):
         return "" if choice else "no cost function is named"
     faults = faults_of_weights(choice)
@@ -245,7 +245,7 @@ def fault_of_choice(choice: CostChoice) -> str:
 
 
 def fault_of(cost: float, terms: Mapping[str, float]) -> str:
-    """Returns why an answer cannot be compared with others, or an empty string."""
+    """Return why an answer cannot be compared with others, or an empty string."""
     for name, value in (("cost", cost), *sorted(terms.items())):
         if not math.isfinite(value):
             return f"its {name} is {value}"
@@ -255,7 +255,7 @@ def fault_of(cost: float, terms: Mapping[str, float]) -> str:
 
 
 def appraise(choice: CostChoice, facts: CostFacts, known: Mapping[str, Cost]) -> tuple[Mapping[str, float], str]:
-    """Works out what a task would cost.
+    """Work out what a task would cost.
 
     Returns:
         What the cost is made of, and why it cannot be told, as a phrase; empty: it can.
@@ -304,7 +304,7 @@ class MigrationRule(msgspec.Struct, frozen=True):
     again_s: float = AGAIN_S
 
     def met_by(self, reading: object) -> bool:
-        """Returns whether a reading (a packet's body) asks for a move.
+        """Return whether a reading (a packet's body) asks for a move.
 
         Raises:
             MigrationError: its field cannot be read.
@@ -408,11 +408,11 @@ class Ledger(msgspec.Struct, frozen=True):
     cause: str = ""
 
     def moved(self, offer: str) -> Ledger:
-        """Returns the account of a move that was undecided: the hand-over has happened."""
+        """Return the account of a move that was undecided: the hand-over has happened."""
         return replace(self, outcome="moved", offer=offer)
 
     def stayed(self, offer: str, reason: str) -> Ledger:
-        """Returns the account of a move that was undecided: the hand-over has come to nothing."""
+        """Return the account of a move that was undecided: the hand-over has come to nothing."""
         lines = tuple(
             replace(line, fate="failed", reason=reason) if line.peer == self.winner else line for line in self.lines
         )

@@ -33,7 +33,7 @@ _LIFE_BITS: Final = 21
 
 
 def first_number(life: str) -> int:
-    """Returns the number of the first packet of each source in a life of an agent.
+    """Return the number of the first packet of each source in a life of an agent.
 
     Not of the boots that its journal has counted: these begin again after the disk was lost, and a disk that was
     restored counts some of them twice. That two of the lives of one agent begin alike has a chance of 1 in 2 million.
@@ -45,7 +45,7 @@ def first_number(life: str) -> int:
 
 
 def number_in_life(seq: int) -> int:
-    """Returns the number of a packet among those of its source in one life of its agent, from 1: for people."""
+    """Return the number of a packet among those of its source in one life of its agent, from 1: for people."""
     return seq & ((1 << _NUMBER_BITS) - 1)
 
 
@@ -65,10 +65,10 @@ class Reader(Protocol):
     """A task or service that reads a packet."""
 
     def now(self) -> float:
-        """Returns the mission time of its agent, in seconds."""
+        """Return the mission time of its agent, in seconds."""
 
     def local_time(self, packet: Any) -> LocalTime | None:
-        """Returns when a packet was published, on the clock of its agent; None: that is not known."""
+        """Return when a packet was published, on the clock of its agent; None: that is not known."""
 
 
 class Turn:
@@ -182,7 +182,7 @@ _NAMES: dict[type, str] = {}
 
 
 def packet_type(name: str) -> Callable[[type[_T]], type[_T]]:
-    """Registers a frozen dataclass, or a frozen `msgspec.Struct`, as the body of packets of the type `name`.
+    """Register a frozen dataclass, or a frozen `msgspec.Struct`, as the body of packets of the type `name`.
 
     Raises:
         LocalProtocolError: another class has this name already, or the class is neither of these.
@@ -205,7 +205,7 @@ def packet_type(name: str) -> Callable[[type[_T]], type[_T]]:
 
 
 def has_fields(cls: type) -> bool:
-    """Returns whether a class may be the body of a packet: a dataclass, or a `msgspec.Struct` that travels as a map."""
+    """Return whether a class may be the body of a packet: a dataclass, or a `msgspec.Struct` that travels as a map."""
     if is_dataclass(cls):
         return True
     if not (isinstance(cls, type) and issubclass(cls, msgspec.Struct)):
@@ -215,14 +215,14 @@ def has_fields(cls: type) -> bool:
 
 
 def field_names(cls: type) -> tuple[str, ...]:
-    """Returns the names of the fields of a body's class, in order."""
+    """Return the names of the fields of a body's class, in order."""
     if is_dataclass(cls):
         return tuple(field.name for field in fields(cls))
     return cls.__struct_fields__ if issubclass(cls, msgspec.Struct) else ()
 
 
 def type_name(body: Any) -> str:
-    """Returns the type name of a body, or of a body's class.
+    """Return the type name of a body, or of a body's class.
 
     Raises:
         LocalProtocolError: its class was never registered with `packet_type`.
@@ -239,7 +239,7 @@ def type_name(body: Any) -> str:
 
 
 def type_of(body: Any) -> str:
-    """Returns the type name of the body of a packet that is made.
+    """Return the type name of the body of a packet that is made.
 
     Raises:
         LocalProtocolError: its class was never registered with `packet_type`, or it is a class itself.
@@ -253,22 +253,22 @@ def type_of(body: Any) -> str:
 
 
 def is_of_type(body: Any, name: str) -> bool:
-    """Returns whether a body is an instance of a class that is registered under `name`."""
+    """Return whether a body is an instance of a class that is registered under `name`."""
     return _NAMES.get(type(body)) == name
 
 
 def body_class(name: str) -> type | None:
-    """Returns the class registered under `name`, or None."""
+    """Return the class registered under `name`, or None."""
     return _CLASSES.get(name)
 
 
 def known_types() -> dict[str, type]:
-    """Returns all registered packet types by name, sorted."""
+    """Return all registered packet types by name, sorted."""
     return dict(sorted(_CLASSES.items()))
 
 
 def body_from_plain(name: str, plain: Any) -> Any:
-    """Makes the body of a packet of the type `name` from plain values, checking each of them.
+    """Make the body of a packet of the type `name` from plain values, checking each of them.
 
     Returns:
         An instance of the registered class; `plain` itself if the type is unknown here.
@@ -286,7 +286,7 @@ def body_from_plain(name: str, plain: Any) -> Any:
 
 
 def body_to_plain(body: Any) -> Any:
-    """Returns a body, or a part of one, as mappings, lists (or tuples), strings and numbers; arrays become lists.
+    """Return a body, or a part of one, as mappings, lists (or tuples), strings and numbers; arrays become lists.
 
     Raises:
         TypeError: it contains what no packet may contain.
@@ -295,12 +295,12 @@ def body_to_plain(body: Any) -> Any:
 
 
 def join(agent: str, service: str = "", task: str = "") -> str:
-    """Returns the address of an agent, one of its services, or a task."""
+    """Return the address of an agent, one of its services, or a task."""
     return "/".join(part for part in (agent, service, task) if part)
 
 
 def task_address(task_id: str) -> str:
-    """Returns the destination that means a task, wherever it is.
+    """Return the destination that means a task, wherever it is.
 
     Such a packet is kept by its sender until the task has handled it: it waits while the task moves, and takes effect
     once, in the order in which this agent's packets to the task were published.
@@ -312,10 +312,10 @@ def task_address(task_id: str) -> str:
 
 
 def agent_of(address: str) -> str:
-    """Returns the agent's part of an address."""
+    """Return the agent's part of an address."""
     return address.partition("/")[0]
 
 
 def covers(destination: str, address: str) -> bool:
-    """Returns whether a destination on this agent means the component at `address`."""
+    """Return whether a destination on this agent means the component at `address`."""
     return address == destination or address.startswith(destination + "/")

@@ -37,7 +37,7 @@ class Service(Component):
     _actor: ServiceCore
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` if the class cannot work: a method that Pancakes calls, or `Settings`."""
+        """Raise `ClassError` if the class cannot work: a method that Pancakes calls, or `Settings`."""
         check_own_names(cls, next(base for base in cls.__mro__ if is_own(base)), _HOOKS, ("settings",))
         super().__init_subclass__(**others)
         check_made(cls)
@@ -47,12 +47,12 @@ class Service(Component):
         ServiceCore(kernel, address, mailbox, facade=self, **others)
 
     def own_tasks(self) -> Sequence[TaskSpec]:
-        """Returns the tasks that the service brings itself; called once, before they start."""
+        """Return the tasks that the service brings itself; called once, before they start."""
         return ()
 
     @classmethod
     def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any], for_s: float | None) -> str:
-        """Says why the service must not be stopped now; empty: it may. Called in the root's actor.
+        """Say why the service must not be stopped now; empty: it may. Called in the root's actor.
 
         Args:
             kernel: the kernel, whose tables say what runs.

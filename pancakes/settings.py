@@ -93,12 +93,12 @@ class SettingsError(PancakesError):
         super().__init__(f"bad {noun} for {owner}: " + "; ".join(str(problem) for problem in self.problems))
 
     def plain(self) -> list[dict[str, Any]]:
-        """Returns the problems as plain values: for each its `path`, and the `text` with what was probably meant."""
+        """Return the problems as plain values: for each its `path`, and the `text` with what was probably meant."""
         return [{"path": list(it.path), "text": str(Problem((), it.text, it.suggestion))} for it in self.problems]
 
 
 def dotted(path: Sequence[str | int]) -> str:
-    """Returns a path as a person would write it: `legs[2].length_m`."""
+    """Return a path as a person would write it: `legs[2].length_m`."""
     text = ""
     for part in path:
         if isinstance(part, int):
@@ -110,7 +110,7 @@ def dotted(path: Sequence[str | int]) -> str:
 
 
 def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Problem]:
-    """Returns all that is wrong with plain values as settings of a class.
+    """Return all that is wrong with plain values as settings of a class.
 
     Unknown and missing keys, wrong types, numbers out of the range that `Annotated[float, msgspec.Meta(...)]`
     states, NaN, what cannot be saved, and what the dataclass refuses itself (an error from its `__post_init__`).
@@ -139,7 +139,7 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
 
 
 def why_unreadable(cls: type, plain: Mapping[str, Any], allow_nan: bool = False) -> list[Problem]:
-    """Returns why plain values that came of an instance of a class could not be made an instance again.
+    """Return why plain values that came of an instance of a class could not be made an instance again.
 
     What is good costs no more than to make it; see `check_settings`.
     """
@@ -155,7 +155,7 @@ def why_unreadable(cls: type, plain: Mapping[str, Any], allow_nan: bool = False)
 def make_settings(
     cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = False, owner: str = "", noun: str = "settings"
 ) -> _T:
-    """Makes settings from plain values; see `check_settings` for the other arguments.
+    """Make settings from plain values; see `check_settings` for the other arguments.
 
     Args:
         owner: the name of the task, device or service that they are for; empty: an error names the class.
@@ -176,7 +176,7 @@ def make_settings(
 
 
 def _is_simple(cls: type, settings: Mapping[str, Any], allow_nan: bool) -> bool:
-    """Returns whether msgspec alone knows whether settings are good: no tables or lists, no key that is not there.
+    """Return whether msgspec alone knows whether settings are good: no tables or lists, no key that is not there.
 
     Nearly all settings are like that, and a walk through them takes ten times as long (60 µs of the 75 that a task of
     ten thousand may take to start).
@@ -194,7 +194,7 @@ def _is_simple(cls: type, settings: Mapping[str, Any], allow_nan: bool) -> bool:
 
 
 def change_settings(settings: _T, changes: Mapping[str, Any], owner: str = "") -> _T:
-    """Makes new settings from present ones, with some keys changed; the present ones stay as they are.
+    """Make new settings from present ones, with some keys changed; the present ones stay as they are.
 
     Args:
         settings: the present settings.
@@ -208,7 +208,7 @@ def change_settings(settings: _T, changes: Mapping[str, Any], owner: str = "") -
 
 
 def change_plain(cls: type[_T], plain: Mapping[str, Any], changes: Mapping[str, Any], owner: str = "") -> _T:
-    """Makes settings from plain values, with some keys changed; see `change_settings`."""
+    """Make settings from plain values, with some keys changed; see `change_settings`."""
     merged = {**plain, **changes}
     problems = [_hinted(problem, cls, changes) for problem in check_settings(cls, merged)]
     if problems:
@@ -217,7 +217,7 @@ def change_plain(cls: type[_T], plain: Mapping[str, Any], changes: Mapping[str, 
 
 
 def _hinted(problem: Problem, cls: type, changes: Mapping[str, Any]) -> Problem:
-    """Suggests a key that is set already: a change of settings means one of those."""
+    """Suggest a key that is set already: a change of settings means one of those."""
     if problem.text != UNKNOWN_KEY or problem.suggestion or len(problem.path) != 1:
         return problem
     keys = [name for name in known_keys(cls) if name not in changes]
@@ -226,7 +226,7 @@ def _hinted(problem: Problem, cls: type, changes: Mapping[str, Any]) -> Problem:
 
 @cache
 def known_keys(cls: type) -> tuple[str, ...]:
-    """Returns the keys of a dataclass, in their order."""
+    """Return the keys of a dataclass, in their order."""
     if not dataclasses.is_dataclass(cls):
         return field_names(cls)
     return tuple(field.name for field in dataclasses.fields(cls) if field.init)
@@ -234,7 +234,7 @@ def known_keys(cls: type) -> tuple[str, ...]:
 
 @cache
 def required_keys(cls: type) -> tuple[str, ...]:
-    """Returns the keys of a dataclass that have no default, in their order."""
+    """Return the keys of a dataclass that have no default, in their order."""
     if not dataclasses.is_dataclass(cls):
         names, defaults = cls.__struct_fields__, cls.__struct_defaults__  # type: ignore[attr-defined]
         without = len(names) - len(defaults)
@@ -246,7 +246,7 @@ def required_keys(cls: type) -> tuple[str, ...]:
 
 
 def paths_in(kind: Any, plain: Any, key: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yields the paths of files among plain values (see `FilePath`), each behind the keys that lead to it.
+    """Yield the paths of files among plain values (see `FilePath`), each behind the keys that lead to it.
 
     Args:
         kind: the class of the settings.
@@ -268,7 +268,7 @@ def paths_in(kind: Any, plain: Any, key: tuple[str | int, ...] = ()) -> Iterator
 
 
 def _kind_at(kind: Any, name: Any) -> Any:
-    """Returns the type of what a table has under a name."""
+    """Return the type of what a table has under a name."""
     if isinstance(kind, type) and has_fields(kind):
         return _hints(kind).get(name, Any)
     origin, arguments = get_origin(kind), get_args(kind)
@@ -277,7 +277,7 @@ def _kind_at(kind: Any, name: Any) -> Any:
 
 
 def plain_settings(settings: Any) -> dict[str, Any]:
-    """Returns settings, or the state of a task, as plain values.
+    """Return settings, or the state of a task, as plain values.
 
     Every field is there. msgspec alone leaves out what was never assigned in a dataclass and so has its default from
     the class, and in a structure what it was told to leave out; and another version may have other defaults.
@@ -287,7 +287,7 @@ def plain_settings(settings: Any) -> dict[str, Any]:
 
 
 def plain_value(value: Any) -> Any:
-    """Returns the value of one field of settings as a plain value."""
+    """Return the value of one field of settings as a plain value."""
     return _plain(value)
 
 
@@ -326,7 +326,7 @@ def _plain_number(value: Any) -> Any:
 
 
 def _with_paths_at_home(cls: type, plain: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Returns plain values in which each path of a file (see `FilePath`) that begins with `~` is a whole one.
+    """Return plain values in which each path of a file (see `FilePath`) that begins with `~` is a whole one.
 
     Raises:
         NoPath: nothing says where that is, or it is no path.
@@ -339,7 +339,7 @@ def _with_paths_at_home(cls: type, plain: Mapping[str, Any]) -> Mapping[str, Any
 
 
 def _with(plain: Any, key: tuple[str | int, ...], value: str) -> Any:
-    """Returns plain values with another one at a key; those that were given stay as they are."""
+    """Return plain values with another one at a key; those that were given stay as they are."""
     if not key:
         return value
     if isinstance(plain, Mapping):
@@ -352,7 +352,7 @@ def _convert(value: Any, kind: Any) -> Any:
 
 
 def _at_home(settings: _T) -> _T:
-    """Returns settings in which each path is a whole one, also one that the class has as its default."""
+    """Return settings in which each path is a whole one, also one that the class has as its default."""
     cls: Any = type(settings)
     if not _may_name_files(cls):
         return settings
@@ -366,7 +366,7 @@ def _at_home(settings: _T) -> _T:
 
 @cache
 def _may_name_files(kind: Any) -> bool:
-    """Returns whether there may be a path among the fields of a type."""
+    """Return whether there may be a path among the fields of a type."""
     return _names_files(kind, ())
 
 
@@ -398,7 +398,7 @@ def _owner(cls: type) -> str:
 
 @cache
 def fault_of_class(cls: type) -> str:
-    """Says why a class cannot be settings or state whatever its fields are; empty: it can."""
+    """Say why a class cannot be settings or state whatever its fields are; empty: it can."""
     name = cls.__qualname__.rpartition("<locals>.")[2]
     if not has_fields(cls):
         if issubclass(cls, msgspec.Struct):
@@ -438,7 +438,7 @@ def _odd_in(value: Any, path: tuple[str | int, ...], allow_nan: bool) -> Iterato
 
 
 def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Problem]:
-    """Checks the parts of a value one by one, and the whole if all parts are sound."""
+    """Check the parts of a value one by one, and the whole if all parts are sound."""
     parts = list(_parts(kind, value, path))
     yield from parts
     if parts:
@@ -463,7 +463,7 @@ def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Proble
 
 
 def _parts(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Problem]:
-    """Checks what is inside a table or list; whatever has no inside has no parts."""
+    """Check what is inside a table or list; whatever has no inside has no parts."""
     kind = _container(kind, value)
     if is_array_type(kind):
         return
@@ -500,7 +500,7 @@ def _hints(cls: type) -> Mapping[str, Any]:
 
 
 def _container(kind: Any, value: Any) -> Any:
-    """Strips `Annotated`, and picks from a union the arm that a table or list must be meant for."""
+    """Strip `Annotated`, and pick from a union the arm that a table or list must be meant for."""
     while get_origin(kind) is Annotated:
         kind = get_args(kind)[0]
     if get_origin(kind) in (Union, types.UnionType):
@@ -520,7 +520,7 @@ def _item_kind(origin: Any, arguments: tuple[Any, ...], index: int) -> Any:
 
 
 def _choices(kind: Any) -> tuple[Any, ...]:
-    """Returns the words that a type is made of, also one of several lists of them; none if other values do as well."""
+    """Return the words that a type is made of, also one of several lists of them; none if other values do as well."""
     while get_origin(kind) is Annotated:
         kind = get_args(kind)[0]
     if get_origin(kind) is Literal:
@@ -532,7 +532,7 @@ def _choices(kind: Any) -> tuple[Any, ...]:
 
 
 def _phrase(message: str, value: Any) -> str:
-    """Turns an error of msgspec into words for a user who writes TOML."""
+    """Turn an error of msgspec into words for a user who writes TOML."""
     message = re.sub(r" - at (`[^`]*`|.*)$", "", message)
     message = re.sub(r"`([^`]*)`", lambda found: " or ".join(_word(part) for part in found[1].split(" | ")), message)
     message = message.removesuffix(".")

@@ -98,7 +98,7 @@ class Task(Component):
     _actor: TaskCore
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` if the class cannot work: a method that Pancakes calls, what it saves and offers."""
+        """Raise `ClassError` if the class cannot work: a method that Pancakes calls, what it saves and offers."""
         check_own_names(cls, Task, _HOOKS, ("settings", "state"))
         super().__init_subclass__(**others)
         check_made(cls)
@@ -121,7 +121,7 @@ class Task(Component):
         """Called in the actor after the settings were changed while it runs."""
 
     def migrate(self, to: str = "", then: str = "", cost: CostChoice = "tasks") -> None:
-        """Asks for this task to be moved to the neighbour that takes it for the lowest cost.
+        """Ask for this task to be moved to the neighbour that takes it for the lowest cost.
 
         It goes on until one has been found, and for good if none is. The answer comes as a `Reply` on
         `sysctrl`.
@@ -135,7 +135,7 @@ class Task(Component):
         self.publish(SYSCTRL, Migrate(f"{service}/{self.name}", to=to, then=then, cost=cost))
 
     def may_act(self) -> bool:
-        """Returns whether the task may act now. Any thread.
+        """Return whether the task may act now. Any thread.
 
         It may, unless it is guarded and its guardians do not answer, or it was revoked because it was stuck. Pancakes
         looks before each turn and when a packet or a command leaves; a task that acts past Pancakes (on a file, a

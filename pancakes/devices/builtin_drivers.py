@@ -114,7 +114,7 @@ class HostBattery(Sensor):
 
 
 def _temperatures() -> dict[str, list[float]]:
-    """Returns what all temperature sensors say, by the chip they sit on."""
+    """Return what all temperature sensors say, by the chip they sit on."""
     import psutil
 
     ask = getattr(psutil, "sensors_temperatures", None)  # not on every system
@@ -183,7 +183,7 @@ class NetworkSensor(Sensor):
         return None
 
     def receive(self, packet: Packet) -> None:
-        """Publishes a reading that came as this device's own."""
+        """Publish a reading that came as this device's own."""
         if packet.type != self.type or isinstance(packet.body, dict):
             if not self._strange_told:
                 self._strange_told = True
@@ -195,7 +195,7 @@ class NetworkSensor(Sensor):
         self.take(packet.body)
 
     def take(self, body: Any) -> bool:
-        """Publishes a reading that came; returns False if it is left out, as too many come."""
+        """Publish a reading that came; return False if it is left out, as too many come."""
         if self._pace is not None and not self._pace.due(self.context.now()):
             self.context.alive()
             return False

@@ -38,7 +38,7 @@ class Hardware(msgspec.Struct, frozen=True):
 
 
 def why_not_opened(error: OSError) -> str:
-    """Returns why a node could not be opened, with what to do where the computer forbids it."""
+    """Return why a node could not be opened, with what to do where the computer forbids it."""
     if error.errno is None:
         return str(error)
     reason = os.strerror(error.errno)
@@ -99,18 +99,18 @@ class DeviceContext(Protocol):
     virtual: bool
 
     def now(self) -> float:
-        """Returns the mission time in seconds."""
+        """Return the mission time in seconds."""
         ...
 
     def deliver(self, body: Any) -> None:
-        """Publishes a reading of this device on `system`. May be called from any thread.
+        """Publish a reading of this device on `system`. May be called from any thread.
 
         One with a number that is not finite, or that its field does not allow, is missed instead.
         """
         ...
 
     def missed(self, why: str) -> None:
-        """Counts a reading that failed, and tells the log how many did. May be called from any thread.
+        """Count a reading that failed, and tell the log how many did. May be called from any thread.
 
         A driver that is sampled raises an error instead.
 
@@ -124,15 +124,15 @@ class DeviceContext(Protocol):
         ...
 
     def send(self, channel: str, body: Any, to: str) -> None:
-        """Publishes a packet to a destination, in the device's name; for devices that live elsewhere."""
+        """Publish a packet to a destination, in the device's name; for devices that live elsewhere."""
         ...
 
     def call(self, function: Callable[[], None]) -> None:
-        """Runs `function` in the device's actor, after what it is doing now. May be called from any thread."""
+        """Run `function` in the device's actor, after what it is doing now. May be called from any thread."""
         ...
 
     def after(self, delay_s: float, function: Callable[[], None]) -> None:
-        """Runs `function` in the device's actor in `delay_s` seconds of mission time."""
+        """Run `function` in the device's actor in `delay_s` seconds of mission time."""
         ...
 
     @property
@@ -141,15 +141,15 @@ class DeviceContext(Protocol):
         ...
 
     def mission_packets_sent(self) -> int:
-        """Returns how many mission packets this agent has sent to others so far (heartbeats do not count)."""
+        """Return how many mission packets this agent has sent to others so far (heartbeats do not count)."""
         ...
 
     def network_awake(self) -> bool:
-        """Returns whether the Network Service is awake, so that this agent hears others."""
+        """Return whether the Network Service is awake, so that this agent hears others."""
         ...
 
     def shared(self, key: str, make: Callable[[], _T]) -> _T:
-        """Returns what this agent's drivers share under `key`, making it at the first call.
+        """Return what this agent's drivers share under `key`, making it at the first call.
 
         It is closed (by its `close()`) when the agent stops.
         """
@@ -182,7 +182,7 @@ class Driver(ABC):
         """The driver's settings, from `[device.NAME] settings`; a driver replaces this dataclass by its own."""
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
+        """Raise `ClassError` if the class cannot work: a method that Pancakes calls, or `Settings`."""
         check_own_names(cls, Driver, _HOOKS)
         super().__init_subclass__(**others)
         check_overrides(cls)
@@ -200,7 +200,7 @@ class Driver(ABC):
 
     @classmethod
     def hardware(cls, settings: Any) -> Sequence[Hardware]:
-        """Returns what a device with these settings opens of its computer, for the unit of a service of the system.
+        """Return what a device with these settings opens of its computer, for the unit of a service of the system.
 
         Args:
             settings: the driver's settings.
@@ -208,13 +208,13 @@ class Driver(ABC):
         return ()
 
     def open(self) -> None:
-        """Prepares the hardware. An error here fails the device, which its service then restarts."""
+        """Prepare the hardware. An error here fails the device, which its service then restarts."""
 
     def close(self) -> None:
-        """Lets go of the hardware. Called once, also after a failed `open`."""
+        """Let go of the hardware. Called once, also after a failed `open`."""
 
     def receive(self, packet: Packet) -> None:
-        """Takes a packet that was addressed to this device (a virtual device's way in)."""
+        """Take a packet that was addressed to this device (a virtual device's way in)."""
 
 
 class Sensor(Driver):
@@ -226,7 +226,7 @@ class Sensor(Driver):
 
     @abstractmethod
     def sample(self) -> Any | None:
-        """Returns a reading, at each tick of the device's rate.
+        """Return a reading, at each tick of the device's rate.
 
         Returns:
             The body of a packet of the driver's type. None if the reading comes later, by `context.deliver`, or if
@@ -245,7 +245,7 @@ class Actuator(Driver):
 
     @abstractmethod
     def apply(self, command: Any, ttl_s: float, source: str) -> None:
-        """Carries a command out.
+        """Carry a command out.
 
         Args:
             command: the body of a packet of the driver's type.
@@ -256,7 +256,7 @@ class Actuator(Driver):
         """
 
     def holds_by_itself(self, hold_after_s: float) -> float | None:
-        """Returns after how long the hardware holds by itself where no process tells it to: its dead-man switch.
+        """Return after how long the hardware holds by itself where no process tells it to: its dead-man switch.
 
         Called once the driver is open. Without one, a guarded task that commands the device is warned of.
 
@@ -271,7 +271,7 @@ class Actuator(Driver):
 
     @abstractmethod
     def hold(self) -> None:
-        """Goes to the safe hold: the state that is harmless and needs no attention (wheels: stopped)."""
+        """Go to the safe hold: the state that is harmless and needs no attention (wheels: stopped)."""
 
     def tick(self) -> None:
         """Called at the device's rate, if it has one."""

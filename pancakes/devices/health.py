@@ -35,7 +35,7 @@ class MissRule(msgspec.Struct, frozen=True):
 
 
 def share_of(missed: int, tries: int) -> str:
-    """Returns which share of the tries were missed, for people: `3.3 %`, `99.7 %`, `100 %`."""
+    """Return which share of the tries were missed, for people: `3.3 %`, `99.7 %`, `100 %`."""
     percent = 100 * missed / tries
     return f"{percent:.{2 if percent < 10 else 3}g} %"
 
@@ -68,7 +68,7 @@ class Readings:
         self._too_many = False
 
     def came(self, now_s: float) -> Sequence[Line]:
-        """Takes note of a sound reading; returns what to log."""
+        """Take note of a sound reading; return what to log."""
         with self._lock:
             if self._since_s == math.inf and not self._silent:  # nothing was missed of late
                 self._came += 1
@@ -80,7 +80,7 @@ class Readings:
             return [*lines, *self._heard(now_s)]
 
     def missed(self, why: str, now_s: float) -> tuple[list[Line], bool]:
-        """Takes note of a miss; returns what to log, and whether the device fails with it."""
+        """Take note of a miss; return what to log, and whether the device fails with it."""
         with self._lock:
             lines = self._count(now_s)
             if self._since_s == math.inf:
@@ -92,12 +92,12 @@ class Readings:
             return lines, self._too_many or self._in_a_row >= self._rule.in_a_row
 
     def alive(self, now_s: float) -> list[Line]:
-        """Takes note of a sign of life that is not a reading; returns what to log."""
+        """Take note of a sign of life that is not a reading; return what to log."""
         with self._lock:
             return self._heard(now_s)
 
     def look(self, now_s: float) -> tuple[float, bool, list[Line]]:
-        """Checks whether the device is silent.
+        """Check whether the device is silent.
 
         Returns:
             In how many seconds to check again, whether it is silent, and what to log.
@@ -113,7 +113,7 @@ class Readings:
             return self._silent_s, True, [] if was else [("warning", text)]
 
     def describe(self, now_s: float) -> dict[str, Any]:
-        """Returns what people may want to know, as plain values.
+        """Return what people may want to know, as plain values.
 
         Args:
             now_s: mission time.
@@ -135,7 +135,7 @@ class Readings:
         self._tries_then, self._missed_then = self._came + self._missed, self._missed
 
     def _count(self, now_s: float) -> list[Line]:
-        """Ends a count of misses whose time is over; returns what to log."""
+        """End a count of misses whose time is over; return what to log."""
         rule = self._rule
         if now_s - self._since_s < rule.within_s - ROUNDING_S:
             return []

@@ -44,7 +44,7 @@ def reading_check(cls: Any) -> Callable[[Any], str] | None:
 
 
 def fault_of_command(body: Any) -> str:
-    """Says why the body of a packet is no command that an actuator can carry out; empty: it is one.
+    """Say why the body of a packet is no command that an actuator can carry out; empty: it is one.
 
     A body that a task of this agent has made was never decoded, so what its fields are is looked at as well.
     """
@@ -77,7 +77,7 @@ def _check_of_class(cls: Any, arrays: bool) -> _Check | None:
 
 
 def _check_of(info: inspect.Type, arrays: bool, within: tuple[type, ...]) -> _Check | None:
-    """Returns what checks values of a type; None: there is no number in them.
+    """Return what checks values of a type; None: there is no number in them.
 
     Args:
         info: the type.
@@ -168,7 +168,7 @@ def _is_unbound(info: inspect.Type) -> bool:
 
 
 def _checks_numbers(check: _Check | None) -> _Check | None:
-    """Returns what checks many numbers: a scan has hundreds, so they are looked at one by one only if one is none."""
+    """Return what checks many numbers: a scan has hundreds, so they are looked at one by one only if one is none."""
     check_items = _checks_items(check)
     assert check_items is not None
 
@@ -243,7 +243,7 @@ ABOVE: Final = 0.1
 
 
 def level_of(told: float, full: float) -> float:
-    """Returns a level, from 0 to 1.
+    """Return a level, from 0 to 1.
 
     Args:
         told: what the device tells.
@@ -260,7 +260,7 @@ def level_of(told: float, full: float) -> float:
 
 
 def level_at(voltage_v: float, empty_v: float, full_v: float) -> float:
-    """Returns the level that a voltage means, from 0 to 1; it is taken to be proportional between the two bounds.
+    """Return the level that a voltage means, from 0 to 1; it is taken to be proportional between the two bounds.
 
     A battery that is more than empty is empty, down to half of that voltage; below, none is connected.
 

@@ -82,7 +82,7 @@ class Component(PykkaActor):
     _actor: ActorCore
 
     def __init_subclass__(cls, **others: Any) -> None:
-        """Raises `ClassError` if a method cannot be called as Pancakes calls it."""
+        """Raise `ClassError` if a method cannot be called as Pancakes calls it."""
         super().__init_subclass__(**others)
         check_overrides(cls)
         check_marks(cls)
@@ -93,11 +93,11 @@ class Component(PykkaActor):
         ActorCore(kernel, address, mailbox, facade=self)
 
     def now(self) -> float:
-        """Returns the mission time in seconds. Any thread."""
+        """Return the mission time in seconds. Any thread."""
         return self._actor.kernel.now()
 
     def local_time(self, packet: Packet) -> LocalTime | None:
-        """Returns when a packet was published, on this agent's own mission clock, and how well that is known.
+        """Return when a packet was published, on this agent's own mission clock, and how well that is known.
 
         Its stamp is the mission time of its publisher's agent, whose clock began at another moment and runs at another
         rate. The heartbeats of the link between the two tell how the clocks stand to each other (docs/time.md). Any
@@ -116,7 +116,7 @@ class Component(PykkaActor):
         return core.kernel.random_for(self.address) if core is self else core.random
 
     def publish(self, channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
-        """Publishes a packet.
+        """Publish a packet.
 
         Args:
             channel: where.
@@ -155,7 +155,7 @@ class Component(PykkaActor):
         return Log(self._actor.log_line)
 
     def event(self, kind: str, /, **fields: Any) -> None:
-        """Publishes an event for programs on `log`. Any thread."""
+        """Publish an event for programs on `log`. Any thread."""
         self._actor.tell_log(Event(kind, fields))
 
     def subscribe(
@@ -165,7 +165,7 @@ class Component(PykkaActor):
         handler: Callable[[Packet], None],
         keep: Keep | Literal["latest"] = DEFAULT_KEEP,
     ) -> None:
-        """Calls `handler` with each packet on `channel` from now on; for what is known at run time only.
+        """Call `handler` with each packet on `channel` from now on; for what is known at run time only.
 
         Raises:
             UnknownChannel: the stream has no such channel.
@@ -178,11 +178,11 @@ class Component(PykkaActor):
         self._actor.add_handler(Subscription(channel, name, kept), handler)
 
     def open_channel(self, name: str) -> None:
-        """Adds a channel to the information stream; one that is there already is left alone."""
+        """Add a channel to the information stream; one that is there already is left alone."""
         self._actor.kernel.stream.open(name)
 
     def close_channel(self, name: str) -> None:
-        """Removes a channel that was added; the five core channels stay.
+        """Remove a channel that was added; the five core channels stay.
 
         Raises:
             UnknownChannel: there is no such channel, or it is a core channel.
@@ -190,20 +190,20 @@ class Component(PykkaActor):
         self._actor.kernel.stream.close(name)
 
     def after(self, delay_s: float, function: Callable[[], None]) -> OneShot:
-        """Calls `function` in this actor in `delay_s` seconds of mission time."""
+        """Call `function` in this actor in `delay_s` seconds of mission time."""
         return self._actor.kernel.timer.after(delay_s, lambda: self.call(function))
 
     def after_host(self, delay_s: float, function: Callable[[], None]) -> OneShot:
-        """Calls `function` in this actor in `delay_s` seconds of host time (for time-outs between agents)."""
+        """Call `function` in this actor in `delay_s` seconds of host time (for time-outs between agents)."""
         return self._actor.kernel.timer.after_host(delay_s, lambda: self.call(function))
 
     def call(self, function: Callable[[], None]) -> None:
-        """Calls `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it."""
+        """Call `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it."""
         if not self.actor_stopped.is_set():
             self.actor_inbox.put(Call(self._actor, function))
 
     def reschedule(self, rate_hz: float, timer: str = "") -> None:
-        """Changes the rate of a time-driven method, from its next tick on.
+        """Change the rate of a time-driven method, from its next tick on.
 
         Args:
             rate_hz: ticks for each second of mission time; 0 lets it rest.
@@ -218,7 +218,7 @@ class Component(PykkaActor):
         core.set_timer(changed)
 
     def pause(self) -> None:
-        """Handles no tick and no packet until `resume`; calls (`after`) go on, packets wait. In the actor.
+        """Handle no tick and no packet until `resume`; calls (`after`) go on, packets wait. In the actor.
 
         A pause does not move with a task: on the other agent it runs.
         """
@@ -227,7 +227,7 @@ class Component(PykkaActor):
         core.enter_pause()
 
     def resume(self) -> None:
-        """Goes on after `pause`, unless Pancakes has frozen it meanwhile, to move it for instance. In the actor."""
+        """Go on after `pause`, unless Pancakes has frozen it meanwhile, to move it for instance. In the actor."""
         core = self._actor
         core.is_paused = False
         core.leave_pause()
@@ -249,7 +249,7 @@ class Component(PykkaActor):
         """Called in the actor if one of its methods raised; it ends after that, and its service decides."""
 
     def on_receive(self, message: Any) -> Any:
-        """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
+        """Handle what another thread told or asked by the pykka ref; components talk by packets instead."""
         raise TypeError(f"{self.address} takes packets, not {message!r}")
 
     # What pykka calls ------------------------------------------------------------------------------------------
@@ -276,7 +276,7 @@ class Component(PykkaActor):
 
 
 def core_of(component: Component) -> ActorCore:
-    """Returns what runs a component: for Pancakes' own parts that made it."""
+    """Return what runs a component: for Pancakes' own parts that made it."""
     return component._actor  # noqa: SLF001
 
 
@@ -342,11 +342,11 @@ class ActorCore(Component):
     # What its facade asks of it --------------------------------------------------------------------------------
 
     def log_line(self, level: str, text: str, traceback: str) -> None:
-        """Publishes a line on `log`. Any thread."""
+        """Publish a line on `log`. Any thread."""
         self.tell_log(LogLine(level, text, traceback))
 
     def tell_log(self, body: Any) -> None:
-        """Publishes on `log`, and never fails. Any thread."""
+        """Publish on `log`, and never fail. Any thread."""
         try:
             self.publish(LOG, body)
         except PancakesError:
@@ -354,7 +354,7 @@ class ActorCore(Component):
             self.kernel.stream.undelivered += 1
 
     def add_handler(self, subscription: Subscription, handler: Callable[[Packet], None]) -> None:
-        """Calls `handler` with the packets of a subscription from now on. In the actor."""
+        """Call `handler` with the packets of a subscription from now on. In the actor."""
         if self.__shares_handlers:
             self.__handlers = {channel: Handlers(shared) for channel, shared in self.__handlers.items()}
             self.__shares_handlers = False
@@ -364,7 +364,7 @@ class ActorCore(Component):
         self.__bind()
 
     def timer_of(self, rate_hz: float, timer: str = "") -> TaskTimer:
-        """Returns the timer that `reschedule` would change; see there."""
+        """Return the timer that `reschedule` would change; see there."""
         period_of(rate_hz)
         if not self.timers:
             raise ValueError(f"{self.address} is not time-driven")
@@ -374,7 +374,7 @@ class ActorCore(Component):
         return self.timers[name]
 
     def revoke(self) -> None:
-        """Takes the right to publish away from an actor that cannot be ended. Any thread."""
+        """Take the right to publish away from an actor that cannot be ended. Any thread."""
 
         def refuse(channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
             raise ControlRefused(f"{self.address} was stopped and may publish nothing more")
@@ -384,7 +384,7 @@ class ActorCore(Component):
     # How it runs -----------------------------------------------------------------------------------------------
 
     def take_turn(self, slice_s: float | None) -> None:
-        """Handles what waits, control first; then hands the token of the mailbox back.
+        """Handle what waits, control first; then hand the token of the mailbox back.
 
         The dispatcher calls it, in the thread that holds the token.
 
@@ -426,7 +426,7 @@ class ActorCore(Component):
             mailbox.end_turn()
 
     def __finish(self, function: Callable[[], None]) -> None:
-        """Does what ends a turn, or this actor. The thread, which may be the timer's, outlives whatever that does."""
+        """Do what ends a turn, or this actor. The thread, which may be the timer's, outlives whatever that does."""
         try:
             function()
         except BaseException as error:
@@ -434,7 +434,7 @@ class ActorCore(Component):
             self.__tell_failure(f"the end of {self.address}'s turn failed", error)
 
     def __raise_to_program(self, error: BaseException) -> None:
-        """Raises an exception again that is for the program, if this turn runs on the program's own thread.
+        """Raise an exception again that is for the program, if this turn runs on the program's own thread.
 
         Its handlers may have been broken off anywhere, so this actor gets no other turn: it keeps the token, as one
         does whose turn never ends.
@@ -488,13 +488,13 @@ class ActorCore(Component):
         return self.__frozen
 
     def enter_pause(self) -> None:
-        """Lets no tick and no packet be handled until `leave_pause`. In the actor."""
+        """Let no tick and no packet be handled until `leave_pause`. In the actor."""
         self.actor_inbox.paused = True
         for timer in self.timers.values():
             self.kernel.timer.cancel(timer)
 
     def leave_pause(self) -> None:
-        """Goes on if it is neither paused nor frozen. In the actor."""
+        """Go on if it is neither paused nor frozen. In the actor."""
         if self.is_paused or self.__frozen or not self.actor_inbox.paused:
             return
         self.actor_inbox.paused = False
@@ -516,7 +516,7 @@ class ActorCore(Component):
         return period_s
 
     def set_timer(self, timer: TaskTimer) -> None:
-        """Lets a timer tick at its period from now on, unless all of them rest. In the actor."""
+        """Let a timer tick at its period from now on, unless all of them rest. In the actor."""
         if timer.period_s < math.inf and not self.actor_inbox.paused:
             self.kernel.timer.every(timer, timer.period_s)
         else:
@@ -546,7 +546,7 @@ class ActorCore(Component):
                 handle_envelope(self.facade, item)
 
     def __handle_data(self, slice_s: float | None) -> None:
-        """Handles the packets that wait now, as long as there is time."""
+        """Handle the packets that wait now, as long as there is time."""
         mailbox, facade = self.actor_inbox, self.facade
         order, control = mailbox.order, mailbox.control
         waiting = len(order)
@@ -569,7 +569,7 @@ class ActorCore(Component):
                 return
 
     def __bind(self) -> None:
-        """Tells each queue what is done with its packets."""
+        """Tell each queue what is done with its packets."""
         for channel, queue in self.actor_inbox.queues.items():
             queue.handle(self.__handlers.get(channel, NO_HANDLERS))
 
@@ -585,21 +585,21 @@ class ActorCore(Component):
         raise TypeError(f"{self.address} knows nothing of {message!r}")
 
     def run_handlers(self, packet: Packet) -> None:
-        """Handles a packet at once, past the queues and their bounds. In the actor."""
+        """Handle a packet at once, past the queues and their bounds. In the actor."""
         try:
             self.__handle(packet)
         finally:
             self.in_hand = None
 
     def drain(self) -> None:
-        """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
+        """Handle the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
         while (packet := self.actor_inbox.take()) is not None:
             self.run_handlers(packet)
 
     # How it ends -----------------------------------------------------------------------------------------------
 
     def end_loop(self) -> None:
-        """Ends the actor, which was asked to. In the actor."""
+        """End the actor, which was asked to. In the actor."""
         error: BaseException | None = None
         try:
             self.facade.on_stop()

@@ -40,7 +40,7 @@ class DeadLetters:
         self.count = 0
 
     def failed(self, address: str, queue: TypeQueue, packet: Packet) -> None:
-        """Takes a packet whose handler raised, in the turn of the component at `address`."""
+        """Take a packet whose handler raised, in the turn of the component at `address`."""
         key = (address, packet.source, packet.seq)
         with self._lock:
             failures = self._failures.pop(key, 0) + 1
@@ -58,7 +58,7 @@ class DeadLetters:
             )
 
     def bury(self, reason: str) -> None:
-        """Counts and logs a packet that is given up. Any thread."""
+        """Count and log a packet that is given up. Any thread."""
         with self._lock:
             self.count += 1
         self._log("warning", f"dead letter: {reason}")
@@ -107,7 +107,7 @@ class Unheard:
         self._foreign_s = 0.0
 
     def met(self, agent: str) -> None:
-        """Learns that an agent is there: if it goes away, nobody has mistaken its name."""
+        """Learn that an agent is there: if it goes away, nobody has mistaken its name."""
         with self._lock:
             self._met.pop(agent, None)
             self._met[agent] = None
@@ -115,7 +115,7 @@ class Unheard:
                 del self._met[next(iter(self._met))]
 
     def here(self, packet: Packet) -> None:
-        """Takes a packet for this agent that no component of it got."""
+        """Take a packet for this agent that no component of it got."""
         destination = packet.destination
         if destination in ("", self._agent):
             if packet.channel == CTRL and agent_of(packet.source) == self._agent:
@@ -124,7 +124,7 @@ class Unheard:
             self._tell(packet, lambda: self._no_reader(packet))
 
     def elsewhere(self, packet: Packet, linked: Iterable[str]) -> None:
-        """Takes a packet for an agent that is not linked; it is told if that never was.
+        """Take a packet for an agent that is not linked; it is told if that never was.
 
         Args:
             packet: the packet.

@@ -27,7 +27,7 @@ from pancakes.util.clock import Clock
 
 
 def defer(function: Callable[[], None]) -> None:
-    """Runs `function` at the end of the turn that this thread gives now, or at once outside of a turn."""
+    """Run `function` at the end of the turn that this thread gives now, or at once outside of a turn."""
     turn = THREAD.turn
     if turn.reader is None:
         function()
@@ -50,20 +50,20 @@ class Dispatcher(ABC):
 
     @abstractmethod
     def ready(self, mailbox: Mailbox) -> None:
-        """Sees that the component of `mailbox`, whose token is held, gets a turn. Any thread."""
+        """See that the component of `mailbox`, whose token is held, gets a turn. Any thread."""
 
     def attach(self, component: Runnable) -> None:
-        """Lets `component` run from now on; its first turn calls `on_start`. Any thread."""
+        """Let `component` run from now on; its first turn calls `on_start`. Any thread."""
         mailbox = component.actor_inbox
         mailbox.dispatch = self
         mailbox.component = component
         self.ready(mailbox)
 
     def stop(self) -> None:
-        """Ends the dispatcher's threads. Not to be called from one of them."""
+        """End the dispatcher's threads. Not to be called from one of them."""
 
     def give_turn(self, mailbox: Mailbox, slice_s: float | None = None) -> None:
-        """Gives the component of `mailbox` one turn in this thread, if it has one.
+        """Give the component of `mailbox` one turn in this thread, if it has one.
 
         Args:
             mailbox: its mailbox, whose token is held.
@@ -101,7 +101,7 @@ class Shift:
         self._seen_s = 0.0
 
     def see(self, passed_s: float) -> float:
-        """Returns for how long the watchdog has seen it at one and the same turn; `passed_s` since the last look."""
+        """Return for how long the watchdog has seen it at one and the same turn; `passed_s` since the last look."""
         if self.turns != self._seen:
             self._seen = self.turns
             self._seen_s = 0.0
@@ -194,7 +194,7 @@ class PoolDispatcher(Dispatcher):
             self._lend()
 
     def give_turns(self, shift: Shift, until_s: float = math.inf) -> None:
-        """Gives turns in this thread, the longest waiting first, until no more wait or it is late enough.
+        """Give turns in this thread, the longest waiting first, until no more wait or it is late enough.
 
         Args:
             shift: the calling thread's.
@@ -217,7 +217,7 @@ class PoolDispatcher(Dispatcher):
                 return
 
     def _lend(self) -> None:
-        """Puts a worker to work, if no thread is at work."""
+        """Put a worker to work, if no thread is at work."""
         lack: RuntimeError | None = None
         with self._lock:
             if self._stopping or self._active or len(self._workers) - len(self._idle) >= MOST_WORKERS:
@@ -244,7 +244,7 @@ class PoolDispatcher(Dispatcher):
             _LOG.error("%s has work for another thread, and gets none: %s", self.name, lack)
 
     def retire(self, worker: _Worker) -> bool:
-        """Lays an idle worker down until it is wanted. Returns whether its thread shall end."""
+        """Put an idle worker to sleep until it is wanted; return whether its thread must end."""
         with self._lock:
             # First the count, then the look: a thread that puts work in reads the count only after that.
             self._end(worker.shift)
@@ -263,7 +263,7 @@ class PoolDispatcher(Dispatcher):
         return False
 
     def begin_guest(self, guest: Shift) -> bool:
-        """Lets a guest do the work, if no other thread does it now."""
+        """Let a guest do the work, if no other thread does it now."""
         with self._lock:
             if self._active or self._stopping or len(self._guests) >= MOST_WORKERS:
                 return False
@@ -274,7 +274,7 @@ class PoolDispatcher(Dispatcher):
             return True
 
     def end_guest(self, guest: Shift) -> None:
-        """Lets a guest go; a worker does what it has left."""
+        """Let a guest go; a worker does what it has left."""
         with self._lock:
             self._guests.remove(guest)
             self._end(guest)
@@ -282,13 +282,13 @@ class PoolDispatcher(Dispatcher):
             self._lend()
 
     def _begin(self, shift: Shift) -> None:
-        """Counts on a thread from now on. Under the lock."""
+        """Count on a thread from now on. Under the lock."""
         self._active += 1
         shift.here = True
         shift.turns += 1  # its work before the first turn is not seen as part of the last one
 
     def _end(self, shift: Shift) -> None:
-        """Counts on a thread no more. Under the lock."""
+        """Count on a thread no more. Under the lock."""
         shift.here = False
         if shift.held:
             shift.held = False
@@ -296,13 +296,13 @@ class PoolDispatcher(Dispatcher):
             self._active -= 1
 
     def _come_back(self, shift: Shift) -> None:
-        """Counts on a thread again whose turn has ended. In that thread; no other one takes the mark away."""
+        """Count on a thread again whose turn has ended. In that thread; no other one takes the mark away."""
         with self._lock:
             shift.held = False
             self._active += 1
 
     def _watch_again(self) -> None:
-        """Wakes the watchdog if it dozes. Under the lock."""
+        """Wake the watchdog if it dozes. Under the lock."""
         if self._dozing:
             self._dozing = False
             self._alarm.release()
@@ -332,7 +332,7 @@ class PoolDispatcher(Dispatcher):
             return self._dozing
 
     def look(self) -> int:
-        """Does what the watchdog does at each look. Returns a number that changes as long as turns are given."""
+        """Do what the watchdog does at each look; return a number that changes as long as turns are given."""
         now_s = self.clock.now()
         passed_s = min(now_s - self._looked_s, MOST_PASSED_S)
         self._looked_s = now_s
@@ -360,7 +360,7 @@ class PoolDispatcher(Dispatcher):
         return turns
 
     def _hold(self, shift: Shift) -> None:
-        """Stops counting on a thread whose turn does not end; another thread takes over a guest's duties.
+        """Stop counting on a thread whose turn does not end; another thread takes over a guest's duties.
 
         A thread may be held by what it does before a turn, too, or because the system gives it no core. One whose turn
         has ended just now is taken for held until the end of its next turn, which does no harm.
@@ -424,16 +424,16 @@ class Guest:
         return not self._shift.relieved
 
     def arrive(self) -> bool:
-        """Takes the work over until `leave`, unless another thread is at work. Returns whether it did."""
+        """Take the work over until `leave`, unless another thread is at work; return whether it did."""
         return self._pool.begin_guest(self._shift)
 
     def work(self, until_s: float) -> None:
-        """Gives the turns that wait, but none after `until_s` (host time)."""
+        """Give the turns that wait, but none after `until_s` (host time)."""
         if self._pool.work and self._pool.clock.now() < until_s:
             self._pool.give_turns(self._shift, until_s)
 
     def leave(self) -> None:
-        """Leaves what is still to be done to a worker."""
+        """Leave what is still to be done to a worker."""
         self._pool.end_guest(self._shift)
 
 

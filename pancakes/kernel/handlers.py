@@ -39,7 +39,7 @@ class Keep(msgspec.Struct, frozen=True):
         return self.reliable or self.limit > 1
 
     def is_full(self, waiting: int, waiting_bytes: int, weight: int) -> bool:
-        """Returns whether one more packet finds no room.
+        """Return whether one more packet finds no room.
 
         Args:
             waiting: how many packets wait.
@@ -72,7 +72,7 @@ def reliable(limit: int) -> Keep:
 
 
 def keep_of(keep: Keep | Literal["latest"]) -> Keep:
-    """Returns what a subscription does, as its author has written it.
+    """Return what a subscription does, as its author has written it.
 
     Raises:
         ClassError: it is nothing of that kind; it would fail whoever publishes.
@@ -140,7 +140,7 @@ def on(
     keep: Keep | Literal["latest"] = DEFAULT_KEEP,
     addressed: bool = False,
 ) -> Callable[[_F], _F]:
-    """Makes a method event-driven: it is called with each packet on `channel`, in the component's actor.
+    """Make a method event-driven: it is called with each packet on `channel`, in the component's actor.
 
     Args:
         channel: the channel to listen to.
@@ -175,7 +175,7 @@ def on(
 
 
 def every(*bare: Never, hz: float | None = None, period_s: float | None = None) -> Callable[[_F], _F]:
-    """Makes a method time-driven: it is called with a `Tick` at a rate that can be changed while it runs.
+    """Make a method time-driven: it is called with a `Tick` at a rate that can be changed while it runs.
 
     Args:
         bare: nothing: a number without a name could be a rate or a period.
@@ -222,7 +222,7 @@ def _period(bare: tuple[Any, ...], hz: float | None, period_s: float | None) -> 
 
 
 def period_of(rate_hz: float) -> float:
-    """Returns the period of a rate, in seconds; infinity for 0.
+    """Return the period of a rate, in seconds; infinity for 0.
 
     Raises:
         ValueError: the rate is negative, no number, or above `MOST_HZ`.
@@ -233,7 +233,7 @@ def period_of(rate_hz: float) -> float:
 
 
 def checked_period(period_s: float) -> float:
-    """Returns a period that a timer may have, in seconds; infinity lets it rest.
+    """Return a period that a timer may have, in seconds; infinity lets it rest.
 
     Raises:
         ValueError: it is shorter than that of `MOST_HZ`, or no number.
@@ -244,14 +244,14 @@ def checked_period(period_s: float) -> float:
 
 
 def subscriptions_of(cls: type) -> list[tuple[Subscription, str]]:
-    """Returns what the methods of a class listen to, as (subscription, method name), in the order of the class."""
+    """Return what the methods of a class listen to, as (subscription, method name), in the order of the class."""
     return [
         (subscription, name) for name in _names(cls) for subscription in getattr(getattr(cls, name), SUBSCRIPTIONS, ())
     ]
 
 
 def periods_of(cls: type) -> dict[str, Period]:
-    """Returns the time-driven methods of a class, in the order of the class."""
+    """Return the time-driven methods of a class, in the order of the class."""
     return {name: period for name in _names(cls) if (period := getattr(getattr(cls, name), PERIOD, None)) is not None}
 
 
@@ -293,7 +293,7 @@ class Handlers(dict[str | None, tuple[Handler, ...]]):
         self.for_all: tuple[Handler, ...] = like.for_all if like is not None else ()
 
     def add(self, type_name: str | None, handler: Handler) -> None:
-        """Adds a handler; those for all types (None) come after those for one."""
+        """Add a handler; those for all types (None) come after those for one."""
         if type_name is None:
             self.for_all = (*self.for_all, handler)
             for name in self:
@@ -327,7 +327,7 @@ class Plan(NamedTuple):
 
 @lru_cache(maxsize=MOST_PLANS)
 def plan_of(cls: type, core: type | None = None) -> Plan:
-    """Returns what the methods of a class react to; each class is read once.
+    """Return what the methods of a class react to; each class is read once.
 
     Args:
         cls: the class of a component.
@@ -345,12 +345,12 @@ def plan_of(cls: type, core: type | None = None) -> Plan:
 
 
 def _by_core(handler: Handler) -> Handler:
-    """Calls a handler with the core of the component."""
+    """Call a handler with the core of the component."""
     return lambda component, packet: handler(component._actor, packet)  # noqa: SLF001
 
 
 def only_addressed(handler: Handler) -> Handler:
-    """Keeps from a handler what another subscription of its component to the same type brings in."""
+    """Keep from a handler what another subscription of its component to the same type brings in."""
 
     def handle(component: Any, packet: Packet) -> None:
         if packet.destination not in ("", component.agent) and covers(packet.destination, component.address):

@@ -76,7 +76,7 @@ class Folders:
         self._files = frozenset(self._real(path) for path in files)
 
     def refusal_of(self, cls: type, settings: Mapping[str, Any]) -> str:
-        """Returns why settings of a class may not be set from elsewhere; empty: they may."""
+        """Return why settings of a class may not be set from elsewhere; empty: they may."""
         for key, path in paths_in(cls, settings):
             if path and not self._holds(path) and path != _usual(cls).get(key):
                 names = ", ".join(self._folders) or "none"
@@ -99,7 +99,7 @@ class Folders:
 
 
 def _usual(cls: type) -> dict[tuple[str | int, ...], str]:
-    """Returns the paths that settings of a class have if nothing is set."""
+    """Return the paths that settings of a class have if nothing is set."""
     try:
         return dict(paths_in(cls, plain_settings(cls())))
     except (Exception, SystemExit):  # something must be set, or the class refuses itself as it is
@@ -219,7 +219,7 @@ class Kernel:
         keeps_subscriptions: bool = False,
         **arguments: Any,
     ) -> _Made:
-        """Makes a component and lets it run.
+        """Make a component and let it run.
 
         Args:
             cls: its class.
@@ -243,20 +243,20 @@ class Kernel:
         return component
 
     def guest(self, relieve: Callable[[], None]) -> Guest:
-        """Makes the calling thread a guest of the pool, see `Guest`. Not in virtual time, which has no threads."""
+        """Make the calling thread a guest of the pool, see `Guest`. Not in virtual time, which has no threads."""
         assert isinstance(self._shared, PoolDispatcher)
         return Guest(self._shared, relieve)
 
     def attach(self, core: ActorCore) -> None:
-        """Puts a component on the dispatcher that suits it."""
+        """Put a component on the dispatcher that suits it."""
         (self._pinned if core.facade.blocking else self._shared).attach(core)
 
     def actor(self, path: str) -> Reference | None:
-        """Returns the actor at a path of this agent, such as `network/TaskMigrator`; None: none runs there."""
+        """Return the actor at a path of this agent, such as `network/TaskMigrator`; None: none runs there."""
         return self.registry.get(join(self.agent, path))
 
     def tell(self, path: str, message: object) -> bool:
-        """Gives the actor at a path of this agent a message, see `pancakes.kernel.mailbox`. Any thread.
+        """Give the actor at a path of this agent a message, see `pancakes.kernel.mailbox`. Any thread.
 
         Returns:
             False if none runs there, and the message is forgotten.
@@ -265,7 +265,7 @@ class Kernel:
         return actor is not None and tell(actor, message)
 
     def seq_of(self, address: str) -> Counter:
-        """Returns the counter of the packets of a source; it outlives the actor, so that numbers never repeat."""
+        """Return the counter of the packets of a source; it outlives the actor, so that numbers never repeat."""
         with self._lock:
             counter = self._seqs.get(address)
             if counter is None:
@@ -273,14 +273,14 @@ class Kernel:
             return counter
 
     def continue_seq(self, address: str, next_seq: int) -> None:
-        """Lets the packets of a source go on from a number, if a recording had it; never back."""
+        """Let the packets of a source go on from a number, if a recording had it; never back."""
         with self._lock:
             counter = self._seqs.get(address)
             if counter is None or counter.value < next_seq:
                 self._seqs[address] = Counter(next_seq)
 
     def hear_ticks(self, heard: Callable[[HeardTick], None]) -> None:
-        """Calls `heard` with each tick of a task that runs, in the task's turn; not with those that are missed.
+        """Call `heard` with each tick of a task that runs, in the task's turn; not with those that are missed.
 
         It must not block; the `append` of a deque takes the least. Any thread.
         """
@@ -288,34 +288,34 @@ class Kernel:
             self.ticks_heard = (*self.ticks_heard, heard)
 
     def unhear_ticks(self, heard: Callable[[HeardTick], None]) -> None:
-        """Ends what `hear_ticks` began."""
+        """Undo `hear_ticks`."""
         with self._lock:
             self.ticks_heard = tuple(other for other in self.ticks_heard if other != heard)
 
     def random_for(self, name: str) -> random.Random:
-        """Returns a source of random numbers of its own for each name, drawn from the agent's seed."""
+        """Return a source of random numbers of its own for each name, drawn from the agent's seed."""
         return random.Random(f"{self.seed}/{name}")
 
     def begin(self, in_s: float) -> None:
-        """Lets a mission that is held at 0 begin in `in_s` seconds of host time."""
+        """Let a mission that is held at 0 begin in `in_s` seconds of host time."""
         self.mission.begin(in_s)
         self.timer.wake()
         self.mission_changed()
 
     def join(self, zero_s: float) -> None:
-        """Lets a mission that is held go on as it has in other agents: there it was 0 at this host time."""
+        """Let a mission that is held go on as it has in other agents: there it was 0 at this host time."""
         self.mission.join(zero_s)
         self.timer.wake()
         self.mission_changed()
 
     def timebase(self) -> Timebase:
-        """Returns what the mission time and the time of day are, as the host clock counts. Any thread."""
+        """Return what the mission time and the time of day are, as the host clock counts. Any thread."""
         base = self._mission_base()
         # In virtual time there is none: a run must not depend on the day.
         return base if self.virtual is not None else replace(base, day_s=day_s(self.host))
 
     def utc_s(self, stamp_s: float | None = None) -> float | None:
-        """Returns the time of day, in seconds since 1970 (UTC). Any thread.
+        """Return the time of day, in seconds since 1970 (UTC). Any thread.
 
         Args:
             stamp_s: that at this mission time; None: the present one.
@@ -338,7 +338,7 @@ class Kernel:
         return clock.local_time(packet.stamp, self._mission_base()) if clock is not None else None
 
     def restamped(self, agent: str, stamp_s: float) -> float:
-        """Returns a stamp of an agent on this one's mission clock; 0, which says nothing, where that is not known."""
+        """Return a stamp of an agent on this one's mission clock; 0, which says nothing, where that is not known."""
         if agent == self.agent:
             return stamp_s
         clock = self.peer_clock(agent)
@@ -351,11 +351,11 @@ class Kernel:
         return Timebase(began_s, mission.start_s, mission.speed)
 
     def log(self, level: str, text: str, traceback: str = "") -> None:
-        """Publishes a line on `log` in the kernel's own name; see `Component.log`. Any thread."""
+        """Publish a line on `log` in the kernel's own name; see `Component.log`. Any thread."""
         self.say(LogLine(level, text, traceback))
 
     def say(self, body: Any) -> None:
-        """Publishes on `log` in the kernel's own name. Any thread."""
+        """Publish on `log` in the kernel's own name. Any thread."""
         address = f"{self.agent}/kernel"
         packet = Packet(LOG, type_name(body), address, "", self.mission.now(), self.seq_of(address).take(), body)
         try:
@@ -365,14 +365,14 @@ class Kernel:
             self.stream.undelivered += 1
 
     def stop(self) -> None:
-        """Ends the timer and all threads. The components have been stopped before; not from one of them."""
+        """End the timer and all threads. The components have been stopped before; not from one of them."""
         self.timer.halt()
         if self.virtual is None:
             self._shared.stop()
             self._pinned.stop()
 
     def crash(self) -> None:
-        """Lets nothing run any more, and tells no component. In virtual time only, between two turns."""
+        """Let nothing run any more, and tell no component. In virtual time only, between two turns."""
         self.stream.silence()
         self.timer.halt()
         for component in self.registry.components():

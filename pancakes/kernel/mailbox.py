@@ -65,16 +65,16 @@ class TypeQueue:
         self.bound(keep)
 
     def bound(self, keep: Keep) -> None:
-        """Takes another bound."""
+        """Take another bound."""
         self.keep = keep
         self._limit = keep.limit
 
     def refuses(self, weight: int) -> bool:
-        """Returns whether a packet must be refused to its publisher; `weight`: its bytes, if it is a heavy one."""
+        """Return whether a packet must be refused to its publisher; `weight`: its bytes, if it is a heavy one."""
         return self.keep.reliable and self.keep.is_full(len(self._entries), self.bytes, weight)
 
     def put(self, packet: Packet, weight: int = 0) -> None:
-        """Puts a packet; `weight`: its bytes, if it is a heavy one."""
+        """Put a packet; `weight`: its bytes, if it is a heavy one."""
         entries, mailbox = self._entries, self._mailbox
         if weight or len(entries) >= self._limit:
             self._make_room(weight)
@@ -84,7 +84,7 @@ class TypeQueue:
             mailbox.wake()
 
     def _make_room(self, weight: int) -> None:
-        """Lets the oldest packets fall out until there is room for one more, and counts its weight."""
+        """Let the oldest packets fall out until there is room for one more, and count its weight."""
         with self._mailbox.scales:
             while not self.keep.reliable and self.keep.is_full(len(self._entries), self.bytes, weight):
                 try:
@@ -96,14 +96,14 @@ class TypeQueue:
             self.bytes += weight
 
     def _leave(self, entry: Packet | _Heavy) -> Packet:
-        """Returns the packet of an entry that waits no more. Under the scales' lock if it is a heavy one."""
+        """Return the packet of an entry that waits no more. Under the scales' lock if it is a heavy one."""
         if isinstance(entry, _Heavy):
             self.bytes -= entry.weight
             return entry.packet
         return entry
 
     def take(self) -> Packet:
-        """Takes the oldest packet out, whose place in the mailbox's order has been taken before."""
+        """Take the oldest packet out, whose place in the mailbox's order has been taken before."""
         entry = self._entries.popleft()
         self.handled += 1
         if isinstance(entry, _Heavy):
@@ -112,7 +112,7 @@ class TypeQueue:
         return entry
 
     def put_back(self, packet: Packet) -> None:
-        """Puts a packet that the reader took back in front, to be handled again."""
+        """Put a packet that the reader took back in front, to be handled again."""
         weight = weight_of(packet.body)
         with self._mailbox.scales:
             self.bytes += weight
@@ -143,7 +143,7 @@ class ChannelQueue:
         self._by_type: dict[str | None, TypeQueue] = {}  # never changed but replaced: other threads read it
 
     def bound(self, type_name: str | None, keep: Keep) -> None:
-        """Bounds packets of a type; None means all types without a bound of their own. Other bounds stay."""
+        """Bound packets of a type; None means all types without a bound of their own. Other bounds stay."""
         known = self._by_type.get(type_name)
         if known is not None:
             known.bound(keep)
@@ -151,17 +151,17 @@ class ChannelQueue:
             self._by_type = {**self._by_type, type_name: TypeQueue(self, keep)}
 
     def of(self, type_name: str | None) -> TypeQueue:
-        """Returns where packets of a type wait that the reader reads; None: those without a bound of their own."""
+        """Return where packets of a type wait that the reader reads; None: those without a bound of their own."""
         found = self._by_type.get(type_name)
         return found if found is not None else self._by_type[None]
 
     def handle(self, handlers: Mapping[str | None, tuple[Handler, ...]]) -> None:
-        """Sets what the reader does with packets of each type. In its turn."""
+        """Set what the reader does with packets of each type. In its turn."""
         for type_name, waiting in self._by_type.items():
             waiting.handlers = handlers[type_name]
 
     def drain(self) -> Iterator[Packet]:
-        """Takes out one by one the packets of this channel that wait now. By the reader."""
+        """Take out one by one the packets of this channel that wait now. By the reader."""
         order = self.mailbox.order
         for waiting in tuple(order):
             if waiting.channel is self:
@@ -185,7 +185,7 @@ class ChannelQueue:
         return sum(waiting.bytes for waiting in self._by_type.values())
 
     def dropped(self) -> int:
-        """Returns how many packets were lost: those that fell out, and those that were refused from other agents.
+        """Return how many packets were lost: those that fell out, and those that were refused from other agents.
 
         If only the newest is wanted (`LATEST`), the others are not lost.
         """
@@ -220,10 +220,10 @@ class Runnable(Protocol):
         """Whether it has ended."""
 
     def acts(self) -> bool:
-        """Returns whether its next tick or packet may be handled. In its turn."""
+        """Return whether its next tick or packet may be handled. In its turn."""
 
     def take_turn(self, slice_s: float | None) -> None:
-        """Handles what waits; see `ActorCore.take_turn`."""
+        """Handle what waits; see `ActorCore.take_turn`."""
 
 
 class Dispatch(Protocol):
@@ -264,7 +264,7 @@ class Mailbox:
         self.paused = False
 
     def put(self, item: Any, /) -> None:
-        """Puts into the control lane (pykka calls this for `tell`, `ask` and `stop`)."""
+        """Put into the control lane (pykka calls this for `tell`, `ask` and `stop`)."""
         self.control.append(item)
         if self.closed:
             self.clear_control()
@@ -272,7 +272,7 @@ class Mailbox:
             self.wake()
 
     def wake(self) -> None:
-        """Sees that the component gets a turn, unless it has one or is about to.
+        """See that the component gets a turn, unless it has one or is about to.
 
         Who puts something looks at the token first: a look costs less than an attempt that fails, and most would
         fail, as packets come while a turn is due already.
@@ -281,13 +281,13 @@ class Mailbox:
             self.dispatch.ready(self)
 
     def end_turn(self) -> None:
-        """Gives the token back, and asks for another turn if something waits."""
+        """Give the token back, and ask for another turn if something waits."""
         self.token.release()
         if self.control or (self.order and not self.paused):
             self.wake()
 
     def clear_control(self) -> None:
-        """Empties the control lane: a thread that waits for an answer is told that none will come."""
+        """Empty the control lane: a thread that waits for an answer is told that none will come."""
         while self.control:
             try:
                 item = self.control.popleft()
@@ -296,26 +296,26 @@ class Mailbox:
             dismiss(item)
 
     def subscribe(self, channel: str) -> ChannelQueue:
-        """Returns the queue for a channel, with what waits there."""
+        """Return the queue for a channel, with what waits there."""
         queue = self.queues.get(channel)
         if queue is None:
             queue = self.queues[channel] = ChannelQueue(self)
         return queue
 
     def take(self) -> Packet | None:
-        """Takes the oldest packet out; None if nothing waits. By the reader."""
+        """Take the oldest packet out; None if nothing waits. By the reader."""
         try:
             return self.order.popleft().take()
         except IndexError:
             return None
 
     def clear_data(self) -> None:
-        """Forgets what waits in the data lane."""
+        """Forget what waits in the data lane."""
         while self.take() is not None:
             pass
 
     def dropped(self) -> int:
-        """Returns how many packets were lost in all queues; see `ChannelQueue.dropped`."""
+        """Return how many packets were lost in all queues; see `ChannelQueue.dropped`."""
         return sum(queue.dropped() for queue in list(self.queues.values()))
 
 
@@ -339,10 +339,10 @@ class Reference(Runnable, Protocol):
         """Pykka's own reference to it."""
 
     def stop(self) -> None:
-        """Ends the actor after what it is doing now."""
+        """End the actor after what it is doing now."""
 
     def revoke(self) -> None:
-        """Takes the right to publish away from an actor that cannot be ended."""
+        """Take the right to publish away from an actor that cannot be ended."""
 
 
 class Call:
@@ -366,7 +366,7 @@ class Told:
 
 
 def tell(component: Reference, message: object) -> bool:
-    """Gives an actor a message, which its `take_message` takes after what it is doing now. Any thread.
+    """Give an actor a message, which its `take_message` takes after what it is doing now. Any thread.
 
     Its successor at the same address does not get it.
 
@@ -398,26 +398,26 @@ class Inbox:
         self._bell.acquire()
 
     def put(self, message: Any, /) -> None:
-        """Adds a message. Any thread."""
+        """Add a message. Any thread."""
         self._messages.append(message)
         with contextlib.suppress(RuntimeError):  # it rings already
             self._bell.release()
 
     def wait(self, timeout_s: float) -> None:
-        """Waits for a message if there is none, but not longer than that; it may come back earlier."""
+        """Wait for a message if there is none, but not longer than that; it may come back earlier."""
         # First the look, then the bell: a thread that puts a message rings after that.
         if not self._messages and timeout_s > 0:
             self._bell.acquire(timeout=min(timeout_s, LONGEST_S))
 
     def get(self) -> Any:
-        """Takes the oldest message out, and waits for it."""
+        """Take the oldest message out, and wait for it."""
         while not self._messages:
             self.wait(LONGEST_S)
         self._bell.acquire(blocking=False)  # or it would ring for what is taken now
         return self._messages.popleft()
 
     def empty(self) -> bool:
-        """Returns whether there is no message."""
+        """Return whether there is no message."""
         return not self._messages
 
     def __len__(self) -> int:
@@ -455,7 +455,7 @@ class Backlog(Generic[Item]):
         self.dropped = 0
 
     def put(self, packet: Packet, item: Item) -> None:
-        """Puts what belongs to a packet, which is as heavy as the packet's body."""
+        """Put what belongs to a packet, which is as heavy as the packet's body."""
         weight = weight_of(packet.body)
         with self._lock:
             self._items.append(item)
@@ -466,12 +466,12 @@ class Backlog(Generic[Item]):
                 self.dropped += 1
 
     def take(self) -> Item | None:
-        """Takes the oldest out; None if nothing waits."""
+        """Take the oldest out; None if nothing waits."""
         with self._lock:
             return self._pop() if self._items else None
 
     def clear(self) -> None:
-        """Forgets what waits, without counting it as fallen out."""
+        """Forget what waits, without counting it as fallen out."""
         while self.take() is not None:
             pass
 

@@ -38,7 +38,7 @@ _NUMBERS: Final = (int, float, complex, type(None))
 
 
 def weigh(value: Any) -> int:
-    """Returns how many bytes a body, or a part of one, takes, roughly. It never raises."""
+    """Return how many bytes a body, or a part of one, takes, roughly. It never raises."""
     size: float = 0.0
     seen = 0
     # Each with the number of values that it stands for.
@@ -75,7 +75,7 @@ def weigh(value: Any) -> int:
 
 
 def weight_of(body: Any) -> int:
-    """Returns the bytes of a packet's body if they count; 0 for a light one."""
+    """Return the bytes of a packet's body if they count; 0 for a light one."""
     fields = _large_fields(body.__class__)
     if fields is None:
         weight = weigh(body)
@@ -92,12 +92,12 @@ def weight_of(body: Any) -> int:
 
 @lru_cache(maxsize=1024)
 def is_small(cls: type) -> bool:
-    """Returns whether all bodies of a class are of one small size, as the types of its fields say."""
+    """Return whether all bodies of a class are of one small size, as the types of its fields say."""
     return _large_fields(cls) == ()
 
 
 def in_brief(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns values for people to read: of each that is larger than `BRIEF_BYTES`, only how many bytes it takes."""
+    """Return values for people to read: of each that is larger than `BRIEF_BYTES`, only how many bytes it takes."""
     weights = {name: weigh(value) for name, value in values.items()}
     return {
         name: value if weights[name] <= BRIEF_BYTES else f"about {weights[name]} bytes"
@@ -106,7 +106,7 @@ def in_brief(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parts_of(value: Any) -> Sequence[Any] | int:
-    """Returns what a value contains; its bytes if that is known, or if it contains nothing."""
+    """Return what a value contains; its bytes if that is known, or if it contains nothing."""
     if isinstance(value, (list, tuple)):
         return value
     if isinstance(value, dict):
@@ -126,7 +126,7 @@ def _parts_of(value: Any) -> Sequence[Any] | int:
 
 @lru_cache(maxsize=1024)
 def _large_fields(cls: type) -> tuple[tuple[str, int], ...] | None:
-    """Returns the fields of a class that may be large, as their types say; None if nothing is known of it.
+    """Return the fields of a class that may be large, as their types say; None if nothing is known of it.
 
     Beside each is how many bytes each item of it takes, if that is known; else 0.
     """
@@ -144,7 +144,7 @@ def _large_fields(cls: type) -> tuple[tuple[str, int], ...] | None:
 
 
 def _bytes_of_items(hint: Any) -> int:
-    """Returns the bytes of each character of a text, or of each number of a row of numbers; 0: that is not known."""
+    """Return the bytes of each character of a text, or of each number of a row of numbers; 0: that is not known."""
     if get_origin(hint) is Annotated:
         return _bytes_of_items(get_args(hint)[0])
     if hint in (str, bytes):
@@ -164,7 +164,7 @@ def _is_small(hint: Any) -> bool:
 
 
 def _is_short(hint: Any, limits: Sequence[Any]) -> bool:
-    """Returns whether a text, or a row of things of one size, may not be long, as its type says."""
+    """Return whether a text, or a row of things of one size, may not be long, as its type says."""
     longest = min((it.max_length for it in limits if isinstance(it, Meta) and it.max_length is not None), default=None)
     if longest is None:
         return False

@@ -34,21 +34,21 @@ class PermitEnd(NamedTuple):
     wall_s: float
 
     def later(self, delay_s: float) -> PermitEnd:
-        """Returns the moment this many host seconds after this one."""
+        """Return the moment this many host seconds after this one."""
         return PermitEnd(self.boot_s + delay_s, self.wall_s + delay_s)
 
     def left_s(self, now: PermitEnd) -> float:
-        """Returns how much time is left, in host seconds, by the clock that says less; none is left below zero."""
+        """Return how much time is left, in host seconds, by the clock that says less; none is left below zero."""
         return min(self.boot_s - now.boot_s, self.wall_s - now.wall_s)
 
     def step_s(self, now: PermitEnd) -> float:
-        """Returns by how much the time of day was set forward, if only that has ended the permit; else 0."""
+        """Return by how much the time of day was set forward, if only that has ended the permit; else 0."""
         boot_s, wall_s = self.boot_s - now.boot_s, self.wall_s - now.wall_s
         return boot_s - wall_s if boot_s > 0 >= wall_s and boot_s - wall_s > STEP_S else 0.0
 
 
 def moment_of_host() -> PermitEnd:
-    """Returns this moment by the two clocks of this machine."""
+    """Return this moment by the two clocks of this machine."""
     return PermitEnd(time.clock_gettime(time.CLOCK_BOOTTIME), time.time())
 
 
@@ -103,30 +103,30 @@ class Permits:
         return new
 
     def give(self, fence: Fence, until: PermitEnd) -> None:
-        """Lets a guarded task act until a moment."""
+        """Let a guarded task act until a moment."""
         permit = self._of(fence)
         permit.until, permit.told = until, ()
 
     def revoke(self, fence: Fence) -> None:
-        """Lets a guarded task act no more."""
+        """Let a guarded task act no more."""
         self._of(fence).until = _PAST
 
     def free(self, task_id: str) -> None:
-        """Lets a task act that is not guarded."""
+        """Let a task act that is not guarded."""
         self.by_task.pop(task_id, None)
 
     def may_act(self, fence: Fence | None) -> bool:
-        """Returns whether what has this right may act now."""
+        """Return whether what has this right may act now."""
         permit = self._asked(fence)
         return permit is None or permit.until.left_s(self.moment()) > 0
 
     def left_s(self, fence: Fence | None) -> float | None:
-        """Returns for how long what has this right may act yet, in host seconds; None: no permit limits that."""
+        """Return for how long what has this right may act yet, in host seconds; None: no permit limits that."""
         permit = self._asked(fence)
         return max(0.0, permit.until.left_s(self.moment())) if permit is not None else None
 
     def limited(self, fence: Fence, most_s: float) -> Fence:
-        """Returns a right that says for how long it is good, at most `most_s` host seconds, as other agents are told.
+        """Return a right that says for how long it is good, at most `most_s` host seconds, as other agents are told.
 
         That of a task which no permit limits says nothing, unless it came from another agent that has said so.
         """
@@ -137,7 +137,7 @@ class Permits:
         return msgspec.structs.replace(fence, good_for_s=min(limits_s))
 
     def hold_back(self, fence: Fence, acts: Acts, count: int = 1) -> None:
-        """Counts acts that came too late, and logs it if it is the first since the permit was over."""
+        """Count acts that came too late, and log it if it is the first since the permit was over."""
         permit = self.by_task.get(fence.task_id)
         if permit is None:  # it is guarded no longer
             return
@@ -147,12 +147,12 @@ class Permits:
             self._say("warning", f"{fence.task_id} may not act until its guardians answer: its {acts} are held back")
 
     def held_back(self, task_id: str) -> dict[str, int]:
-        """Returns how many acts of a task were held back, by kind."""
+        """Return how many acts of a task were held back, by kind."""
         permit = self.by_task.get(task_id)
         return {str(acts): count for acts, count in permit.held_back.items()} if permit is not None else {}
 
     def ended_by_step(self, fence: Fence) -> float:
-        """Returns by how much the time of day was set forward, if that ended the permit, and counts it; else 0."""
+        """Return by how much the time of day was set forward, if that ended the permit, and count it; else 0."""
         permit = self._asked(fence)
         step_s = permit.until.step_s(self.moment()) if permit is not None else 0.0
         if permit is not None and step_s:
@@ -160,7 +160,7 @@ class Permits:
         return step_s
 
     def steps(self, task_id: str) -> int:
-        """Returns how often the time of day was set forward while this agent had a task, and ended its permit."""
+        """Return how often the time of day was set forward while this agent had a task, and ended its permit."""
         permit = self.by_task.get(task_id)
         return permit.steps if permit is not None else 0
 
@@ -172,7 +172,7 @@ class Permits:
         return permit
 
     def _asked(self, fence: Fence | None) -> _Permit | None:
-        """Returns the permit that a right rests on; None: none.
+        """Return the permit that a right rests on; None: none.
 
         A later epoch than this agent ever had is another agent's, whose commands come by here.
         """

@@ -13,7 +13,7 @@ class PeerClock(Protocol):
     """What is known of the clocks of another agent."""
 
     def local_time(self, stamp_s: float, own: Timebase) -> LocalTime | None:
-        """Returns a stamp of that agent on this agent's mission clock; None: not known, or a mission is held.
+        """Return a stamp of that agent on this agent's mission clock; None: not known, or a mission is held.
 
         Args:
             stamp_s: mission time there, in seconds.
@@ -26,7 +26,7 @@ class PeerRights(Protocol):
     """What other agents and terminals may do at this agent."""
 
     def fault(self, peer: str, right: Any, *on: str) -> str:
-        """Returns why a peer may not do something, as a sentence; empty: it may. Any thread.
+        """Return why a peer may not do something, as a sentence; empty: it may. Any thread.
 
         Args:
             peer: the name of the peer; the agent itself may do everything.
@@ -52,7 +52,7 @@ class GuardNote(Protocol):
         """The right under which it acts."""
 
     def plain(self, now_s: float, permit_s: float | None) -> dict[str, Any]:
-        """Returns it as plain values.
+        """Return it as plain values.
 
         Args:
             now_s: host time.
@@ -68,17 +68,17 @@ class GuardNotes:
         self._notes: dict[str, GuardNote] = {}
 
     def enter(self, address: str, note: GuardNote) -> None:
-        """Enters what is known now."""
+        """Add what is known now."""
         self._notes[address] = note
 
     def drop(self, address: str) -> None:
-        """Forgets a task: it is not guarded any more, or not here."""
+        """Forget a task: it is not guarded any more, or not here."""
         self._notes.pop(address, None)
 
     def of(self, address: str) -> GuardNote | None:
-        """Returns what is known of a task; None: it is not guarded, or not owned here."""
+        """Return what is known of a task; None: it is not guarded, or not owned here."""
         return self._notes.get(address)
 
     def all(self) -> Mapping[str, GuardNote]:
-        """Returns all notes, by address."""
+        """Return all notes, by address."""
         return dict(self._notes)

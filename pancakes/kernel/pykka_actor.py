@@ -35,17 +35,17 @@ class Flag:
         self._gate.acquire()
 
     def is_set(self) -> bool:
-        """Returns whether it has happened."""
+        """Return whether it has happened."""
         return self._on
 
     def set(self) -> None:
-        """Says that it has happened."""
+        """Say that it has happened."""
         self._on = True
         with contextlib.suppress(RuntimeError):  # it had happened already
             self._gate.release()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Waits until it happens, for at most `timeout` seconds; returns whether it has."""
+        """Wait until it happens, for at most `timeout` seconds; return whether it has."""
         if not self._on and self._gate.acquire(timeout=-1 if timeout is None else timeout):
             with contextlib.suppress(RuntimeError):
                 self._gate.release()  # for the next thread that waits
@@ -62,14 +62,14 @@ class PykkaActor(pykka.Actor):
         return pykka.ThreadingFuture()
 
     def stop(self) -> None:
-        """Ends this actor after what it is doing now. Any thread; one that has ended already is left alone."""
+        """End this actor after what it is doing now. Any thread; one that has ended already is left alone."""
         # pykka's own raises if the actor ends just then.
         if not self.actor_stopped.is_set():
             self.actor_inbox.put(Envelope(ActorStop()))
 
 
 def handle_envelope(actor: pykka.Actor, envelope: Envelope[Any]) -> None:
-    """Handles what came by a reference: `tell`, `ask`, a proxy's call, `stop`. In the actor."""
+    """Handle what came by a reference: `tell`, `ask`, a proxy's call, `stop`. In the actor."""
     try:
         response = actor._handle_receive(envelope.message)  # noqa: SLF001
     except BaseException as error:
@@ -85,12 +85,12 @@ def handle_envelope(actor: pykka.Actor, envelope: Envelope[Any]) -> None:
 
 
 def is_envelope(item: Any) -> bool:
-    """Returns whether something that came in an inbox is for `handle_envelope`."""
+    """Return whether something that came in an inbox is for `handle_envelope`."""
     return isinstance(item, Envelope)
 
 
 def dismiss(item: Any) -> None:
-    """Tells a caller that waits for an answer to `item`, which an ended actor has not handled, that none will come."""
+    """Tell a caller that waits for an answer to `item`, which an ended actor has not handled, that none will come."""
     if not isinstance(item, Envelope) or item.reply_to is None:
         return
     if isinstance(item.message, ActorStop):

@@ -42,7 +42,7 @@ class Described(Protocol):
     """Tells how a device fares."""
 
     def describe(self, now_s: float) -> dict[str, Any]:
-        """Returns that as plain values.
+        """Return that as plain values.
 
         Args:
             now_s: mission time.
@@ -69,7 +69,7 @@ class Registry:
         self._readings: dict[str, Described] = {}
 
     def add(self, component: Reference) -> None:
-        """Enters an actor.
+        """Add an actor.
 
         Raises:
             ValueError: another one runs under this address.
@@ -80,57 +80,57 @@ class Registry:
             self._components[component.address] = component
 
     def remove(self, component: Reference) -> None:
-        """Strikes an actor out, if it is in."""
+        """Remove an actor, if it is in."""
         with self._lock:
             if self._components.get(component.address) is component:
                 del self._components[component.address]
 
     def get(self, address: str) -> Reference | None:
-        """Returns the actor that runs at `address`."""
+        """Return the actor that runs at `address`."""
         return self._components.get(address)
 
     def components(self) -> list[Reference]:
-        """Returns all actors, in the order in which they started."""
+        """Return all actors, in the order in which they started."""
         with self._lock:
             return list(self._components.values())
 
     def set_readings(self, device: str, readings: Described) -> None:
-        """Enters what tells how a device fares; it stays when the device stops."""
+        """Add what tells how a device fares; it stays when the device stops."""
         with self._lock:
             self._readings[device] = readings
 
     def readings(self, device: str) -> Described | None:
-        """Returns what tells how a device fares; None: it was never opened."""
+        """Return what tells how a device fares; None: it was never opened."""
         with self._lock:
             return self._readings.get(device)
 
     def add_device(self, device: DeviceEntry) -> None:
-        """Enters a device that has come to run."""
+        """Add a device that has come to run."""
         with self._lock:
             self._devices[device.name] = device
             self._addresses[device.name] = device.address
 
     def remove_device(self, name: str) -> None:
-        """Strikes a device out."""
+        """Remove a device."""
         with self._lock:
             self._devices.pop(name, None)
 
     def devices(self) -> list[DeviceEntry]:
-        """Returns the devices that run."""
+        """Return the devices that run."""
         with self._lock:
             return list(self._devices.values())
 
     def device_types(self) -> list[str]:
-        """Returns the types of the devices that run, each once, sorted."""
+        """Return the types of the devices that run, each once, sorted."""
         return sorted({device.type for device in self.devices()})
 
     def lacking(self, types: tuple[str, ...]) -> list[str]:
-        """Returns those of `types` of which no device runs."""
+        """Return those of `types` of which no device runs."""
         present = self.device_types()
         return [type_name for type_name in types if type_name not in present]
 
     def hold(self, address: str, types: tuple[str, ...]) -> str:
-        """Grants a task the actuators among the device types that it requires: all of them or none.
+        """Grant a task the actuators among the device types that it requires: all of them or none.
 
         Returns:
             An empty string, or the reason why not.
@@ -142,7 +142,7 @@ class Registry:
             return reason
 
     def reserve(self, address: str, types: tuple[str, ...]) -> str:
-        """Keeps the actuators among the device types for a task that arrives or is to start: all of them or none.
+        """Keep the actuators among the device types for a task that arrives or is to start: all of them or none.
 
         It does not hold them yet, so that they obey no task. `hold` for the same address takes them, `unreserve` gives
         them back.
@@ -154,7 +154,7 @@ class Registry:
             return self._claim(self._reserved, address, types)
 
     def _claim(self, claims: dict[str, str], address: str, types: tuple[str, ...]) -> str:
-        """Notes a task for all actuators of these types, or says why that cannot be. Under the lock."""
+        """Note a task for all actuators of these types, or say why that cannot be. Under the lock."""
         names = self._actuators(types)
         reason = next((taken for name in names if (taken := self._taken(name, address))), "")
         if not reason:
@@ -162,11 +162,11 @@ class Registry:
         return reason
 
     def _actuators(self, types: tuple[str, ...]) -> list[str]:
-        """Returns the names of the actuators of these types. Under the lock."""
+        """Return the names of the actuators of these types. Under the lock."""
         return [device.name for device in self._devices.values() if device.actuator and device.type in types]
 
     def unreserve(self, address: str) -> None:
-        """Gives back what was kept for a task that does not arrive."""
+        """Give back what was kept for a task that does not arrive."""
         with self._lock:
             self._unreserve(address)
 
@@ -174,7 +174,7 @@ class Registry:
         self._reserved = {name: kept_for for name, kept_for in self._reserved.items() if kept_for != address}
 
     def taken(self, device: str, address: str) -> str:
-        """Returns why the task at `address` cannot have an actuator now; empty if it can."""
+        """Return why the task at `address` cannot have an actuator now; empty if it can."""
         with self._lock:
             return self._taken(device, address)
 
@@ -186,33 +186,33 @@ class Registry:
         return "" if kept_for == address else f"{device} is kept for {kept_for}, which is about to start"
 
     def claim(self, device: str, address: str) -> str:
-        """Grants an actuator that no task holds or is about to; returns the address that does so then."""
+        """Grant an actuator that no task holds or is about to; return the address that does so then."""
         with self._lock:
             kept_for = self._reserved.get(device, address)
             return self._holders.setdefault(device, address) if kept_for == address else kept_for
 
     def address_of(self, device: str) -> str:
-        """Returns the address of a device that runs or has run; empty if it never did."""
+        """Return the address of a device that runs or has run; empty if it never did."""
         return self._addresses.get(device, "")
 
     def held_by(self, address: str) -> list[str]:
-        """Returns the names of the devices that a task holds."""
+        """Return the names of the devices that a task holds."""
         with self._lock:
             return [name for name, holder in self._holders.items() if holder == address]
 
     def without_dead_man(self, address: str) -> list[str]:
-        """Returns the names of the actuators that a task holds, and that keep their last command when it is gone."""
+        """Return the names of the actuators that a task holds, and that keep their last command when it is gone."""
         with self._lock:
             held = (self._devices.get(name) for name, holder in self._holders.items() if holder == address)
             return [device.name for device in held if device is not None and device.holds_by_itself_s is None]
 
     def release(self, address: str) -> None:
-        """Takes back what a task holds."""
+        """Take back what a task holds."""
         with self._lock:
             self._holders = {name: holder for name, holder in self._holders.items() if holder != address}
 
     def holder(self, device: str) -> str:
-        """Returns the address of the task that holds a device; empty if none does."""
+        """Return the address of the task that holds a device; empty if none does."""
         return self._holders.get(device, "")
 
 
@@ -261,7 +261,7 @@ class TaskEntry(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, service: str, slot: Slotted) -> TaskEntry:
-        """Returns the entry of a task of a service."""
+        """Return the entry of a task of a service."""
         spec = slot.spec
         return cls(
             service,
@@ -298,12 +298,12 @@ class TaskTable:
         self._settings: dict[str, SettingsNote] = {}
 
     def enter(self, entry: TaskEntry) -> None:
-        """Enters a task, or what has become of it."""
+        """Add a task, or what has become of it."""
         with self._lock:
             self._services.setdefault(entry.service, {})[entry.name] = entry
 
     def strike_out(self, service: str, name: str = "") -> None:
-        """Strikes a task out, which has left its service; without a name all tasks of a service that has ended."""
+        """Remove a task that has left its service; without a name all tasks of a service that has ended."""
         with self._lock:
             if name:
                 self._services.get(service, {}).pop(name, None)
@@ -311,22 +311,22 @@ class TaskTable:
                 self._services.pop(service, None)
 
     def get(self, service: str, name: str) -> TaskEntry | None:
-        """Returns a task of a service; None: it has none of this name."""
+        """Return a task of a service; None: it has none of this name."""
         with self._lock:
             return self._services.get(service, {}).get(name)
 
     def of(self, service: str) -> list[TaskEntry]:
-        """Returns the tasks of a service, in the order in which they came."""
+        """Return the tasks of a service, in the order in which they came."""
         with self._lock:
             return list(self._services.get(service, {}).values())
 
     def all(self) -> list[TaskEntry]:
-        """Returns all tasks, in the order in which their services started."""
+        """Return all tasks, in the order in which their services started."""
         with self._lock:
             return [entry for entries in self._services.values() for entry in entries.values()]
 
     def note_settings(self, address: str, note: SettingsNote | None) -> None:
-        """Learns the settings of a task that runs; None: it has ended."""
+        """Learn the settings of a task that runs; None: it has ended."""
         with self._lock:
             if note is not None:
                 self._settings[address] = note
@@ -334,6 +334,6 @@ class TaskTable:
                 self._settings.pop(address, None)
 
     def settings_of(self, address: str) -> SettingsNote | None:
-        """Returns the settings of a task; None: it does not run."""
+        """Return the settings of a task; None: it does not run."""
         with self._lock:
             return self._settings.get(address)

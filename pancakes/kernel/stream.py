@@ -40,7 +40,7 @@ class Listener(msgspec.Struct):
     open_types: tuple[str | None, ...] = ()
 
     def add(self, subscription: Subscription) -> None:
-        """Adds what it reads."""
+        """Add what it reads."""
         if subscription.type not in self.types:
             self.types = (*self.types, subscription.type)
         if not subscription.addressed and subscription.type not in self.open_types:
@@ -48,16 +48,16 @@ class Listener(msgspec.Struct):
         self.queue.bound(subscription.type, subscription.keep)
 
     def reads(self, type_name: str, addressed: bool) -> bool:
-        """Returns whether a packet of this type is for it; `addressed`: its destination names it."""
+        """Return whether a packet of this type is for it; `addressed`: its destination names it."""
         types = self.types if addressed else self.open_types
         return type_name in types or None in types
 
     def describe(self) -> dict[str, Any]:
-        """Returns its address and how it reads, as plain values."""
+        """Return its address and how it reads, as plain values."""
         return {"address": self.address, **self.bounds_and_queue()}
 
     def bounds_and_queue(self) -> dict[str, Any]:
-        """Returns how it reads, as plain values: types are None for all of them; `limit` counts packets.
+        """Return how it reads, as plain values: types are None for all of them; `limit` counts packets.
 
         `waiting_bytes` are those of the heavy packets among them, which `MOST_BYTES` bounds.
 
@@ -93,7 +93,7 @@ class Route(msgspec.Struct, frozen=True):
     light: bool
 
     def give(self, packet: Packet) -> None:
-        """Gives a packet to all of them, or to none.
+        """Give a packet to all of them, or to none.
 
         Raises:
             MailboxFull: a `reliable` subscriber has no room; no subscriber got the packet.
@@ -109,13 +109,13 @@ class Route(msgspec.Struct, frozen=True):
             tap(packet)
 
     def give_all(self, packets: Sequence[Packet], weight: int) -> None:
-        """Gives packets if there is no tap and no reader may refuse one; `weight`: the bytes of each, if heavy."""
+        """Give packets if there is no tap and no reader may refuse one; `weight`: the bytes of each, if heavy."""
         for packet in packets:
             for queue in self.queues:
                 queue.put(packet, weight)
 
     def give_if_room(self, packet: Packet) -> None:
-        """Gives a packet, which cannot come again, to all of them that have room, and counts it for the others."""
+        """Give a packet, which cannot come again, to all of them that have room, and count it for the others."""
         weight = weight_of(packet.body)
         for queue in self.queues:
             if queue.refuses(weight):
@@ -137,7 +137,7 @@ def _no_room(queue: TypeQueue, packet: Packet, weight: int) -> MailboxFull:
 
 
 def _names(types: Collection[str | None]) -> list[str] | None:
-    """Returns the names of types, sorted; None if all types are meant."""
+    """Return the names of types, sorted; None if all types are meant."""
     return None if None in types else sorted(str(name) for name in types)
 
 
@@ -179,11 +179,11 @@ class InformationStream:
         self.undelivered = 0
 
     def channels(self) -> list[str]:
-        """Returns the names of all channels, core channels first."""
+        """Return the names of all channels, core channels first."""
         return list(self._readers)
 
     def open(self, name: str) -> None:
-        """Adds a channel; one that is there already is left alone.
+        """Add a channel; one that is there already is left alone.
 
         Raises:
             PancakesError: no channel can have such a name.
@@ -199,7 +199,7 @@ class InformationStream:
             tell(name)
 
     def each_channel(self, tell: Callable[[str], None]) -> None:
-        """Calls `tell` with the name of each channel that there is, and of each that is opened from now on.
+        """Call `tell` with the name of each channel that there is, and of each that is opened from now on.
 
         For what is opened later it is called in the thread that opens it, before that publishes anything there.
         """
@@ -210,7 +210,7 @@ class InformationStream:
             tell(name)
 
     def close(self, name: str) -> None:
-        """Removes a channel and its subscriptions.
+        """Remove a channel and its subscriptions.
 
         Raises:
             UnknownChannel: there is no such channel, or it is a core channel.
@@ -225,7 +225,7 @@ class InformationStream:
             self._forget(name)
 
     def publish(self, packet: Packet) -> int:
-        """Gives a packet to all that it concerns.
+        """Give a packet to all that it concerns.
 
         Returns:
             How many components of this agent got it.
@@ -241,7 +241,7 @@ class InformationStream:
         return len(route.queues)
 
     def route(self, channel: str, body: Any, destination: str, source: str) -> Route:
-        """Returns where packets with such a body go, for a publisher that makes one: `route.give(packet)` gives it.
+        """Return where packets with such a body go, for a publisher that makes one: `route.give(packet)` gives it.
 
         Args:
             channel: their channel.
@@ -258,7 +258,7 @@ class InformationStream:
         )
 
     def inject(self, packet: Packet) -> int:
-        """Publishes a packet that came from another agent, on its own channel here.
+        """Publish a packet that came from another agent, on its own channel here.
 
         Returns:
             How many components of this agent it was for.
@@ -284,7 +284,7 @@ class InformationStream:
     def inject_all(
         self, packets: Sequence[Packet], refused: Callable[[Packet, PancakesError], None], size: int | None = None
     ) -> None:
-        """Publishes packets that came from another agent: on one channel, of one type and with one destination.
+        """Publish packets that came from another agent: on one channel, of one type and with one destination.
 
         The stream looks once for the components that get them, and tells each once that something waits.
 
@@ -307,7 +307,7 @@ class InformationStream:
                 refused(packet, error)
 
     def tap(self, channel: str, tap: Tap, types: tuple[str, ...] = (), by: str = "") -> None:
-        """Calls `tap` with every packet published here on `channel`, in the publisher's thread; it must not block.
+        """Call `tap` with every packet published here on `channel`, in the publisher's thread; it must not block.
 
         Args:
             channel: the channel.
@@ -327,24 +327,24 @@ class InformationStream:
             self._forget(channel)
 
     def untap(self, channel: str, tap: Tap) -> None:
-        """Ends what `tap` began."""
+        """Undo `tap`."""
         with self._lock:
             self._taps[channel] = tuple(other for other in self._taps.get(channel, ()) if other[0] != tap)
             self._forget(channel)
 
     def tap_outgoing(self, tap: Tap) -> None:
-        """Calls `tap` with every packet published here for another agent, as `tap` does."""
+        """Call `tap` with every packet published here for another agent, as `tap` does."""
         check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             self._outgoing = (*self._outgoing, tap)
 
     def untap_outgoing(self, tap: Tap) -> None:
-        """Ends what `tap_outgoing` began."""
+        """Undo `tap_outgoing`."""
         with self._lock:
             self._outgoing = tuple(other for other in self._outgoing if other != tap)
 
     def subscribe(self, address: str, mailbox: Mailbox, subscription: Subscription) -> None:
-        """Puts packets into a component's mailbox from now on.
+        """Put packets into a component's mailbox from now on.
 
         Raises:
             UnknownChannel: there is no such channel.
@@ -364,14 +364,14 @@ class InformationStream:
             self._forget(subscription.channel)
 
     def unsubscribe(self, address: str) -> None:
-        """Ends all subscriptions of a component."""
+        """End all subscriptions of a component."""
         with self._lock:
             for channel, readers in self._readers.items():
                 if readers.pop(address, None) is not None:
                     self._forget(channel)
 
     def silence(self) -> None:
-        """Ends all subscriptions and taps: no subscriber gets what is published from now on."""
+        """End all subscriptions and taps: no subscriber gets what is published from now on."""
         with self._lock:
             for readers in self._readers.values():
                 readers.clear()
@@ -382,15 +382,15 @@ class InformationStream:
             self.courier = None
 
     def subscribers(self, channel: str) -> list[str]:
-        """Returns the addresses of the components that read a channel."""
+        """Return the addresses of the components that read a channel."""
         return list(self._readers.get(channel, {}))
 
     def followers(self, channel: str) -> list[str]:
-        """Returns the addresses of the followers of a channel that are elsewhere."""
+        """Return the addresses of the followers of a channel that are elsewhere."""
         return [by for _, _, by in self._taps.get(channel, ()) if by]
 
     def describe(self, channel: str) -> list[dict[str, Any]]:
-        """Returns the readers of a channel, with their bounds, and what waits or was lost there, as plain values.
+        """Return the readers of a channel, with their bounds, and what waits or was lost there, as plain values.
 
         Raises:
             UnknownChannel: there is no such channel.
@@ -402,13 +402,13 @@ class InformationStream:
             return [reader.describe() for reader in readers.values()]
 
     def readings(self, address: str) -> list[dict[str, Any]]:
-        """Returns what a component reads: as `describe` says, with the channel instead of the address."""
+        """Return what a component reads: as `describe` says, with the channel instead of the address."""
         with self._lock:
             found = [(name, readers[address]) for name, readers in self._readers.items() if address in readers]
             return [{"channel": name, **reader.bounds_and_queue()} for name, reader in found]
 
     def _forget(self, channel: str) -> None:
-        """Drops the snapshots of one channel; they are built again when they are needed. Under the lock."""
+        """Drop the snapshots of one channel; they are built again when they are needed. Under the lock."""
         for key in [key for key in self._routes if key[0] == channel]:
             del self._routes[key]
 
@@ -420,7 +420,7 @@ class InformationStream:
     def _new_route(
         self, channel: str, type_name: str, destination: str, source: str, body_class: type | None = None
     ) -> Route:
-        """Makes the snapshot; `body_class`: the class of all bodies, if it is known."""
+        """Make the snapshot; `body_class`: the class of all bodies, if it is known."""
         is_elsewhere = destination != "" and agent_of(destination) != self.agent
         known_class = body_class or body_class_of(type_name)
         is_light = is_elsewhere or (known_class is not None and is_small(known_class))
@@ -451,7 +451,7 @@ class InformationStream:
             return route
 
     def _queues(self, readers: Iterable[Listener], type_name: str, destination: str) -> list[TypeQueue]:
-        """Returns where packets wait for the readers here that get them; an empty destination means all of them."""
+        """Return where packets wait for the readers here that get them; an empty destination means all of them."""
         is_addressed = destination not in ("", self.agent)
         found = [
             reader
@@ -464,7 +464,7 @@ class InformationStream:
         return [reader.queue.of(type_name) for reader in found]
 
     def _send(self, packet: Packet) -> None:
-        """Takes a packet whose destination is another agent, or a task."""
+        """Take a packet whose destination is another agent, or a task."""
         gateway = self.courier if packet.destination.startswith(TO_TASK) else self.gateway
         if gateway is None:
             self.undelivered += 1

@@ -75,7 +75,7 @@ class Schedule:
         self.next_s = math.inf  # not a method: in virtual time it is asked for three times for each tick
 
     def every(self, target: Any, period_s: float, now_s: float) -> None:
-        """Ticks `target` each `period_s` from now on; a target that ticks already changes its rate.
+        """Tick `target` each `period_s` from now on; a target that ticks already changes its rate.
 
         The first tick is the next multiple of the period, and never one at which the target has ticked.
         """
@@ -92,13 +92,13 @@ class Schedule:
         self._group_of[id(target)] = group
 
     def cancel(self, target: Any) -> None:
-        """Ends the ticks of `target`, if it has any."""
+        """End the ticks of `target`, if it has any."""
         group = self._group_of.pop(id(target), None)
         if group is not None:
             del group.targets[id(target)]
 
     def at(self, time_s: float, call: Callable[[], None]) -> None:
-        """Hands out `call` once, when `time_s` is reached."""
+        """Hand out `call` once, when `time_s` is reached."""
         self._push(time_s, call)
 
     def _push(self, time_s: float, entry: _Group | Callable[[], None]) -> None:
@@ -106,7 +106,7 @@ class Schedule:
         self.next_s = self._heap[0][0]
 
     def due(self, now_s: float) -> list[Due | Callable[[], None]]:
-        """Takes out what is due at `now_s`, oldest first."""
+        """Take out what is due at `now_s`, oldest first."""
         out: list[Due | Callable[[], None]] = []
         heap = self._heap
         while heap and heap[0][0] <= now_s:
@@ -130,7 +130,7 @@ class Schedule:
 
 
 def wake_on_time() -> None:
-    """Asks the system to put off no wake-up of the calling thread.
+    """Ask the system to put off no wake-up of the calling thread.
 
     Linux may let each timed wait take 50 µs longer, to save power. Measured with one task at 1 kHz: without it, the
     median lateness of a bare thread is 75 µs, with it 25 µs. Where there is no such thing, nothing happens.
@@ -180,7 +180,7 @@ class TurnMeter:
         self._ticks[(address, method)] = (count + 1, sum_s + used_s, squares + used_s * used_s)
 
     def read(self) -> MeterReading:
-        """Returns what was counted so far. Any thread."""
+        """Return what was counted so far. Any thread."""
         return MeterReading(self._turns.copy(), self._ticks.copy())
 
 
@@ -195,7 +195,7 @@ class Ticker(Protocol):
     meter: TurnMeter | None
 
     def now(self) -> float:
-        """Returns the mission time in seconds."""
+        """Return the mission time in seconds."""
 
 
 class TaskTimer:
@@ -251,7 +251,7 @@ class TaskTimer:
         return 1.0 / self.period_s
 
     def describe(self) -> dict[str, Any]:
-        """Returns what is known about it, as plain values. Any thread."""
+        """Return what is known about it, as plain values. Any thread."""
         return {
             "timer": self.method,
             "rate_hz": self.rate_hz,
@@ -274,7 +274,7 @@ class TaskTimer:
         self.component.actor_inbox.put(self)
 
     def run(self) -> None:
-        """Calls the method (the component's turn)."""
+        """Call the method (the component's turn)."""
         deadline_s = self.deadline_s
         missed, self.missed = self.missed, 0
         self.pending = False
@@ -307,24 +307,24 @@ class TimerTable:
         self._timers: dict[str, tuple[TaskTimer, ...]] = {}
 
     def add(self, timer: TaskTimer) -> None:
-        """Enters a timer of an actor that runs."""
+        """Add a timer of an actor that runs."""
         address = timer.component.address
         with self._lock:
             self._timers[address] = (*self._timers.get(address, ()), timer)
 
     def remove(self, component: Runnable) -> None:
-        """Strikes the timers of an actor out, which has ended."""
+        """Remove the timers of an actor that has ended."""
         with self._lock:
             timers = self._timers.get(component.address, ())
             if timers and timers[0].component is component:
                 del self._timers[component.address]
 
     def of(self, address: str) -> tuple[TaskTimer, ...]:
-        """Returns the timers of the actor that runs at an address, in the order of its class."""
+        """Return the timers of the actor that runs at an address, in the order of its class."""
         return self._timers.get(address, ())
 
     def all(self) -> list[TaskTimer]:
-        """Returns all timers, in the order in which their actors started."""
+        """Return all timers, in the order in which their actors started."""
         with self._lock:
             return [timer for timers in self._timers.values() for timer in timers]
 
@@ -352,7 +352,7 @@ class OneShot:
         self._function: Callable[[], None] | None = function
 
     def cancel(self) -> None:
-        """Makes sure that the call does not happen."""
+        """Make sure that the call does not happen."""
         self._function = None
 
     def __call__(self) -> None:
@@ -394,15 +394,15 @@ class Timer(PykkaActor):
         return Inbox()
 
     def every(self, target: Ticking, period_s: float) -> None:
-        """Ticks `target` each `period_s` of mission time; one that ticks already changes its rate."""
+        """Tick `target` each `period_s` of mission time; one that ticks already changes its rate."""
         self._tell(lambda: self._mission_schedule.every(target, period_s, self._mission.now()))
 
     def cancel(self, target: Ticking) -> None:
-        """Ends the ticks of `target`."""
+        """End the ticks of `target`."""
         self._tell(lambda: self._mission_schedule.cancel(target))
 
     def after(self, delay_s: float, function: Callable[[], None]) -> OneShot:
-        """Calls `function` in `delay_s` seconds of mission time, counted from now.
+        """Call `function` in `delay_s` seconds of mission time, counted from now.
 
         Raises:
             ValueError: the delay is no number.
@@ -413,21 +413,21 @@ class Timer(PykkaActor):
         return shot
 
     def after_host(self, delay_s: float, function: Callable[[], None]) -> OneShot:
-        """Calls `function` in `delay_s` seconds of host time."""
+        """Call `function` in `delay_s` seconds of host time."""
         time_s = self._host.now() + _checked(delay_s)
         shot = OneShot(function)
         self._tell(lambda: self._host_schedule.at(time_s, shot))
         return shot
 
     def wake(self) -> None:
-        """Lets the timer look at its clocks again: the mission has begun."""
+        """Let the timer look at its clocks again: the mission has begun."""
         self._tell(lambda: None)
 
     def _tell(self, change: Callable[[], None]) -> None:
         self.actor_inbox.put(change)
 
     def launch(self) -> None:
-        """Starts the timer's thread."""
+        """Start the timer's thread."""
         self._thread = threading.Thread(target=self._run, name=f"{self._name}-timer", daemon=True)
         self._thread.start()
 
@@ -458,7 +458,7 @@ class Timer(PykkaActor):
         self._ended.set()
 
     def _serve(self, guest: Guest | None) -> None:
-        """Fires what is due, and gives the turns that come of it if no other thread does."""
+        """Fire what is due, and give the turns that come of it if no other thread does."""
         if guest is None or not guest.arrive():
             self._fire_due(None)
             return
@@ -470,7 +470,7 @@ class Timer(PykkaActor):
             guest.leave()
 
     def halt(self) -> None:
-        """Ends the timer and waits for its thread."""
+        """End the timer and wait for its thread."""
         self.stop()
         if self._thread is not None and self._thread is not threading.current_thread():
             # Not yet for the thread: a turn may hold it, and another one then ends in its place.
@@ -478,7 +478,7 @@ class Timer(PykkaActor):
             self._thread.join()
 
     def _next_host_s(self) -> float:
-        """Returns the host time at which something is due next."""
+        """Return the host time at which something is due next."""
         mission_s = self._mission_schedule.next_s
         mission_host_s = math.inf if mission_s == math.inf else self._mission.host_time(mission_s)
         host_s = self._host_schedule.next_s

@@ -29,7 +29,7 @@ class VirtualCall(msgspec.Struct):
     function: Callable[[], None] | None
 
     def cancel(self) -> None:
-        """Makes sure that the call does not happen."""
+        """Make sure that the call does not happen."""
         self.function = None
 
 
@@ -57,21 +57,21 @@ class VirtualDispatcher(Dispatcher):
         self._work.append(mailbox)
 
     def call_at(self, time_s: float, function: Callable[[], None]) -> VirtualCall:
-        """Runs `function` when the clock reaches `time_s`; at the present time if that has passed."""
+        """Run `function` when the clock reaches `time_s`; at the present time if that has passed."""
         call = VirtualCall(function)
         if time_s < math.inf:  # else it never comes
             heapq.heappush(self._calls, (max(time_s, self.clock.now_s), next(self._numbers), call))
         return call
 
     def next_s(self) -> float:
-        """Returns when something happens next by itself; infinity if nothing ever will."""
+        """Return when something happens next by itself; infinity if nothing ever will."""
         calls = self._calls
         while calls and calls[0][2].function is None:
             heapq.heappop(calls)
         return calls[0][0] if calls else math.inf
 
     def settle(self) -> None:
-        """Gives turns until no component has anything to do at the present time.
+        """Give turns until no component has anything to do at the present time.
 
         Raises:
             PancakesError: that never ends: a component tells itself something again and again.
@@ -93,7 +93,7 @@ class VirtualDispatcher(Dispatcher):
         )
 
     def step(self) -> bool:
-        """Gives the turns that wait, then does the next thing that happens, and gives the turns that come of it.
+        """Give the turns that wait, then do the next thing that happens, and give the turns that come of it.
 
         Returns:
             False if nothing will ever happen again by itself.
@@ -107,11 +107,11 @@ class VirtualDispatcher(Dispatcher):
         return True
 
     def run_until(self, time_s: float) -> None:
-        """Runs everything that happens up to and at `time_s`, and leaves the clock there."""
+        """Run everything that happens up to and at `time_s`, and leave the clock there."""
         self.run_while(lambda: True, time_s)
 
     def run_while(self, condition: Callable[[], bool], until_s: float) -> bool:
-        """Runs while `condition` holds, no further than `until_s`.
+        """Run while `condition` holds, no further than `until_s`.
 
         Returns:
             Whether the condition ceased to hold; False if the time ran out first.

@@ -77,7 +77,7 @@ class SharedThings:
         self._things: dict[str, Future[Any]] = {}
 
     def get(self, key: str, make: Callable[[], Any]) -> Any:
-        """Returns the thing under `key`, making it first where it is not there.
+        """Return the thing under `key`, making it first where it is not there.
 
         A driver that opens while another makes the thing waits for that.
         """
@@ -96,7 +96,7 @@ class SharedThings:
         return thing.result()
 
     def close(self) -> None:
-        """Closes all of them."""
+        """Close all of them."""
         with self._lock:
             things = list(self._things.values())
             self._things.clear()
@@ -234,7 +234,7 @@ class DeviceTask(TaskCore, Task):
         self._look_for_silence(readings)
 
     def _look_for_silence(self, readings: Readings) -> None:
-        """Looks whether readings still come, each time that the newest may have grown too old."""
+        """Look whether readings still come, each time that the newest may have grown too old."""
         if readings is not self.readings or self._sensor is None:
             return  # the driver was opened again since, or closed
         left_s, silent, lines = readings.look(self.now())
@@ -259,7 +259,7 @@ class DeviceTask(TaskCore, Task):
 
     @every(hz=0)
     def sample(self, tick: Tick) -> None:
-        """Takes a reading and publishes it."""
+        """Take a reading and publish it."""
         sensor = self._sensor
         try:
             if sensor is None:
@@ -277,7 +277,7 @@ class DeviceTask(TaskCore, Task):
             self._publish(reading)
 
     def deliver(self, reading: Any) -> None:
-        """Publishes a reading on `system`; one of another class, or whose numbers are none, is missed. Any thread."""
+        """Publish a reading on `system`; one of another class, or whose numbers are none, is missed. Any thread."""
         if self.actor_stopped.is_set():
             return
         if fault := self._fault_of(reading):
@@ -286,7 +286,7 @@ class DeviceTask(TaskCore, Task):
             self._publish(reading)
 
     def _fault_of(self, reading: Any) -> str:
-        """Says why a body is no reading of this device; empty: it is one."""
+        """Say why a body is no reading of this device; empty: it is one."""
         cls = reading.__class__
         check = self._checks.get(cls)
         if check is None:
@@ -331,12 +331,12 @@ class DeviceTask(TaskCore, Task):
 
     @on(SYSTEM, None, addressed=True)
     def receive(self, packet: Packet) -> None:
-        """Takes what was sent to this very device."""
+        """Take what was sent to this very device."""
         if self.driver is not None:
             self.driver.receive(packet)
 
     def command(self, packet: Packet) -> None:
-        """Carries out a command of the actuator's holder; refuses those of all others."""
+        """Carry out a command of the actuator's holder; refuse those of all others."""
         refusal = self._refusal(packet)
         if refusal:
             self._refuse(packet, refusal)
@@ -417,7 +417,7 @@ class DeviceTask(TaskCore, Task):
         return ""
 
     def _claim(self, source: str) -> str:
-        """Lets another agent's virtual actuator hold this one for as long as its commands are fresh.
+        """Let another agent's virtual actuator hold this one for as long as its commands are fresh.
 
         Returns:
             Why it cannot; empty: it holds it.
@@ -444,7 +444,7 @@ class DeviceTask(TaskCore, Task):
         self._guard_shot = self.after(ttl_s, self._guard)
 
     def _guard(self) -> None:
-        """Looks whether a fresh command has come in the time that the last one was good for."""
+        """Look whether a fresh command has come in the time that the last one was good for."""
         self._guard_s, self._guard_shot = math.inf, None
         left_s = self._good_until_s - self.now()
         if left_s > 1e-9:
@@ -455,7 +455,7 @@ class DeviceTask(TaskCore, Task):
 
     @on(CTRL, Hold, addressed=True)
     def hold(self, packet: Packet) -> None:
-        """Goes to the safe hold at once, if a service of this agent or the holder asks for it."""
+        """Go to the safe hold at once, if a service of this agent or the holder asks for it."""
         if agent_of(packet.source) == self.agent or packet.source == self.kernel.registry.holder(self.name):
             self._hold(packet.body.reason)
 

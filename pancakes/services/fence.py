@@ -57,22 +57,22 @@ class Fences:
         self._marks = RecordTable(disk, KIND, codecs.decoder(dict[str, Mark]), malformed)
 
     def of(self, actuator: str) -> Mapping[str, Mark]:
-        """Returns what an actuator has seen, by task, on disk or about to be."""
+        """Return what an actuator has seen, by task, on disk or about to be."""
         return self._marks.newest.get(actuator, {})
 
     def highest(self, actuator: str, task_id: str) -> Mark | None:
-        """Returns the highest epoch that the actuator has seen of a task, on disk or about to be; None: none."""
+        """Return the highest epoch that the actuator has seen of a task, on disk or about to be; None: none."""
         return self.of(actuator).get(task_id)
 
     def obeys(self, actuator: str, fence: Fence) -> bool:
-        """Returns whether a command under `fence` may be obeyed: its epoch is on disk, and none higher."""
+        """Return whether a command under `fence` may be obeyed: its epoch is on disk, and none higher."""
         mark = self._marks.on_disk.get(actuator, {}).get(fence.task_id)
         return mark is not None and (mark.n, mark.minter) == tuple(fence.epoch)
 
     def write(
         self, actuator: str, task_id: str, mark: Mark, then: Callable[[], None], failed: Callable[[str], None]
     ) -> None:
-        """Begins to write down what an actuator has seen of a task. Never waits.
+        """Begin to write down what an actuator has seen of a task. Never waits.
 
         Args:
             actuator: the actuator's name.
@@ -171,7 +171,7 @@ class ActuatorFence:
         self._setting: _Setting | None = None
 
     def passed(self, packet: Packet) -> str:
-        """Returns why the sender of a command has no right to it any more; empty: it may have."""
+        """Return why the sender of a command has no right to it any more; empty: it may have."""
         fence = packet.fence
         if fence is None:
             return ""
@@ -181,7 +181,7 @@ class ActuatorFence:
         return f"epoch {fence.epoch[0]} of {fence.task_id} has passed, {mark.n} has been seen"
 
     def stands(self, packet: Packet) -> bool:
-        """Returns whether a command may be obeyed now. Else it waits, or is refused."""
+        """Return whether a command may be obeyed now. Else it waits, or is refused."""
         fence = packet.fence
         if fence is None or self._marks.obeys(self._task.name, fence):
             return True
@@ -204,7 +204,7 @@ class ActuatorFence:
         return False
 
     def drop(self) -> None:
-        """Forgets the commands that wait, but not what is being done about their epochs."""
+        """Forget the commands that wait, but not what is being done about their epochs."""
         for pending in self._pending.values():
             pending.since_s = -math.inf
 
@@ -271,7 +271,7 @@ class ActuatorFence:
     # By a person -----------------------------------------------------------------------------------------------
 
     def set(self, body: SetFence, by: str, done: Done) -> None:
-        """Sets the mark of a task to the epoch under which it runs now, wherever that is.
+        """Set the mark of a task to the epoch under which it runs now, wherever that is.
 
         Args:
             body: what was asked for.

@@ -73,7 +73,7 @@ Verdict = May | ClaimRefused | AskAgent
 def judged(
     me: str, claim: EpochClaim, marks: Mapping[str, Mark], record: Record | None, linked: Collection[str]
 ) -> Verdict:
-    """Returns what becomes of a claim.
+    """Return what becomes of a claim.
 
     Args:
         me: the agent that has the actuator.
@@ -112,7 +112,7 @@ def judged(
 
 
 def answered(claim: EpochClaim, asked: int, by: str, at: TaskAt, linked: Collection[str]) -> Verdict:
-    """Returns what becomes of a claim once an agent that had the task has said which one has it.
+    """Return what becomes of a claim once an agent that had the task has said which one has it.
 
     Args:
         claim: the claim.
@@ -143,7 +143,7 @@ class PresentOwner(msgspec.Struct, frozen=True):
 def present_owner(
     me: str, task_id: str, own: TaskAt, answers: Mapping[str, TaskAt | None]
 ) -> PresentOwner | ClaimRefused:
-    """Returns which agent has a task now: of several that say that they do, the one with the highest epoch.
+    """Return which agent has a task now: of several that say that they do, the one with the highest epoch.
 
     Args:
         me: the agent that has the actuator.

@@ -51,7 +51,7 @@ _STANDARD_ERROR: Final = 2
 
 @cache
 def leads_to_journal() -> bool:
-    """Returns whether standard error leads to the journal, which says so in `JOURNAL_STREAM`."""
+    """Return whether standard error leads to the journal, which says so in `JOURNAL_STREAM`."""
     try:
         status = os.fstat(_STANDARD_ERROR)
     except OSError:
@@ -60,7 +60,7 @@ def leads_to_journal() -> bool:
 
 
 def for_standard_error(text: str, level: str) -> str:
-    """Returns text as it is, or each of its lines behind its level as the journal reads it, such as `<4>`."""
+    """Return text as it is, or each of its lines behind its level as the journal reads it, such as `<4>`."""
     if not leads_to_journal():
         return text
     return "\n".join(f"<{_PRIORITIES.get(level, 6)}>{line}" for line in text.split("\n"))
@@ -86,7 +86,7 @@ NOTHING: Final = WantedRecording()
 
 
 def wanted_recordings(disk: Disk) -> RecordTable[WantedRecording]:
-    """Returns which recordings are to go on, by the path of the recorder (`log/Recorder`)."""
+    """Return which recordings are to go on, by the path of the recorder (`log/Recorder`)."""
 
     def malformed(path: str, why: str) -> None:
         disk.unread.append(f"the journal does not say any more which recording is to go on: {why}")
@@ -111,7 +111,7 @@ class Console(LogWriter):
 
     @on(LOG, None, keep=KEEP)
     def show(self, packet: Packet) -> None:
-        """Writes one line, or counts it."""
+        """Write one line, or count it."""
         level = level_of(packet.body)
         if level not in LEVELS or LEVELS.index(level) >= LEVELS.index(self.settings.level):
             self.write_some(packet)
@@ -230,7 +230,7 @@ class LogService(ServiceCore, Service):
 
     @on(LOG, None, keep=KEEP)
     def remember(self, packet: Packet) -> None:
-        """Keeps one line, for questions that come later."""
+        """Keep one line, for questions that come later."""
         self._entries += 1
         size_bytes = weigh(packet.body)
         self._newest.append((self._entries, size_bytes, packet))
@@ -255,7 +255,7 @@ class LogService(ServiceCore, Service):
             super().carry_out_command(body, slot, request)
 
     def _page(self, body: History) -> list[dict[str, Any]]:
-        """Returns what was asked for, as far as it fits a packet."""
+        """Return what was asked for, as far as it fits a packet."""
         import json
 
         # What was said before the question belongs to the answer, even if it waits behind it.
@@ -335,7 +335,7 @@ class LogService(ServiceCore, Service):
         self.rested(slot)
 
     def _want(self, wanted: WantedRecording, then: Callable[[str], None]) -> None:
-        """Writes down what is to go on; `then` is called in this actor, with the reason where that failed."""
+        """Write down what is to go on; `then` is called in this actor, with the reason if that failed."""
         newest = self._wanted.newest.get(self._recorder, NOTHING)
         on_disk = self._wanted.on_disk.get(self._recorder, NOTHING)
         if wanted == newest == on_disk == NOTHING:

@@ -49,7 +49,7 @@ class RotatedFile:
         )
 
     def write(self, line: str) -> None:
-        """Appends one line.
+        """Append one line.
 
         Raises:
             OSError: it cannot be written; the line is lost.
@@ -65,7 +65,7 @@ class RotatedFile:
             raise
 
     def close(self) -> None:
-        """Closes the file.
+        """Close the file.
 
         Raises:
             OSError: the last of it could not be written.
@@ -85,7 +85,7 @@ class _Handler(RotatingFileHandler):
         return file
 
     def is_elsewhere(self) -> bool:
-        """Returns whether what is written is no longer the file of this name."""
+        """Return whether what is written is no longer the file of this name."""
         return self.stream is not None and not is_still_at(self.stream.fileno(), self.baseFilename)
 
     def _is_torn(self) -> bool:
@@ -139,7 +139,7 @@ class LogFile(LogWriter):
 
     @on(LOG, None, keep=queue(4096))
     def write(self, packet: Packet) -> None:
-        """Writes one line, or counts it."""
+        """Write one line, or count it."""
         self.write_some(packet)
 
     def put(self, packet: Packet) -> int:

@@ -70,7 +70,7 @@ class Shares:
         self._windows: dict[Kind, _Window] = {}  # those that began first come first
 
     def admits(self, kind: Kind, now_s: float) -> bool:
-        """Returns whether a line may be written; where not, it is counted. `ended` must have been asked just before."""
+        """Return whether a line may be written; where not, it is counted. `ended` must have been asked just before."""
         if not self._most:
             return True
         window = self._windows.get(kind)
@@ -82,13 +82,13 @@ class Shares:
         return False
 
     def spend(self, kind: Kind, size: int) -> None:
-        """Counts the bytes of a line that was admitted."""
+        """Count the bytes of a line that was admitted."""
         window = self._windows.get(kind)
         if window is not None:
             window.bytes += size
 
     def ended(self, now_s: float) -> list[LeftOut]:
-        """Ends the windows whose time has passed; returns what was left out in them, in their order."""
+        """End the windows whose time has passed; return what was left out in them, in their order."""
         told = []
         while self._windows:
             kind, window = next(iter(self._windows.items()))
@@ -100,7 +100,7 @@ class Shares:
         return told
 
     def stopped(self, now_s: float) -> list[LeftOut]:
-        """Ends all windows at once; returns as `ended` does."""
+        """End all windows at once; return as `ended` does."""
         told = [
             LeftOut(kind, window.left_out, now_s - window.began_s)
             for kind, window in self._windows.items()
@@ -110,7 +110,7 @@ class Shares:
         return told
 
     def next_s(self) -> float | None:
-        """Returns when the first window ends in which something was left out; None: nothing was."""
+        """Return when the first window ends in which something was left out; None: nothing was."""
         for window in self._windows.values():
             if window.left_out:
                 return window.began_s + WINDOW_S
@@ -118,7 +118,7 @@ class Shares:
 
 
 def sentence_of(left_out: LeftOut) -> str:
-    """Returns what stands in place of the lines that were left out."""
+    """Return what stands in place of the lines that were left out."""
     lines = "1 more line" if left_out.lines == 1 else f"{left_out.lines:,} more lines"
     were = "was" if left_out.lines == 1 else "were"
     return f"{lines} in the last {max(left_out.in_s, 0.1):.2g} s {were} left out"
@@ -150,10 +150,10 @@ class LogWriter(Task):
 
     @abstractmethod
     def put(self, packet: Packet) -> int:
-        """Writes one packet; returns how many bytes that took, about."""
+        """Write one packet; return how many bytes that took, about."""
 
     def write_some(self, packet: Packet) -> None:
-        """Writes a packet where its source has something left of its share, or counts it."""
+        """Write a packet if its source has something left of its share; otherwise count it."""
         now_s = self._actor.kernel.host.now()
         self._tell(self._shares.ended(now_s))
         kind = Kind(packet.source, level_of(packet.body) in ("warning", "error"))
@@ -163,7 +163,7 @@ class LogWriter(Task):
             self._wait()
 
     def _wait(self) -> None:
-        """Has the counts told as soon as their time has passed, also where nothing more is said."""
+        """Have the counts told as soon as their time has passed, even if nothing more is said."""
         until_s = self._shares.next_s()
         self._waits = until_s is not None
         if until_s is not None:

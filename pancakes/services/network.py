@@ -74,7 +74,7 @@ class Follower:
         self._sends = threading.Lock()
 
     def take(self, packet: Packet) -> None:
-        """Takes a packet that was published. In any thread."""
+        """Take a packet that was published. In any thread."""
         # What came from elsewhere has been seen there; what follows itself would never end.
         if not (self._foreign or agent_of(packet.source) == self._owner.agent):
             return
@@ -90,7 +90,7 @@ class Follower:
         self._begin()
 
     def end(self) -> None:
-        """Sends nothing any more of what waits."""
+        """Send nothing any more of what waits."""
         self._newest.clear()
 
     def _begin(self) -> None:
@@ -154,7 +154,7 @@ class NetworkClient(Task):
         self._actor.kernel.stream.gateway = None
 
     def send(self, packet: Packet) -> None:
-        """Sends a packet. In the publisher's thread.
+        """Send a packet. In the publisher's thread.
 
         A packet for an agent that is away is dropped and counted, as a packet without a subscriber is on any channel.
         One for an agent that was never linked is also told: its name may be wrong.
@@ -179,7 +179,7 @@ class Discovery(Task):
 
     @every(hz=1)
     def announce(self, tick: Tick) -> None:
-        """Sends a beacon to every peer."""
+        """Send a beacon to every peer."""
         self._mesh.announce()
 
 

@@ -98,7 +98,7 @@ class Measuring:
         self._under_way = 0
 
     def begin(self, for_s: float, done: Callable[[dict[str, Any]], None]) -> None:
-        """Begins a measurement.
+        """Begin a measurement.
 
         Args:
             for_s: how long it takes, in host time.
@@ -286,7 +286,7 @@ class Root(ActorCore):
         return Request(packet.source, (packet.source, packet.seq), self._number)
 
     def _attempt(self, request: Request, do: Callable[[], None]) -> None:
-        """Does what was asked for, and answers with the reason where that fails."""
+        """Do what was asked for, and answer with the reason if that fails."""
         try:
             do()
         except (PancakesError, ValueError) as error:
@@ -297,7 +297,7 @@ class Root(ActorCore):
             self.reply(request, Refusal("failed", text))
 
     def refuse_all(self, reason: str) -> None:
-        """Answers, once this actor has ended, all control packets that it took or that still wait for it."""
+        """Answer, once this actor has ended, all control packets that it took or that still wait for it."""
         queue = self.actor_inbox.queues.get(SYSCTRL)
         for packet in queue.drain() if queue is not None else ():
             # The one that it failed on lies here again, and has its number.
@@ -306,11 +306,11 @@ class Root(ActorCore):
         self._answers.refuse_all(reason)
 
     def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None:
-        """Answers the sender of a request; without a refusal, it has been done."""
+        """Answer the sender of a request; without a refusal, it has been done."""
         self._answers.give(request, refusal, result)
 
     def put_off(self, request: Request, reason: str) -> None:
-        """Tells the sender of a request what it waits for; what becomes of it in the end is said on `log`."""
+        """Tell the sender of a request what it waits for; what becomes of it in the end is said on `log`."""
         self._answers.put_off(request, reason)
 
     def _resolve(self, body: Any, request: Request) -> None:
@@ -370,7 +370,7 @@ class Root(ActorCore):
             raise ControlRefused(f"the guardian of {self.agent} is being started anew", "busy")
 
     def _must_be_allowed(self, body: Any, request: Request, service: str, task: str) -> None:
-        """Looks whether a peer may ask for this.
+        """Look whether a peer may ask for this.
 
         Raises:
             ControlRefused: it lacks the right; the message names it, and the command that grants it.
@@ -384,7 +384,7 @@ class Root(ActorCore):
             raise ControlRefused(fault, "forbidden")
 
     def find(self, target: str) -> tuple[str, str]:
-        """Returns the service and the task that a target means; the task is empty where it means a service.
+        """Return the service and the task that a target means; the task is empty where it means a service.
 
         Raises:
             ControlRefused: it means nothing here, or two things.
@@ -425,7 +425,7 @@ class Root(ActorCore):
         )
 
     def _place_of_new(self, target: str) -> tuple[str, str]:
-        """Returns the service and the name that a target means of a task that is to begin.
+        """Return the service and the name that a target means of a task that is to begin.
 
         Raises:
             ControlRefused: it is no target of a task.
@@ -460,7 +460,7 @@ class Root(ActorCore):
             self.reply(request, result=[])
 
     def _tell_what_waits(self, place: ServicePlace, request: Request) -> None:
-        """Tells the asker of a command that takes long why it does, before the asker stops waiting."""
+        """Tell the asker of a command that takes long why it does, before the asker stops waiting."""
         why = f"{place.address} is {place.life.word}: that waits for a task that is busy, or for the journal"
         self._answers.put_off(request, f"{why}. What was asked for is done after that")
 
@@ -520,7 +520,7 @@ class Root(ActorCore):
                 raise ControlRefused(reason)
 
     def next_command(self, place: ServicePlace) -> None:
-        """Carries out the commands for a service that waited behind another."""
+        """Carry out the commands for a service that waited behind another."""
         while place.commands and not place.busy:
             (body, request), *later = place.commands
             place.commands = tuple(later)
@@ -543,7 +543,7 @@ class Root(ActorCore):
     # Describing ------------------------------------------------------------------------------------------------
 
     def _tell_description(self, body: Describe, request: Request) -> None:
-        """Answers `Describe` in three turns: pages ask it each second, and in one it would put off ticks by 1 ms."""
+        """Answer `Describe` in three turns: pages ask it each second, and in one it would put off ticks by 1 ms."""
         description: dict[str, Any] = {}
 
         def tell_parts() -> None:
@@ -560,7 +560,7 @@ class Root(ActorCore):
         self.call(lambda: self._attempt(request, tell_parts))
 
     def describe(self) -> dict[str, Any]:
-        """Returns what is to be known about the agent, as plain values."""
+        """Return what is to be known about the agent, as plain values."""
         return {**self._describe_parts(), **self._identity()}
 
     def _describe_parts(self) -> dict[str, Any]:
@@ -581,7 +581,7 @@ class Root(ActorCore):
         }
 
     def describe_channels(self, channel: str) -> list[dict[str, Any]]:
-        """Returns what is to be known about one channel, or about all, as plain values.
+        """Return what is to be known about one channel, or about all, as plain values.
 
         Raises:
             UnknownChannel: there is no such channel.
@@ -599,7 +599,7 @@ class Root(ActorCore):
         ]
 
     def describe_service(self, place: ServicePlace) -> dict[str, Any]:
-        """Returns what is to be known about a service, as plain values."""
+        """Return what is to be known about a service, as plain values."""
         return {
             "agent": self.agent,
             "service": place.spec.name,

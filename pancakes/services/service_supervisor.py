@@ -97,7 +97,7 @@ class MissionStart:
         self._tell: Callable[[ActorCore], None] = lambda root: None
 
     def begin(self, root: ActorCore, then: Callable[[], None]) -> None:
-        """Looks at the fleet until its mission is known, or need not be waited for any more; then it goes on.
+        """Look at the fleet until its mission is known, or need not be waited for any more; then it goes on.
 
         Args:
             root: the root of the agent.
@@ -116,7 +116,7 @@ class MissionStart:
         then()
 
     def tell(self, root: ActorCore) -> None:
-        """Tells on `log` how it came out, once there is a Log Service to hear it."""
+        """Tell on `log` how it came out, once there is a Log Service to hear it."""
         self._tell(root)
 
     def _may_say(self, peer: str) -> bool:
@@ -219,11 +219,11 @@ class ServiceKeeper:
         self._closes: ServicePlace | None = None
 
     def feed(self, place: ServicePlace, event: Event) -> None:
-        """Feeds an event to the life of a service, and carries out what follows."""
+        """Feed an event to the life of a service, and carry out what follows."""
         self._keeper.feed(place, event)
 
     def start_next(self) -> None:
-        """Starts the services one after the other: tasks need the devices that come before them."""
+        """Start the services one after the other: tasks need the devices that come before them."""
         if self.closing:
             return
         if not self._to_start:
@@ -234,7 +234,7 @@ class ServiceKeeper:
         self.feed(self._starts, StartAsked())
 
     def close(self) -> None:
-        """Stops all services, last first, and then the root."""
+        """Stop all services, last first, and then the root."""
         if self.closing:
             return
         self.closing = True
@@ -284,7 +284,7 @@ class ServiceKeeper:
         """Ignored: only the root needs to know how far a service is."""
 
     def ask_leave(self, place: ServicePlace) -> None:
-        """Lets a service start once the last of its old tasks has ended: no task may run twice."""
+        """Let a service start once the last of its old tasks has ended: no task may run twice."""
         if place.alarm is not None:
             place.alarm.cancel()
         self._look_for_old_tasks(place, self._root.kernel.host.now())

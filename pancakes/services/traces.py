@@ -66,13 +66,13 @@ class TracedPackets:
         self._large: frozenset[str] = frozenset()
 
     def hear(self, time_ns: int, packet: Packet) -> None:
-        """Takes a packet that was seen here. In any thread, and of little cost: everything that is published comes."""
+        """Take a packet that was seen here. In any thread, and of little cost: everything that is published comes."""
         if packet.type in self._large or weight_of(packet.body) > LARGE_BYTES:
             packet = msgspec.structs.replace(packet, body=None)
         self._waiting.append((time_ns, packet))
 
     def answer(self, asked: Traces, now_ns: int) -> dict[str, Any]:
-        """Returns the answer to a question, see `Traces`. In one thread."""
+        """Return the answer to a question, see `Traces`. In one thread."""
         steps = self.answering(asked, now_ns)
         while True:
             try:
@@ -82,7 +82,7 @@ class TracedPackets:
                 return answer
 
     def answering(self, asked: Traces, now_ns: int) -> Generator[None, None, dict[str, Any]]:
-        """Finds the answer in steps, which are short so that others may have a turn between them.
+        """Find the answer in steps, which are short so that others may have a turn between them.
 
         No other answer may be begun before its end. In one thread.
 
@@ -125,7 +125,7 @@ class TracedPackets:
         }
 
     def _take(self, now_ns: int) -> Iterator[None]:
-        """Finds a place for what has come since the last time."""
+        """Find a place for what has come since the last time."""
         waiting, known = self._waiting, self._known
         fresh: dict[str, Packet] = {}
         for number in range(len(waiting)):
@@ -157,7 +157,7 @@ class TracedPackets:
         yield
 
     def _weigh(self, packets: Iterable[Packet]) -> None:
-        """Finds out of which types packets are large."""
+        """Find out of which types packets are large."""
         large = {packet.type for packet in packets if packet.body is not None and _size(packet.body) > LARGE_BYTES}
         if not large <= self._large:
             self._large |= large
@@ -181,7 +181,7 @@ class Tracing:
         self._steps: Generator[None, None, dict[str, Any]] | None = None
 
     def answer(self, asked: Traces, by: str, told: Told) -> None:
-        """Answers a question; the first one begins it all. In the owner's turn.
+        """Answer a question; the first one begins it all. In the owner's turn.
 
         Args:
             asked: the question; with `most` 0 it is the last one, and has no answer.
@@ -216,7 +216,7 @@ class Tracing:
             self._owner.call(self._go_on)
 
     def end(self) -> None:
-        """Notes nothing any more, and tells now what is still to be answered."""
+        """Note nothing any more, and tell now what is still to be answered."""
         while self._questions:
             self._step()
         if self._packets is None:
@@ -229,13 +229,13 @@ class Tracing:
         self._taps = {}
 
     def _go_on(self) -> None:
-        """Does one step, and all others in later turns."""
+        """Do one step now, and the others in later turns."""
         self._step()
         if self._questions:
             self._owner.call(self._go_on)
 
     def _step(self) -> None:
-        """Does one step for the question that came first."""
+        """Do one step for the question that came first."""
         if self._packets is None or not self._questions:
             return
         asked, told = self._questions[0]
@@ -275,7 +275,7 @@ class Tracing:
             self.end()
 
     def _tap_channels(self) -> None:
-        """Takes channels that were added since."""
+        """Take channels that were added since."""
         stream = self._owner.kernel.stream
         there = [name for name in stream.channels() if name not in (SYSCTRL, LOG)]
         self._taps = {channel: tap for channel, tap in self._taps.items() if channel in there}

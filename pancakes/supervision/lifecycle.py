@@ -32,7 +32,7 @@ class Request(msgspec.Struct, frozen=True):
 
 
 def request_of(command: Command) -> Request:
-    """Returns the request that a command carries out."""
+    """Return the request that a command carries out."""
     return Request(command.request[0], command.request, command.number)
 
 

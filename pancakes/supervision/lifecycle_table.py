@@ -61,7 +61,7 @@ Rule = Callable[[Life, Any, Moment], Outcome]
 
 
 def handle(life: Life, event: Event, now_s: float, draw: Draw) -> Outcome:
-    """Decides what an event means.
+    """Decide what an event means.
 
     Args:
         life: the life so far.
@@ -196,7 +196,7 @@ def _never_began(life: Life, event: Admitted | LeaveRefused, at: Moment) -> Outc
 
 
 def _meant(life: Life, event: StopAsked) -> Life:
-    """Returns a life that is to end, or to end and begin again; an earlier asker for a start is answered elsewhere."""
+    """Return a life that is to end, or to end and begin again; an earlier asker for a start is answered elsewhere."""
     wanted = life.wanted if event.asker is None or event.again else False
     return replace(life, reason=event.reason, asker=event.asker or life.asker, again=event.again, wanted=wanted)
 

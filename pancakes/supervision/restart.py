@@ -48,7 +48,7 @@ class DeviceRestartSpec(RestartSpec, frozen=True):
 
 
 def fault_of_pauses(pause_s: float, pause_max_s: float) -> str:
-    """Says what is wrong with the longest pause; empty: nothing."""
+    """Say what is wrong with the longest pause; empty: nothing."""
     if pause_max_s >= pause_s:
         return ""
     return f"is {pause_max_s:g} s, less than the first pause (pause_s), which is {pause_s:g} s"
@@ -84,13 +84,13 @@ class Restarts(msgspec.Struct, frozen=True):
     failed_s: float = 0.0
 
     def began(self, now_s: float) -> Restarts:
-        """Returns the memory after a start has succeeded."""
+        """Return the memory after a start has succeeded."""
         return replace(self, since_s=now_s)
 
     def ended(
         self, failed: bool, now_s: float, draw: Draw, hopeless: bool = False, blameless: bool = False
     ) -> tuple[Next, Restarts]:
-        """Decides what follows an end that was not asked for; `due_s` says when there is a next try.
+        """Decide what follows an end that was not asked for; `due_s` says when there is a next try.
 
         Args:
             failed: whether it ended by an error.
@@ -126,11 +126,11 @@ class Restarts(msgspec.Struct, frozen=True):
         return Next.GIVE_UP, after
 
     def tried(self) -> Restarts:
-        """Returns the memory if the next try is made now, or called off."""
+        """Return the memory if the next try is made now, or called off."""
         return self if self.due_s is None else replace(self, due_s=None)
 
     def forgotten(self) -> Restarts:
-        """Returns the memory after a start or a stop was asked for: the failures so far do not count any more."""
+        """Return the memory after a start or a stop was asked for: the failures so far do not count any more."""
         return (
             self.tried()
             if not (self.restarts_s or self.failures)
@@ -138,11 +138,11 @@ class Restarts(msgspec.Struct, frozen=True):
         )
 
     def when(self, now_s: float) -> str:
-        """Returns when the next try is, as a phrase: `in 3.2 s`."""
+        """Return when the next try is, as a phrase: `in 3.2 s`."""
         return f"in {max(0.0, (self.due_s or now_s) - now_s):.1f} s"
 
     def describe(self, now_s: float) -> dict[str, Any]:
-        """Returns what people may want to know, as plain values.
+        """Return what people may want to know, as plain values.
 
         Args:
             now_s: host time.
@@ -159,7 +159,7 @@ def _due_s(now_s: float, pause_s: float, draw: Draw) -> float:
 
 
 def tries(described: Mapping[str, Any]) -> str:
-    """Returns what `Restarts.describe` says, for people: `failed 3 times, next try in 3.2 s`; empty: none is due."""
+    """Return what `Restarts.describe` says, for people: `failed 3 times, next try in 3.2 s`; empty: none is due."""
     failures, next_try_s = described.get("failures", 0), described.get("next_try_s")
     if next_try_s is None:
         return ""

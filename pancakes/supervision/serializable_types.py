@@ -41,7 +41,7 @@ _CONTAINERS: Final = (_I.ListType, _I.SetType, _I.FrozenSetType, _I.VarTupleType
 
 
 def check_saved(owner: type, *names: str) -> None:
-    """Refuses a class whose settings or state contain what cannot be saved.
+    """Refuse a class whose settings or state contain what cannot be saved.
 
     What is named by an annotation that cannot be resolved yet is judged when it is first used.
 
@@ -60,7 +60,7 @@ def check_saved(owner: type, *names: str) -> None:
 
 
 def check_words(owner: type, *names: str) -> None:
-    """Refuses a class that gives one word for a tuple of words: each of its letters would be taken for one.
+    """Refuse a class that gives one word for a tuple of words: each of its letters would be taken for one.
 
     Raises:
         ClassError: names the attribute, and what to write.
@@ -75,7 +75,7 @@ def check_words(owner: type, *names: str) -> None:
 
 
 def check_offers(owner: str, state: type, offers: tuple[str, ...]) -> None:
-    """Refuses a class of tasks that offers bidders what its state has not.
+    """Refuse a class of tasks that offers bidders what its state has not.
 
     Raises:
         ClassError: says which field is none.
@@ -102,7 +102,7 @@ def _faults_of(owner: type, name: str, cls: Any) -> Iterator[str]:
 
 
 def _fields_of(cls: type) -> Iterator[tuple[str, Any]]:
-    """Yields the fields of a class with their types; with the error if one cannot be resolved."""
+    """Yield the fields of a class with their types; with the error if one cannot be resolved."""
     names = field_names(cls)
     try:
         hints: dict[str, Any] = typing.get_type_hints(cls, include_extras=True)
@@ -132,7 +132,7 @@ def _fault_of_field(cls: Any, name: str) -> str:
 
 
 def fault_of_type(kind: Any) -> str:
-    """Says why a value of a type cannot be saved, and what to write instead, as the end of a sentence; empty: it can.
+    """Say why a value of a type cannot be saved, and what to write instead, as the end of a sentence; empty: it can.
 
     Args:
         kind: a resolved annotation, or the error that came of it.
@@ -155,7 +155,7 @@ _NO_VALUE: Final = type("_NoValue", (), {})()
 
 
 def _fault_in(kind: Any, inside: frozenset[type]) -> str:
-    """Judges a type and what it is made of; `inside` are the classes that it stands in."""
+    """Judge a type and what it is made of; `inside` are the classes that it stands in."""
     kind = unaliased(kind)
     while typing.get_origin(kind) is Annotated:
         kind = unaliased(typing.get_args(kind)[0])

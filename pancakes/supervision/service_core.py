@@ -114,18 +114,18 @@ class ServiceCore(ActorCore):
     # For subclasses --------------------------------------------------------------------------------------------
 
     def specs(self) -> Sequence[TaskSpec]:
-        """Returns all tasks that have a place from the start on; called once."""
+        """Return all tasks that have a place from the start on; called once."""
         return (*self.facade.own_tasks(), *self._configured)
 
     def admit(self, slot: Slot) -> str:
-        """Says why a task must not be started now; empty: it may."""
+        """Say why a task must not be started now; empty: it may."""
         lacking = self.kernel.registry.lacking(slot.spec.cls.requires)
         if lacking:
             return f"{self.agent} lacks the device types {', '.join(lacking)}, which {slot.name} requires"
         return ""
 
     def refuse_start(self, slot: Slot) -> str:
-        """Says why a start of a task would fail now, as far as that is known beforehand; empty: for no reason."""
+        """Say why a start of a task would fail now, as far as that is known beforehand; empty: for no reason."""
         reason = self.admit(slot)
         registry = self.kernel.registry
         for device in registry.devices():
@@ -134,32 +134,32 @@ class ServiceCore(ActorCore):
         return reason
 
     def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
-        """Returns what a task's class wants besides what every task gets."""
+        """Return what a task's class wants besides what every task gets."""
         return slot.spec.arguments
 
     def author_of(self, slot: Slot) -> type:
-        """Returns the class of which a task's author would say that it is theirs; see `ActorCore.author_class`."""
+        """Return the class of which a task's author would say that it is theirs; see `ActorCore.author_class`."""
         return slot.spec.cls
 
     def settings_class(self, slot: Slot) -> type:
-        """Returns the dataclass of a task's settings."""
+        """Return the dataclass of a task's settings."""
         return slot.spec.cls.Settings
 
     def carried_of(self, slot: Slot) -> Carried:
-        """Returns what a task that does not run would begin with."""
+        """Return what a task that does not run would begin with."""
         return slot.carried or Carried(slot.spec.settings, {})
 
     def drop_state(self, slot: Slot) -> None:
-        """Forgets what a task carried: it begins as the configuration says."""
+        """Forget what a task carried: it begins as the configuration says."""
         slot.carried = None
 
     def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
-        """Returns all that is known about a task, its settings among it, as plain values."""
+        """Return all that is known about a task, its settings among it, as plain values."""
         described = describe_in_detail(self.kernel, slot, self.settings_class(slot), self.carried_of(slot))
         return {**describe_task(self.kernel, TaskEntry.of(self.name, slot)), **described}
 
     def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
-        """Gives a task that has not started yet what it carried before the service was stopped.
+        """Give a task that has not started yet what it carried before the service was stopped.
 
         Args:
             slot: the task's place.
@@ -169,15 +169,15 @@ class ServiceCore(ActorCore):
             slot.carried = kept.get(slot.name)
 
     def keep(self) -> Mapping[str, Carried]:
-        """Returns what its tasks carried last, by their names, for the next start of the service. Once it has ended."""
+        """Return what its tasks carried last, by their names, for the next start of the service. Once it has ended."""
         return {name: slot.carried for name, slot in self.slots.items() if slot.carried is not None}
 
     def wants(self, slot: Slot) -> bool:
-        """Returns whether a task starts with the service."""
+        """Return whether a task starts with the service."""
         return slot.spec.start
 
     def start_configured(self, slot: Slot) -> None:
-        """Starts a task with the service."""
+        """Start a task with the service."""
         self.feed(slot, StartAsked())
 
     def task_running(self, slot: Slot) -> None:
@@ -202,7 +202,7 @@ class ServiceCore(ActorCore):
         self._startup.begin([slot for slot in self.slots.values() if self.wants(slot)])
 
     def open_slot(self, spec: TaskSpec) -> Slot:
-        """Makes the place for a task, without starting it.
+        """Make the place for a task, without starting it.
 
         Raises:
             ControlRefused: the service has a task of this name.
@@ -225,7 +225,7 @@ class ServiceCore(ActorCore):
             tell(self._owner, ServiceReady(self))
 
     def close(self, for_s: float | None = None) -> None:
-        """Stops all tasks, last first, then the service itself.
+        """Stop all tasks, last first, then the service itself.
 
         Args:
             for_s: after how many seconds of mission time it will be started again; None: it will not by itself.
@@ -234,7 +234,7 @@ class ServiceCore(ActorCore):
         self._closing.begin(self.slots.values())
 
     def end_at_last(self) -> None:
-        """Ends this actor, now that all of its tasks have ended."""
+        """End this actor, now that all of its tasks have ended."""
         self._refuse_all(f"{self.address} was stopped before it came to that")
         self.stop()
 
@@ -258,7 +258,7 @@ class ServiceCore(ActorCore):
         tell(self._owner, ServiceEnded(self, error, kept, self._unheard()))
 
     def _unheard(self) -> tuple[Request, ...]:
-        """Returns the commands that it has not answered, and forgets them."""
+        """Return the commands that it has not answered, and forget them."""
         queue = self.actor_inbox.queues.get(SYSCTRL)
         left = self._answers.forget_all()
         for packet in queue.drain() if queue is not None else ():
@@ -269,7 +269,7 @@ class ServiceCore(ActorCore):
         return tuple(left)
 
     def _refuse_all(self, reason: str) -> None:
-        """Tells the senders of all requests that wait that they are not done, as the service ends."""
+        """Tell the senders of all requests that wait that they are not done, as the service ends."""
         for slot in self.slots.values():
             slot.commands = ()
         self._answers.refuse_all(reason)
@@ -335,14 +335,14 @@ class ServiceCore(ActorCore):
     # What the lives of its tasks ask for -----------------------------------------------------------------------
 
     def feed(self, slot: Slot, event: Any) -> None:
-        """Feeds an event to the life of a task, and carries out what follows."""
+        """Feed an event to the life of a task, and carry out what follows."""
         self.keeper.feed(slot, event)
 
     def show(self, slot: Slot) -> None:
         self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
 
     def ask_leave(self, slot: Slot) -> None:
-        """Sees whether a task may start, and feeds `Admitted` or `LeaveRefused`."""
+        """See whether a task may start, and feed `Admitted` or `LeaveRefused`."""
         if slot.fresh:
             slot.fresh = False
             self.drop_state(slot)
@@ -380,13 +380,13 @@ class ServiceCore(ActorCore):
         self.hold_actuators(slot, f"{slot.name} is stuck")
 
     def let_go(self, slot: Slot) -> None:
-        """Takes back what a task held, once it has ended."""
+        """Take back what a task held, once it has ended."""
         self.kernel.stream.unsubscribe(slot.address)
         self.hold_actuators(slot, f"{slot.name} let go of it")
         self.kernel.registry.release(slot.address)
 
     def hold_actuators(self, slot: Slot, reason: str) -> None:
-        """Brings the actuators that a task holds to their safe hold."""
+        """Bring the actuators that a task holds to their safe hold."""
         for device in self.kernel.registry.held_by(slot.address):
             self.publish(CTRL, Hold(reason), to=self.kernel.registry.address_of(device))
 
@@ -406,19 +406,19 @@ class ServiceCore(ActorCore):
         self._closing.rested(slot)
 
     def answer(self, slot: Slot, effect: Answer) -> None:
-        """Answers a request to start or stop a task; the commands that wait behind it go on."""
+        """Answer a request to start or stop a task; the commands that wait behind it go on."""
         self.reply(effect.asker, Refusal.if_any(effect.reason))
         self.call(lambda: self._next_command(slot))
 
     def tell_news(self, slot: Slot, effect: Tell) -> None:
-        """Tells `log` what has happened to a task."""
+        """Tell `log` what has happened to a task."""
         tell_of_task(self, slot, effect)
 
     # Commands --------------------------------------------------------------------------------------------------
 
     @on(SYSCTRL, Command, keep=WAITING, addressed=True)
     def on_command(self, packet: Packet) -> None:
-        """Carries out one command and answers it."""
+        """Carry out one command and answer it."""
         command: Command = packet.body
         if command.body is None:
             self.close(command.for_s)
@@ -438,7 +438,7 @@ class ServiceCore(ActorCore):
         return slot.life.asker is not None or self._startup.is_to_start(slot)
 
     def begin_command(self, command: Command, request: Request) -> None:
-        """Carries out one command whose turn has come, and answers it if that fails."""
+        """Carry out one command whose turn has come, and answer it if that fails."""
         try:
             slot = self._slot(command.task) if command.task else None
             self.carry_out_command(command.body, slot, request)
@@ -458,7 +458,7 @@ class ServiceCore(ActorCore):
         return slot
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
-        """Does what a command asks, and sees that it is answered; subclasses add their own.
+        """Do what a command asks, and see that it is answered; subclasses add their own.
 
         Args:
             body: the control packet's body.
@@ -480,17 +480,17 @@ class ServiceCore(ActorCore):
             raise ControlRefused(f"{self.address} is a service and cannot be asked for {asked_for}", "unsupported")
 
     def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None:
-        """Answers the sender of a request; without a refusal, it has been done."""
+        """Answer the sender of a request; without a refusal, it has been done."""
         self._answers.give(request, refusal, result)
 
     def put_off(self, request: Request, reason: str) -> None:
-        """Tells the sender of a request what it waits for; what becomes of it in the end is said on `log`."""
+        """Tell the sender of a request what it waits for; what becomes of it in the end is said on `log`."""
         self._answers.put_off(request, reason)
 
     def waits(self, request: Request) -> bool:
-        """Returns whether the sender of a request has not been told yet what becomes of it."""
+        """Return whether the sender of a request has not been told yet what becomes of it."""
         return self._answers.waits(request)
 
     def tell_asked(self, what: str, slot: Slot, request: Request) -> None:
-        """Tells `log` what was asked for."""
+        """Tell `log` what was asked for."""
         self.event("asked", what=what, task=slot.name, service=self.name, by=request.by, number=request.number)

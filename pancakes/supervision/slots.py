@@ -127,7 +127,7 @@ class Startup:
         self._unstarted: set[str] = set()
 
     def begin(self, slots: Sequence[Slot]) -> None:
-        """Starts these tasks, in this order."""
+        """Start these tasks, in this order."""
         self._unsettled = {slot.name for slot in slots}
         self._unstarted = set(self._unsettled)
         if slots:
@@ -144,7 +144,7 @@ class Startup:
             self._service.call(partial(self._start_some, slots))
 
     def is_to_start(self, slot: Slot) -> bool:
-        """Returns whether the turn of a task to start has not come yet."""
+        """Return whether the turn of a task to start has not come yet."""
         return slot.name in self._unstarted
 
     def settled(self, slot: Slot) -> None:
@@ -186,7 +186,7 @@ class Closing:
         self._ends: Slot | None = None
 
     def begin(self, slots: Iterable[Slot]) -> None:
-        """Ends these tasks, the last first."""
+        """End these tasks, the last first."""
         self._left = [slot for slot in slots if slot.life.state not in (State.STOPPED, State.REFUSED)]
         self._next()
 
@@ -255,7 +255,7 @@ TaskCommand = Callable[[Commanded, Slot, Any, Request], None]
 
 
 def start(service: Commanded, slot: Slot, body: Start, request: Request) -> None:
-    """Starts a task; the answer comes once it runs."""
+    """Start a task; the answer comes once it runs."""
     life = slot.life
     if life.state not in (State.STOPPED, State.REFUSED, State.FAILED, State.RESTARTING):
         raise ControlRefused(f"{slot.address} is {life.word} already")
@@ -277,7 +277,7 @@ def start(service: Commanded, slot: Slot, body: Start, request: Request) -> None
 
 
 def stop(service: Commanded, slot: Slot, body: Stop, request: Request) -> None:
-    """Stops a task; the answer comes once it has ended."""
+    """Stop a task; the answer comes once it has ended."""
     if slot.life.state is State.STOPPED and slot.rest != State.FAILED.value:  # as its record may say
         raise ControlRefused(f"{slot.address} is stopped already")
     if body.for_s is not None:
@@ -291,7 +291,7 @@ def stop(service: Commanded, slot: Slot, body: Stop, request: Request) -> None:
 
 
 def restart(service: Commanded, slot: Slot, body: Restart, request: Request) -> None:
-    """Stops a task, if it runs, and starts it; the answer comes once it runs."""
+    """Stop a task, if it runs, and start it; the answer comes once it runs."""
     if body.dry_run:
         service.reply(request, Refusal.if_any(service.refuse_start(slot)))
         return
@@ -304,7 +304,7 @@ def restart(service: Commanded, slot: Slot, body: Restart, request: Request) -> 
 def change(
     service: Commanded, slot: Slot, body: Reschedule | Configure | Describe | SetFence, request: Request
 ) -> None:
-    """Has a running task change, or say how it stands, in its own turn; the answer comes after that.
+    """Have a running task change, or say how it stands, in its own turn; the answer comes after that.
 
     Raises:
         ControlRefused: the task does not run, or a path of a file lies outside of the folders that may be set.
@@ -320,13 +320,13 @@ def change(
 
 
 def _check_paths(service: Commanded, slot: Slot, settings: Mapping[str, Any]) -> None:
-    """Raises `ControlRefused` if settings have a path outside of the folders that the configuration names."""
+    """Raise `ControlRefused` if settings have a path outside of the folders that the configuration names."""
     if reason := service.kernel.folders.refusal_of(service.settings_class(slot), settings):
         raise ControlRefused(f"bad settings for {slot.name}: {reason}", "invalid")
 
 
 def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) -> None:
-    """Tells what is known about a task."""
+    """Tell what is known about a task."""
     if body.state or body.began:
         change(service, slot, body, request)
     else:
@@ -334,14 +334,14 @@ def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) ->
 
 
 def refuse_removal(service: Commanded, slot: Slot, body: Any, request: Request) -> None:
-    """Refuses what is about tasks that can be created."""
+    """Refuse what is about tasks that can be created."""
     raise ControlRefused(
         f"{slot.address} cannot be removed: what {service.address} looks after is not created", "unsupported"
     )
 
 
 def refuse_move(service: Commanded, slot: Slot, body: Any, request: Request) -> None:
-    """Refuses what is about tasks that can move."""
+    """Refuse what is about tasks that can move."""
     raise ControlRefused(
         f"{slot.address} cannot move: what {service.address} looks after stays with its agent", "unsupported"
     )
@@ -382,7 +382,7 @@ SILENT: Final = "silent"
 
 
 def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
-    """Returns what is known about each task. Any thread.
+    """Return what is known about each task. Any thread.
 
     Args:
         kernel: the kernel that it runs on.
@@ -426,7 +426,7 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
 
 
 def describe_in_detail(kernel: Kernel, slot: Slot, settings_class: type, carried: Carried) -> dict[str, Any]:
-    """Returns what else is known about one task, its settings among it.
+    """Return what else is known about one task, its settings among it.
 
     Args:
         kernel: the kernel that it runs on.
@@ -454,7 +454,7 @@ def describe_in_detail(kernel: Kernel, slot: Slot, settings_class: type, carried
 
 
 def settings_of(kernel: Kernel, slot: Slot, settings_class: type, carried: Carried) -> dict[str, Any]:
-    """Returns the settings of a task, or those that it would begin with; arguments as in `describe_in_detail`."""
+    """Return the settings of a task, or those that it would begin with; arguments as in `describe_in_detail`."""
     try:
         note = kernel.tasks.settings_of(slot.address) if slot.task is not None else None
         settings = note.settings if note is not None else make_settings(settings_class, carried.settings)
@@ -467,7 +467,7 @@ def settings_of(kernel: Kernel, slot: Slot, settings_class: type, carried: Carri
 
 
 def _schema_of_settings(cls: type) -> dict[str, Any]:
-    """Returns the JSON Schema of a task's settings; empty if they have a type that cannot be checked."""
+    """Return the JSON Schema of a task's settings; empty if they have a type that cannot be checked."""
     try:
         return _schema_of(cls)
     except TypeError:
@@ -481,7 +481,7 @@ def _schema_of(cls: type) -> dict[str, Any]:
 
 
 def tell_of_task(service: ActorCore, slot: Slot, effect: Tell) -> None:
-    """Tells people and programs what has happened to a task, in the name of its service."""
+    """Tell people and programs what has happened to a task, in the name of its service."""
     restarts, text = slot.life.restarts, effect.text
     traceback = slot.failure.traceback if slot.failure is not None else ""
     now_s = service.kernel.host.now()

@@ -95,7 +95,7 @@ class Keeper(Generic[P]):
         self._turning = False
 
     def feed(self, place: P, event: Event) -> None:
-        """Takes an event of one life, and carries out what follows."""
+        """Take an event of one life, and carry out what follows."""
         self._events.append((place, event))
         if self._turning:
             return
@@ -111,11 +111,11 @@ class Keeper(Generic[P]):
             self._turning = False
 
     def draw(self, low: float, high: float) -> float:
-        """Draws the length of a pause."""
+        """Draw the length of a pause."""
         return self._component.random.uniform(low, high)
 
     def carry_out(self, place: P, effect: Effect) -> None:
-        """Carries one effect of a life out."""
+        """Carry one effect of a life out."""
         rim = self._rim
         match effect:
             case AskLeave():
@@ -168,24 +168,24 @@ class Answers:
         self._owed[request.number] = request
 
     def owes(self, cause: Cause) -> bool:
-        """Returns whether the asker of a packet still waits for the answer of this component."""
+        """Return whether the asker of a packet still waits for the answer of this component."""
         return any(request.cause == cause for request in self._owed.values())
 
     def forget_all(self) -> list[Request]:
-        """Returns all requests that are not answered, and forgets them: another component answers them."""
+        """Return all requests that are not answered, and forget them: another component answers them."""
         owed = [request for request in self._owed.values() if self.waits(request)]
         self._owed.clear()
         self._put_off.clear()
         return owed
 
     def put_off(self, request: Request, reason: str) -> None:
-        """Tells the asker what a request waits for; what becomes of it in the end is said on `log`."""
+        """Tell the asker what a request waits for; what becomes of it in the end is said on `log`."""
         if self.waits(request):
             self._put_off.add(request.number)
             self._reply(request, Reply(Refusal("pending", reason), None, request.number))
 
     def waits(self, request: Request) -> bool:
-        """Returns whether the asker has not been told yet what becomes of a request."""
+        """Return whether the asker has not been told yet what becomes of a request."""
         return request.number in self._owed and request.number not in self._put_off
 
     def pass_on(self, request: Request) -> None:
@@ -193,7 +193,7 @@ class Answers:
         self._owed.pop(request.number, None)
 
     def give(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None:
-        """Answers a request; if the answer cannot be sent, the asker is told that, and why.
+        """Answer a request; if the answer cannot be sent, the asker is told that, and why.
 
         Args:
             request: the request.
@@ -210,7 +210,7 @@ class Answers:
         self._reply(request, Reply(refusal, result, request.number))
 
     def refuse_all(self, reason: str) -> None:
-        """Tells all askers that still wait that what they asked for is not done."""
+        """Tell all askers that still wait that what they asked for is not done."""
         for request in list(self._owed.values()):
             self.give(request, Refusal("failed", reason))
 

@@ -103,7 +103,7 @@ class TaskCore(ActorCore):
         self.is_revoked = False
 
     def keep_settings(self, settings: Any) -> None:
-        """Takes an instance of the task's `Settings` in the place of the one before."""
+        """Take an instance of the task's `Settings` in the place of the one before."""
         self.kept_settings = settings
         self.kernel.tasks.note_settings(self.address, SettingsNote(settings))
 
@@ -132,7 +132,7 @@ class TaskCore(ActorCore):
         self.__began_s = (self.kernel.host.now(), self.now())
 
     def began(self) -> dict[str, Any]:
-        """Returns when this actor began, on the agent's own clock and in mission time, and what it carried then."""
+        """Return when this actor began, on the agent's own clock and in mission time, and what it carried then."""
         host_s, mission_s = self.__began_s
         carried = self.__carried
         return {
@@ -148,7 +148,7 @@ class TaskCore(ActorCore):
         self.__tell(TaskBegan(self))
 
     def change_settings(self, changes: Mapping[str, Any]) -> None:
-        """Changes some settings: all of them are good, or nothing changes. In the actor.
+        """Change some settings: all of them are good, or nothing changes. In the actor.
 
         Raises:
             SettingsError: names every mistake.
@@ -163,7 +163,7 @@ class TaskCore(ActorCore):
             raise
 
     def carry(self) -> Carried:
-        """Returns what the task would carry to another actor now, as plain values. In the actor.
+        """Return what the task would carry to another actor now, as plain values. In the actor.
 
         Raises:
             TypeError: its settings or its state cannot be written down, or could not be read again.
@@ -197,7 +197,7 @@ class TaskCore(ActorCore):
         return plain
 
     def take_letter(self, stream: str, seq: int, first: int, packet: Packet | None, sender: str = "") -> bool:
-        """Handles a packet addressed to this task wherever it is, if it is the next of its stream. In the actor.
+        """Handle a packet addressed to this task wherever it is, if it is the next of its stream. In the actor.
 
         Args:
             stream: its sender's stream.
@@ -268,11 +268,11 @@ class TaskCore(ActorCore):
         self.__tell(LetterGiven(self, message, LetterOutcome.TAKEN if took else LetterOutcome.EARLY))
 
     def answer_change(self, change: ChangeTask, reason: str, result: Mapping[str, Any]) -> None:
-        """Answers a change that took longer than one turn; an empty reason means that it has been done."""
+        """Answer a change that took longer than one turn; an empty reason means that it has been done."""
         self.__tell(Changed(self, change, Refusal.if_any(reason), result))
 
     def set_fence(self, change: ChangeTask) -> None:
-        """Sets the fence of an actuator, and answers; every other task refuses.
+        """Set the fence of an actuator, and answer; every other task refuses.
 
         Raises:
             ControlRefused: it is no actuator.
@@ -311,7 +311,7 @@ class TaskCore(ActorCore):
                 return self.describe_state(body)
 
     def describe_state(self, asked: Describe) -> dict[str, Any]:
-        """Returns how this task began, and its settings and state, as far as `Describe` asks for them. In the actor.
+        """Return how this task began, and its settings and state, as far as `Describe` asks for them. In the actor.
 
         Raises:
             ControlRefused: what it keeps in its state cannot be written down.
