@@ -67,7 +67,7 @@ def test_in_a_recording():
 
 
 def test_on_the_command_line():
-    with pytest.raises(BadBody, match="the body is no JSON: it is nested too deep"):
+    with pytest.raises(BadBody, match="the body is not JSON: it is nested too deep"):
         body_of(type_name(Stop("x")), JSON.decode())
 
 

@@ -115,7 +115,7 @@ def test_channel_echo_picks_fields_types_and_sources(shared: tuple[Rig, Running]
     fields = ("--field", "ranges_m.1", "--field", "packet.type")
     result = rig.pancakes("channel", "echo", "a/pond", *fields, "--count", "2")
     assert result.stdout == "0.75\tsonar\n" * 2
-    assert result.stderr.startswith("packets of the type pose are left out: they have no ranges_m.1")
+    assert result.stderr.startswith("packets of the type pose are skipped: they have no ranges_m.1")
     # With --type the class is known here, and its fields are tuples instead of lists.
     of_a_type = rows_of(rig, "echo", "a/pond", "--type", "sonar", "--field", "ranges_m.1", "--count", "1")
     assert of_a_type == [{"ranges_m.1": 0.75}]
@@ -200,7 +200,7 @@ def test_channel_hz_measures_each_source_and_type(shared: tuple[Rig, Running]):
     (counted,) = rows_of(rig, "hz", "a/pond", "--type", "pose", "--count", "20")
     assert counted["window"] == 20
     silent = rig.pancakes("channel", "hz", "a/dry", "--for", "100ms")
-    assert (silent.returncode, silent.stdout, silent.stderr) == (0, "", "nothing new on a/dry\n")
+    assert (silent.returncode, silent.stdout, silent.stderr) == (0, "", "no new packet on a/dry\n")
 
     with closing(LiveOutput(rig, "channel", "hz", "a/pond", "--type", "pose", "--format", "json")) as hz:
         first, second = hz.record(), hz.record()

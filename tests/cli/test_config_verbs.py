@@ -65,7 +65,7 @@ TASKS = {
         "RuntimeError: no camera (plugin_chain.py:4), because of ModuleNotFoundError: No module named"
         " 'there_is_no_such_module' (plugin_chain.py:2)",
     ),
-    "kind": ("class Task: pass\n", "'kind.Task' is no task but the class Task"),
+    "kind": ("class Task: pass\n", "'kind.Task' is not a task but the class Task"),
     "class": (
         "from pancakes import task\nclass Task(task.Task):\n    @task.every(hz=1)\n    async def go(self, t): ...\n",
         "plugin_class.py:4: Task.go is `async def`",
@@ -109,7 +109,7 @@ def test_config_show_can_be_run(rig: Rig):
     assert found["clock.speed"] == (1.0, "default")
     assert "agent.seed" not in found, "it has no value"
     missing = rig.pancakes("config", "show", "lmp")
-    assert missing.returncode == 3 and missing.stderr.endswith("\nthere is no file 'lmp' either\n")
+    assert missing.returncode == 3 and missing.stderr.endswith("\nthe file 'lmp' does not exist either\n")
     bad = invoked("config", "show", str(rig.config("b", BAD)))
     assert (bad.exit_code, bad.stdout) == (4, "")
 
@@ -140,7 +140,7 @@ def test_config_check_of_agents_on_hosts_checks_what_is_known_here(rig: Rig):
 
     rig.config("a", unknown, agent='peers = ["carrier://b:1"]')
     result = rig.pancakes("config", "check", str(fleet))
-    but = "but for carrier://, host.lod, yard.Walk, not installed here and not checked"
+    but = "except carrier://, host.lod, yard.Walk (not installed here, so not checked)"
     assert (result.returncode, result.stdout.splitlines()) == (
         0,
         [f"{path} is sound, {but}: the agent a of the fleet test"],

@@ -60,7 +60,10 @@ def test_task_create_outlives_its_agent_and_fits_a_file(rig: Rig):
 
     rig.ready("a")
     asked = rig.pancakes("task", "remove", "a/Count")
-    assert asked.returncode == 1 and "a/client/Count ends for good, and its state is lost. Pass --force" in asked.stderr
+    assert (
+        asked.returncode == 1
+        and "this ends a/client/Count for good, and its state is lost. Pass --force" in asked.stderr
+    )
     (row,) = rig.listed("task", "remove", "a/Count", "--force")
     assert (row["task"], row["done"]) == ("Count", "removed")
     assert [row["task"] for row in rig.listed("task", "list") if row["type"] == "count.Count"] == []
@@ -77,7 +80,7 @@ def test_task_remove_is_asked_where_the_task_is(rig: Rig):
     assert rig.pancakes("task", "create", "a/Count", "--type", "count.Count").returncode == 0
     assert rig.pancakes("task", "migrate", "a/Count").returncode == 0
     refused = rig.pancakes("task", "remove", "a/Count")
-    assert (refused.returncode, refused.stderr) == (1, "a/Count is on b: say b/Count\n")
+    assert (refused.returncode, refused.stderr) == (1, "a/Count is on b: use b/Count\n")
     assert rig.pancakes("task", "remove", "b/Count", "--force").returncode == 0
 
 
@@ -88,9 +91,9 @@ def test_config_show_takes_a_file_or_an_agent(rig: Rig):
     shown = rig.pancakes("config", "show", "a")
     assert shown.returncode == 0 and 'name = "a"' in shown.stdout, "a folder may bear the name of an agent"
     for words, code, said in (
-        (("b",), 3, "there is no file 'b'"),
+        (("b",), 3, "the file 'b' does not exist"),
         (("c",), 3, "there is no agent 'c', only a\n'c' is a folder\n"),
-        (("a", "--set", "clock.speed=2"), 2, "--set is for what a file says"),
+        (("a", "--set", "clock.speed=2"), 2, "--set overrides keys of a file"),
     ):
         refused = rig.pancakes("config", "show", *words)
         assert refused.returncode == code and said in refused.stderr

@@ -60,7 +60,7 @@ def test_task_fence_shows_and_sets_right_what_is_too_high(rig: Rig):
     assert {**tried, "number": 0} == {**told, "done": "dry run", "number": 0}
     assert rig.listed("task", "fence", "a/wheels")[0]["seen"] == "7@z"
     unmeant = rig.pancakes("task", "fence", "a/wheels", "--set", "a/Circle")
-    assert unmeant.returncode == 1 and "a/device/wheels goes to its safe hold" in unmeant.stderr
+    assert unmeant.returncode == 1 and "a/device/wheels would go to its safe hold" in unmeant.stderr
     assert rig.listed("task", "fence", "a/wheels")[0]["seen"] == "7@z"
     (done,) = rig.listed("task", "fence", "a/wheels", "--set", "a/Circle", "--force")
     assert {**done, "number": 0} == {**told, "done": "set", "number": 0}

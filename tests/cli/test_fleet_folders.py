@@ -40,7 +40,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
 
 def test_fleet_init_founds_none_in_the_place_of_another(run: Run):
     key = (key_store.fleets() / "garage" / "authority.key").read_bytes()
-    with pytest.raises(PancakesError, match="there is a fleet garage in .* already"):
+    with pytest.raises(PancakesError, match="the fleet garage exists already, in"):
         run("init", "garage", "--no-password")
     assert (key_store.fleets() / "garage" / "authority.key").read_bytes() == key
 
@@ -48,7 +48,7 @@ def test_fleet_init_founds_none_in_the_place_of_another(run: Run):
 def test_fleet_of_several_must_be_named(run: Run):
     run("init", "barn", "--no-password", "--me", "alice")
     with pytest.raises(
-        PancakesError, match=r"several fleets were founded here: say which with --fleet \(barn, garage\)"
+        PancakesError, match=r"several fleets were founded here: choose one with --fleet \(barn, garage\)"
     ):
         run("list")
     assert "operator" in run("list", "--fleet", "barn")
@@ -73,7 +73,7 @@ def test_fleet_join_refuses_a_folder_that_does_not_fit(run: Run, tmp_path: Path)
     with pytest.raises(PancakesError, match="the authority of that fleet has not signed its certificate"):
         run("join", tmp_path / "r1")
     (tmp_path / "r1" / "fleet.pem").unlink()
-    with pytest.raises(PancakesError, match="r1 is no folder of pancakes fleet enrol: No such file"):
+    with pytest.raises(PancakesError, match="r1 is not a folder of pancakes fleet enrol: No such file"):
         run("join", tmp_path / "r1")
     assert key_store.keys_of_agent("garage", "r1") is None
 
@@ -91,14 +91,14 @@ def test_fleet_join_keeps_the_keys_of_another_person(run: Run, tmp_path: Path):
 def test_fleet_revoke_leaves_no_rights(run: Run, tmp_path: Path):
     run("enrol", "bob", "--role", "observer", "--out", tmp_path / "bob")
     assert run("can", "bob", "look", "a").startswith("yes: ")
-    with pytest.raises(PancakesError, match="no agent has heard of the roster 2 yet"):
+    with pytest.raises(PancakesError, match="no agent has the roster 2 yet"):
         run("revoke", "bob", "left", "--force")
     with pytest.raises(PancakesError, match="no: observer/bob was revoked: left"):
         run("can", "bob", "look", "a")
-    with pytest.raises(PancakesError, match="no agent has heard of the roster 3 yet"):
+    with pytest.raises(PancakesError, match="no agent has the roster 3 yet"):
         run("revoke", "alice", "laptop stolen", "--force")
     with pytest.raises(
-        PancakesError, match=r"your keys for the fleet garage are of no use .* was revoked \(roster 3\)"
+        PancakesError, match=r"your keys for the fleet garage cannot be used .* was revoked \(roster 3\)"
     ):
         FleetAccess.to("garage", MonotonicClock())
 
@@ -111,7 +111,7 @@ def test_fleet_sign_notices_an_old_copy_of_the_authority(rig: Rig):
         assert rig.pancakes("fleet", "sign", "--fleet", "test").returncode == 0
     (folder / "register.json").write_bytes(old)
     told = rig.pancakes("fleet", "sign", "--fleet", "test")
-    assert "a knows the roster 3 already, and takes none with a lower number: this folder is an old copy" in told.stderr
+    assert "a has the roster 3 already, and refuses lower numbers: this folder is an old copy" in told.stderr
 
 
 def state_of(folder: Path) -> dict[str, bytes]:
@@ -125,8 +125,8 @@ def test_fleet_dry_runs_change_nothing_and_ask_for_no_password(run: Run, tmp_pat
     code = "192.168.1.10:7490/HJOV-ZBJL-JECU-QFLF-4IQ3-JB24-L5EC-OS6P-LNXE-YAVB"
     for words, part in (
         (("init", "barn", "--me", "alice"), "The fleet barn would be in "),
-        (("enrol", "r2"), "agent r2 of the fleet garage would be given to r2, once it has said the code"),
-        (("enrol", "r2", "--out", tmp_path / "r2"), f"would be given to a folder {tmp_path}/r2"),
+        (("enrol", "r2"), "agent r2 of the fleet garage would be issued to r2, when it presents the code"),
+        (("enrol", "r2", "--out", tmp_path / "r2"), f"would be issued to a folder {tmp_path}/r2"),
         (("renew", "alice"), "operator alice of the fleet garage"),
         (("join", tmp_path / "r1"), "The keys of agent r1 of the fleet garage would be in "),
         (("join", code), "The machine at 192.168.1.10:7490 would be asked"),

@@ -46,7 +46,7 @@ def test_roster_that_an_agent_cannot_check_fails_and_is_told(rig: Rig, words: tu
     done = rig.pancakes("fleet", *words)
 
     assert done.returncode == 1, done.stdout
-    assert "known to b" in done.stdout and "a does not go by the roster" in done.stderr
+    assert "known to b" in done.stdout and "a does not apply the roster" in done.stderr
     assert "cannot be checked without cryptography: pip install 'pancakes-agents[keys]'" in done.stderr
     assert "b" not in findings(rig)
 
@@ -64,9 +64,9 @@ def test_roster_that_only_the_operator_has_is_told_by_doctor(rig: Rig):
 def test_revoke_that_no_agent_hears_fails(rig: Rig):
     rig.keys.authority("test").enrol_with_key("operator", "bob")
     done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen", "--force")
-    assert done.returncode == 1 and "no agent has heard of the roster" in done.stderr
+    assert done.returncode == 1 and "no agent has the roster" in done.stderr
     signed = rig.pancakes("fleet", "sign")
-    assert signed.returncode == 0 and "no agent has heard of the roster" in signed.stderr
+    assert signed.returncode == 0 and "no agent has the roster" in signed.stderr
     named = rig.pancakes("fleet", "sign", "--tell", "127.0.0.1:1")
     assert named.returncode == 1 and "127.0.0.1:1" in named.stderr
 
@@ -93,7 +93,7 @@ def test_roster_that_cannot_be_kept_is_obeyed_and_told(rig: Rig):
         rig.ready("a")
         done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen", "--force")
         assert done.returncode == 1, done.stdout
-        assert "a goes by the roster 2 until it ends" in done.stderr and "cannot be kept" in done.stderr
+        assert "a applies the roster 2, but cannot store it" in done.stderr and "cannot be kept" in done.stderr
         assert "No space left on device" in findings(rig)["a"][1] and findings(rig)["a"][0] == "error"
         assert rig.listed("agent", "info", "a")[0]["roster"] == 2
     finally:

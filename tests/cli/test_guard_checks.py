@@ -37,19 +37,19 @@ def test_guard_check_names_a_guardian_that_does_not_answer():
 
 def test_guard_check_names_a_task_with_too_few_guardians():
     ((level, _, text, advice),) = found({**owns(), "guardians": ["a"]})
-    assert level == "warning" and "has 1 of the 3 guardians that it needs" in text and "a witness will do" in advice
+    assert level == "warning" and "has 1 of the 3 guardians that it needs" in text and "such as a witness" in advice
 
 
 def test_guard_check_names_a_task_without_a_permit():
     ((level, _, text, _),) = found({**owns(), "permit_s": 0.0}, guards("b"))
-    assert level == "error" and "stands still" in text
+    assert level == "error" and "is paused" in text
     assert found({**owns(wanted=False), "permit_s": 0.0}, guards("b"), guards("c")) == []
 
 
 def test_guard_check_names_a_task_whose_owner_is_silent():
     ((level, about, text, advice),) = found(guards("b", lease=False), guards("c", lease=False))
     assert (level, about) == ("error", "a/Scan") and "its owner a is silent" in text
-    assert advice.startswith("pancakes task take b/Scan")
+    assert "pancakes task take b/Scan" in advice
     assert found(guards("b", lease=False, wanted=False)) == []
     assert found(guards("b"), guards("c", lease=False)) == []
 
@@ -58,20 +58,20 @@ def test_guard_check_says_what_is_waited_for():
     """Two backups were restored one after the other: each guardian waits for a whole lease since its start."""
     waits = {"silent_s": 20.0, "lease_left_s": 10.0}
     ((level, about, text, _),) = found(guards("b", **waits), guards("c", lease=False, lease_left_s=None))
-    assert (level, about) == ("warning", "a/Scan") and text.endswith("the lease of a is over: b (10 s)")
+    assert (level, about) == ("warning", "a/Scan") and text.endswith("the lease of a ends: b (10 s)")
     assert found(guards("b", **waits), guards("c")) == [], "its owner has renewed the other one"
 
 
 def test_guard_check_names_hardware_without_a_dead_man_switch():
     ((level, about, text, advice),) = found(owns(no_dead_man=["lamp", "motors"]), guards("b"), guards("c"))
-    assert (level, about) == ("warning", "a/Scan") and text.startswith("commands lamp, motors, whose hardware does not")
-    assert advice.startswith("docs/writing-a-driver.md")
+    assert (level, about) == ("warning", "a/Scan") and text.startswith("commands lamp, motors, whose hardware has no")
+    assert "docs/writing-a-driver.md" in advice
 
 
 def test_guard_check_names_a_clock_that_was_set_forward():
     ((level, _, text, advice),) = found(owns(clock_steps=1), guards("b"), guards("c"))
-    assert level == "warning" and text == "stood still once because the time of day of a was set forward"
-    assert advice == "have its clock set before the agent starts"
+    assert level == "warning" and text == "was paused once because the time of day of a was set forward"
+    assert advice == "make sure that its clock is set before the agent starts"
     ((_, _, text, _),) = found(owns(clock_steps=3), guards("b"), guards("c"))
-    assert "stood still 3 times" in text
+    assert "was paused 3 times" in text
     assert found(owns(clock_steps=0, no_dead_man=[]), guards("b"), guards("c")) == []

@@ -141,7 +141,7 @@ def test_task_info_tells_all_of_a_task(shared: tuple[Rig, Running, Running]):
     lines = said(rig, "task", "info", "a/Steer")
     assert lines[0] == "a/client/Steer"
     assert {"timers", "reads", "settings", "requires pose", "radius_m 0.8"} <= set(lines)
-    assert "started again always, at most 8 times in 60 s, after 0.1 s to 10 s" in lines
+    assert "restarts always, at most 8 times in 60 s, after 0.1 s to 10 s" in lines
     assert any(line.startswith("epoch ") and line.endswith(" of a/Steer") for line in lines)
     assert any(line.startswith("look 2 ") for line in lines)
     assert any(line.startswith("system pose newest 8 ") for line in lines)

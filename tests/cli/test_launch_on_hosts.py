@@ -228,8 +228,8 @@ def test_launch_names_a_host_that_cannot_take_part(rig: Rig, hosts: SshHosts, tr
         "key": "robot2 does not accept your key",
         "host key": "robot2 shows a host key that is not known here",
         "python": "robot2: Pancakes needs Python 3.11 or newer, and this host has only Python 3.9.2: install",
-        "pancakes": "robot2 has no Pancakes to run b with: pancakes deploy brings it there",
-        "running": "the agent b of the fleet yard runs already on robot2 (process",
+        "pancakes": "robot2 has no Pancakes to run b with: install it with pancakes deploy",
+        "running": "the agent b of the fleet yard already runs on robot2 (process",
     }[trouble]
 
     found = rig.pancakes("launch", str(file))

@@ -189,7 +189,7 @@ def test_log_names_an_agent_whose_log_service_is_stopped(rig: Rig):
         rig.ready(name, QUIET)
     assert rig.pancakes("service", "stop", "a/log").returncode == 0
     result = rig.pancakes("log")
-    assert result.returncode == 0 and result.stderr.startswith("a does not tell what was said: ")
+    assert result.returncode == 0 and result.stderr.startswith("a refuses to show its log: ")
     assert "b/kernel: ready" in result.stdout
     result = rig.pancakes("log", "a")
     assert (result.returncode, result.stdout) == (1, "")

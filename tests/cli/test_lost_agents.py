@@ -72,13 +72,13 @@ def test_task_revive_goes_on_from_the_checkpoint_that_is_left(guarded: Guarded):
     assert [row["agent"] for row in guarding["guardians"]] == ["a", "b", "c"] and guarding["guard"] == 3
     assert 0.0 < guarding["permit_s"] <= 1.8 and guarding["answering"] == 3 and guarding["age_s"] < 2.0
     shown = rig.pancakes("task", "info", "a/Count").stdout
-    assert "3 of 3, 3 are wanted" in shown and "guardians" in shown and "0@a/" in shown
+    assert "3 of 3; 3 wanted" in shown and "guardians" in shown and "0@a/" in shown
 
     runs = rig.pancakes(*asked, "--force")
     assert runs.returncode == 1 and "Count is running on a: it is not lost" in runs.stderr
     nothing = rig.pancakes("task", "revive", "d/Nothing")
     assert nothing.returncode == 1
-    assert "no agent that answers holds a checkpoint of Nothing: with --config FILE" in nothing.stderr
+    assert "no agent that answers holds a checkpoint of Nothing. To start it from scratch" in nothing.stderr
     guarded.kill("a", "b")
     heard(guarded.agents["c"], "peer_down peer=a")
     heard(guarded.agents["d"], "peer_down peer=b")
@@ -114,10 +114,10 @@ def test_task_revive_goes_on_without_guardians(guarded: Guarded):
     rig = guarded.rig
     guarded.kill("b", "c")
     heard(guarded.agents["a"], "its guardians do not answer")
-    assert "none: it stands still" in rig.pancakes("task", "info", "a/Count").stdout
+    assert "none: the task is paused" in rig.pancakes("task", "info", "a/Count").stdout
     assert [row["rest"] for row in rig.listed("task", "list", "a") if row["task"] == "Count"] == ["stands still"]
     elsewhere = rig.pancakes("task", "revive", "d/Count", "--force")
-    assert elsewhere.returncode == 1 and "Count stands still on a, with its state" in elsewhere.stderr
+    assert elsewhere.returncode == 1 and "Count is paused on a, with its state" in elsewhere.stderr
     assert rig.pancakes("task", "revive", "a/Count").returncode == 1, "it only says what that would mean"
     (done,) = rig.listed("task", "revive", "a/Count", "--force")
     assert done["done"] == "revived"
@@ -137,7 +137,7 @@ def test_task_revive_is_for_agents_that_all_have_copied_disks(guarded: Guarded):
     heard(guarded.agents["a"], "a/Count stands still on a, whose disk is a copy")
     (row,) = (row for row in rig.listed("task", "list") if row["task"] == "Count")
     assert row["rest"] == "stands still"
-    assert "none: it stands still, as the disk is a copy" in rig.pancakes("task", "info", "a/Count").stdout
+    assert "none: the task is paused, because the disk is a copy" in rig.pancakes("task", "info", "a/Count").stdout
     doctor = rig.pancakes("doctor").stdout
     assert "the disk of a is a copy" in doctor and "pancakes task revive a/Count" in doctor
     assert rig.pancakes("task", "revive", "a/Count").returncode == 1

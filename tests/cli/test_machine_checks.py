@@ -94,7 +94,7 @@ def test_machine_check_of_directories_of_sockets(tmp_path: Path, monkeypatch: py
     (finding,) = check_sockets()
     assert (finding.level, finding.text) == (
         "warning",
-        f"{fleet / 'a.sock'} is no socket, so no agent can listen there",
+        f"{fleet / 'a.sock'} is not a socket, so no agent can listen there",
     )
     fleet.chmod(0o755)
     (finding,) = check_sockets()
@@ -121,7 +121,7 @@ def journal(tmp_path: Path) -> Iterator[FileJournal]:
 
 def test_machine_check_tells_who_uses_a_state_directory(tmp_path: Path, journal: FileJournal):
     first, second = check_state_dirs(tmp_path / "state")
-    assert first.text.endswith(f"MiB are free at {tmp_path / 'state'}")
+    assert first.text.endswith(f"MiB are free in {tmp_path / 'state'}")
     assert second.text == f"{journal.directory} is in use by process {os.getpid()}"
     journal.close()
     assert list(check_state_dirs(tmp_path / "state"))[1].text == f"{journal.directory} is not in use"
@@ -159,7 +159,7 @@ def test_machine_check_of_a_lost_record_asks_for_a_decision(tmp_path: Path):
     assert finding.level == "warning" and "pancakes task forget" in finding.advice
     journal.write([JournalEntry("record", "a/Scan", b"")])
     _, finding = check_state_dirs(tmp_path / "state")
-    assert finding.advice == "none is needed any more: remove them"
+    assert finding.advice == "remove them: none is needed any more"
     journal.close()
 
 
@@ -178,6 +178,6 @@ def test_machine_check_of_a_full_disk(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_machine_check_of_the_number_of_open_files():
     assert next(check_files((64, 4096))).level == "warning"
-    assert next(check_files((64, 4096))).advice == "ulimit -n 1024"
+    assert next(check_files((64, 4096))).advice == "raise it: ulimit -n 1024"
     assert next(check_files((1024, 4096))).level == "ok"
     assert next(check_files((resource.RLIM_INFINITY, resource.RLIM_INFINITY))).level == "ok"

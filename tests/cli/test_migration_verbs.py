@@ -98,7 +98,7 @@ def test_task_migrate_dry_run_tells_the_bids(rig: Rig, pair: tuple[Running, Runn
     result = rig.pancakes("task", "migrate", "a/Count", "--dry-run")
     story, *table = (line.strip() for line in result.stdout.splitlines() if line.strip())
     head, _, row = (line.split() for line in table)
-    assert story.startswith("a/Count would move from a to b (cost tasks, 0.") and "only" not in story
+    assert story.startswith("a/Count would migrate from a to b (cost tasks, 0.") and "only" not in story
     assert head == ["neighbour", "answer", "cost", "terms", "fate", "reason"]
     assert row == ["b", "bid", "0", "active", "tasks", "0", "won"]
     assert "; only b was asked)" in rig.pancakes("task", "migrate", "a/Count", "--to", "b", "--dry-run").stdout
@@ -124,7 +124,7 @@ def test_task_migrate_that_is_not_answered_is_exit_code_3(
     assert code == 3
     assert said.splitlines() == [
         "a did not answer: nothing came within 1.5 s",
-        "the move may go on all the same, pancakes task migrations a shows what becomes of it",
+        "the migration may still continue: pancakes task migrations a shows its outcome",
     ]
     freeze(pair[0])
     code, ledgers, said = command(rig, "task", "migrate", "a/Count", "--timeout", "0.5")

@@ -144,24 +144,24 @@ def test_new_makes_names_of_one_word():
 
 
 BAD_NAMES = [
-    ("2fast", "'2fast' is no name: it must begin with a letter, and have only the letters a to z, digits, and"),
-    ("a--b", "is no name"),
-    ("_a", "is no name"),
-    ("a.b", "is no name"),
-    ("../up", "is no name"),
-    ("größe", "is no name"),
-    ("ab\n", "is no name"),
-    ("", "is no name"),
-    ("a", "a name must have from 2 to 30 characters, and 'a' has 1"),
+    ("2fast", "'2fast' is not a valid name: it must begin with a letter, and may have only the letters a to z,"),
+    ("a--b", "is not a valid name"),
+    ("_a", "is not a valid name"),
+    ("a.b", "is not a valid name"),
+    ("../up", "is not a valid name"),
+    ("größe", "is not a valid name"),
+    ("ab\n", "is not a valid name"),
+    ("", "is not a valid name"),
+    ("a", "a name must have 2 to 30 characters, and 'a' has 1"),
     ("a" * (LONGEST + 1), "has 31"),
-    ("class", "'class' is a word of the Python language"),
-    ("Match", "'match' is a word of the Python language"),
-    ("none", "'none' is a word of the Python language"),
-    ("random", "Python has a module 'random' of its own"),
-    ("pancakes", "'pancakes' means something else to Pancakes or to its tools"),
-    ("ctrl", "'ctrl' means something else"),
-    ("device", "'device' means something else"),
-    ("Sensor", "Pancakes has a class Sensor of its own: choose another name than 'sensor'"),
+    ("class", "'class' is a keyword of Python"),
+    ("Match", "'match' is a keyword of Python"),
+    ("none", "'none' is a keyword of Python"),
+    ("random", "Python has a module called 'random'"),
+    ("pancakes", "'pancakes' is reserved in Pancakes or its tools"),
+    ("ctrl", "'ctrl' is reserved"),
+    ("device", "'device' is reserved"),
+    ("Sensor", "Pancakes has a class called Sensor: choose another name than 'sensor'"),
 ]
 
 
@@ -172,9 +172,9 @@ def test_new_refuses_a_bad_name_and_leaves_nothing(tmp_path):
         refused = new("task", "--into", str(tmp_path), "--", text)
         assert refused.exit_code == 2 and "Traceback" not in refused.stderr, text
     for kind, name, why in (
-        ("task", "numpy", "a module numpy is installed here already, in "),
+        ("task", "numpy", "a module called numpy is already installed here, in "),
         ("task", "pytest-timeout", "pytest_timeout"),
-        ("driver", "pose", "there is a packet type 'pose' already, pancakes.devices.Pose: choose another"),
+        ("driver", "pose", "the packet type 'pose' exists already: pancakes.devices.Pose: choose another"),
     ):
         refused = new(kind, name, "--into", str(tmp_path))
         assert refused.exit_code == 1 and why in refused.stderr, "it would hide what is installed"
@@ -182,7 +182,7 @@ def test_new_refuses_a_bad_name_and_leaves_nothing(tmp_path):
     assert refused.exit_code == 2 and "does not exist" in refused.stderr
     assert list(tmp_path.iterdir()) == []
     assert importlib.metadata.version("pancakes-agents")
-    assert "is installed here already" in Names("pancakes-agents", "zz", "Zz").taken("task")
+    assert "is already installed here" in Names("pancakes-agents", "zz", "Zz").conflict("task")
 
 
 def test_new_refuses_names_that_its_templates_use():

@@ -139,7 +139,7 @@ def test_param_describe_explains_what_may_be_set(shared: Rig):
 def test_param_set_refused_changes_nothing(shared: Rig):
     said = refused(shared, "set", "a/Count", "radius_m=0.9", "step=0", "mod=bad")
     assert "step: " in said and "mod: " in said, "all faults at once"
-    assert "keys in it" in refused(shared, "set", "a/Count", "step.size=9")
+    assert "is not a table" in refused(shared, "set", "a/Count", "step.size=9")
     refused(shared, "set", "a/Count", "step=0", "--dry-run")
     assert [row["done"] for row in done(shared, "set", "a/Count", "step=7", "--dry-run")] == ["dry run"]
     assert settings(shared) == BEFORE
@@ -157,8 +157,8 @@ def test_param_load_refuses_a_file_that_is_none(shared: Rig):
     (syntax, *others) = found.values()
     assert syntax[0] == 4 and syntax[1].startswith("bad.toml:1: x: ")
     assert [code for code, _ in others] == [1, 1]
-    assert others[0][1].startswith("bad.toml has no settings in it: ")
-    assert others[1][1] == "bad.toml has no settings of 'Count', only of Other"
+    assert others[0][1].startswith("bad.toml has no settings: ")
+    assert others[1][1] == "bad.toml has no settings of 'Count'. It has those of Other"
 
 
 def test_param_completion_knows_names_of_settings(shared: Rig):

@@ -123,5 +123,5 @@ def test_agent_unit_is_refused_with_a_reason(rig: Rig):
     done = invoked("agent", "unit", str(config))
     assert done.exit_code == 4 and "no.such" in done.stderr and done.stdout == ""
     both = invoked("agent", "unit", str(config), "--user", "--run-as", "robot")
-    assert both.exit_code == 2 and "one of --user runs as you" in both.stderr
+    assert both.exit_code == 2 and "a --user service runs as you" in both.stderr
     assert invoked("agent", "unit", str(rig.config("b")), "--run-as", "").exit_code == 1

@@ -66,7 +66,7 @@ def test_task_info_shows_the_state_of_a_task(rig: Rig):
     rig.install("survey", ENTRY_POINTS, SOURCE)
     rig.ready("a", TASKS).hear("busy now")
     table = told(rig, "a/Survey")
-    assert "keeps in its state, at " in table and "(what is cut is whole with --format json)" in table
+    assert "task state, at " in table and "(truncated; --format json has all of it)" in table
     lines = table.splitlines()
     assert {"visited 7", "step.name north", "step.metres 1.23457"} <= set(lines)
     (grid,) = (line for line in lines if line.startswith("grid [[0, 0, 0"))
@@ -83,10 +83,10 @@ def test_task_info_shows_the_state_of_a_task(rig: Rig):
     assert found["kept_state_s"] > 0.0 and found["kept_state_reason"] == ""
     assert "kept_state" not in rig.listed("task", "info", "a/Survey")[0]
 
-    assert "nothing: it has no state" in told(rig, "a/Plain")
+    assert "empty: this task keeps no state" in told(rig, "a/Plain")
     assert "cannot be written down" in told(rig, "a/Opaque")
     busy = told(rig, "a/Busy")
-    assert "a/client/Busy has not told its state within 3 s: it may be busy" in busy
+    assert "a/client/Busy did not report its state within 3 s: it may be busy" in busy
     assert "type survey.Busy" in busy, "all else is told"
 
     assert rig.pancakes("task", "stop", "a/Survey").returncode == 0

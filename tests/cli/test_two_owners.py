@@ -53,7 +53,7 @@ def test_task_resolve_says_which_of_two_owners_lives(rig: Rig):
     rests = {row["agent"]: (row["state"], row["rest"]) for row in rig.listed("task", "list") if row["task"] == "Count"}
     assert rests == {"a": ("stopped", "disputed"), "b": ("running", "")}
     doctor = rig.pancakes("doctor")
-    assert doctor.returncode == 1 and "is owned by another agent too" in doctor.stdout, doctor.stdout
+    assert doctor.returncode == 1 and "because another agent owns it too" in doctor.stdout, doctor.stdout
 
     dry = rig.listed("task", "resolve", "a/Count", "--dry-run")
     assert [(row["agent"], row["was"], row["becomes"], row["done"]) for row in dry] == [
@@ -61,7 +61,7 @@ def test_task_resolve_says_which_of_two_owners_lives(rig: Rig):
         ("a", "at rest", "running", "dry run"),
     ]
     asked = rig.pancakes("task", "resolve", "a/Count")
-    assert asked.returncode == 1 and "a/Count on b is given up, and its state is lost" in asked.stderr
+    assert asked.returncode == 1 and "gives up a/Count on b, whose state is lost" in asked.stderr
     done = rig.pancakes("task", "resolve", "a/Count", "--force")
     assert done.returncode == 0, done.stderr
     listed = [row for row in rig.listed("task", "list") if row["task"] == "Count" and row["state"] == "running"]
@@ -87,7 +87,7 @@ def test_task_revive_takes_a_configuration(rig: Rig):
     listed = [row["state"] for row in rig.listed("task", "list", "b") if row["task"] == "Count"]
     assert listed == ["running"]
     other = rig.pancakes("task", "revive", "b/Nothing", "--config", str(rig.directory / "a.toml"))
-    assert other.returncode == 1 and "has no [task.Nothing]: it has Count" in other.stderr
+    assert other.returncode == 1 and "has no [task.Nothing]. It has Count" in other.stderr
 
     a = rig.ready("a", TASK, agent=peers)
     heard(a, "goes on on b")

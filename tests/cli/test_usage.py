@@ -41,11 +41,11 @@ task rate a/Count -1
 task rate a/Count nan
 task migrate Count
 task adopt Count
-task create a/Count --type count.Count --guard 5 --key guard=3  # --guard and --key guard say the same: give one of them
+task create a/Count --type count.Count --guard 5 --key guard=3  # --guard and --key guard set the same key
 task fence a/wheels --set Circle  # 'Circle' is no task id: it must read birthplace/name
-task fence a/wheels --dry-run  # --dry-run is about what --set would do
-task fence a/wheels --force  # --force is about --set
-task revive d/Count --set x=1  # say --config FILE too
+task fence a/wheels --dry-run  # --dry-run checks what --set would do
+task fence a/wheels --force  # --force is for --set
+task revive d/Count --set x=1  # pass --config FILE too
 service stop a
 service stop test/a/client/Count
 service stop a/client --for soon
@@ -73,7 +73,7 @@ down --all
 config schema --fleet --plugins
 plugin list --group thing
 completion tcsh
-view --foxglove --control  # --foxglove only shows
+view --foxglove --control  # --foxglove cannot control
 """.strip().splitlines()
 PUBLISHED = {
     ("batery", BODY): "no packet type 'batery' is installed here, did you mean 'battery'?",
@@ -81,8 +81,8 @@ PUBLISHED = {
     ("battery", '{"level": 1}'): "battery: object missing required field `voltage_v`",
     ("battery", '{"voltage_v": 1, "level": 1, "livel": 2}'): "battery has no field 'livel', did you mean 'level'?",
     ("battery", "[1, 2]"): "the body must be a JSON object",
-    ("battery", '{"level": '): "the body is no JSON: input data was truncated",
-    ("battery", "{level: 1}"): "the body is no JSON: object keys must be strings",
+    ("battery", '{"level": '): "the body is not JSON: input data was truncated",
+    ("battery", "{level: 1}"): "the body is not JSON: object keys must be strings",
     ("battery", BODY, "--rate", "0"): "--rate",
     ("battery", BODY, "--to", "b/client/Watch"): "--to",
     ("battery", BODY, "--to", "*"): "--to",

@@ -207,7 +207,7 @@ def test_security_of_two_robots(garage: dict[str, Machine]):
 
     (enrol, join) = lines_of(example("docs/security.md", "laptop$ pancakes fleet enrol agent3"), robot1)
     told = laptop.said(*enrol[1], typed=ONCE)
-    assert "It has the private key: remove it here afterwards." in told
+    assert "It contains the private key: remove it here afterwards." in told
     laptop.bring("agent3", garage["robot3"])
     assert "This machine is agent3 of the fleet garage" in garage["robot3"].said(*join[1])
 

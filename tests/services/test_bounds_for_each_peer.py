@@ -195,8 +195,8 @@ def test_doctor_names_a_peer_that_takes_its_room(fleet):
         brought(fleet, f"T{number}")
     (found,) = findings_of(fleet, "b")
     assert (found.level, found.about) == ("warning", "b")
-    assert found.text.startswith("keeps 64 tasks that c has brought and not handed over (")
-    assert found.text.endswith("100% of the room for them")
+    assert found.text.startswith("keeps 64 tasks whose hand-off from c is in doubt (")
+    assert found.text.endswith("100% of the limit")
     assert "pancakes task forget-peer b c" in found.advice
 
 
@@ -205,13 +205,13 @@ def test_doctor_names_what_a_peer_has_left_that_is_away(fleet):
     fleet.crash("c")
     fleet.run_for(3.0)
     (found,) = findings_of(fleet, "b")
-    assert found.text.startswith("keeps 1 tasks that c has brought") and found.text.endswith("and c is away")
+    assert found.text.startswith("keeps 1 tasks whose hand-off from c") and found.text.endswith("and c is away")
 
 
 def test_doctor_names_a_peer_that_has_guarded_tasks_removed_again_and_again():
     row = {"peer": "c", "kind": "removed", "count": 15000, "bytes": 0, "share": 0.92}
     (found,) = check_kept({"agent": "b", "neighbours": ["c"], "kept_of_peers": [row]}, Facts())
-    assert "15000 marks of guarded tasks of c that were removed" in found.text
+    assert "15000 marks of removed guarded tasks of c" in found.text
     assert "pancakes fleet revoke c" in found.advice
 
 

@@ -1,4 +1,4 @@
-"""`pancakes agent ...`: the agents themselves."""
+"""`pancakes agent ...`: list and show agents, reload their keys, and print their systemd units."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "
 
 @click.group()
 def agent() -> None:
-    """Agents that run."""
+    """List and show running agents."""
 
 
 @agent.command("list")
@@ -27,7 +27,7 @@ def agent() -> None:
 @click.option("--role", metavar="ROLE", default="", help="Only those in this role: agent, environment.")
 @asks_agents
 def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
-    """List the agents that run, or those that are named.
+    """List the running agents, or only those named.
 
     An agent that does not answer in time is named on standard error; the exit code is 3 if none answers.
 
@@ -53,9 +53,9 @@ def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
 @the_agent
 @asks_agents
 def info(agent: str, ask: Ask) -> None:
-    """Show all that AGENT says of itself: its process and load, its clock, links, services, devices, channels.
+    """Show all that AGENT reports about itself: its process and load, its clock, links, services, devices, channels.
 
-    As JSON, it is the answer of the agent as it stands.
+    JSON is the unchanged answer of the agent.
 
     \b
     Example:
@@ -72,9 +72,10 @@ def info(agent: str, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def reload_keys(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
-    """Have agents take a new key that `pancakes fleet join` has put in the place of the old one.
+    """Make agents read a new key that `pancakes fleet join` has put in place of the old one.
 
-    An agent looks for one each minute by itself. New links use it, and the old ones are replaced one by one.
+    An agent looks for a new key every minute by itself. New links use the new key, and old links are replaced one by
+    one.
 
     \b
     Example:
@@ -87,16 +88,16 @@ def reload_keys(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
 
 @agent.command()
 @click.argument("path", metavar="CONFIG", type=click.Path(dir_okay=False))
-@click.option("--user", "of_person", is_flag=True, help="A unit for your own services (systemctl --user).")
+@click.option("--user", "of_person", is_flag=True, help="Print a unit for your own services (systemctl --user).")
 @format_option
 @click.option(
-    "--run-as", "user", metavar="USER", help="The user of this machine as which it runs.  [default: pancakes]"
+    "--run-as", "user", metavar="USER", help="The user of this machine that runs the agent.  [default: pancakes]"
 )
 def unit(path: str, of_person: bool, user: str | None, printer: Printer) -> None:
-    """Print the unit with which systemd runs the agent of CONFIG: ready when the agent is, restarted where it hangs.
+    """Print a unit with which systemd runs the agent of CONFIG, waits until it is ready, and restarts it if it hangs.
 
-    A service of the system runs under a user of its own, with state, log and runtime directories of its own, and may
-    open no more of the machine than the drivers of CONFIG need. docs/system-service.md has the rest.
+    A system service runs as its own user, with its own state, log and runtime directories. It may open only the
+    devices that the drivers of CONFIG need. See docs/system-service.md.
 
     \b
     Example:
@@ -108,7 +109,7 @@ def unit(path: str, of_person: bool, user: str | None, printer: Printer) -> None
     from pancakes.util.plugins import Plugins
 
     if of_person and user is not None:
-        raise click.UsageError("--run-as is for a service of the system: one of --user runs as you")
+        raise click.UsageError("--run-as is for a system service: a --user service runs as you")
     plugins = Plugins()
     config = load(path, (), plugins, must_load=True)
     if of_person:
@@ -120,7 +121,7 @@ def unit(path: str, of_person: bool, user: str | None, printer: Printer) -> None
 
 
 def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str, Any]:
-    """All about one agent, for people; is_own: whether a link is that of this command, which is no news."""
+    """Return all about one agent, for people; `is_own` tells the links of this command, which are left out."""
     mesh = found["mesh"]
     tasks = found["tasks"]
     running = sum(task["state"] == "running" for task in tasks)
@@ -153,8 +154,8 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
 
 
 def _few(few: dict[str, int] | None) -> dict[str, str]:
-    """How many links an agent keeps, if it does not keep one to each."""
-    return {"keeps links to": f"{few['links']} of {few['known']} agents that it knows"} if few is not None else {}
+    """Return how many links an agent keeps, if it does not keep one to each agent."""
+    return {"keeps links to": f"{few['links']} of {few['known']} known agents"} if few is not None else {}
 
 
 def _clock(found: dict[str, Any]) -> str:

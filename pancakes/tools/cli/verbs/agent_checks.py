@@ -1,6 +1,6 @@
 """Check running agents for `pancakes doctor`: entries, fleet, devices, peers, clocks, guards and fences.
 
-A check takes what agents say of themselves, as plain values, and yields findings (`pancakes.tools.cli.verbs.checks`).
+A check takes the descriptions of agents, as plain values, and yields findings (`pancakes.tools.cli.verbs.checks`).
 """
 
 from __future__ import annotations
@@ -25,45 +25,43 @@ from pancakes.tools.cli.verbs.checks import (
 )
 
 DEVICES: Final = "device"
-"""The service that has the devices of an agent as its tasks."""
+"""The service whose tasks are the devices of an agent."""
 MISSED_READINGS_SHARE: Final = 0.01
-"""A device that misses more than this share of its readings is named."""
+"""The largest share of missed readings of a device that is not reported."""
 
 
 @task_check
 def check_device(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Finding]:
     """Look for a device that is silent, or misses many readings."""
     about = f"{agent}/{task['task']}"
-    readings = task.get("readings")  # a task that is no device has none
+    readings = task.get("readings")  # only devices have it
     if readings is None or task["state"] != "running":
         return
     if readings["silent_s"] is not None:
         text = f"has had no reading for {readings['silent_s']:.0f} s"
-        advice = "see whether its hardware is plugged in and has power, and whether what it hears is reachable"
+        advice = "check that its hardware is connected and has power, and that the source of its readings is reachable"
         yield Finding("warning", about, text, advice)
     tries = readings["came"] + readings["missed"]
     if readings["missed"] > MISSED_READINGS_SHARE * tries:
         share = share_of(readings["missed"], tries)
-        text = (
-            f"missed {readings['missed']} of {tries} readings or commands ({share}), the last one so: {readings['why']}"
-        )
-        yield Finding("warning", about, text, f"look at its cables and settings: pancakes task info {about}")
+        text = f"missed {readings['missed']} of {tries} readings or commands ({share}); the last one: {readings['why']}"
+        yield Finding("warning", about, text, f"check its cables and settings: pancakes task info {about}")
 
 
 IN_DOUBT: Final = "in doubt"
 NEAR: Final = 0.9
-"""A peer that takes such a share of its room is named before the agent refuses it."""
+"""The share of a bound at which a peer is reported, before the agent refuses it."""
 _STORIES: Final = {
-    IN_DOUBT: "tasks that {peer} has brought and not handed over",
-    "taken back": "marks of tasks that {peer} has brought and taken back",
-    "guarded": "tasks of {peer} as a guardian",
-    "removed": "marks of guarded tasks of {peer} that were removed",
+    IN_DOUBT: "tasks whose hand-off from {peer} is in doubt",
+    "taken back": "marks of hand-offs that {peer} has withdrawn",
+    "guarded": "checkpoints of tasks of {peer}, as their guardian",
+    "removed": "marks of removed guarded tasks of {peer}",
 }
 
 
 @agent_check
 def check_kept(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
-    """Look for peers that are at a bound, and for what those that are away have left."""
+    """Look for peers that are near a bound, and for tasks that peers left behind when they went away."""
     name = agent["agent"]
     for row in agent.get("kept_of_peers", ()):
         peer, kind = row["peer"], row["kind"]
@@ -71,7 +69,7 @@ def check_kept(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
         if row["share"] < NEAR and not away:
             continue
         story = _STORIES[kind].format(peer=peer)
-        text = f"keeps {row['count']} {story} ({row['bytes'] / 2**20:.1f} MiB), {row['share']:.0%} of the room for them"
+        text = f"keeps {row['count']} {story} ({row['bytes'] / 2**20:.1f} MiB), {row['share']:.0%} of the limit"
         if away:
             text += f", and {peer} is away"
         yield Finding("warning", name, text, _advice(name, peer, kind))
@@ -80,36 +78,36 @@ def check_kept(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
 def _advice(name: str, peer: str, kind: str) -> str:
     if kind == IN_DOUBT:
         return f"start {peer}; if it is gone for good: pancakes task forget-peer {name} {peer} --dry-run"
-    return f"see whether {peer} makes up tasks, and revoke it then: pancakes fleet revoke {peer} WHY"
+    return f"check whether {peer} invents tasks; if so, revoke it: pancakes fleet revoke {peer} REASON"
 
 
 DAY_S: Final = 1.0
-"""Times of day that are further apart than this are named."""
+"""The largest difference between times of day that is not reported."""
 ASKED_S: Final = 5.0
-"""An answer may be on its way for so long: the time of day of this machine tells no less than that."""
+"""The same against this machine's clock: an answer may take this long to arrive."""
 MISSION_S: Final = 1.0
-"""Missions that are further apart than this are named, in mission time."""
+"""The largest difference between mission times that is not reported, in mission seconds."""
 DRIFT: Final = 0.01
-"""A clock that gains or loses more than this share is named."""
+"""The largest share that a clock may gain or lose without a report."""
 LEASE_DRIFT: Final = 0.05
-"""Leases of guarded tasks rest on clocks that differ by less than this."""
+"""Leases of guarded tasks are safe only if the rates of clocks differ by less than this share."""
 UNITS: Final = (("year", 365.25 * 86_400), ("day", 86_400.0), ("hour", 3600.0), ("minute", 60.0))
 HERE: Final = "this machine"
 
 
 @fleet_check
 def check_clocks(facts: Facts) -> Iterator[Finding]:
-    """Look for clocks that are off: times of day that differ or were never set, rates, and mission times.
+    """Look for wrong clocks: times of day that differ or were never set, rates, and mission times.
 
-    An agent is named if more than half of those that know its clock say that it is off. If two disagree, and no third
-    knows better, both are named.
+    An agent is reported if more than half of the agents that know its clock find it wrong. If only two agents know each
+    other's clocks and disagree, both are reported.
     """
     agents = facts.agents
     for agent in agents:
         if agent["utc_s"] is None and agent["process"] is not None:
-            text = f"{_on(agent)} has no time of day: its clock was never set since it was switched on"
+            text = f"{_on(agent)} has no time of day: its clock was not set since it was switched on"
             yield Finding("warning", agent["agent"], text, _set_clock(agent))
-    days = _told(agents, "day_ahead_s")
+    days = _measured(agents, "day_ahead_s")
     for agent in agents:
         if (utc_s := agent["utc_s"]) is not None and facts.now_s is not None:
             ahead_s = utc_s - facts.now_s
@@ -119,33 +117,33 @@ def check_clocks(facts: Facts) -> Iterator[Finding]:
         if (agent := by_name[name])["utc_s"] is not None:
             text = f"the time of day of {_on(agent)} is {_apart(ahead_s)} that of {others}"
             yield Finding("warning", name, text, _set_clock(agent))
-    for name, drift, others in _off(_told(agents, "drift"), DRIFT):
-        agent, way = by_name[name], "gains" if drift > 0 else "loses"
-        text = f"the clock of {_on(agent)} {way} {abs(drift):.1%} against that of {others}"
-        advice = f"no crystal is so bad: see which clock its kernel uses (chronyc tracking, dmesg) on {_host(agent)}"
+    for name, drift, others in _off(_measured(agents, "drift"), DRIFT):
+        agent, verb = by_name[name], "gains" if drift > 0 else "loses"
+        text = f"the clock of {_on(agent)} {verb} {abs(drift):.1%} against that of {others}"
+        advice = f"no crystal drifts so much: check the clock source of {_host(agent)} (chronyc tracking, dmesg)"
         if abs(drift) >= LEASE_DRIFT:
             text += ": guarded tasks are not safe there"
         yield Finding("error" if abs(drift) >= LEASE_DRIFT else "warning", name, text, advice)
-    for name, ahead_s, others in _off(_told(agents, "mission_ahead_s"), MISSION_S):
-        text = f"its mission is {_apart(ahead_s)} that of {others}"
-        advice = f"if it is meant to be one mission, restart {name}: it goes on at the time of its fleet"
+    for name, ahead_s, others in _off(_measured(agents, "mission_ahead_s"), MISSION_S):
+        text = f"its mission time is {_apart(ahead_s)} that of {others}"
+        advice = f"if they should share one mission, restart {name}: it continues at the mission time of its fleet"
         yield Finding("warning", name, text, advice)
 
 
-def _told(agents: Sequence[dict[str, Any]], what: str) -> dict[str, dict[str, float]]:
-    """Return what is told of each agent that was asked, by the agent that tells it."""
-    told: dict[str, dict[str, float]] = {agent["agent"]: {} for agent in agents}
+def _measured(agents: Sequence[dict[str, Any]], key: str) -> dict[str, dict[str, float]]:
+    """Return a figure of each agent's clock, by agent and by the agent that measured it."""
+    measured: dict[str, dict[str, float]] = {agent["agent"]: {} for agent in agents}
     for agent in agents:
         for peer in agent["mesh"]["peers"]:
-            value = (peer["clock"] or {}).get(what)
-            if value is not None and peer["name"] in told:
-                told[peer["name"]][agent["agent"]] = value
-    return told
+            value = (peer["clock"] or {}).get(key)
+            if value is not None and peer["name"] in measured:
+                measured[peer["name"]][agent["agent"]] = value
+    return measured
 
 
-def _off(told: dict[str, dict[str, float]], limit: float) -> Iterator[tuple[str, float, str]]:
-    """Give each agent that is off, by how much most say that it is, and the names of these."""
-    for name, values in sorted(told.items()):
+def _off(measured: dict[str, dict[str, float]], limit: float) -> Iterator[tuple[str, float, str]]:
+    """Yield each agent whose clock is off, the median of the offsets, and the names of those that measured them."""
+    for name, values in sorted(measured.items()):
         off = {other: value for other, value in values.items() if abs(value) > limit}
         if 2 * len(off) > len(values):
             middle = sorted(off.values())[len(off) // 2]
@@ -157,7 +155,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _on(agent: dict[str, Any]) -> str:
-    """Return what has the clock of an agent, for people."""
+    """Return the host of an agent, for people."""
     return f"{_host(agent)}, on which {agent['agent']} runs,"
 
 
@@ -167,7 +165,7 @@ def _host(agent: dict[str, Any]) -> str:
 
 
 def _set_clock(agent: dict[str, Any]) -> str:
-    return f"timedatectl on {_host(agent)} shows whether it is synchronised; have chrony or systemd-timesyncd set it"
+    return f"see timedatectl on {_host(agent)}; let chrony or systemd-timesyncd synchronise it"
 
 
 def _apart(seconds: float) -> str:
@@ -182,9 +180,9 @@ def _apart(seconds: float) -> str:
 
 @task_check
 def check_fences(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Finding]:
-    """Look for tasks that an actuator refuses, because it has seen a higher epoch of them than runs now.
+    """Look for tasks that an actuator refuses, because it has seen a higher epoch than their present one.
 
-    A lower one is as it should be: the next command of the task raises it.
+    A lower epoch is in order: the next command of the task raises it.
     """
     for row in facts.fences(agent, f"{DEVICES}/{task['task']}") if task["service"] == DEVICES else ():
         if row["obeyed"] is False and _epoch(row["seen"]) > _epoch(row["owner_has"]):
@@ -192,7 +190,7 @@ def check_fences(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Fin
                 f"refuses {row['task_id']}, which {row['owner']} has under epoch {row['owner_has']}: it has seen epoch"
                 f" {row['seen']}, brought by {row['brought_by']}"
             )
-            advice = f"see that the task runs once, then: pancakes task fence {row['actuator']} --set {row['task_id']}"
+            advice = f"check that it runs only once, then: pancakes task fence {row['actuator']} --set {row['task_id']}"
             yield Finding("error", row["actuator"], text, advice)
 
 
@@ -203,7 +201,7 @@ def _epoch(text: str) -> tuple[int, str]:
 
 @fleet_check
 def check_guards(facts: Facts) -> Iterator[Finding]:
-    """Look for guarded tasks that would not outlive their agents, or that stand still."""
+    """Look for guarded tasks that would be lost with their agents, or that are paused."""
     tasks: dict[str, list[dict[str, Any]]] = {}
     for row in facts.guards:
         tasks.setdefault(row["task_id"], []).append(row)
@@ -215,23 +213,25 @@ def check_guards(facts: Facts) -> Iterator[Finding]:
             yield from _check_owned(owners[0], known)
         elif not any(row["lease"] for row in known) and any(row["wanted"] for row in known):
             text = f"is run by no agent: its owner {known[0]['owner']} is silent"
-            yield Finding("error", task_id, text, f"pancakes task take {known[0]['agent']}/{name} has it taken over")
+            yield Finding(
+                "error", task_id, text, f"make its guardians take over: pancakes task take {known[0]['agent']}/{name}"
+            )
         elif any(row["wanted"] for row in known):
             yield from _awaited(task_id, [row for row in known if row["lease"]])
 
 
 def is_awaited(row: dict[str, Any]) -> bool:
-    """Return whether a guardian only waits for the end of a lease: an owner that lives renews it long before."""
+    """Return whether a guardian only waits for the end of a lease: a living owner renews the lease much earlier."""
     return row["lease"] and row["silent_s"] > row["lease_left_s"]
 
 
 def _awaited(task_id: str, leased: Sequence[dict[str, Any]]) -> Iterator[Finding]:
-    """Say what is waited for until a task can be taken over; a guardian that has begun again waits a whole lease."""
+    """Report the leases that must end before a take-over; a guardian that was restarted waits a whole lease."""
     if not all(map(is_awaited, leased)):
         return
     names = ", ".join(f"{row['agent']} ({row['lease_left_s']:.0f} s)" for row in leased)
-    text = f"is run by no agent that answers: guardians wait until the lease of {leased[0]['owner']} is over: {names}"
-    yield Finding("warning", task_id, text, "another agent goes on with it then, or its owner if that is back")
+    text = f"is run by no agent that answers: guardians wait until the lease of {leased[0]['owner']} ends: {names}"
+    yield Finding("warning", task_id, text, "wait: then another agent takes over, or the owner continues if it is back")
 
 
 def _number(row: dict[str, Any]) -> int:
@@ -242,34 +242,34 @@ def _check_owned(owner: dict[str, Any], known: Sequence[dict[str, Any]]) -> Iter
     about, guardians = f"{owner['agent']}/{owner['task_id'].partition('/')[2]}", owner["guardians"]
     silent = [name for name in guardians if name not in {row["agent"] for row in known}]
     if owner["wanted"] and not owner["permit_s"]:
-        text = "stands still: more than half of its guardians do not answer it"
-        yield Finding("error", about, text, f"see which: pancakes task guards {owner['agent']}")
+        text = "is paused: more than half of its guardians do not answer"
+        yield Finding("error", about, text, f"see which of them: pancakes task guards {owner['agent']}")
     elif len(guardians) < owner["guard"]:
-        text = f"has {len(guardians)} of the {owner['guard']} guardians that it needs: it does not outlive its agent"
-        yield Finding("warning", about, text, "link it to more agents that may guard it; a witness will do")
+        text = f"has {len(guardians)} of the {owner['guard']} guardians that it needs: it would be lost with its agent"
+        yield Finding("warning", about, text, "link its agent to more agents that may guard it, such as a witness")
     elif silent:
         text = f"has a guardian that does not answer: {', '.join(silent)}"
-        yield Finding("warning", about, text, "see whether it runs; after a minute another agent takes its place")
+        yield Finding("warning", about, text, "check that it runs; after a minute another agent takes its place")
     yield from _check_machine(about, owner)
 
 
 def _check_machine(about: str, owner: dict[str, Any]) -> Iterator[Finding]:
     if devices := ", ".join(owner.get("no_dead_man", ())):
-        text = f"commands {devices}, whose hardware does not hold by itself: it goes on as it was if its agent dies"
-        yield Finding("warning", about, text, "docs/writing-a-driver.md says what a dead-man switch must do")
+        text = f"commands {devices}, whose hardware has no dead-man switch: it keeps its last command if its agent dies"
+        yield Finding("warning", about, text, "see docs/writing-a-driver.md for what a dead-man switch must do")
     if steps := owner.get("clock_steps", 0):
         times = "once" if steps == 1 else f"{steps} times"
-        text = f"stood still {times} because the time of day of {owner['agent']} was set forward"
-        yield Finding("warning", about, text, "have its clock set before the agent starts")
+        text = f"was paused {times} because the time of day of {owner['agent']} was set forward"
+        yield Finding("warning", about, text, "make sure that its clock is set before the agent starts")
 
 
 MISSED_SHARE: Final = 0.01
-"""A task that misses more than this share of its ticks is named."""
+"""The largest share of missed ticks of a task that is not reported."""
 
 
 @fleet_check
 def check_entries(facts: Facts) -> Iterator[Finding]:
-    """Look at the agents of this machine from outside: their names and processes."""
+    """Check the agents of this machine from outside: their names and processes."""
     entries = facts.entries
     for entry in entries:
         same = [other.pid for other in entries if (other.fleet, other.name) == (entry.fleet, entry.name)]
@@ -281,7 +281,7 @@ def check_entries(facts: Facts) -> Iterator[Finding]:
         elsewhere = sorted({other.fleet for other in entries if other.name == entry.name})
         if len(elsewhere) > 1 and entry.fleet == elsewhere[0]:
             text = f"agents of the fleets {', '.join(elsewhere)} have this name"
-            yield Finding("warning", entry.name, text, "say which you mean with --at HOST:PORT")
+            yield Finding("warning", entry.name, text, "name the fleet with --fleet, or an address with --at HOST:PORT")
         if is_suspended(entry.pid):
             text = f"its process {entry.pid} is suspended: it neither answers nor drives anything"
             yield Finding("error", entry.name, text, f"kill -CONT {entry.pid}")
@@ -299,12 +299,12 @@ def is_suspended(pid: int) -> bool:
 
 @fleet_check
 def check_silent(facts: Facts) -> Iterator[Finding]:
-    """Name the agents that do not answer; one whose network sleeps is in order."""
+    """Report the agents that do not answer; one whose network sleeps is in order."""
     for sentence in facts.silent:
         if sentence in facts.asleep:
             yield Finding("ok", "agents", sentence)
         else:
-            advice = "see whether it runs, and whether its process is suspended or its computer is away"
+            advice = "check whether it runs, and whether its process is suspended or its computer is unreachable"
             yield Finding("error", "agents", sentence, advice)
 
 
@@ -314,33 +314,33 @@ def check_versions(facts: Facts) -> Iterator[Finding]:
     versions = {agent["process"]["version"] for agent in facts.agents if agent["process"] is not None}
     if versions - {__version__}:
         text = f"agents run the versions {', '.join(sorted(versions))}, and this command is {__version__}"
-        yield Finding("warning", "agents", text, "update them: tasks move between equal versions only")
+        yield Finding("warning", "agents", text, "update them: tasks migrate only between equal versions")
 
 
 def _in_order(agent: dict[str, Any]) -> Finding:
-    """Return the finding about an agent of which nothing else was found."""
+    """Return the finding for an agent without other findings."""
     running = sum(task["state"] == "running" for task in agent["tasks"])
     connected = len(agent["neighbours"])
     text = f"is ready, with {_count(running, 'task')} running and {_count(connected, 'neighbour')}"
     if few := agent["mesh"]["few"]:
-        text += f" of {_count(few['known'], 'agent')} that it knows"
+        text += f" of {_count(few['known'], 'known agent')}"
     if routed := sum(peer["reach"] == "routers" for peer in agent["mesh"]["peers"]):
         text += f"; {_count(routed, 'link')} through routers"
     return Finding("ok", agent["agent"], text)
 
 
 def _check_warnings(agent: dict[str, Any], findings: Sequence[Finding]) -> Iterator[Finding]:
-    """Report what an agent has warned of lately, unless a finding covers it."""
+    """Report recent warnings of an agent, unless a finding covers them."""
     in_error = {finding.about for finding in findings if finding.level == "error"}
     for line in agent.get("warnings", ()):
         if any(finding.text in line["text"] or line["text"] in finding.text for finding in findings):
             continue
         name, _, target = line["text"].partition(" ")[0].partition("/")
         if f"{name}/{target.rpartition('/')[2]}" in in_error:
-            continue  # how it came to that, try by try
+            continue  # the warnings before the error describe the same fault
         times = f"{line['count']} times, last " if line["count"] > 1 else ""
         text = f"warned {times}{line['ago_s']:.0f} s ago: {line['text']}"
-        advice = f"see what led to it: pancakes log --from {agent['agent']} --level warning"
+        advice = f"see what came before it: pancakes log --from {agent['agent']} --level warning"
         yield Finding("warning", line["source"], text, advice)
 
 
@@ -353,70 +353,71 @@ def check_roster(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
         return
     others = max((it["roster"] or 0 for it in facts.agents if it["fleet"] == agent["fleet"]), default=0)
     if fault is not None and fault["number"] in (0, own):
-        advice = "make room, or give its user the right to write there; it tries again each minute"
+        advice = "make room, or give its user write access; it tries again every minute"
         if fault["number"] == 0:
-            advice = "pancakes deploy brings it; until then this agent goes on to believe whom you revoke"
+            advice = "install it, or use pancakes deploy; until then this agent accepts members that you revoke"
         yield Finding("error", agent["agent"], fault["text"], advice)
     elif fault is not None and fault["number"] > own:
-        yield Finding("error", agent["agent"], fault["text"], "mend that: it believes what was revoked since")
+        yield Finding("error", agent["agent"], fault["text"], "fix that: it accepts members that were revoked since")
     if own < others:
-        text = f"goes by the roster {own} of its fleet, and others know the roster {others}"
-        yield Finding("warning", agent["agent"], text, "link it to one that knows: it believes what was revoked since")
+        text = f"has the roster {own} of its fleet, and others have the roster {others}"
+        advice = "link it to an agent that has the newer one: it accepts members that were revoked since"
+        yield Finding("warning", agent["agent"], text, advice)
     elif own < here:
-        text = f"goes by the roster {own} of its fleet, and this machine has the roster {here}"
-        advice = "look again in a minute; if it stays so, pancakes fleet sign --tell HOST:PORT"
+        text = f"has the roster {own} of its fleet, and this machine has the roster {here}"
+        advice = "try again in a minute; if it has not changed: pancakes fleet sign --tell HOST:PORT"
         yield Finding("warning", agent["agent"], text, advice)
 
 
 @fleet_check
 def check_builds(facts: Facts) -> Iterator[Finding]:
-    """Name the builds that agents run, if they differ."""
+    """Report the builds that agents run, if they differ."""
     by_version: dict[str, list[str]] = {}
     for agent in facts.agents:
         if agent["process"] is not None:
             version = agent["process"].get("build") or agent["process"]["version"]
             by_version.setdefault(version, []).append(agent["agent"])
     if len(by_version) > 1:
-        told = "; ".join(f"{version} on {', '.join(names)}" for version, names in sorted(by_version.items()))
-        advice = "pancakes deploy FLEET brings one version to all of its hosts"
-        yield Finding("warning", "agents", f"agents of a fleet run different versions: {told}", advice)
+        versions = "; ".join(f"{version} on {', '.join(names)}" for version, names in sorted(by_version.items()))
+        advice = "install one version on all hosts: pancakes deploy FLEET"
+        yield Finding("warning", "agents", f"agents of a fleet run different versions: {versions}", advice)
 
 
 @fleet_check
 def check_plugins(facts: Facts) -> Iterator[Finding]:
-    """Name the agents that lack a distribution with task types which others of their fleet have."""
+    """Report agents that lack a distribution with task types that other agents of their fleet have."""
     for agent in facts.agents:
         others = [other for other in facts.agents if other["fleet"] == agent["fleet"]]
         for name in sorted({it for other in others for it in other["plugins"]} - set(agent["plugins"])):
-            having = ", ".join(other["agent"] for other in others if name in other["plugins"])
-            text = f"lacks the plug-in {name}, which {having} has: no task of it can migrate there"
-            advice = f"install {name} in the environment of {agent['agent']} (pancakes deploy does), and start it again"
+            owners = ", ".join(other["agent"] for other in others if name in other["plugins"])
+            text = f"lacks the plug-in {name}, which {owners} has: tasks of this plug-in cannot migrate to it"
+            advice = f"install {name} in the environment of {agent['agent']} (or use pancakes deploy), and restart it"
             yield Finding("warning", agent["agent"], text, advice)
 
 
 @agent_check
 def check_agent(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
-    """Look at what an agent says of itself as a whole."""
+    """Check what an agent reports about itself as a whole."""
     name = agent["agent"]
     if not agent["ready"]:
         yield Finding("warning", name, "is not ready: its tasks are still starting", f"pancakes task list {name}")
     if fault := agent.get("journal_fault"):
-        advice = "make room on that disk, or give its user the right to write there; it goes on by itself then"
-        yield Finding("error", name, f"keeps nothing that its tasks do: {fault}", advice)
+        advice = "make room on that disk, or give its user write access; then the agent continues by itself"
+        yield Finding("error", name, f"cannot save the state of its tasks: {fault}", advice)
     if (config := agent.get("config_file")) and config["changed"]:
-        text = f"runs with what {config['path']} said when it started: the file was changed, or is gone, since"
-        advice = f"pancakes config check {config['path']}, and start the agent again"
+        text = f"runs with an old configuration: {config['path']} was changed or removed since it started"
+        advice = f"check the file with pancakes config check {config['path']}, and restart the agent"
         yield Finding("warning", name, text, advice)
     if agent["held"]:
-        text = "its mission waits at 0, so nothing of it moves"
-        yield Finding("warning", name, text, "it begins when its launcher lets it, as pancakes launch does")
+        text = "its mission clock is held at 0, so its tasks do not act"
+        yield Finding("warning", name, text, "the launcher must release it, as pancakes launch does")
     if agent["insecure"]:
-        text = f"speaks over {agent['insecure']} without keys: all that reach it can read what it says, and command it"
-        yield Finding("warning", name, text, "pancakes fleet join, and take insecure = true out of its file")
+        text = f"uses {agent['insecure']} without keys: anyone who can reach it can read its packets and command it"
+        yield Finding("warning", name, text, "run pancakes fleet join, and remove insecure = true from its file")
     for why in agent["mesh"].get("near_only", ()):
-        yield Finding("warning", name, f"is not reached from other machines: {why}", ADVICE)
+        yield Finding("warning", name, f"cannot be reached from other machines: {why}", ADVICE)
     if agent["dead_letters"]:
-        text = f"readers failed at {_count(agent['dead_letters'], 'packet')}, given up after that"
+        text = f"has {_count(agent['dead_letters'], 'dead letter')}: packets whose handlers failed"
         yield Finding("warning", name, text, f"see which and why: pancakes log --from {name} --level warning")
 
 
@@ -427,13 +428,13 @@ def check_services(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
         about = f"{agent['agent']}/{service['service']}"
         yield from _check_tries(about, "service", service)
         if service["state"] == "stopped" and service["reason"]:
-            text = f"does not run, and none of its tasks: {service['reason']}"
+            text = f"does not run, so its tasks do not run either: {service['reason']}"
             yield Finding("warning", about, text, f"to start it: pancakes service start {about}")
 
 
 @agent_check
 def check_peers(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
-    """Look for peers that are away, and for links that lose packets or can be read by others."""
+    """Look for peers that are away, and for links that lose packets or are not encrypted."""
     name, mesh = agent["agent"], agent["mesh"]
     connected = {peer["name"] for peer in mesh["peers"]}
     asleep = {peer["name"] for peer in mesh["asleep"]}
@@ -443,18 +444,18 @@ def check_peers(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
             text = f"is not connected to its peer {peer}" + (f": {known['refused']}" if known["refused"] else "")
             advice = "start that agent, or correct peers in [agent]"
             if "certificate" in known["refused"]:
-                advice = "pancakes fleet list, and enrol it again if it belongs to the fleet"
+                advice = "see pancakes fleet list, and enrol the peer again if it belongs to the fleet"
             yield Finding("warning", name, text, advice)
     for peer in mesh["peers"]:
         lost = sum(peer["dropped"].values())
         if lost and peer["role"] != "client":
             channels = ", ".join(f"{count} of {channel}" for channel, count in peer["dropped"].items())
             text = f"dropped {_count(lost, 'packet')} to {peer['name']}, which is too slow for them: {channels}"
-            yield Finding("warning", name, text, "send less often, or look at the network between them")
+            yield Finding("warning", name, text, "publish less often, or check the network between them")
         scheme = peer["remote"].partition("://")[0]
         if peer["reach"] in ("network", "routers") and not peer["encrypted"] and not agent["insecure"]:
             text = f"has a link to {peer['name']} over {scheme}://, which does not encrypt: others may read it"
-            yield Finding("warning", name, text, "take an address whose way is encrypted: pancakes agent info")
+            yield Finding("warning", name, text, "use an address with encryption: see pancakes agent info")
         if peer["refused"]:
             text = f"refused {_count(peer['refused'], 'packet')} of {peer['name']}, which may not send them"
             yield Finding("warning", name, text, f"see why: pancakes log --from {name} --level warning")
@@ -468,23 +469,23 @@ def check_failures(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[F
 
 @task_check
 def check_ownership(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Finding]:
-    """Look for a task that rests because another agent may have it."""
+    """Look for a task that does not run because another agent may have it."""
     about = f"{agent}/{task['task']}"
     if task["rest"] == "disputed":
-        text = "is owned by another agent too, and rests: " + (task["reason"] or "see the log of both")
-        yield Finding("error", about, text, f"pancakes task resolve AGENT/{task['task']} says which of the two lives")
+        text = "is paused, because another agent owns it too: " + (task["reason"] or "see the log of both")
+        yield Finding("error", about, text, f"choose the copy to keep: pancakes task resolve AGENT/{task['task']}")
     if task.get("guarding", {}).get("copied"):
-        text = f"stands still: the disk of {agent} is a copy, so its guardians have an agent go on with the task"
-        yield Finding("error", about, text, f"if they are gone: pancakes task revive {about}")
+        text = f"is paused: the disk of {agent} is a copy, so the guardians decide which agent runs the task"
+        yield Finding("error", about, text, f"if the guardians are gone: pancakes task revive {about}")
     rest, reason = task["rest"], task["reason"]
     if rest.startswith(WAITS):
         text = f"is not born yet: {reason}"
         yield Finding("warning", about, text, "start that agent, or correct peers in [agent]")
     elif rest == DISK_LOST:
-        advice = f"see where it is: pancakes task list; pancakes task forget {about} leaves it there"
+        advice = f"find it with pancakes task list; to leave it there: pancakes task forget {about}"
         yield Finding("error", about, f"is not born: {reason}", advice)
     elif rest == OLD_COPY:
-        yield Finding("error", about, f"stands still: {reason}", "see that those agents run, or decide yourself")
+        yield Finding("error", about, f"is paused: {reason}", "start those agents, or decide yourself")
 
 
 @task_check
@@ -492,12 +493,12 @@ def check_load(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Findi
     """Look for a task that is stuck, misses ticks, or loses packets."""
     about = f"{agent}/{task['task']}"
     if task["state"] == "stuck":
-        text = "was asked to stop and does not come back from what it is doing"
-        yield Finding("error", about, text, "restart its agent; a task that waits for long sets blocking = True")
+        text = "was asked to stop, but its handler does not return"
+        yield Finding("error", about, text, "restart its agent; a task that blocks for long must set blocking = True")
     ticks = task["ticks"] + task["missed"]
     if task["missed"] and task["missed"] > MISSED_SHARE * ticks:
         late = f"missed {task['missed']} of {ticks} ticks, and was up to {task['lateness_max_s']:.3g} s late"
-        yield Finding("warning", about, late, f"let it tick less often: pancakes task rate {about} HZ")
+        yield Finding("warning", about, late, f"lower its rate: pancakes task rate {about} HZ")
     described = facts.describe(agent, f"{task['service']}/{task['task']}") if task["dropped"] else None
     for read in described["reads"] if described is not None else ():
         if read["dropped"]:
@@ -506,21 +507,21 @@ def check_load(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Findi
 
 
 def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding]:
-    """Look at a task or a service that has failed; a device is a task."""
+    """Report a task or a service that has failed; a device is a task."""
     when = tries(row)
     if row["state"] == "failed":
         text = f"was given up: {row['reason']}" + (f" ({when})" if when else "")
-        yield Finding("error", about, text, f"mend that, then: pancakes {noun} start {about}")
+        yield Finding("error", about, text, f"fix that, then: pancakes {noun} start {about}")
     elif row.get("rest") == "failed":
         text = "does not run: it was given up before its agent was last started"
-        advice = f"the agent's log from then says why (pancakes log); then: pancakes {noun} start {about}"
+        advice = f"see the agent's earlier log for the reason; then: pancakes {noun} start {about}"
         yield Finding("error", about, text, advice)
     elif row.get("waits") and row["rest"] == "":
-        advice = f"mend that: it starts once it can; pancakes {noun} info {about}"
+        advice = f"fix that, and it starts by itself; see pancakes {noun} info {about}"
         yield Finding("warning", about, f"does not run: {row['reason']}", advice)
     elif row["state"] == "restarting":
-        advice = f"mend that; to try at once: pancakes {noun} start {about}"
-        yield Finding("warning", about, f"{when or 'is started again'}: {row['reason']}", advice)
+        advice = f"fix that; to try at once: pancakes {noun} start {about}"
+        yield Finding("warning", about, f"{when or 'is restarting'}: {row['reason']}", advice)
 
 
 def _count(number: int, noun: str) -> str:

@@ -1,6 +1,6 @@
 """`pancakes channel ...`: list channels, show their packets (`echo`), and measure rates and sizes (`hz`, `bw`).
 
-`Throughput` is pure: packets and times go in, rows come out. `pub` is in `publish`.
+`Throughput` is pure: packets and times go in, rows come out. `pub` is in the module `publish`.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from pancakes.tools.cli.verbs.publish import pub
 from pancakes.util.text import hint_of
 
 WINDOW: Final = 1000
-"""So many of the newest packets of one source and type are looked at, if nothing else is said."""
+"""The default of `--window`: the number of newest packets of one source and type that are measured."""
 
 
 def size_of(packet: Packet) -> int:
-    """Return how many bytes a packet takes on the wire, apart from the name of its follower.
+    """Return the bytes that a packet takes on the wire, without its destination.
 
-    In the main thread only. A frame around one or several packets adds a few more.
+    Call it only in the main thread. The frame around one or several packets adds a few bytes.
     """
     return len(encode_packet(replace(packet, destination="")))
 
 
 class _Arrival(NamedTuple):
-    """One packet: its time, for the intervals; the host time at which it came; its size."""
+    """One packet: its time, for the intervals; its host time of arrival; its size in bytes."""
 
     time_s: float
     at_s: float
@@ -64,13 +64,13 @@ class _PacketSeries:
 
 
 class Throughput:
-    """Look at packets, those of each source and type by themselves.
+    """Measure the rates and sizes of packets, separately for each source and type.
 
     Args:
-        began_s: when it was begun to listen, in host time.
-        window: how many packets of each source and type are looked at.
-        arrivals: whether intervals are those at which packets came, in host time, instead of those at which they were
-            published, in the publisher's mission time.
+        began_s: the host time at which listening began.
+        window: how many of the newest packets of each source and type to measure.
+        arrivals: whether to measure intervals between arrivals, in host time, instead of intervals between
+            publications, in the publisher's mission time.
     """
 
     def __init__(self, began_s: float, window: int = WINDOW, arrivals: bool = False) -> None:
@@ -81,12 +81,12 @@ class Throughput:
         self.packets = 0
 
     def add(self, packet: Packet, at_s: float, size: int = 0) -> None:
-        """Take a packet that came at a host time."""
+        """Add a packet that arrived at a host time."""
         key = (packet.source, packet.type)
         it = self._series.get(key)
         time_s = at_s if self._arrivals else packet.stamp
         if it is None or time_s < it.newest[-1].time_s:
-            # A mission time that goes back is that of an agent that was started again.
+            # Mission time went back: the agent was restarted, so begin a new series.
             it = self._series[key] = _PacketSeries(deque(maxlen=self._window))
         it.newest.append(_Arrival(time_s, at_s, size))
         it.packets += 1
@@ -94,15 +94,15 @@ class Throughput:
         self.packets += 1
 
     def rows(self, now_s: float, new_only: bool = False) -> list[dict[str, Any]]:
-        """Return a row for each source and type, by their names.
+        """Return a row for each source and type, sorted by their names.
 
         Args:
             now_s: host time.
-            new_only: leaves those out that nothing came of since the call before.
+            new_only: whether to leave out series without a new packet since the last call.
 
         Returns:
-            For each `source`, `type`, `packets` (all of them), `window` (those that the rest is about), `rate_hz`,
-            `min_s`, `max_s` and `std_dev_s` of the intervals (None if there is none), `bytes_per_s` of host time,
+            Rows with `source`, `type`, `packets` (all so far), `window` (the number of packets measured), `rate_hz`,
+            `min_s`, `max_s` and `std_dev_s` of the intervals (None without an interval), `bytes_per_s` of host time,
             `min_bytes`, `mean_bytes` and `max_bytes`.
         """
         rows = []
@@ -117,7 +117,7 @@ class Throughput:
 def _intervals(newest: deque[_Arrival]) -> dict[str, float | None]:
     intervals = [after.time_s - before.time_s for before, after in pairwise(newest)]
     whole_s = sum(intervals)
-    if not intervals or whole_s <= 0.0:  # a mission that is held stands at 0
+    if not intervals or whole_s <= 0.0:  # all stamps are 0 while the mission clock is held
         return {"rate_hz": None, "min_s": None, "max_s": None, "std_dev_s": None}
     rate_hz, spread_s = len(intervals) / whole_s, statistics.pstdev(intervals)
     return {"rate_hz": rate_hz, "min_s": min(intervals), "max_s": max(intervals), "std_dev_s": spread_s}
@@ -127,7 +127,7 @@ def _sizes(it: _PacketSeries, began_s: float, now_s: float) -> dict[str, float |
     sizes = [arrival.size for arrival in it.newest]
     if it.packets == len(sizes):
         whole, since_s = sum(sizes), began_s
-    else:  # the window begins with its first packet, which therefore does not count
+    else:  # the time begins with the window's first packet, so do not count the bytes of that packet
         whole, since_s = sum(sizes[1:]), it.newest[0].at_s
     return {
         "bytes_per_s": whole / (now_s - since_s) if now_s > since_s else None,
@@ -138,7 +138,7 @@ def _sizes(it: _PacketSeries, began_s: float, now_s: float) -> dict[str, float |
 
 
 EVERY_S: Final = 1.0
-"""How often there is a report."""
+"""The period of the reports."""
 HZ: Final = ("source", "type", "rate_hz", "min_s", "max_s", "std_dev_s", "window")
 BW: Final = ("source", "type", "bytes_per_s", "min_bytes", "mean_bytes", "max_bytes", "window")
 
@@ -152,7 +152,7 @@ _OPTIONS = (
         type=click.IntRange(min=2),
         default=WINDOW,
         show_default=True,
-        help="How many packets of each source and type count, the newest.",
+        help="How many of the newest packets of each source and type to measure.",
     ),
     count_option("packets"),
     for_option,
@@ -161,7 +161,7 @@ _OPTIONS = (
 
 
 def _measures(function: Callable[..., None]) -> Callable[..., None]:
-    """Give a verb what both have."""
+    """Give a verb the arguments and options that `hz` and `bw` share."""
     for option in reversed(_OPTIONS):
         function = option(function)
     return function
@@ -170,39 +170,39 @@ def _measures(function: Callable[..., None]) -> Callable[..., None]:
 @click.command()
 @_measures
 @click.option(
-    "--wall-time", is_flag=True, help="Take the times at which packets come here, instead of those they were published."
+    "--wall-time", is_flag=True, help="Measure when packets arrive here, instead of when they were published."
 )
-def hz(wall_time: bool, **asked: Any) -> None:
-    """Measure how often packets come on a channel: each second until Ctrl-C, or once with --count or --for.
+def hz(wall_time: bool, **options: Any) -> None:
+    """Measure the packet rate on a channel: each second until Ctrl-C, or once with --count or --for.
 
-    Each source and type has a row: the rate, the shortest and longest interval, their standard deviation, and over how
-    many packets. Times are those of the publisher's mission clock, as rates are everywhere, so that the way here does
-    not count; with --wall-time they are this computer's, and it does.
-    JSON is a list where the command ends by itself, and else one object a line.
+    Each source and type has a row: the rate, the shortest and longest interval, their standard deviation, and the
+    number of packets measured. Times are those of the publisher's mission clock, as for all rates, so network delays
+    do not count. With --wall-time they are arrival times on this computer.
+    JSON is a list if the command ends by itself, otherwise one object per line.
 
     \b
     Example:
         pancakes channel hz agent1/system --type pose
         pancakes channel hz agent1/system --for 5s --format json
     """
-    _measure(HZ, wall_time=wall_time, **asked)
+    _measure(HZ, wall_time=wall_time, **options)
 
 
 @click.command()
 @_measures
-def bw(**asked: Any) -> None:
-    """Measure how many bytes come on a channel: each second until Ctrl-C, or once with --count or --for.
+def bw(**options: Any) -> None:
+    """Measure the bandwidth of a channel: each second until Ctrl-C, or once with --count or --for.
 
-    Each source and type has a row, the last is for all of them: bytes for each second of this computer's time, and the
-    sizes of packets. It counts what each packet takes on the wire; the frames around them add a few bytes.
-    JSON is a list where the command ends by itself, and else one object a line.
+    Each source and type has a row, and the last row is for all of them: bytes per second of this computer's time, and
+    the sizes of packets. Sizes are those on the wire; the frames around packets add a few bytes.
+    JSON is a list if the command ends by itself, otherwise one object per line.
 
     \b
     Example:
         pancakes channel bw agent1/system
         pancakes channel bw agent1/system --type ir --for 5s
     """
-    _measure(BW, wall_time=True, **asked)
+    _measure(BW, wall_time=True, **options)
 
 
 def _measure(
@@ -219,16 +219,16 @@ def _measure(
 ) -> None:
     bounded = count is not None or for_s is not None
     doubt_types(types)
-    with listening_to(name, types, ask) as (client, following):
+    with listening_to(name, types, ask) as (client, subscriber):
         began_s = reported_s = client.now()
-        heard = Throughput(began_s, window, wall_time)
+        throughput = Throughput(began_s, window, wall_time)
 
         def report(new_only: bool) -> None:
-            rows = heard.rows(client.now(), new_only)
+            rows = throughput.rows(client.now(), new_only)
             if columns is BW and len(rows) > 1:
                 rows.append(_all(rows))
             if not rows:
-                say(f"nothing new on {name}")
+                say(f"no new packet on {name}")
             picked = [{column: row[column] for column in columns} for row in rows]
             if ask.printer.is_json and not bounded:
                 for row in picked:
@@ -237,10 +237,10 @@ def _measure(
                 ask.printer.emit(picked, Rows(picked, columns) if picked else "")
 
         try:
-            for packet in listen(client, following, for_s, bounded):
+            for packet in listen(client, subscriber, for_s, bounded):
                 if packet is not None and from_any(packet.packet.source, sources):
-                    heard.add(packet.packet, packet.at_s, size_of(packet.packet))
-                    if heard.packets == count:
+                    throughput.add(packet.packet, packet.at_s, size_of(packet.packet))
+                    if throughput.packets == count:
                         break
                 if not bounded and client.now() - reported_s >= EVERY_S:
                     reported_s += EVERY_S
@@ -254,7 +254,7 @@ def _measure(
 
 
 def _all(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the row that sums up the others."""
+    """Return the row that sums up all others."""
     packets = sum(row["window"] for row in rows)
     return {
         "source": "all",
@@ -270,7 +270,7 @@ def _all(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 WIDE: Final = 100
 """A list or mapping that takes more characters than this is shown on several lines."""
 HEADER: Final = "packet."
-"""What the name of a field begins with that is the packet's own, and not of its body."""
+"""The prefix of fields of the packet's header, as opposed to its body."""
 
 
 @click.command()
@@ -282,8 +282,8 @@ HEADER: Final = "packet."
     "fields",
     metavar="PATH",
     multiple=True,
-    help="Only this field of the body, such as x_m or ranges_m.0; packet.stamp, packet.source, packet.type and"
-    " packet.seq are the packet's own. Repeatable.",
+    help="Show only this field of the body, such as x_m or ranges_m.0, or of the header: packet.stamp, packet.source,"
+    " packet.type, packet.seq. Repeatable.",
 )
 @count_option("packets")
 @for_option
@@ -297,11 +297,11 @@ def echo(
     for_s: float | None,
     ask: Ask,
 ) -> None:
-    """Show the packets on a channel, those too that come from other agents, until Ctrl-C.
+    """Show the packets on a channel, including those from other agents, until Ctrl-C.
 
-    For people each packet is a YAML document, or with --field a line whose values are separated by tabs. JSON is a
-    list where the command ends by itself (--count, --for), and else one object a line.
-    An agent that goes away is waited for; with --count or --for, exit code 3 says that it did not come back.
+    Each packet is a YAML document, or with --field a line of values that are separated by tabs. JSON is a list if the
+    command ends by itself (--count, --for), otherwise one object per line.
+    If an agent goes away, the command waits for it. With --count or --for the exit code is 3 if it does not come back.
 
     \b
     Example:
@@ -314,13 +314,13 @@ def echo(
     doubt_types(types)
     _check_fields(types, fields)
     with (
-        listening_to(name, types, ask) as (client, following),
+        listening_to(name, types, ask) as (client, subscriber),
         ask.printer.stream(bounded, paths.text if fields else text_of) as stream,
     ):
-        for heard in listen(client, following, for_s, bounded):
-            if heard is None or not from_any(heard.packet.source, sources):
+        for received in listen(client, subscriber, for_s, bounded):
+            if received is None or not from_any(received.packet.source, sources):
                 continue
-            record = record_of(heard.agent, heard.packet)
+            record = record_of(received.agent, received.packet)
             picked = paths.pick(record) if fields else record
             if picked is not None:
                 stream.show(picked)
@@ -329,7 +329,7 @@ def echo(
 
 
 def _check_fields(types: Sequence[str], fields: Sequence[str]) -> None:
-    """Refuse a field that no packet of the wanted types can have: it would be waited for in vain."""
+    """Refuse a field that no packet of the wanted types can have: waiting for it would never end."""
     classes = [body_class(name) for name in types]
     known = [name for cls in classes if cls is not None for name in field_names(cls)]
     if not types or None in classes:
@@ -342,7 +342,7 @@ def _check_fields(types: Sequence[str], fields: Sequence[str]) -> None:
 
 
 def record_of(agent: str, packet: Packet) -> dict[str, Any]:
-    """Return a packet that was heard on an agent as plain values."""
+    """Return a packet that was received from an agent, as plain values."""
     return {
         "agent": agent,
         "channel": packet.channel,
@@ -379,7 +379,7 @@ def _key(name: str) -> str:
 
 
 def _scalar(value: Any) -> str:
-    """Return a value in one line; JSON is YAML, but a string that is plainly a word needs no quotes."""
+    """Format a value on one line, as JSON (which is YAML); a string that is a plain word gets no quotes."""
     if isinstance(value, float):
         return f"{value:.9g}"
     if isinstance(value, str) and value and all(part.isidentifier() for part in value.replace("-", "_").split("/")):
@@ -388,7 +388,7 @@ def _scalar(value: Any) -> str:
 
 
 class FieldPaths:
-    """Pick fields out of packets.
+    """Select fields of packets.
 
     Args:
         paths: the fields, as in `--field`.
@@ -396,21 +396,21 @@ class FieldPaths:
 
     def __init__(self, paths: Sequence[str]) -> None:
         self._paths = tuple(paths)
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def pick(self, record: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return the fields of a packet by their paths, null if it has not all of them; None if it has none."""
+        """Return the fields of a packet by path, with None for missing ones; None if it has none of the body fields."""
         found = {path: _at(record, path) for path in self._paths}
-        own = all(path.startswith(HEADER) for path in self._paths)
-        if own or any(it for path, it in found.items() if not path.startswith(HEADER)):
+        header_only = all(path.startswith(HEADER) for path in self._paths)
+        if header_only or any(it for path, it in found.items() if not path.startswith(HEADER)):
             return {path: it[0] if it else None for path, it in found.items()}
         kind = record["type"]
-        if kind not in self._told:
-            self._told.add(kind)
+        if kind not in self._reported:
+            self._reported.add(kind)
             body = record["body"]
             has = f"only {', '.join(body)}" if isinstance(body, Mapping) and body else "it has no fields"
             wanted = " or ".join(path for path in self._paths if not path.startswith(HEADER))
-            say(f"packets of the type {kind} are left out: they have no {wanted}, {has}")
+            say(f"packets of the type {kind} are skipped: they have no {wanted}, {has}")
         return None
 
     def text(self, picked: Mapping[str, Any]) -> str:
@@ -419,7 +419,7 @@ class FieldPaths:
 
 
 def _at(record: Mapping[str, Any], path: str) -> tuple[Any, ...]:
-    """Return what is at a path, as the only item of a tuple; an empty one if there is nothing."""
+    """Return the value at a path in a tuple, which is empty if the path does not exist."""
     if path.startswith(HEADER):
         value, steps = dict(record), path.removeprefix(HEADER).split(".")
     else:
@@ -441,7 +441,7 @@ PUBLISHERS = ("publisher", "type", "packets", "rate_hz", "bytes_per_s")
 
 @click.group()
 def channel() -> None:
-    """Channels that agents have, and the packets on them."""
+    """Show channels, and the packets on them."""
 
 
 for verb in (echo, hz, bw, pub):
@@ -454,8 +454,8 @@ for verb in (echo, hz, bw, pub):
 def list_(agent: str, ask: Ask) -> None:
     """List the channels of all agents, or of AGENT.
 
-    For each: how many components subscribe to it, how many packets wait for those and how many they have lost, and how
-    many terminals and other agents follow it from elsewhere.
+    For each channel it shows how many components subscribe to it, how many packets wait for them, how many packets they
+    lost, and how many terminals and other agents follow it.
 
     \b
     Example:
@@ -491,8 +491,8 @@ def list_(agent: str, ask: Ask) -> None:
 def info(name: ChannelName, for_s: float, ask: Ask) -> None:
     """Show which components subscribe to a channel, which clients follow it, and which sources publish on it.
 
-    No component declares what it will publish, so this command listens; a rare publisher may need a longer --for.
-    Rates are packets for each second of the publisher's mission time, bytes are for each second here.
+    Components do not declare what they publish, so this command listens; a rare publisher may need a longer --for.
+    Rates are packets per second of the publisher's mission time, bytes are per second of this computer's time.
 
     \b
     Example:
@@ -501,12 +501,12 @@ def info(name: ChannelName, for_s: float, ask: Ask) -> None:
     """
     with ask.client() as client:
         (found,) = request_result(client, name.agent, Channels(name.channel))
-        heard = Throughput(client.now())
+        throughput = Throughput(client.now())
         with client.subscribe(str(name), foreign=True, max_waiting=MOST_WAITING) as subscriber:
             for packet in listen(client, subscriber, for_s):
                 if packet is not None:
-                    heard.add(packet.packet, packet.at_s, size_of(packet.packet))
-        publishers = [row for row in heard.rows(client.now()) if not client.is_own(agent_of(row["source"]))]
+                    throughput.add(packet.packet, packet.at_s, size_of(packet.packet))
+        publishers = [row for row in throughput.rows(client.now()) if not client.is_own(agent_of(row["source"]))]
     row = {**found, "publishers": publishers, "heard_s": for_s}
     ask.printer.emit([row], _parts(row))
 
@@ -526,7 +526,7 @@ def _parts(row: dict[str, Any]) -> Iterator[Part]:
 
 
 def _types(types: list[str] | None, open_types: list[str] | None) -> str:
-    """Return which types a subscriber gets; those in brackets only where a packet is addressed to it."""
+    """Return the types that a subscriber gets; it gets those in brackets only in packets that are addressed to it."""
     if types is None:
         return "all" if open_types is None else ", ".join([*open_types, "(all)"])
     return ", ".join(name if open_types is None or name in open_types else f"({name})" for name in types)

@@ -1,7 +1,7 @@
-"""Hold the checks of `pancakes doctor`: adding one takes a function with a decorator.
+"""Register the checks of `pancakes doctor`: a check is a function with a decorator.
 
 A check looks at one thing and yields findings. The checks of this machine are in `machine_checks`, those of agents in
-`agent_checks`. What agents are asked is asked once, and given to each check as `Facts`.
+`agent_checks`. The agents are asked once, and each check gets their answers as `Facts`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ Level = Literal["ok", "warning", "error"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check has found.
+    """The result of a check.
 
     Attributes:
-        level: `ok`; `warning`: it works, but not as it could; `error`: something does not work.
-        about: what was looked at, such as `runtime directory` or `agent1/ir`.
-        text: how it is.
-        advice: what to do; empty if there is nothing to do.
+        level: `ok`; `warning`: it works, but not as well as it could; `error`: something does not work.
+        about: the subject, such as `runtime directory` or `agent1/ir`.
+        text: what was found.
+        advice: what to do; empty if nothing.
     """
 
     level: Level
@@ -34,18 +34,18 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What the agents of a fleet have answered.
+    """The answers of the agents of a fleet.
 
     Attributes:
-        agents: the result of `Describe` of each.
-        silent: a sentence for each that did not answer.
-        asleep: those of the sentences whose agent had announced that its network would sleep.
-        entries: the agents that run on this machine; none if others were asked.
-        guards: what all agents answer to `Guarding`.
-        rosters: the number of the last roster that this machine has of each fleet.
+        agents: the result of `Describe` of each agent.
+        silent: a sentence for each agent that did not answer.
+        asleep: the sentences in `silent` about agents that had announced that their network would sleep.
+        entries: the agents that run on this machine; empty if other agents were asked.
+        guards: the answers of all agents to `Guarding`.
+        rosters: the number of the newest roster of each fleet on this machine.
         now_s: the time of day here when they answered, in seconds since 1970; None: not known.
-        describe: asks an agent for the details of a target; None: it did not answer.
-        fences: asks what an actuator (an agent, `service/device`) has seen of tasks that command it.
+        describe: asks an agent for the details of a target; returns None if it does not answer.
+        fences: returns the epochs that an actuator (an agent, `service/device`) has seen of its tasks.
     """
 
     agents: Sequence[dict[str, Any]] = ()
@@ -83,12 +83,12 @@ def fleet_check(check: FleetCheck) -> FleetCheck:
 
 
 def agent_check(check: AgentCheck) -> AgentCheck:
-    """Register a check of one agent. It is called with what that says of itself, and with the facts."""
+    """Register a check of one agent. It is called with the agent's description and the facts."""
     AGENT_CHECKS.append(check)
     return check
 
 
 def task_check(check: TaskCheck) -> TaskCheck:
-    """Register a check of one task; a device is one. It is called with the agent's name, the task and the facts."""
+    """Register a check of one task or device. It is called with the agent's name, the task and the facts."""
     TASK_CHECKS.append(check)
     return check

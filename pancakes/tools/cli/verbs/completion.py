@@ -1,4 +1,4 @@
-"""`pancakes completion`: the script with which a shell completes what is typed after `pancakes`."""
+"""`pancakes completion`: print the script with which a shell completes the arguments of `pancakes`."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from pancakes.tools.cli.version import PROGRAM, VARIABLE
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 @format_option
 def completion(shell: str, printer: Printer) -> None:
-    """Print the script that completes verbs, options and the names of agents, tasks, services and channels.
+    """Print a script that completes verbs, options and the names of agents, tasks, services and channels.
 
-    The names come from the agents that run, at that moment; with --at HOST:PORT before the name, from those there.
+    The names come from the agents that run on this machine, or with --at HOST:PORT before the name, from those there.
 
     \b
-    For the shell that is open, bash or zsh or fish:
+    For the present shell, bash or zsh or fish:
         eval "$(pancakes completion bash)"
         eval "$(pancakes completion zsh)"
         pancakes completion fish | source
@@ -33,7 +33,7 @@ def completion(shell: str, printer: Printer) -> None:
     \b
     For all shells from now on:
         bash  pancakes completion bash > ~/.local/share/bash-completion/completions/pancakes
-              (which needs the package bash-completion; else put the line above into ~/.bashrc)
+              (needs the package bash-completion; without it, put the line above into ~/.bashrc)
         zsh   the line above in ~/.zshrc, after compinit
         fish  pancakes completion fish > ~/.config/fish/completions/pancakes.fish
 
@@ -41,21 +41,21 @@ def completion(shell: str, printer: Printer) -> None:
     Example:
         eval "$(pancakes completion bash)"
     """
-    made = get_completion_class(shell)
-    assert made is not None
-    script = made(click.get_current_context().find_root().command, {}, PROGRAM, VARIABLE).source().rstrip()
+    completion_class = get_completion_class(shell)
+    assert completion_class is not None
+    script = completion_class(click.get_current_context().find_root().command, {}, PROGRAM, VARIABLE).source().rstrip()
     printer.emit([{"shell": shell, "script": script}], script)
 
 
 class WordsOfBash(BashComplete):
-    """Bash breaks a word at each colon and equals sign (`--at 127.0.0.1:7401`); this puts them together again."""
+    """Join the words that bash splits at each colon and equals sign (`--at 127.0.0.1:7401`)."""
 
     def get_completion_args(self) -> tuple[list[str], str]:
         """See `click.shell_completion.ShellComplete`."""
         pieces = split_arg_string(os.environ["COMP_WORDS"])
-        before = int(os.environ["COMP_CWORD"])
-        # A word that is not begun yet is not among the pieces.
-        pieces = pieces[: before + 1] if before < len(pieces) else [*pieces[:before], ""]
+        index = int(os.environ["COMP_CWORD"])
+        # The pieces lack the word to complete if it is still empty.
+        pieces = pieces[: index + 1] if index < len(pieces) else [*pieces[:index], ""]
         words: list[str] = []
         joined = False
         for piece in pieces[1:]:
@@ -69,12 +69,12 @@ class WordsOfBash(BashComplete):
 
 
 def answer_shell(pancakes: click.Command) -> None:
-    """Answer a shell that asks, by the environment, how the line may go on. Exits."""
+    """Answer a shell that asks for completions by environment variables, and exit."""
     add_completion_class(WordsOfBash)
     try:
-        with contextlib.redirect_stderr(io.StringIO()):  # a warning would stand between the words
+        with contextlib.redirect_stderr(io.StringIO()):  # a warning would mix with the completions
             pancakes(prog_name=PROGRAM, complete_var=VARIABLE)
-    except Exception:  # no error of ours may disturb a user who types
+    except Exception:  # an error must not print into the line that the user types
         if os.environ.get(TRACEBACK):
             raise
         sys.exit(REFUSED)

@@ -1,4 +1,4 @@
-"""`pancakes config ...`: configuration files, checked and shown."""
+"""`pancakes config ...`: check and show configuration files."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ SCHEMA_COLUMNS = ("table", "key", "type", "default", "bounds", "description")
 
 
 Origin = Callable[[tuple[str, ...]], str]
-"""Returns where the value of a key was said."""
+"""Returns where the value of a key comes from."""
 
 
 class FileOrAgent(click.ParamType):
-    """A file, or the name of an agent if there is no such file and the name could not be one of a configuration.
+    """A file, or the name of an agent if the text has no suffix and no such file exists.
 
-    A folder may bear the name of an agent, as that of its distribution does.
+    A folder may have the name of an agent, such as the folder of its distribution.
     """
 
     name = "FILE|AGENT"
@@ -42,19 +42,19 @@ class FileOrAgent(click.ParamType):
 
 @click.group()
 def config() -> None:
-    """Configuration files."""
+    """Check and show configuration files."""
 
 
 @config.command()
 @click.argument("paths", metavar="FILE|DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @format_option
 def check(paths: tuple[Path, ...], printer: Printer) -> None:
-    """Check configuration files of agents, fleet files, and folders as `pancakes launch` takes them.
+    """Check configuration files of agents, fleet files, and folders that `pancakes launch` accepts.
 
-    Everything that is wrong is named, with file, line and key; the exit code is then 4. A plug-in that a file names and
-    that cannot be imported is wrong too, though an agent would run without it. What keeps an agent from running on
-    this machine, such as missing keys, is a warning: the file may be for another one. An agent that has a host in a
-    fleet file is checked as far as the plug-ins that it names are installed here; what was not checked is named.
+    Each fault is printed with file, line and key; the exit code is then 4. A plug-in that a file names and that cannot
+    be imported is a fault, although an agent would run without it. What would keep an agent from starting on this
+    machine, such as missing keys, is a warning, because the file may be for another machine. For an agent that has a
+    host in a fleet file, the keys of plug-ins that are not installed here are not checked, and the output names them.
 
     \b
     Example:
@@ -71,7 +71,7 @@ def check(paths: tuple[Path, ...], printer: Printer) -> None:
         try:
             for member in make_fleet([path], (), None, plugins, must_load=True, check_hosts=True):
                 fleet = member.config.agent.fleet
-                # What names lead to on another machine is not known here.
+                # Paths and host names may mean something else on another machine.
                 doubts = [] if member.host else [it._asdict() for it in machine_doubts(member.config, plugins)]
                 row: dict[str, Any] = {"file": str(member.path), "agent": member.name, "fleet": fleet}
                 rows.append({**row, "faults": [], "warnings": doubts, "unchecked": list(member.unchecked)})
@@ -82,9 +82,9 @@ def check(paths: tuple[Path, ...], printer: Printer) -> None:
             )
             if not printer.is_json:
                 show_text(str(error), err=True)
-    told = {fault["problem"] for row in rows for fault in row["faults"]}
+    reported = {fault["problem"] for row in rows for fault in row["faults"]}
     for problem in plugins.problems():
-        if str(problem) not in told:
+        if str(problem) not in reported:
             show_text(f"warning: {problem}", err=True)
     printer.emit(rows, *map(_checked, rows))
     sys.exit(BAD_CONFIGURATION if any(row["faults"] for row in rows) else OK)
@@ -95,21 +95,21 @@ def _checked(row: Mapping[str, Any]) -> Iterator[Part]:
         show_text(f"warning: {Fault(**doubt)}", err=True)
     if not row["faults"]:
         unchecked = ", ".join(row["unchecked"])
-        but = f", but for {unchecked}, not installed here and not checked" if unchecked else ""
+        but = f", except {unchecked} (not installed here, so not checked)" if unchecked else ""
         yield f"{row['file']} is sound{but}: the agent {row['agent']} of the fleet {row['fleet']}"
 
 
 @config.command("show")
 @click.argument("file", metavar="FILE|AGENT", type=FileOrAgent())
-@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says.")
+@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a key of the file with VALUE.")
 @asks_agents
 def show_(file: Path | str, sets: tuple[str, ...], ask: Ask) -> None:
-    """Show what an agent's configuration comes to: with all defaults, and where each value was said.
+    """Show the effective configuration of an agent: with all defaults, and where each value comes from.
 
-    Of an AGENT that runs it is what that has read, with the tasks that were created on it and are there: as they are
-    now, ready to be kept in a file.
+    For a running AGENT it is the configuration that the agent has read, plus the tasks that were created on it, with
+    their present settings, ready to be saved in a file.
 
-    It is a configuration itself. As JSON it is a list of keys.
+    The output is a valid configuration. JSON is a list of keys.
 
     \b
     Example:
@@ -119,7 +119,7 @@ def show_(file: Path | str, sets: tuple[str, ...], ask: Ask) -> None:
     """
     if isinstance(file, str):
         if sets:
-            raise click.UsageError("--set is for what a file says, and no file of that name is there")
+            raise click.UsageError("--set overrides keys of a file, and no file of that name exists")
         _show(*_of_agent(file, ask), ask.printer)
     else:
         _show(*_of_file(file, sets), ask.printer)
@@ -147,7 +147,7 @@ def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
         except NoAnswer:
             raise
         except Unreachable as error:
-            no_file = f"{agent!r} is a folder" if Path(agent).is_dir() else f"there is no file {agent!r} either"
+            no_file = f"{agent!r} is a folder" if Path(agent).is_dir() else f"the file {agent!r} does not exist either"
             raise Unreachable(f"{error}\n{no_file}") from None
         except ControlRefused as error:
             raise ControlRefused(f"{error}; pancakes task info {agent}/TASK shows the settings of one task") from None
@@ -172,11 +172,11 @@ def _show(tables: dict[str, Any], origin: Origin, printer: Printer) -> None:
 
 
 @config.command()
-@click.option("--fleet", is_flag=True, help="The schema of a fleet file instead, as `pancakes launch` takes it.")
-@click.option("--plugins", "with_plugins", is_flag=True, help="With the settings of all that is installed here.")
-@format_option_of("json", "As a JSON Schema, or as a table of all keys.")
+@click.option("--fleet", is_flag=True, help="Print the schema of a fleet file of `pancakes launch` instead.")
+@click.option("--plugins", "with_plugins", is_flag=True, help="Include the settings of all installed plug-ins.")
+@format_option_of("json", "A JSON Schema, or a table of all keys.")
 def schema(fleet: bool, with_plugins: bool, printer: Printer) -> None:
-    """Print the JSON Schema of an agent's configuration, for editors that check and complete.
+    """Print the JSON Schema of an agent's configuration, for editors that validate and complete.
 
     \b
     Example:
@@ -187,7 +187,7 @@ def schema(fleet: bool, with_plugins: bool, printer: Printer) -> None:
     from pancakes.util.plugins import Plugins
 
     if fleet and with_plugins:
-        raise click.UsageError("a fleet file names no plug-ins: --fleet and --plugins do not go together")
+        raise click.UsageError("--fleet and --plugins exclude each other: a fleet file has no plug-in settings")
     if fleet:
         from pancakes.tools.launch.fleet_file import fleet_schema
 
@@ -198,7 +198,7 @@ def schema(fleet: bool, with_plugins: bool, printer: Printer) -> None:
 
 
 def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """A row for each key, with the table that it stands in."""
+    """Yield a row for each key, with its table."""
     from pancakes.config.toml_writer import value_text
     from pancakes.tools.schema_rows import rows_of
 

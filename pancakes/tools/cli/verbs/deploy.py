@@ -1,4 +1,4 @@
-"""`pancakes deploy`: brings a fleet to its hosts, and keeps it running there."""
+"""`pancakes deploy`: install a fleet on its hosts, and keep it running there."""
 
 from __future__ import annotations
 
@@ -35,21 +35,19 @@ COLUMNS = ("agent", "host", "what", "from", "to", "changed", "keys", "environmen
     metavar="FILE|DIR",
     multiple=True,
     type=click.Path(exists=True, path_type=Path),
-    help="Bring these wheels of Pancakes and of plug-ins, instead of what is installed here. Repeatable.",
+    help="Install these wheels of Pancakes and of plug-ins, instead of the versions installed here. Repeatable.",
 )
 @click.option(
-    "--extra", "extras", metavar="NAME", multiple=True, help="Install this extra of Pancakes as well. Repeatable."
+    "--extra", "extras", metavar="NAME", multiple=True, help="Also install this extra of Pancakes. Repeatable."
 )
-@click.option(
-    "--upgrade", is_flag=True, help="Look for newer libraries. Without, a fleet keeps those that it was given before."
-)
+@click.option("--upgrade", is_flag=True, help="Look for newer libraries. Without it, a fleet keeps its present ones.")
 @click.option(
     "--calm",
     "calm_s",
     type=Duration(),
     default="3s",
     show_default=True,
-    help="How long the tasks of an agent must run before the next agent's turn.",
+    help="How long the tasks of an agent must run before the next agent is switched.",
 )
 @click.option(
     "--only",
@@ -57,10 +55,8 @@ COLUMNS = ("agent", "host", "what", "from", "to", "changed", "keys", "environmen
     multiple=True,
     help="Deploy only to this agent, and leave the others and their hosts alone. Repeatable.",
 )
-@click.option(
-    "--enrol", is_flag=True, help="Give keys to agents that need some and have none, if their fleet was founded here."
-)
-@click.option("--dry-run", is_flag=True, help="Only check, and show what would be done where.")
+@click.option("--enrol", is_flag=True, help="Issue keys to agents that need them, if their fleet was founded here.")
+@click.option("--dry-run", is_flag=True, help="Check, and show what would be done on which host.")
 @format_option
 def deploy(
     paths: tuple[Path, ...],
@@ -74,19 +70,18 @@ def deploy(
     dry_run: bool,
     printer: Printer,
 ) -> None:
-    """Bring a fleet to its hosts: wheels, plug-ins and configurations, and keep its agents running there.
+    """Install wheels, plug-ins and configurations of a fleet on its hosts, and keep its agents running there.
 
-    A FLEET is a fleet file whose agents name hosts, or a folder with one. Each host is reached by the ssh of this
-    machine.
-    All hosts are prepared before anything that runs is touched: wheels are brought, an environment is made of them,
-    and each configuration is checked in it. Then one agent after the other gives its tasks to neighbours, is stopped,
-    switched and started, and gets its tasks back. If one does not become ready, or its tasks do not run, all agents
-    go back to the versions that they had. The exit code is then 1.
+    A FLEET is a fleet file whose agents name hosts, or a folder with one. Each host is reached over ssh.
+    All hosts are prepared before a running agent is touched: wheels are copied and installed in a new environment, and
+    each configuration is checked in it. Then, one agent at a time, the agent's tasks migrate to neighbours, the agent
+    is stopped, switched to the new version and started, and its tasks migrate back. If an agent does not become ready,
+    or its tasks do not run, all agents go back to their previous versions, and the exit code is 1.
 
-    Configurations are checked first, with what is brought. What a person has changed on a host is told, and made as it
-    is deployed. Extras of Pancakes that the configurations need come along.
+    Configurations are checked here first, with the plug-ins of the wheels. Files that were edited by hand on a host are
+    reported and replaced. Extras of Pancakes that the configurations need are installed, too.
 
-    An agent is kept running by the systemd of its user, or by a supervisor of Pancakes if there is none.
+    The systemd of the user keeps an agent running, or a supervisor of Pancakes if the host has no systemd.
 
     \b
     Example:
@@ -106,7 +101,7 @@ def deploy(
     fleet = make_fleet(paths, sets, None, Plugins(), check_hosts=not wheels)
     members = [member for member in fleet if member.host]
     if not members:
-        raise PancakesError(f'no agent of {paths[0]} has a host: write one as host = "pi@robot1" in its table')
+        raise PancakesError(f'no agent of {paths[0]} has a host: add host = "pi@robot1" to its table')
     members = _only(members, only)
     with ExitStack() as stack:
         hosts = stack.enter_context(_reached(members, bool(only)))
@@ -116,32 +111,32 @@ def deploy(
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pancakes-wheels-")))
         own = given_wheels(wheels) if wheels else installed_wheels(folder)
         if unchecked := check_configs(members, own):
-            show_text(f"the configurations are not checked on this machine: {unchecked}", err=True)
+            show_text(f"the configurations were not checked on this machine: {unchecked}", err=True)
         keys = keys_needed(members, hosts)
         if not enrol:
             check_keys(members, keys)
         plan = plan_of(members, hosts, own, extras, upgrade)
-        ways = {**_here(fleet), **stack.enter_context(tunnels(hosts.values()))}
-        moves = _moves(fleet, ways)
+        addresses = {**_here(fleet), **stack.enter_context(tunnels(hosts.values()))}
+        moves = _moves(fleet, addresses)
         for supply in plan.supplies.values():
             if supply.damaged:
-                what = f"has files that were changed there by hand ({', '.join(supply.damaged)}): they are made again"
-                _tell(supply.host.name, what)
+                text = f"has files that were changed there by hand ({', '.join(supply.damaged)}): they are replaced"
+                _tell(supply.host.name, text)
         for change in plan.changes:
             if change.edited:
                 _tell(
                     change.name,
-                    f"{change.edited}: it runs what is deployed from here on; the edit stays as the last version",
+                    f"{change.edited}: it will run the deployed version; the edit is kept as the previous version",
                 )
         if dry_run:
             printer.table(_rows(plan, hosts, moves, keys), COLUMNS)
             return
         for member in fleet:
             if not member.host:
-                _tell(member.name, "has no host, and is left as it is")
+                _tell(member.name, "has no host, and is not changed")
         authorities = _authorities(members, keys)
-        called_off = event_at(signal.SIGINT, signal.SIGTERM, signal.SIGHUP).is_set
-        deployment = Deployment(plan.supplies, plan.changes, moves, _tell, calm_s, called_off)
+        interrupted = event_at(signal.SIGINT, signal.SIGTERM, signal.SIGHUP).is_set
+        deployment = Deployment(plan.supplies, plan.changes, moves, _tell, calm_s, interrupted)
         deployment.prepare()
         give_keys(members, keys, hosts, authorities, _tell)
         deployment.switch()
@@ -172,7 +167,7 @@ def _reached(members: Sequence[Member], only: bool) -> Iterator[dict[str, Host]]
 
 
 def _authorities(members: Sequence[Member], keys: Mapping[str, Need]) -> dict[str, Authority]:
-    """Open the authorities of the fleets that agents are enrolled in; a password is asked for now, and not later."""
+    """Open the authorities of the fleets in which agents are enrolled, so that passwords are asked for now."""
     from pancakes.tools.cli.verbs.fleet_authority import opened
 
     fleets = dict.fromkeys(it.config.agent.fleet for it in members if keys[it.name] == "needs")
@@ -192,14 +187,14 @@ def _here(fleet: Sequence[Member]) -> dict[str, str]:
     return {name: address for name, address in found.items() if address}
 
 
-def _moves(fleet: Sequence[Member], ways: Mapping[str, str]) -> dict[str, TaskMoves]:
+def _moves(fleet: Sequence[Member], addresses: Mapping[str, str]) -> dict[str, TaskMoves]:
     from pancakes.tools.deploy.drain import TaskMoves
 
-    made: dict[str, TaskMoves] = {}
+    moves: dict[str, TaskMoves] = {}
     for name in dict.fromkeys(member.config.agent.fleet for member in fleet):
-        own = {it.name: ways[it.name] for it in fleet if it.config.agent.fleet == name and it.name in ways}
-        made[name] = TaskMoves(own, name, partial(_tell))
-    return made
+        members = [it for it in fleet if it.config.agent.fleet == name and it.name in addresses]
+        moves[name] = TaskMoves({it.name: addresses[it.name] for it in members}, name, partial(_tell))
+    return moves
 
 
 def _rows(
@@ -208,7 +203,7 @@ def _rows(
     rows = []
     for change in plan.changes:
         supply = plan.supplies[change.host]
-        leaves = moves[change.fleet].movable(change.name) if change.ran and change.what == "switch" else ()
+        bids = moves[change.fleet].movable(change.name) if change.ran and change.what == "switch" else ()
         rows.append(
             {
                 "agent": change.name,
@@ -221,7 +216,7 @@ def _rows(
                 "environment": supply.environment,
                 "brought_mb": round(supply.brought_bytes / 1e6, 1),
                 "manager": "systemd" if hosts[change.host].is_["systemd"] else "supervisor",
-                "tasks": [f"{task} → {winner}" if winner else f"{task} stays" for task, winner in leaves],
+                "tasks": [f"{task} → {winner}" if winner else f"{task} stays" for task, winner in bids],
             }
         )
     return rows

@@ -1,4 +1,4 @@
-"""`pancakes doctor`: looks for what is wrong on this machine and with its agents, and says what to do."""
+"""`pancakes doctor`: find faults on this machine and in its agents, and print what to do."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error"
 
 
 @click.command()
-@click.option("--no-machine", is_flag=True, help="Look only at the agents.")
+@click.option("--no-machine", is_flag=True, help="Check only the agents.")
 @asks_agents
 def doctor(no_machine: bool, ask: Ask) -> None:
-    """Look for what is wrong on this machine and with its agents, and say what to do.
+    """Look for faults on this machine and in its agents, and print what to do.
 
-    On the machine: Python and its libraries, plug-ins, the directories that agents use, open files, clock, loopback.
-    In agents: those that do not answer, are suspended, or have another's name or version; peers that are away;
-    services and tasks that were given up or are stuck; missed ticks and lost packets; actuators that refuse a task;
-    clocks that are off (time of day, rate, mission time). The exit code is 1 if there is an error.
+    It checks on the machine: Python and its libraries, plug-ins, the directories that agents use, open files, clock,
+    loopback.
+    It looks for agents that do not answer, are suspended, or have the same name or another version; peers that are
+    away; services and tasks that were given up or are stuck; missed ticks and lost packets; actuators that refuse a
+    task; wrong clocks (time of day, rate, mission time). The exit code is 1 if it finds an error.
 
     \b
     Example:
@@ -72,7 +73,7 @@ def _look(machine: bool, ask: Ask) -> Iterator[Finding]:
 
 
 def _ask_agents(ask: Ask, client: Client) -> Facts | Finding:
-    """Ask all agents once for what the checks look at; return a finding if no agent runs here."""
+    """Ask all agents for the facts that the checks need; return a finding if no agent runs here."""
     from pancakes.control import Describe, Guarding
     from pancakes.errors import PancakesError
     from pancakes.security.key_store import rosters_here
@@ -87,9 +88,9 @@ def _ask_agents(ask: Ask, client: Client) -> Facts | Finding:
         try:
             here = [it for it in entries() if it.role != "client" and fleet in ("", it.fleet)]
         except PancakesError as error:
-            return Finding("error", "agents", str(error), "without it no agent of this machine can be found")
+            return Finding("error", "agents", str(error), "fix that: without it no agent of this machine can be found")
         if not here and fleet and other_fleets(fleet):
-            return Finding("error", "agents", why_none(fleet), "say --fleet as one of those, or leave it out")
+            return Finding("error", "agents", why_none(fleet), "pass one of those as --fleet, or leave it out")
         if not here:
             return Finding("ok", "agents", f"no agent{f' of the fleet {fleet}' if fleet else ''} runs on this machine")
     now_s = wall_ns() / 1e9
@@ -109,7 +110,7 @@ def _ask_agents(ask: Ask, client: Client) -> Facts | Finding:
         try:
             return fences_of(client, agent, target)
         except PancakesError:
-            return []  # it has gone since
+            return []  # the agent or the task has gone since
 
     return Facts(
         agents=found.agents,

@@ -1,4 +1,4 @@
-"""`pancakes down`: ends agents in good order, and waits until they are gone."""
+"""`pancakes down`: stop agents gracefully, and wait until they are gone."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ COLUMNS = ("agent", "fleet", "role", "host", "done")
 
 @click.command()
 @agents
-@click.option("--all", "all_", is_flag=True, help="With --at: all agents that are found from there.")
+@click.option("--all", "all_", is_flag=True, help="With --at: stop all agents that can be found from there.")
 @click.option(
     "--fleet-file",
     "file",
     metavar="FILE|DIR",
     type=click.Path(path_type=Path),
-    help="The agents of a fleet file, on this machine and on its hosts.",
+    help="Stop the agents of a fleet file, on this machine and on its hosts.",
 )
 @force_option
 @dry_run_option
 @orders_agents
 def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dry_run: bool, ask: Ask) -> None:
-    """End agents: those that are named, or else all of this machine (with --fleet, of that fleet), until they are gone.
+    """Stop the named agents, or all agents of this machine (with --fleet, of that fleet), and wait until they are gone.
 
-    Their tasks stop, their actuators hold, and their peers are told. A simulated world ends after the agents that act
-    in it. An agent that has not ended within the time limit is named on standard error, and the exit code is then 3.
-    A launcher does not start an agent again that was ended in this way, unless it was told to with --restart always;
-    nor does what keeps a deployed one running.
+    Their tasks stop, their actuators go to their safe hold, and their peers are notified. A simulated world ends after
+    the agents that act in it. If an agent has not ended within the time limit, it is named on standard error, and the
+    exit code is 3. A launcher does not restart an agent that was stopped in this way, unless it runs with --restart
+    always. Neither does the supervisor of a deployed agent.
 
-    If that is all of this machine, they are named first; if they are of several fleets, it asks, or needs --force.
+    Without names it first lists the agents that it stops. If they belong to several fleets, it asks, or needs --force.
 
     \b
     Example:
@@ -50,11 +50,11 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
         pancakes down --at 192.168.1.20:7401 --all --dry-run
     """
     if file is not None and (ask.where.addresses or ask.where.fleet or all_):
-        raise click.UsageError("--fleet-file says itself where its agents are: leave --at, --fleet and --all out")
+        raise click.UsageError("--fleet-file already names its agents: leave out --at, --fleet and --all")
     if ask.where.addresses and not agents and not all_:
-        raise click.UsageError("name the agents to end, or say --all for those that are found through --at")
+        raise click.UsageError("name the agents to stop, or pass --all for all that can be found through --at")
     if all_ and (agents or not ask.where.addresses):
-        raise click.UsageError("--all goes only with --at: without both, all agents of this machine end")
+        raise click.UsageError("--all needs --at: without both, all agents of this machine stop")
     here = {
         (entry.fleet, entry.name): entry
         for entry in entries()
@@ -75,9 +75,9 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
             fleets = sorted({entry.fleet for entry in here.values()})
             of_each = "; ".join(f"{', '.join(_names(here, fleet))} of the fleet {fleet}" for fleet in fleets)
             if len(fleets) > 1:
-                confirm(f"this ends {of_each}: --fleet names one of them", force, dry_run)
+                confirm(f"this stops {of_each}. To choose one fleet, pass --fleet", force, dry_run)
             elif not dry_run:
-                show_text(f"ends {of_each}", err=True)
+                show_text(f"stopping {of_each}", err=True)
         stop.end_all(here, ask.where.fleet)
     if stop.rows or ask.printer.is_json:
         ask.printer.table(stop.rows, COLUMNS)

@@ -1,4 +1,4 @@
-"""`pancakes fleet ...`: who belongs to a fleet, who does no more, and what its members may do."""
+"""`pancakes fleet ...`: manage the members of a fleet and their rights."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 PORT: Final = 7490
 COLUMNS: Final = ("name", "role", "groups", "state", "since", "ends", "came_from", "serial")
-_LONGEST_NAME: Final = 40  # a person's terminals bear it with a dot and more
+_LONGEST_NAME: Final = 40  # the names of a person's terminals add a dot and more to it
 
 
 class BearerName(click.ParamType):
@@ -40,31 +40,34 @@ class BearerName(click.ParamType):
         if fault := fault_of_name(text):
             self.fail(fault, param, ctx)
         if len(text) > _LONGEST_NAME:
-            self.fail(f"{text!r} has {len(text)} letters, and {_LONGEST_NAME} are the most", param, ctx)
+            self.fail(f"{text!r} has {len(text)} letters; at most {_LONGEST_NAME} are allowed", param, ctx)
         return text
 
 
 of_fleet = click.option(
-    "--fleet", "fleet_name", metavar="NAME", default="", help="The fleet. [default: the only one that is founded here]"
+    "--fleet", "fleet_name", metavar="NAME", default="", help="The fleet. [default: the only one founded here]"
 )
-may_be_dry = click.option("--dry-run", is_flag=True, help="Only say what would be done, and ask for no password.")
-any_date_option = click.option("--any-date", is_flag=True, help="Have agents believe it whatever its date is.")
+may_be_dry = click.option(
+    "--dry-run", is_flag=True, help="Only show what would be done, without asking for a password."
+)
+any_date_option = click.option("--any-date", is_flag=True, help="Make agents accept the roster whatever its date.")
 told_at = click.option(
     "--tell",
     "addresses",
     metavar="HOST:PORT",
     multiple=True,
-    help="Tell the agent at this address, which tells its fleet; else those of this machine. Repeatable.",
+    help="Pass it to the agent at this address, which passes it to its fleet, instead of the agents of this machine."
+    " Repeatable.",
 )
 
 
 @click.group()
 def fleet() -> None:
-    """Who belongs to a fleet, and what its members may do.
+    """Manage the members of a fleet and their rights.
 
-    Over tcp://, agents speak only to those that have certificates of their fleet. The authority of the fleet gives
-    them out: a key in ~/.config/pancakes/fleets/FLEET, which `init` makes, and which no robot needs. Robots and other
-    people `join`, with a code that `enrol` shows or with a folder that it writes.
+    Over tcp://, agents talk only to peers that have a certificate of their fleet. The authority of the fleet issues
+    certificates: a key in ~/.config/pancakes/fleets/FLEET, which `init` creates, and which no robot needs. Robots and
+    other people `join`, with a code that `enrol` shows or with a folder that it writes.
     """
 
 
@@ -75,9 +78,9 @@ def fleet() -> None:
 @may_be_dry
 @format_option
 def init(name: str, person: str | None, no_password: bool, dry_run: bool, printer: Printer) -> None:
-    """Found a fleet: its authority is made here, and you become its operator.
+    """Found a fleet: create its authority here, and make you its operator.
 
-    The authority's key is locked with a password, which each command asks for that gives out or revokes a certificate.
+    The authority's key is locked with a password. Each command that issues or revokes a certificate asks for it.
 
     \b
     Example:
@@ -88,7 +91,7 @@ def init(name: str, person: str | None, no_password: bool, dry_run: bool, printe
     with needing_extra("no fleet can be founded"):
         from pancakes.security.authority import Authority
     if folder.exists() and any(folder.iterdir()):
-        raise PancakesError(f"there is a fleet {name} in {folder} already")
+        raise PancakesError(f"the fleet {name} exists already, in {folder}")
     row = {"fleet": name, "folder": str(folder), "operator": who}
     if dry_run:
         printer.emit(
@@ -110,13 +113,17 @@ def init(name: str, person: str | None, no_password: bool, dry_run: bool, printe
     type=click.Choice(["agent", "environment", "operator", "observer"]),
     default="agent",
     show_default=True,
-    help="An agent, a simulated world, or a person that may change things or only look.",
+    help="An agent, a simulated world, or a person who may change things (operator) or only look (observer).",
 )
-@click.option("--group", "groups", metavar="GROUP", multiple=True, type=BearerName(), help="A group of it. Repeatable.")
-@click.option("--out", type=click.Path(path_type=Path), help="Write a folder to be copied there, and wait for nothing.")
-@click.option("--host", metavar="ADDRESS", default="", help="The address at which it reaches this machine.")
-@click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="Where to wait for it.")
-@click.option("--for", "for_s", type=Duration(), default=600.0, show_default="10min", help="For how long.")
+@click.option(
+    "--group", "groups", metavar="GROUP", multiple=True, type=BearerName(), help="A group that it is in. Repeatable."
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Write the keys to this folder, to be copied there, and do not wait."
+)
+@click.option("--host", metavar="ADDRESS", default="", help="This machine's address, as seen from there.")
+@click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="The port to wait at.")
+@click.option("--for", "for_s", type=Duration(), default=600.0, show_default="10min", help="How long to wait.")
 @of_fleet
 @may_be_dry
 @format_option
@@ -132,10 +139,10 @@ def enrol(
     dry_run: bool,
     printer: Printer,
 ) -> None:
-    """Let a machine or a person into the fleet, under this name.
+    """Admit a machine or a person to the fleet, under this name.
 
-    It shows a code, and waits until the newcomer says it: `pancakes fleet join CODE`. The newcomer makes its key
-    itself. With --out nothing waits: the folder has the key too, so copy it by a way that others cannot read.
+    It shows a code, and waits until the newcomer uses it: `pancakes fleet join CODE`. The newcomer creates its own key.
+    With --out it does not wait, and the folder contains the private key: copy it in a way that others cannot read.
 
     \b
     Example:
@@ -156,19 +163,21 @@ def enrol(
 
 @fleet.command()
 @click.argument("name", metavar="NAME")
-@click.option("--out", type=click.Path(path_type=Path), help="Write a folder to be copied there, and wait for nothing.")
-@click.option("--host", metavar="ADDRESS", default="", help="The address at which it reaches this machine.")
-@click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="Where to wait for it.")
-@click.option("--for", "for_s", type=Duration(), default=600.0, show_default="10min", help="For how long.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Write the keys to this folder, to be copied there, and do not wait."
+)
+@click.option("--host", metavar="ADDRESS", default="", help="This machine's address, as seen from there.")
+@click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="The port to wait at.")
+@click.option("--for", "for_s", type=Duration(), default=600.0, show_default="10min", help="How long to wait.")
 @of_fleet
 @may_be_dry
 @format_option
 def renew(
     name: str, out: Path | None, host: str, port: int, for_s: float, fleet_name: str, dry_run: bool, printer: Printer
 ) -> None:
-    """Give a machine or a person a new key and certificate; for yourself that is done at once.
+    """Give a machine or a person a new key and certificate; your own are renewed at once.
 
-    The old certificate stays good, until it ends or is revoked. An agent that runs finds its new key within a minute.
+    The old certificate stays valid until it ends or is revoked. A running agent finds its new key within a minute.
 
     \b
     Example:
@@ -198,7 +207,7 @@ def renew(
 @may_be_dry
 @format_option
 def join(code: str, dry_run: bool, printer: Printer) -> None:
-    """Join a fleet, on the machine that is to belong to it: with the code of its operator, or a folder from there.
+    """Make this machine or you a member of a fleet, with a code or a folder from its operator.
 
     \b
     Example:
@@ -214,7 +223,7 @@ def join(code: str, dry_run: bool, printer: Printer) -> None:
         if dry_run:
             parsed = JoinCode.parse(code)
             place = f"{parsed.host}:{parsed.port}"
-            said = f"The machine at {place} would be asked; it says which fleet that is, and under which name."
+            said = f"The machine at {place} would be asked; its answer has the fleet and the name."
             printer.emit([{"at": place, "done": DRY_RUN}], said)
             return
         files, made_here = _checked(join_with(code)), True
@@ -226,8 +235,8 @@ def join(code: str, dry_run: bool, printer: Printer) -> None:
         return
     files.write(folder)
     what = f"You are {files.role} {files.name}" if files.role in PEOPLE else f"This machine is {files.name}"
-    made = "The key was made here and has not left this machine."
-    copied = f"Remove {code} now, here and where it came from: it has the same key."
+    made = "The key was created here and has not left this machine."
+    copied = f"Remove {code} now, here and where it came from: it contains the private key."
     said = f"{what} of the fleet {files.fleet}: the keys are in {folder}."
     printer.emit([{**row, "done": "joined"}], said, made if made_here else copied)
 
@@ -236,7 +245,7 @@ def join(code: str, dry_run: bool, printer: Printer) -> None:
 @of_fleet
 @format_option
 def list_(fleet_name: str, printer: Printer) -> None:
-    """List the certificates that were given out in a fleet.
+    """List the certificates that a fleet has issued.
 
     \b
     Example:
@@ -281,13 +290,13 @@ def revoke(
     dry_run: bool,
     printer: Printer,
 ) -> None:
-    """Revoke all certificates of a machine or a person: a robot or a laptop is lost, or a person has left.
+    """Revoke all certificates of a machine or a person, because a robot or a laptop is lost, or a person has left.
 
-    Agents end its links within a second of hearing of it, and tell each other. An agent that is away hears of it when
-    it is linked again. The exit code is 1 if no agent has heard of it, or if one that was reached does not go by it;
-    standard error says why.
+    An agent that gets the new roster ends the member's links within a second, and passes the roster on. An agent that
+    is away gets it when it is linked again. The exit code is 1 if no agent got the roster, or if an agent that was
+    reached does not apply it; standard error has the reason.
 
-    Nobody can take that back, so it asks first; if this is no terminal, nothing is done without --force.
+    A revocation cannot be undone, so the command asks first; if this is not a terminal, --force is required.
 
     \b
     Example:
@@ -302,7 +311,7 @@ def revoke(
     if dry_run:
         _show_entries(register.of(who), DRY_RUN, printer)
         return
-    confirm(f"no agent of the fleet {folder.name} believes {bearer.role}/{bearer.name} any more, for good", force)
+    confirm(f"this revokes {bearer.role}/{bearer.name} of the fleet {folder.name} for good", force)
     authority = opened(fleet_name)
     _show_entries(authority.revoke(who, why, any_date), "revoked", printer)
     spread(authority, addresses, printer, must_be_heard=True)
@@ -315,9 +324,9 @@ def revoke(
 @may_be_dry
 @format_option
 def sign(fleet_name: str, addresses: tuple[str, ...], any_date: bool, dry_run: bool, printer: Printer) -> None:
-    """Sign the roster of the fleet again, and tell the agents.
+    """Sign the roster of the fleet again, and pass it to the agents.
 
-    The exit code is 1 if an agent that was reached does not go by it; standard error says why.
+    The exit code is 1 if an agent that was reached does not apply it; standard error has the reason.
 
     \b
     Example:
@@ -341,8 +350,10 @@ def sign(fleet_name: str, addresses: tuple[str, ...], any_date: bool, dry_run: b
 @fleet.command()
 @click.argument("who", metavar="WHO")
 @click.argument("rights", metavar="RIGHT...", nargs=-1, required=True, type=click.Choice([*RIGHTS, EVERY]))
-@click.option("--on", metavar="PATTERN", multiple=True, help="What the rights are for. Repeatable. [default: anything]")
-@click.option("--at", metavar="PATTERN", multiple=True, help="At these agents. Repeatable. [default: at all]")
+@click.option(
+    "--on", metavar="PATTERN", multiple=True, help="What the rights are for. Repeatable. [default: everything]"
+)
+@click.option("--at", metavar="PATTERN", multiple=True, help="At these agents. Repeatable. [default: all agents]")
 @of_fleet
 @told_at
 @any_date_option
@@ -359,7 +370,7 @@ def allow(
     dry_run: bool,
     printer: Printer,
 ) -> None:
-    """Let members of the fleet do something: it adds a rule to rules.toml, and signs the roster.
+    """Give rights to members of the fleet: add a rule to rules.toml, and sign the roster.
 
     WHO is a name, a pattern of names, role:ROLE or group:GROUP. To take a right away, change rules.toml in the fleet's
     folder, and then: pancakes fleet sign.
@@ -387,9 +398,9 @@ def allow(
 @of_fleet
 @format_option
 def can(who: str, right: Right, on: str, at: str, fleet_name: str, printer: Printer) -> None:
-    """Say whether a member of the fleet may do something, and by which rule. No agent is asked.
+    """Show whether a member of the fleet may do something, and by which rule.
 
-    It goes by the roster that was signed last. The exit code is 1 if the answer is no.
+    It uses the newest signed roster and asks no agent. The exit code is 1 if the answer is no.
 
     \b
     Example:
@@ -419,7 +430,7 @@ def can(who: str, right: Right, on: str, at: str, fleet_name: str, printer: Prin
     printer.emit([row], f"yes: {' '.join(parts)} (roster {roster.number})")
 
 
-# What they share ------------------------------------------------------------------------------------------------
+# Shared by several verbs ----------------------------------------------------------------------------------------
 
 
 def _give(
@@ -433,20 +444,20 @@ def _give(
     for_s: float,
     printer: Printer,
 ) -> None:
-    """Give out a certificate: into a folder, or to the machine that says the code."""
+    """Issue a certificate: into a folder, or to the machine that presents the code."""
     if out is not None:
         if out.exists() and any(out.iterdir()):
             raise PancakesError(f"the folder {out} is not empty")
         authority.enrol_with_key(role, name, groups).write(out)
-        said = f"Copy {out} to {name} by a way that others cannot read; there: pancakes fleet join {out.name}"
+        said = f"Copy {out} to {name} in a way that others cannot read. Then run there: pancakes fleet join {out.name}"
         row = {"name": name, "role": role, "folder": str(out), "done": "written"}
-        printer.emit([row], said, "It has the private key: remove it here afterwards.")
+        printer.emit([row], said, "It contains the private key: remove it here afterwards.")
         return
     from pancakes.mesh.address import is_loopback
     from pancakes.security.enrolment import Desk, own_address
 
     if not host and is_loopback(f"tcp://{(host := own_address())}:{port}"):
-        said = "This machine has no way to others, so only a program here can use the code (--host names another)."
+        said = "This machine has no network, so the code works only on this machine. To name an address, use --host."
         printer.note(said)
     desk = Desk(host, port, for_s)
     said = f"On {name}, within {for_s / 60:.3g} minutes:  pancakes fleet join {desk.code}"
@@ -457,12 +468,12 @@ def _give(
 
 
 def _give_dry(fleet: str, role: CertifiedRole, name: str, out: Path | None, printer: Printer) -> None:
-    """Say what `_give` would do, for which no password is needed."""
+    """Print what `_give` would do, without asking for a password."""
     if out is not None and out.exists() and any(out.iterdir()):
         raise PancakesError(f"the folder {out} is not empty")
-    place = f"a folder {out}" if out is not None else f"{name}, once it has said the code that is shown"
+    place = f"a folder {out}" if out is not None else f"{name}, when it presents the code that is shown"
     row = {"name": name, "role": role, "fleet": fleet, "folder": str(out) if out is not None else "", "done": DRY_RUN}
-    printer.emit([row], f"A certificate of {role} {name} of the fleet {fleet} would be given to {place}.")
+    printer.emit([row], f"A certificate of {role} {name} of the fleet {fleet} would be issued to {place}.")
 
 
 def _plain(rule: AccessRule) -> dict[str, list[str]]:
@@ -470,40 +481,40 @@ def _plain(rule: AccessRule) -> dict[str, list[str]]:
 
 
 def _read(folder: Path) -> KeyFiles:
-    """Read a folder that `enrol --out` has written and that was copied here.
+    """Read a folder that `enrol --out` wrote and that was copied here.
 
     Raises:
-        PancakesError: a file is missing, or they do not fit together.
+        PancakesError: a file is missing, or the files do not fit together.
     """
     from pancakes.security.key_store import FLEET, KEY, ROSTER
 
     try:
         key, authority, roster = ((folder / file).read_bytes() for file in (KEY, FLEET, ROSTER))
     except OSError as error:
-        raise PancakesError(f"{folder} is no folder of pancakes fleet enrol: {error.strerror or error}") from None
+        raise PancakesError(f"{folder} is not a folder of pancakes fleet enrol: {error.strerror or error}") from None
     return _checked(KeyFiles("", "", "", key, authority, roster))
 
 
 def _checked(files: KeyFiles) -> KeyFiles:
-    """Return files with the fleet, the role and the name that the certificate says.
+    """Return the files with the fleet, the role and the name of their certificate.
 
     Raises:
-        PancakesError: they do not fit together.
+        PancakesError: the files do not fit together.
     """
     from pancakes.security.keys import Keys
 
     with tempfile.TemporaryDirectory() as directory:
-        aside = Path(directory) / "keys"
-        files.write(aside)
-        own = Keys(aside).own
+        folder = Path(directory) / "keys"
+        files.write(folder)
+        own = Keys(folder).own
     return files._replace(fleet=own.fleet, role=own.role, name=own.name)
 
 
 def _folder_of(files: KeyFiles) -> Path:
-    """Return where keys belong.
+    """Return the folder where keys belong.
 
     Raises:
-        PancakesError: those of another person are there.
+        PancakesError: the folder has the keys of another person.
     """
     if files.role not in PEOPLE:
         return key_store.folder_of_agent(files.fleet, files.name)
@@ -532,7 +543,7 @@ def _own_name() -> str:
     except KeyError:
         name = ""
     if not name or fault_of_name(name):
-        raise click.UsageError("say your name with --me: that of your user is none for a fleet")
+        raise click.UsageError("pass your name with --me: the name of your user is not valid in a fleet")
     return name
 
 

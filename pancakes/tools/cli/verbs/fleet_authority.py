@@ -1,4 +1,4 @@
-"""The folder of a fleet that was founded here, and how its agents get what is signed there."""
+"""Find and open the folder of a fleet that was founded here, and pass its signed roster to agents."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 TOLD_S: Final = 15.0
-"""A command waits at most this long for agents to hear of a roster; a small computer takes seconds to check one."""
+"""How long a command waits for agents to take a roster, at most; a small computer takes seconds to check one."""
 LOOK_S: Final = 0.2
 
 
@@ -27,7 +27,7 @@ def founded(name: str) -> Path:
     """Return the folder of a fleet that was founded here.
 
     Raises:
-        PancakesError: there is none of this name, or none, or several.
+        PancakesError: no fleet of this name was founded here; or, without a name, none or several were.
     """
     from pancakes.security.key_store import REGISTER
 
@@ -37,9 +37,9 @@ def founded(name: str) -> Path:
         return base / name
     if name or not here:
         which = f"the fleet {name} was not" if name else "no fleet was"
-        raise PancakesError(f"{which} founded here ({base}): pancakes fleet init {name or 'NAME'}")
+        raise PancakesError(f"{which} founded here ({base}). To found it: pancakes fleet init {name or 'NAME'}")
     if len(here) > 1:
-        raise PancakesError(f"several fleets were founded here: say which with --fleet ({', '.join(here)})")
+        raise PancakesError(f"several fleets were founded here: choose one with --fleet ({', '.join(here)})")
     return base / here[0]
 
 
@@ -47,7 +47,7 @@ def opened(name: str) -> Authority:
     """Open the folder of a fleet that was founded here, and ask for its password if it has one.
 
     Raises:
-        PancakesError: there is none, or the password does not fit.
+        PancakesError: the folder does not exist, or the password is wrong.
     """
     folder = founded(name)
     with needing_extra("no certificate can be given out"):
@@ -57,16 +57,16 @@ def opened(name: str) -> Authority:
 
 
 def spread(authority: Authority, addresses: Sequence[str], printer: Printer, must_be_heard: bool = False) -> None:
-    """Tell agents of the last roster, and say which know it now.
+    """Pass the newest roster to agents, and print which of them have it now.
 
     Args:
         authority: the fleet.
-        addresses: where to find agents; none: on this machine.
-        must_be_heard: whether it is an error if no agent runs that could hear of it.
-        printer: prints it; with JSON on standard output, this goes to standard error.
+        addresses: where to find agents; empty: on this machine.
+        must_be_heard: whether it is an error if no agent runs that could take it.
+        printer: prints the result, to standard error if standard output is JSON.
 
     Raises:
-        PancakesError: an agent does not go by it, or none could be told; the sentences say why.
+        PancakesError: an agent does not apply the roster, or none could be reached; the sentences say why.
     """
     from pancakes.client import Client, Where
     from pancakes.security.roster import read_signed
@@ -74,70 +74,74 @@ def spread(authority: Authority, addresses: Sequence[str], printer: Printer, mus
     number = read_signed((authority.folder / "roster.json").read_bytes())[1].number
     try:
         if key_store.keys_of_person(authority.fleet) is None:
-            raise PancakesError(f"you have no keys of the fleet {authority.fleet}, so no agent can be told from here")
+            raise PancakesError(f"you have no keys of the fleet {authority.fleet}, so you cannot reach its agents")
         with Client(Where.of(Where(tuple(addresses), authority.fleet)), TOLD_S) as client:
-            know, problems, silent = _told(client, number)
-        if not know and not problems:
+            have_it, problems, silent = _wait_for_roster(client, number)
+        if not have_it and not problems:
             raise PancakesError("\n".join(silent) or "no agent that answers has keys of the fleet")
     except PancakesError as error:
-        sentence = f"no agent has heard of the roster {number} yet: {error}"
+        sentence = f"no agent has the roster {number} yet: {error}"
         if not addresses:
-            sentence += "\nAgents elsewhere hear of it with: pancakes fleet sign --tell HOST:PORT"
+            sentence += "\nTo pass it to agents elsewhere: pancakes fleet sign --tell HOST:PORT"
         if must_be_heard or addresses or _runs_here(authority.fleet):
             raise PancakesError(sentence) from None
         show_text(sentence, err=True)
         return
-    printer.note(f"The roster {number} is known to {', '.join(know) or 'no agent yet'}.")
+    printer.note(f"The roster {number} is known to {', '.join(have_it) or 'no agent yet'}.")
     for sentence in silent:
-        show_text(f"{sentence}. It hears of the roster when it is linked again", err=True)
+        show_text(f"{sentence}. It gets the roster when it is linked again", err=True)
     if problems:
         raise PancakesError("\n".join(problems))
 
 
 def _runs_here(fleet: str) -> bool:
-    """Return whether an agent of a fleet runs on this machine, so that it should have heard."""
+    """Return whether an agent of a fleet runs on this machine, which should then have the roster."""
     from pancakes.util.runtime_dir import entries
 
     return any(it.fleet == fleet and it.role != "client" for it in entries())
 
 
-def _told(client: Client, number: int) -> tuple[list[str], list[str], list[str]]:
-    """Wait until all agents know a roster, which this terminal gives to them.
+def _wait_for_roster(client: Client, number: int) -> tuple[list[str], list[str], list[str]]:
+    """Wait, at most `TOLD_S`, until all agents have a roster, which this terminal passes to them.
 
     Returns:
-        Those that go by it, a sentence for each that does not or cannot keep it, and one for each that did not answer
-        although it is a member.
+        The agents that have it, a sentence for each that does not apply it or cannot store it, and one for each member
+        that did not answer.
     """
     until_s = client.now() + TOLD_S
     while True:
         survey = client.survey()
-        found = [agent for agent in survey.agents if agent["roster"] is not None]  # the others have no keys
+        found = [agent for agent in survey.agents if agent["roster"] is not None]  # an agent without keys has no roster
         if later := [agent for agent in found if agent["roster"] > number]:
             raise PancakesError(
-                f"{later[0]['agent']} knows the roster {later[0]['roster']} already, and takes none with a lower"
-                " number: this folder is an old copy (docs/security.md, Backup)"
+                f"{later[0]['agent']} has the roster {later[0]['roster']} already, and refuses lower numbers: this"
+                " folder is an old copy (docs/security.md, Backup)"
             )
-        know = [agent["agent"] for agent in found if agent["roster"] == number]
+        have_it = [agent["agent"] for agent in found if agent["roster"] == number]
         waiting = [agent for agent in found if agent["roster"] != number and not _fault(agent, 0, number)]
         if not waiting or client.now() > until_s:
             silent = [sentence for sentence in survey.silent if "certificate was revoked" not in sentence]
-            return know, [problem for agent in found if (problem := _problem(agent, number))], silent
+            return have_it, [problem for agent in found if (problem := _problem(agent, number))], silent
         time.sleep(LOOK_S)
 
 
 def _fault(agent: dict[str, Any], *numbers: int) -> str:
-    """Return what an agent says of a roster that it does not take or keep; empty: nothing of these numbers."""
-    told = agent.get("roster_fault")
-    return str(told["text"]) if told is not None and told["number"] in numbers else ""
+    """Return why an agent does not apply or store a roster of one of these numbers; empty: no such fault."""
+    fault = agent.get("roster_fault")
+    return str(fault["text"]) if fault is not None and fault["number"] in numbers else ""
 
 
 def _problem(agent: dict[str, Any], number: int) -> str:
     name = agent["agent"]
     if agent["roster"] == number:
         fault = _fault(agent, number)
-        return f"{name} goes by the roster {number} until it ends, and would forget it: {fault}" if fault else ""
+        return (
+            f"{name} applies the roster {number}, but cannot store it and loses it when it ends: {fault}"
+            if fault
+            else ""
+        )
     why = (
         _fault(agent, 0, number)
-        or f"it does not say why within {TOLD_S:g} s (pancakes log --from {name} --level warning)"
+        or f"it gave no reason within {TOLD_S:g} s (see pancakes log --from {name} --level warning)"
     )
-    return f"{name} does not go by the roster {number}: {why}"
+    return f"{name} does not apply the roster {number}: {why}"

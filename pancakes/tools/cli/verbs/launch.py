@@ -1,4 +1,4 @@
-"""`pancakes launch`: runs the agents of a fleet, on this machine and on others, and stands by them."""
+"""`pancakes launch`: run and supervise the agents of a fleet, on this machine and on others."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from pancakes.tools.launch.remote_hosts import Host, HostAgents, HostStart
 
 COUNTDOWN_S: Final = 0.25
-"""How long before a mission begins its agents are told, so that all begin at the same moment."""
+"""How long before a mission begins its agents get the request, so that all begin at the same moment."""
 REACH_S: Final = 10.0
-"""How long an agent is tried to be told that its mission begins."""
+"""The time limit for reaching an agent to release its mission."""
 COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta")
 
 
@@ -42,23 +42,19 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
     "--restart",
     "policy",
     type=click.Choice(["no", "on-failure", "always"]),
-    help="Whether an agent is started again when it ends by itself. [default: as the fleet file says, or on-failure]",
+    help="When to restart an agent that ends by itself. [default: as in the fleet file, or on-failure]",
 )
-@click.option(
-    "--hold", is_flag=True, help="Leave missions at 0 that wait there; else they begin once all agents are ready."
-)
+@click.option("--hold", is_flag=True, help="Do not release held mission clocks when all agents are ready.")
 @click.option("--traceback", is_flag=True, help="Show failures of tasks with their whole tracebacks.")
 @click.option(
     "--fresh",
     is_flag=True,
-    help="Begin from empty state: the agents forget how far their tasks were, and where they are."
+    help="Begin from scratch: delete the saved state of the agents, with the state of their tasks and where they are."
     " Refused while another agent of the fleet runs.",
 )
 @force_option
-@click.option(
-    "--local", is_flag=True, help="Let the agents speak only within this machine, by local://, without ports."
-)
-@click.option("--dry-run", is_flag=True, help="Only check everything, and show what would be started.")
+@click.option("--local", is_flag=True, help="Let the agents talk only within this machine, by local://, without ports.")
+@click.option("--dry-run", is_flag=True, help="Check everything, and show what would be started.")
 @format_option
 def launch(
     paths: tuple[Path, ...],
@@ -72,23 +68,23 @@ def launch(
     dry_run: bool,
     printer: Printer,
 ) -> None:
-    """Run a fleet: its agents, each a process of its own, until Ctrl-C.
+    """Run the agents of a fleet, each in its own process, until Ctrl-C.
 
-    A FILE is an agent's configuration, or a fleet file that names several (docs/configuration.md). Of a DIR, its
-    fleet.toml is taken, or else all of its *.toml. All of them are checked before anything starts. What the agents
-    print has their names in front; what becomes of them is told on standard error. With --format json each line is a
-    JSON object.
+    A FILE is an agent's configuration, or a fleet file that names several (docs/configuration.md). A DIR stands for its
+    fleet.toml, or if it has none, for all of its *.toml files. All files are checked before an agent starts. The output
+    of each agent is prefixed with its name; starts, restarts and ends are reported on standard error. With --format
+    json each line is a JSON object.
 
-    An agent whose fleet file names a host runs there, over the ssh of this machine, with the Pancakes that
-    `pancakes deploy` has brought there or that is installed (docs/deployment.md). It ends with this command.
+    An agent that has a host in the fleet file runs there, over ssh, with the Pancakes that `pancakes deploy` or you
+    installed there (docs/deployment.md). It ends with this command.
 
-    An agent goes on where it was: a task that moved away, was stopped or failed does not start again with it. Each such
-    task is told, with the reason. With --fresh all begin as their files say; if that loses something it asks first, and
-    needs --force if this is no terminal.
+    Agents continue from their saved state: a task that migrated away, was stopped or failed does not start again. Each
+    such task is listed, with the reason. With --fresh all tasks begin as the files say. If that deletes state, the
+    command asks first; if this is not a terminal, --force is required.
 
-    An agent that fails is started again, at most three times within a minute unless the fleet file says otherwise.
-    SIGINT or SIGTERM stops all of them in order, the same again at once. The exit code is 0 if all were stopped or
-    ended in order, 1 if one was given up or cannot run, 4 where a configuration is bad.
+    An agent that fails is restarted, by default at most three times within a minute.
+    SIGINT or SIGTERM stops all agents gracefully; a second one ends them at once. The exit code is 0 if all agents were
+    stopped or ended by themselves without an error, 1 if one was given up or cannot run, 4 if a configuration is bad.
 
     \b
     Example:
@@ -112,7 +108,7 @@ def launch(
             check_alone(member.config for member in members)
             losing = [member.name for member in members if member.host or remembers(member.config)]
             if losing:
-                confirm(f"what is kept of the tasks of {', '.join(losing)} is lost", force, dry_run)
+                confirm(f"the saved state of the tasks of {', '.join(losing)} is lost", force, dry_run)
         if dry_run:
             _show(members, printer)
         else:
@@ -120,11 +116,11 @@ def launch(
 
 
 def check_hosts(members: Sequence[Member], hosts: Mapping[str, Host], fresh: bool) -> None:
-    """See to it that agents can be started on other hosts.
+    """Check that agents can be started on other hosts.
 
     Raises:
-        PancakesError: one of them runs there already, or Pancakes is not there; or, with `fresh`, another agent of the
-            fleet runs.
+        PancakesError: one of them runs there already, or Pancakes is missing there; or, with `fresh`, another agent of
+            the fleet runs.
     """
     from pancakes.errors import PancakesError
 
@@ -133,16 +129,16 @@ def check_hosts(members: Sequence[Member], hosts: Mapping[str, Host], fresh: boo
         host, agent = hosts[member.host], member.config.agent
         if pid := host.runs(member):
             advice = "end it with pancakes down --fleet-file"
-            runs = f"the agent {agent.name} of the fleet {agent.fleet} runs already on {host.name} (process {pid})"
+            runs = f"the agent {agent.name} of the fleet {agent.fleet} already runs on {host.name} (process {pid})"
             problems.append(f"{runs}: {advice}")
         elif not host.agent(member.name)["python"]:
-            problems.append(f"{host.name} has no Pancakes to run {member.name} with: pancakes deploy brings it there")
+            problems.append(f"{host.name} has no Pancakes to run {member.name} with: install it with pancakes deploy")
     fleets = {member.config.agent.fleet for member in members}
     for host in hosts.values() if fresh else ():
         for it in host.is_["running"]:
             if it["role"] == "agent" and it["fleet"] in fleets and it["name"] not in host.is_["agents"]:
                 outside = f"{it['name']} of the fleet {it['fleet']} runs outside this launch on {host.name}"
-                problems.append(f"{outside}, and may have tasks that moved there: begun afresh, they would run twice")
+                problems.append(f"{outside}, and may have tasks that migrated there: with --fresh they would run twice")
     if problems:
         raise PancakesError("\n".join(problems))
 
@@ -177,7 +173,7 @@ def _run(members: Sequence[Member], hosts: Mapping[str, Host], hold: bool, fresh
             continue
         directory = empty_state(member.config)
         if directory is not None:
-            reporter.told(member.name, "fresh", f"begins afresh: what it remembered in {directory} is removed")
+            reporter.told(member.name, "fresh", f"begins from scratch: its saved state in {directory} was deleted")
     there = {member.name: bool(hosts[member.host].agent(member.name)["keys"]) for member in away}
     with keys_of_run({member.name: member.config for member in members}, there) as keys:
         starts = {member.name: _start(member, keys.get(member.name), fresh) for member in away}
@@ -199,8 +195,8 @@ def _start(member: Member, keys: Path | None, fresh: bool) -> HostStart:
     from pancakes.tools.launch.remote_hosts import HostStart
 
     files = sorted(keys.iterdir()) if keys is not None else ()
-    told = {path.name: b64encode(path.read_bytes()).decode() for path in files}
-    return HostStart(member.path.read_text(encoding="utf-8-sig"), member.sets, told, fresh)
+    key_files = {path.name: b64encode(path.read_bytes()).decode() for path in files}
+    return HostStart(member.path.read_text(encoding="utf-8-sig"), member.sets, key_files, fresh)
 
 
 def _elsewhere(
@@ -216,15 +212,15 @@ def _elsewhere(
 
 
 def let_begin(pids: Mapping[str, int], members: Sequence[Member], hosts: Mapping[str, Host]) -> list[str]:
-    """Let the missions of agents begin, all at the same moment.
+    """Release the mission clocks of agents, all at the same moment.
 
     Args:
-        pids: their processes, by name.
+        pids: the processes of the agents, by name.
         members: all agents of the launch.
-        hosts: the hosts of those that run elsewhere.
+        hosts: the hosts of the agents that run elsewhere.
 
     Returns:
-        A sentence for each that could not be told.
+        A sentence for each agent that could not be reached.
     """
     from pancakes.errors import PancakesError
     from pancakes.tools.launch.remote_hosts import tunnels
@@ -232,13 +228,15 @@ def let_begin(pids: Mapping[str, int], members: Sequence[Member], hosts: Mapping
     held = [member for member in members if member.name in pids]
     try:
         with ExitStack() as stack:
-            ways = stack.enter_context(tunnels(hosts[name] for name in {it.host for it in held if it.host}))
-            return _begin(stack, held, pids, ways)
+            tunnel_of = stack.enter_context(tunnels(hosts[name] for name in {it.host for it in held if it.host}))
+            return _begin(stack, held, pids, tunnel_of)
     except PancakesError as error:
         return [str(error)]
 
 
-def _begin(stack: ExitStack, held: Sequence[Member], pids: Mapping[str, int], ways: Mapping[str, str]) -> list[str]:
+def _begin(
+    stack: ExitStack, held: Sequence[Member], pids: Mapping[str, int], tunnel_of: Mapping[str, str]
+) -> list[str]:
     from pancakes.client import Client, Where
     from pancakes.control import Begin
     from pancakes.util.clock import MonotonicClock
@@ -246,14 +244,16 @@ def _begin(stack: ExitStack, held: Sequence[Member], pids: Mapping[str, int], wa
 
     now = MonotonicClock().now
     here = {entry.pid: next(iter(entry.listen), "") for entry in entries()}
-    places = {it.name: ways.get(it.name, "") if it.host else here.get(pids[it.name], "") for it in held}
+    addresses = {it.name: tunnel_of.get(it.name, "") if it.host else here.get(pids[it.name], "") for it in held}
     problems = [
-        f"the mission of {name} waits at 0: it cannot be reached from here" for name in places if not places[name]
+        f"the mission clock of {name} is still held at 0: {name} cannot be reached from here"
+        for name in addresses
+        if not addresses[name]
     ]
     clients: dict[str, Client] = {}
-    for fleet in dict.fromkeys(it.config.agent.fleet for it in held if places[it.name]):
-        names = [it.name for it in held if it.config.agent.fleet == fleet and places[it.name]]
-        client = stack.enter_context(Client(Where(tuple(places[name] for name in names), fleet), REACH_S))
+    for fleet in dict.fromkeys(it.config.agent.fleet for it in held if addresses[it.name]):
+        names = [it.name for it in held if it.config.agent.fleet == fleet and addresses[it.name]]
+        client = stack.enter_context(Client(Where(tuple(addresses[name] for name in names), fleet), REACH_S))
         client.survey(*names)
         clients.update(dict.fromkeys(names, client))
     begin_s = now() + COUNTDOWN_S
@@ -265,7 +265,7 @@ def _begin(stack: ExitStack, held: Sequence[Member], pids: Mapping[str, int], wa
 
 
 class _Prefixed:
-    """Print lines with the agent's coloured name in front; what becomes of agents goes to standard error."""
+    """Print lines with the agent's coloured name in front; events of agents go to standard error."""
 
     def __init__(self, names: Sequence[str]) -> None:
         plain = "NO_COLOR" in os.environ
@@ -285,7 +285,7 @@ class _Prefixed:
 
 
 class _Objects:
-    """Print one JSON object a line: `{agent, line}`, or `{agent, event, text}`."""
+    """Print one JSON object per line: `{agent, line}`, or `{agent, event, text}`."""
 
     def line(self, agent: str, text: str) -> None:
         """See `LaunchReporter`."""

@@ -1,4 +1,4 @@
-"""`pancakes log`: what agents say and do."""
+"""`pancakes log`: show the log lines and the events of agents."""
 
 from __future__ import annotations
 
@@ -37,22 +37,24 @@ class Pattern(click.ParamType):
         try:
             return re.compile(value)
         except re.error as error:
-            self.fail(f"{value!r} is no regular expression: {error}", param, ctx)
+            self.fail(f"{value!r} is not a regular expression: {error}", param, ctx)
 
 
 @click.command()
 @some_agents
-@click.option("-f", "--follow", is_flag=True, help="Go on with what is said from now on, until Ctrl-C.")
+@click.option("-f", "--follow", is_flag=True, help="Continue with new lines and events, until Ctrl-C.")
 @click.option(
     "--level",
     type=click.Choice(LEVELS),
     default="info",
     show_default=True,
-    help="Only lines of this level and above; events count as info, or as debug if a line says the same.",
+    help="Only lines of this level and above; events count as info, or as debug if a log line repeats them.",
 )
 @from_option
-@click.option("--since", "since_s", metavar="TIME", type=Duration(), help="Only what was said in the last 30s.")
-@click.option("--grep", metavar="REGEX", type=Pattern(), help="Only lines in which this regular expression is found.")
+@click.option(
+    "--since", "since_s", metavar="TIME", type=Duration(), help="Only the lines of this last time, such as 30s."
+)
+@click.option("--grep", metavar="REGEX", type=Pattern(), help="Only lines that match this regular expression.")
 @click.option("--traceback", is_flag=True, help="Show failures with their whole tracebacks.")
 @asks_agents
 def log(
@@ -65,12 +67,12 @@ def log(
     traceback: bool,
     ask: Ask,
 ) -> None:
-    """Show what all agents, or only those named, have said and done.
+    """Show the log lines and events of all agents, or only of those named.
 
     The Log Service of each agent remembers its last 2,000 lines and events. They are shown in the order in which they
-    happened; the time before each is its agent's mission time, in seconds, and so are those of --since.
-    With --follow, agents that are started meanwhile or come back are taken in, with all they have said by then.
-    JSON is a list, with --follow one object a line; it has the traceback of each failure.
+    happened. The time before each is the agent's mission time in seconds, and --since is in mission time, too.
+    With --follow, agents that start or come back meanwhile are included, with all lines that they remember.
+    JSON is a list, or with --follow one object per line; it has the traceback of each failure.
 
     \b
     Example:
@@ -92,26 +94,26 @@ def wants(record: Record, level: str, sources: Sequence[str], grep: re.Pattern[s
     Args:
         record: the record.
         level: lines of this level and above.
-        sources: only from these addresses; none: from all.
-        grep: only what it is found in.
+        sources: only from these addresses; empty: from all.
+        grep: only records that it matches.
     """
-    own = level_of(record)
+    record_level = level_of(record)
     return (
-        (own not in LEVELS or LEVELS.index(own) >= LEVELS.index(level))
+        (record_level not in LEVELS or LEVELS.index(record_level) >= LEVELS.index(level))
         and from_any(record["source"], sources)
         and (grep is None or grep.search(f"{record['source']}: {words_of(record)}") is not None)
     )
 
 
 def level_of(record: Record) -> str:
-    """Return the level of a record; an event counts as `info`, or as `debug` where a line says the same."""
+    """Return the level of a record; an event counts as `info`, or as `debug` if a log line repeats it."""
     if "level" in record and record["kind"] == "line":
         return str(record["level"])
     return "debug" if record["kind"] in SAID_IN_A_LINE else "info"
 
 
 def words_of(record: Record) -> str:
-    """Return what a record says, in one line."""
+    """Return the text of a record, on one line."""
     if "text" in record and record["kind"] == "line":
         return str(record["text"])
     fields = [(key, value) for key, value in record.items() if key not in ("t_s", "agent", "source", "kind")]
@@ -124,12 +126,12 @@ def text_of(record: Record) -> str:
 
 
 def colour_of(record: Record) -> str | None:
-    """Return the colour of its line; it stays only if it can be seen."""
+    """Return the colour of a record's line; None if it has none, or if NO_COLOR is set."""
     return COLOURS.get(level_of(record)) if "NO_COLOR" not in os.environ else None
 
 
 def with_traceback(record: Record) -> str:
-    """Return a record as `text_of` does, and below it the traceback of the failure that it tells of."""
+    """Return a record as `text_of` does, followed by the traceback of its failure."""
     rows = str(record.get("traceback", "")).splitlines() if record["kind"] == "line" else []
     return "\n".join([text_of(record), *(printable(f"          {row}") for row in rows)])
 
@@ -138,15 +140,15 @@ def with_traceback(record: Record) -> str:
 
 
 def _history(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
-    """Yield what was said until now, in its order."""
+    """Yield the records of the past, in their order."""
     yield from (record for _, record in _merged(client, survey_with(client, *agents), since_s))
 
 
 def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: float | None) -> list[tuple[str, Record]]:
-    """Return what agents remember, each with the agent that does, by the time at which it was said.
+    """Return the remembered records of agents, each with the agent that remembers it, in order of time.
 
-    That is not always the agent that has said it: who publishes on `log` to another is remembered there. The clocks of
-    two agents differ, so it counts how long ago something was said, on the clock of its own agent.
+    An agent also remembers what others published to its `log`. The clocks of agents differ, so records are ordered by
+    how long ago they were made, on the clock of the agent that remembers them.
     """
     dated: list[tuple[float, str, Record]] = []
     refusals = []
@@ -154,9 +156,9 @@ def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: flo
         try:
             records = _remembered(client, agent["agent"], since_s)
         except ControlRefused as error:
-            refusals.append(f"{agent['agent']} does not tell what was said: {error}")
+            refusals.append(f"{agent['agent']} refuses to show its log: {error}")
         else:
-            # Its mission time is of about now: all agents have just been asked.
+            # Its mission time is nearly the present one, because all agents have just been asked.
             now_s, speed, name = agent["mission_s"], agent["speed"], agent["agent"]
             dated.extend(((record["t_s"] - now_s) / speed, name, record) for record in records)
     if refusals and len(refusals) == len(described):
@@ -177,16 +179,18 @@ def _remembered(client: Client, agent: str, since_s: float | None) -> list[Recor
 
 
 def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
-    """Yield what was said until now, then what is said.
+    """Yield the records of the past, then new ones as they come.
 
-    What an agent says is followed first and asked for then, so that nothing falls between the two; and asked for again
-    when it comes back. What is in both is left out once.
+    It first subscribes to an agent's log and then asks for its past, so that no record is lost between the two. It asks
+    again when an agent comes back. A record that comes both ways is yielded once.
     """
-    anew: list[str] = []
+    resubscribed: list[str] = []
     known: dict[str, Known] = {}
     began_s = client.now()
     with (
-        client.subscribe(LOG, agents=agents, max_waiting=MOST_WAITING, on_resubscribe=anew.append) as subscriber,
+        client.subscribe(
+            LOG, agents=agents, max_waiting=MOST_WAITING, on_resubscribe=resubscribed.append
+        ) as subscriber,
         telling_losses(client, subscriber, LOG),
     ):
 
@@ -200,20 +204,20 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
             return (record for name, record in records if known[name].is_new(record))
 
         yield from remembered(client.survey(*agents).agents)
-        for heard in listen(client, subscriber):
-            while anew:
+        for received in listen(client, subscriber):
+            while resubscribed:
                 try:
-                    yield from remembered(client.survey(anew.pop()).agents)
+                    yield from remembered(client.survey(resubscribed.pop()).agents)
                 except PancakesError as error:
                     say(str(error))
-            if heard is not None:
-                record = record_of(heard.packet)
-                if known.setdefault(heard.agent, Known()).comes(record):
+            if received is not None:
+                record = record_of(received.packet)
+                if known.setdefault(received.agent, Known()).comes(record):
                     yield record
 
 
 class Known:
-    """Which records of one agent have been shown, so that none is shown twice if it comes in two ways."""
+    """Remember which records of one agent have been shown, so that a record that comes twice is shown once."""
 
     def __init__(self) -> None:
         self._shown: deque[str] = deque(maxlen=2 * REMEMBERED)
@@ -221,16 +225,16 @@ class Known:
         self._to_come: Counter[str] = Counter()
 
     def ask(self, remembered: Sequence[Record]) -> None:
-        """Take all that the agent remembers."""
+        """Take all records that the agent remembers."""
         self._not_new = Counter(self._shown)
         self._to_come = Counter(line_of(dict(record)) for record in remembered)
 
     def is_new(self, record: Record) -> bool:
-        """Return whether one of these is to be shown: it was not before."""
+        """Return whether to show a remembered record: it was not shown before."""
         return self._show(record, self._not_new)
 
     def comes(self, record: Record) -> bool:
-        """Return whether a record that comes as it is said is to be shown: it was not among what was remembered."""
+        """Return whether to show a new record: it was not among the remembered ones."""
         return self._show(record, self._to_come)
 
     def _show(self, record: Record, known: Counter[str]) -> bool:

@@ -1,4 +1,4 @@
-"""`pancakes new ...`: begins a distribution of one's own."""
+"""`pancakes new ...`: create a distribution from a template."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ if TYPE_CHECKING:
 COLUMNS = ("file", "purpose")
 _ABOUT: Final = {
     "task": (
-        "Begin a task: it watches how busy this computer is, and tells when that changes.",
-        "Begin a task.",
+        "Create a task: it watches how busy this computer is, and publishes changes.",
+        "Create a task.",
         "pancakes new task ScanTarget",
     ),
     "driver": (
-        "Begin a driver: a sensor whose readings stand in a file, with a packet type of its own.",
-        "Begin a driver.",
+        "Create a driver: a sensor that reads a file, with its own packet type.",
+        "Create a driver.",
         "pancakes new driver wind-speed --into ..",
     ),
     "service": (
-        "Begin a service: it counts the packets of each publisher, with a task and a channel of its own.",
-        "Begin a service.",
+        "Create a service: it counts the packets of each publisher, with its own task and channel.",
+        "Create a service.",
         "pancakes new service bookkeeping",
     ),
     "cost": (
-        "Begin a cost function: the agent whose computer has least to do takes the task.",
-        "Begin a cost function for moves.",
+        "Create a cost function: the agent with the least busy computer takes the task.",
+        "Create a cost function for migrations.",
         "pancakes new cost calm",
     ),
     "plugin": (
-        "Begin a plug-in: a driver, a task, a service and packet types that work together, and two agents.",
-        "Begin a plug-in with a task, a driver, a service and packets.",
+        "Create a plug-in: a driver, a task, a service and packet types that work together, and two agents.",
+        "Create a plug-in with a task, a driver, a service and packets.",
         "pancakes new plugin greenhouse",
     ),
 }
-"""Of each kind: what its command does, its line in the list of commands, and an example."""
+"""For each kind: what its command does, its line in the list of commands, and an example."""
 
 
 class DistributionName(click.ParamType):
-    """Read the name of a distribution that is to be made."""
+    """Read the name of a new distribution."""
 
     name = "NAME"
 
@@ -64,10 +64,10 @@ class DistributionName(click.ParamType):
 
 @click.group()
 def new() -> None:
-    """Begin a task, driver, service, cost function or plug-in of one's own.
+    """Create a package for your own task, driver, service, cost function or plug-in.
 
-    Each command writes a distribution that works: with its entry points, tests that pass, a configuration that runs
-    it, and a README. Change it from there.
+    Each command writes a working distribution: with entry points, tests that pass, a configuration that runs it, and a
+    README. Start from there.
     """
 
 
@@ -81,7 +81,7 @@ def _command(kind: str) -> click.Command:
         type=click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
         default=".",
         metavar="DIR",
-        help="The folder in which the distribution's own folder is made. [default: this one]",
+        help="The folder in which to create the distribution's folder. [default: the present one]",
     )
     @click.option("--dry-run", is_flag=True, help="Only list what would be written.")
     @format_option
@@ -90,8 +90,8 @@ def _command(kind: str) -> click.Command:
 
     command.help = f"""{about}
 
-    NAME may be written as scan_target, scan-target or ScanTarget: the distribution and its folder are then called
-    scan-target, the package scan_target, the class ScanTarget.
+    You may write NAME as scan_target, scan-target or ScanTarget. The distribution and its folder are then called
+    scan-target, the package scan_target, and the class ScanTarget.
 
     \b
     Example:
@@ -111,9 +111,9 @@ def _make(kind: str, names: Names, into: Path, dry_run: bool, printer: Printer) 
 
     folder = into / names.dist
     check_free(folder)
-    taken = names.taken(kind)
-    if taken:
-        raise PancakesError(f"{taken}: choose another name than {names.package}")
+    conflict = names.conflict(kind)
+    if conflict:
+        raise PancakesError(f"{conflict}: choose another name than {names.package}")
     files = files_of(kind, names)
     if not dry_run:
         write(folder, files)
@@ -123,6 +123,6 @@ def _make(kind: str, names: Names, into: Path, dry_run: bool, printer: Printer) 
 
 
 def _next(kind: str, names: Names, folder: Path) -> list[str]:
-    """Return the commands that a person types next."""
+    """Return the commands that the user runs next."""
     run = "pancakes launch configs" if kind == "plugin" else f"pancakes-agent --config configs/{names.package}.toml"
     return [f"cd {shlex.quote(os.path.relpath(folder))}", 'pip install -e ".[test]"', "pytest", run]

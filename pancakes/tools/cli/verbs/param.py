@@ -1,4 +1,4 @@
-"""`pancakes param ...`: the settings of tasks, looked at and changed while they run."""
+"""`pancakes param ...`: show and change the settings of tasks while they run."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ LOADED = ("agent", "service", "task", "params", "done", "reason")
 
 @click.group()
 def param() -> None:
-    """Settings of tasks; a device is a task too, with the device's name."""
+    """Read and change the settings of tasks; a device is a task too, with the device's name."""
 
 
 @param.command("list")
 @click.argument("name", metavar="[AGENT[/TASK]]", required=False, type=AgentOrTask())
 @asks_agents
 def list_(name: TaskName | None, ask: Ask) -> None:
-    """List the settings of all tasks, of those of AGENT, or of one task.
+    """List the settings of all tasks, of all tasks of AGENT, or of one task.
 
     \b
     Example:
@@ -51,7 +51,7 @@ def list_(name: TaskName | None, ask: Ask) -> None:
 @click.argument("setting", metavar="[NAME]", default="", type=ParamName())
 @asks_agents
 def get(name: TaskName, setting: str, ask: Ask) -> None:
-    """Show the settings of a task; where NAME is given, only its value, as TOML.
+    """Show the settings of a task; with NAME, only the value of that setting, as TOML.
 
     \b
     Example:
@@ -73,10 +73,10 @@ def get(name: TaskName, setting: str, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def set_(name: TaskName, changes: Changes, dry_run: bool, ask: Ask) -> None:
-    """Change settings of a running task; all of them are good, or nothing changes.
+    """Change settings of a running task; if one value is refused, nothing changes.
 
-    A value that reads as TOML is taken as such (5, true, [1, 2], { x = 1 }), anything else as a string. Inside of a
-    table, NAME has dots: slow.PoseSharing=0.5.
+    A value is read as TOML (5, true, [1, 2], { x = 1 }) if possible, otherwise as a string. For a key in a table, NAME
+    has dots: slow.PoseSharing=0.5.
 
     \b
     Example:
@@ -108,7 +108,7 @@ def set_(name: TaskName, changes: Changes, dry_run: bool, ask: Ask) -> None:
 @click.argument("setting", metavar="[NAME]", default="", type=ParamName())
 @asks_agents
 def describe(name: TaskName, setting: str, ask: Ask) -> None:
-    """Say what may be set: type, default, bounds, unit and meaning of a task's settings.
+    """Describe the settings of a task: type, default, bounds, unit and meaning.
 
     \b
     Example:
@@ -133,9 +133,9 @@ def describe(name: TaskName, setting: str, ask: Ask) -> None:
 @a_task_or_agent
 @asks_agents
 def dump(name: TaskName, ask: Ask) -> None:
-    """Print the settings of a task, or of all tasks of AGENT that its configuration names, as a configuration has them.
+    """Print the settings of a task, or of all tasks that the configuration of AGENT names, as TOML.
 
-    `pancakes param load` reads them again, and they can be pasted into the agent's file.
+    `pancakes param load` reads the output, and you can paste it into the agent's configuration.
 
     \b
     Example:
@@ -154,10 +154,10 @@ def dump(name: TaskName, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
-    """Change the settings of a running task, or of several of AGENT, to those in FILE; - is standard input.
+    """Change the settings of a running task, or of several tasks of AGENT, to those in FILE (- is standard input).
 
-    FILE has what `pancakes param dump` prints; a whole configuration will do, of which only the settings are read. For
-    each task all settings are good, or none of them changes; a task that refuses is named, and the exit code is then 1.
+    FILE is the output of `pancakes param dump`, or a whole configuration, of which only the settings are read. If a
+    task refuses one value, none of its settings change; the task is named, and the exit code is 1.
 
     \b
     Example:
@@ -167,7 +167,7 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
     settings = param_file.read(file)
     if name.task:
         if name.task not in settings:
-            raise ControlRefused(f"{file} has no settings of {name.task!r}, only of {', '.join(settings)}")
+            raise ControlRefused(f"{file} has no settings of {name.task!r}. It has those of {', '.join(settings)}")
         settings = {name.task: settings[name.task]}
     rows = []
     with ask.client() as client:
@@ -175,9 +175,9 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
         for task, values in settings.items():
             row = {"agent": name.agent, "service": name.service, "task": task, "params": list(values)}
             try:
-                there = resolve_service(client, TaskName(name.agent, name.service, task))
-                row["service"] = there.service
-                request_result(client, name.agent, Configure(there.target, values, dry_run))
+                found = resolve_service(client, TaskName(name.agent, name.service, task))
+                row["service"] = found.service
+                request_result(client, name.agent, Configure(found.target, values, dry_run))
                 rows.append({**row, "done": DRY_RUN if dry_run else "set", "reason": ""})
             except ControlRefused as error:
                 rows.append({**row, "done": "refused", "reason": str(error)})
@@ -189,7 +189,7 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
 
 
 def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
-    """Describe a task, all tasks of an agent, or those of all agents; name the agents that do not answer."""
+    """Describe a task, all tasks of an agent, or the tasks of all agents; print the agents that do not answer."""
     if name is not None and name.task:
         name = resolve_service(client, name)
         return [request_result(client, name.agent, Describe(name.target))]
@@ -198,16 +198,16 @@ def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
         for task in agent["tasks"]:
             try:
                 described.append(request_result(client, agent["agent"], Describe(f"{task['service']}/{task['task']}")))
-            except ControlRefused as error:  # it may have moved on in the meantime
+            except ControlRefused as error:  # the task may have migrated meanwhile
                 show_text(str(error), err=True)
     return described
 
 
 def _known(described: dict[str, Any], setting: str) -> str:
-    """Return the name of a setting, after a look whether there is one of this name; an empty string stays empty.
+    """Return the name of a setting if the task has it; an empty string stays empty.
 
     Raises:
-        ControlRefused: the task has none of this name.
+        ControlRefused: the task has no setting of this name.
     """
     names = list(described["settings_schema"].get("properties", described["settings"]))
     if setting and setting not in names:
@@ -229,7 +229,7 @@ def _picked(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> list[dict[s
 
 
 def _table(rows: list[dict[str, Any]], columns: tuple[str, ...], values: tuple[str, ...]) -> Rows:
-    """Return a table in which values stand as TOML has them, so that text and number can be told apart."""
+    """Return a table with values in TOML, so that text and numbers look different."""
     return Rows([{**row, **{key: _text(row[key]) for key in values}} for row in rows], columns)
 
 

@@ -1,4 +1,4 @@
-"""Settings of tasks as TOML, such as a configuration file has them: written by `param dump`, read by `param load`."""
+"""Settings of tasks as TOML, as in a configuration file: written by `param dump`, read by `param load`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def dumped(rows: list[dict[str, Any]]) -> str:
     """Return the settings of tasks as a TOML document with tables `[task.NAME.settings]` and `[device.NAME.settings]`.
 
     Args:
-        rows: what the agent says of each task (see `Describe`).
+        rows: the agent's description of each task (see `Describe`).
 
     Raises:
         PancakesError: two of them have the same name.
@@ -34,13 +34,13 @@ def dumped(rows: list[dict[str, Any]]) -> str:
 
 
 def read(path: Path) -> dict[str, Mapping[str, Any]]:
-    """Return the settings in a TOML file by task; other tables, as a whole configuration has them, are passed over.
+    """Return the settings in a TOML file by task; other tables, such as those of a configuration, are ignored.
 
     Args:
         path: the file; `-` is standard input.
 
     Raises:
-        PancakesError: it cannot be read, or has no settings in it.
+        PancakesError: the file cannot be read, or has no settings.
     """
     where = "standard input" if path == STDIN else str(path)
     values, _ = tables_of(sys.stdin.read() if path == STDIN else text_of(str(path)), where)
@@ -51,22 +51,22 @@ def read(path: Path) -> dict[str, Mapping[str, Any]]:
             settings = entry.get("settings") if isinstance(entry, Mapping) else None
             if isinstance(settings, Mapping):
                 if name in found:
-                    raise PancakesError(f"{where} has a task and a device of the name {name!r}: load one at a time")
+                    raise PancakesError(f"{where} has a task and a device called {name!r}: load them one at a time")
                 found[name] = settings
     if not found:
-        raise PancakesError(f"{where} has no settings in it: they stand in tables such as [task.NAME.settings]")
+        raise PancakesError(f"{where} has no settings: put them in tables such as [task.NAME.settings]")
     return found
 
 
 def changes_of(present: Mapping[str, Any], texts: Mapping[tuple[str, ...], Any]) -> dict[str, Any]:
-    """Return what is to be configured so that some values change, by the outermost key.
+    """Return the settings to configure, by outermost key, so that some values change.
 
     Args:
         present: the present settings.
-        texts: new values by the keys that lead to them; more than one key leads into a table.
+        texts: new values by their path of keys; a path of several keys leads into a table.
 
     Raises:
-        PancakesError: what should be a table is none.
+        PancakesError: a path leads through a value that is not a table.
     """
     import copy
 
@@ -80,6 +80,6 @@ def changes_of(present: Mapping[str, Any], texts: Mapping[tuple[str, ...], Any])
         for depth, key in enumerate(keys[:-1], start=1):
             table = table.setdefault(key, {})
             if not isinstance(table, dict):
-                raise PancakesError(f"{'.'.join(keys[:depth])} is a value and has no keys in it")
+                raise PancakesError(f"{'.'.join(keys[:depth])} is not a table, so it has no keys")
         table[keys[-1]] = value
     return changes

@@ -1,4 +1,4 @@
-"""`pancakes plugin ...`: what is installed for agents to use."""
+"""`pancakes plugin ...`: list the plug-ins that are installed for agents."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ NAMES = tuple(group.removeprefix("pancakes.") for group in GROUPS)
 
 @click.group()
 def plugin() -> None:
-    """What is installed for agents to use."""
+    """List the plug-ins that are installed for agents."""
 
 
 @plugin.command("list")
 @click.option("--group", type=click.Choice(NAMES), multiple=True, help="Only plug-ins of this group. Repeatable.")
-@click.option("--broken", is_flag=True, help="Only those that cannot be used.")
+@click.option("--broken", is_flag=True, help="Only plug-ins that cannot be used.")
 @format_option
 def list_(group: tuple[str, ...], broken: bool, printer: Printer) -> None:
-    """List all plug-ins of this Python environment: its name, its distribution, and whether it can be used.
+    """List all plug-ins of this Python environment, with their distributions and whether they can be used.
 
-    All of them are imported for that. The exit code is 1 if one is broken.
+    It imports all of them. The exit code is 1 if one is broken.
 
     \b
     Example:
@@ -46,7 +46,7 @@ def list_(group: tuple[str, ...], broken: bool, printer: Printer) -> None:
 
 
 def rows_of(plugins: Plugins, group: str) -> list[dict[str, Any]]:
-    """Return a row for each plug-in of a group; import them.
+    """Import the plug-ins of a group, and return a row for each.
 
     Args:
         plugins: all plug-ins.

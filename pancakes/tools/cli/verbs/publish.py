@@ -1,4 +1,4 @@
-"""`pancakes channel pub`: publish packets on a channel of an agent, with bodies made of JSON that a person writes."""
+"""`pancakes channel pub`: publish packets on a channel of an agent, with bodies from JSON."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from pancakes.util.text import hint_of
 
 
 class BadBody(PancakesError):
-    """What was written is no body of a packet."""
+    """A text is not a valid body of a packet."""
 
 
 def body_of(kind: str, text: str) -> Any:
-    """Return the body of a packet of the type `kind`, from JSON. The types have to be loaded (`load_packets`).
+    """Return the body of a packet of the type `kind`, from JSON. The types must be loaded (`load_packets`).
 
     Raises:
-        BadBody: there is no such type, or the text does not fit it; the sentence names the field.
+        BadBody: the type does not exist, or the text does not fit it; the sentence names the field.
     """
     cls = body_class(kind)
     if cls is None:
@@ -57,7 +57,7 @@ def body_of(kind: str, text: str) -> Any:
         given: Any = codecs.json_decoder()(text)
     except MALFORMED as error:
         why = why_malformed(error).removeprefix("JSON is malformed: ")
-        raise BadBody(f"the body is no JSON: {_lower(why)}") from None
+        raise BadBody(f"the body is not JSON: {_lower(why)}") from None
     if not isinstance(given, Mapping):
         raise BadBody(f"the body must be a JSON object with the fields of {kind}: {_fields(cls)}")
     try:
@@ -67,12 +67,14 @@ def body_of(kind: str, text: str) -> Any:
     for path, names in _unknown(given, msgspec.to_builtins(body)):
         name = path.rpartition(".")[2]
         whole = f"{kind}.{path.rpartition('.')[0]}".rstrip(".")
-        raise BadBody(f"{whole} has no field {name!r}{hint_of(name, names) or ', only none at all'}")
+        if not names:
+            raise BadBody(f"{whole} takes no fields (got {name!r})")
+        raise BadBody(f"{whole} has no field {name!r}{hint_of(name, names)}")
     return body
 
 
 def _sentence(kind: str, error: str) -> str:
-    """Return what msgspec says, such as "Expected `float`, got `str` - at `$.x_m`", with the field first."""
+    """Return an error of msgspec, such as "Expected `float`, got `str` - at `$.x_m`", with the field first."""
     what, _, where = error.partition(" - at `$")
     field = f"{kind}{where.rstrip('`')}" if where else kind
     return f"{field}: {_lower(what)}"
@@ -83,14 +85,14 @@ def _lower(text: str) -> str:
 
 
 def _fields(cls: type) -> str:
-    """Return the fields of a body, each with the type that it must be of."""
+    """Return the fields of a body, each with its type."""
     kinds = {name: kind for base in reversed(cls.__mro__) for name, kind in get_annotations(base).items()}
     named = ((name, kinds.get(name, "")) for name in field_names(cls))
     return ", ".join(f"{name} ({getattr(kind, '__name__', kind)})" for name, kind in named) or "none"
 
 
 def _unknown(given: Any, taken: Any, path: str = "") -> Iterator[tuple[str, list[str]]]:
-    """Yield the paths of what was given and not taken, each with the names that there are."""
+    """Yield the paths of given fields that the body does not have, each with the names that exist there."""
     if isinstance(given, Mapping) and isinstance(taken, Mapping):
         for name, item in given.items():
             if name not in taken:
@@ -104,9 +106,9 @@ def _unknown(given: Any, taken: Any, path: str = "") -> Iterator[tuple[str, list
 
 COLUMNS: Final = ("agent", "channel", "type", "to", "packets", "subscribers", "refused")
 RATE_HZ: Final = 1.0
-"""How often packets are published if their number is said and their rate is not."""
+"""The default rate if `--count` is given without `--rate`."""
 REFUSAL_S: Final = 0.5
-"""After the last command, an actuator that has not refused it for so long has taken it."""
+"""How long to wait after the last command for a refusal; after that, the actuator has accepted the command."""
 
 
 @click.command()
@@ -119,9 +121,11 @@ REFUSAL_S: Final = 0.5
     "rate_hz",
     metavar="HZ",
     type=FiniteRange(min=0.0, min_open=True, max=1000.0),
-    help="So many a second, until Ctrl-C or --count; without, one.",
+    help="Publish HZ packets per second, until Ctrl-C or --count. Without it, publish one packet.",
 )
-@click.option("--count", "most", metavar="N", type=click.IntRange(min=1), help="N packets, at --rate or one a second.")
+@click.option(
+    "--count", "most", metavar="N", type=click.IntRange(min=1), help="Publish N packets, at --rate or one per second."
+)
 @dry_run_option
 @orders_agents
 def pub(
@@ -129,11 +133,11 @@ def pub(
 ) -> None:
     """Publish a packet of the type TYPE on a channel.
 
-    BODY is a JSON object with the type's fields, which are checked before anything is sent; a field that has a default
-    may be left out. A packet without a subscriber on the agent is sent all the same, and a line says so.
-    An actuator that a task holds takes commands from that task only. What an actuator or its driver refuses is shown,
-    and the exit code is then 1. A control packet on sysctrl, such as stop or reschedule, is answered as it is to a
-    task, and refused likewise.
+    BODY is a JSON object with the type's fields; fields with a default may be left out. It is checked before anything
+    is sent. If no component of the agent subscribes to the packet, it is sent anyway, with a warning.
+    An actuator that a task holds accepts commands only from that task. If an actuator or its driver refuses a command,
+    the reason is shown, and the exit code is 1. A control packet on sysctrl, such as stop or reschedule, is answered
+    or refused as if a task had sent it.
 
     \b
     Example:
@@ -145,12 +149,12 @@ def pub(
 
     Plugins().load_packets()
     try:
-        made = body_of(kind, body)
+        packet_body = body_of(kind, body)
     except BadBody as error:
         raise click.UsageError(str(error)) from None
     destination = _destination(name.agent, to)
     with until_ended(), ask.client() as client:
-        sender = Sender(client, name, made, destination)
+        sender = Sender(client, name, packet_body, destination)
         if not sender.subscribers:
             say(f"no component of {name.agent} subscribes to {kind} on {name.channel}" + (f" at {to}" if to else ""))
         row: dict[str, Any] = {**name._asdict(), "type": kind, "to": destination, "packets": 0}
@@ -172,21 +176,21 @@ def pub(
 
 
 def _destination(agent: str, to: str) -> str:
-    """Return the address that is to get the packets."""
+    """Return the destination of the packets."""
     if not to:
         return agent
     if to == NEIGHBOURS or to.startswith(TO_TASK):
         raise click.BadParameter(
-            f"{to!r} is no service or task of {agent}: write it as SERVICE/TASK", param_hint="--to"
+            f"{to!r} is not a service or task of {agent}: write it as SERVICE/TASK", param_hint="--to"
         )
     address = to if agent_of(to) == agent else join(agent, to)
     if address.count("/") > 2 or not all(address.split("/")):
-        raise click.BadParameter(f"{to!r} names no service or task: write it as SERVICE/TASK", param_hint="--to")
+        raise click.BadParameter(f"{to!r} is not a service or task: write it as SERVICE/TASK", param_hint="--to")
     return address
 
 
 class Sender:
-    """Publish one packet again and again, as from the agent itself.
+    """Publish one packet repeatedly, in the name of the agent.
 
     Args:
         client: reaches the agent.
@@ -195,7 +199,7 @@ class Sender:
         destination: an address on the agent, or the agent's own name.
 
     Attributes:
-        subscribers: the addresses that will get it.
+        subscribers: the addresses that get it.
 
     Raises:
         ControlRefused: the agent has no such channel.
@@ -207,13 +211,13 @@ class Sender:
         self._name = name
         self._body = body
         self._destination = destination
-        self.subscribers = self._look()
+        self.subscribers = self._find_subscribers()
 
     def send(self, most: int | None, rate_hz: float) -> Iterator[None]:
-        """Publish so many packets (None: without end) at a rate, and yield after each.
+        """Publish at most `most` packets (None: endlessly) at a rate, and yield after each.
 
         Raises:
-            ControlRefused: it asked for something that the agent refuses.
+            ControlRefused: the agent refuses a control packet.
             Unreachable: the agent went away.
         """
         began_s = self._client.now()
@@ -224,31 +228,31 @@ class Sender:
         self.settle()
 
     def settle(self) -> None:
-        """Wait until the agent has got all that was sent."""
+        """Wait until the agent has received all packets."""
         self._client.settle()
 
     def _send_one(self) -> None:
         if self._name.channel == SYSCTRL and type(self._body) in CONTROLS:
-            request_result(self._client, self._name.agent, self._body)  # it is answered, and the answer is what counts
+            request_result(self._client, self._name.agent, self._body)  # raises if the agent refuses
             return
         to = self._destination if self._destination != self._name.agent else ""
         self._client.publish(str(self._name), self._body, to=to)
 
-    def _look(self) -> list[str]:
+    def _find_subscribers(self) -> list[str]:
         """Return the addresses that would get the packets now."""
         (found,) = request_result(self._client, self._name.agent, Channels(self._name.channel))
         kind = type_name(self._body)
-        named = self._destination != self._name.agent
+        is_addressed = self._destination != self._name.agent
         return [
             reader["address"]
             for reader in found["subscribers"]
             if covers(self._destination, reader["address"])
-            and _takes(reader["types"] if named else reader["open_types"], kind)
+            and _takes(reader["types"] if is_addressed else reader["open_types"], kind)
         ]
 
 
 class Refusals:
-    """Hear which actuators refuse the commands of this program, and why. On other channels nothing is refused.
+    """Collect the refusals of actuators to commands of this program. Only packets on `ctrl` are refused.
 
     Args:
         client: reaches the agent.
@@ -270,17 +274,17 @@ class Refusals:
         self._stack.close()
 
     def of(self, actuators: list[str]) -> list[str]:
-        """Return a sentence for each of these actuators that has refused, or does so soon after the last command."""
+        """Return a sentence for each of these actuators that refuses, at most `REFUSAL_S` after the last command."""
         found: dict[str, str] = {}
         until_s = self._client.now() + REFUSAL_S
         while self._log is not None and len(found) < len(actuators):
-            heard = self._log.take(max(0.0, until_s - self._client.now()))
-            if heard is None:
+            received = self._log.take(max(0.0, until_s - self._client.now()))
+            if received is None:
                 break
-            event = heard.body
-            asked_by = agent_of(str(event.fields.get("by", "")))
-            if event.kind == "command_refused" and self._client.is_own(asked_by):
-                found[heard.source] = f"{heard.source}: {event.fields.get('reason', '')}"
+            event = received.body
+            commanded_by = agent_of(str(event.fields.get("by", "")))
+            if event.kind == "command_refused" and self._client.is_own(commanded_by):
+                found[received.source] = f"{received.source}: {event.fields.get('reason', '')}"
         return list(found.values())
 
 

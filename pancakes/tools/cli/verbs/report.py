@@ -1,4 +1,4 @@
-"""`pancakes report`: a recording as a page, and as pictures."""
+"""`pancakes report`: turn a recording into a page and figures."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from pancakes.tools.cli.streaming import load_packets
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for the report. [default: FILE-report or DIR-report, beside it]",
 )
-@click.option("--task", metavar="ID", default="", help="Tell only of this task (BIRTHPLACE/NAME).")
+@click.option("--task", metavar="ID", default="", help="Report only on this task (BIRTHPLACE/NAME).")
 @format_option
 def report(path: Path, out: Path | None, task: str, printer: Printer) -> None:
     """Make a report of a recording: a file with its parts, or all files of a folder.
 
-    It tells where each robot went, which agent ran which task, how tasks moved, batteries, rates, lateness, drops,
-    traffic, and what led to the commands of actuators. The page, report.html, needs no other file. Each picture is also
-    there as PNG and SVG, in the size of a paper's column, and report.json has the figures.
+    The report shows where each robot went, which agent ran which task, migrations, batteries, rates, lateness, drops,
+    traffic, and what led to the commands to actuators. The page, report.html, needs no other file. Each figure is also
+    a PNG and an SVG, in the size of a paper's column. report.json has the numbers.
 
     \b
     Example:
@@ -35,8 +35,8 @@ def report(path: Path, out: Path | None, task: str, printer: Printer) -> None:
     from pancakes.tools.report.html_report import make_report
 
     load_packets()
-    given = path.resolve()
-    made = make_report(path, out or given.with_name(given.name.removesuffix(".mcap") + "-report"), task)
-    for note in made.notes:
+    absolute = path.resolve()
+    found = make_report(path, out or absolute.with_name(absolute.name.removesuffix(".mcap") + "-report"), task)
+    for note in found.notes:
         show_text(note, err=True)
-    printer.table([{"file": str(file), "shows": shows} for file, shows in made.files], ("file", "shows"))
+    printer.table([{"file": str(file), "shows": shows} for file, shows in found.files], ("file", "shows"))

@@ -1,4 +1,4 @@
-"""Write the distributions of `pancakes new` from templates: all files, or none."""
+"""Write the distributions of `pancakes new` from templates: all files or none."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _RESERVED: Final = frozenset(
 )
 PURPOSES: Final = {
     "README.md": "how to install, test and run it",
-    "setup.cfg": "its name, what it needs, its entry points",
+    "setup.cfg": "its name, requirements and entry points",
     "pyproject.toml": "how it is built",
-    ".gitignore": "what git leaves out",
-    "reading.txt": "what the sensor says; stands for the hardware",
+    ".gitignore": "the files that git ignores",
+    "reading.txt": "the sensor's reading, in place of hardware",
     "package/__init__.py": "the package",
     "package/packets.py": "its packet types",
     "package/driver.py": "the driver",
@@ -45,25 +45,25 @@ PURPOSES: Final = {
     "package/watch.py": "the task",
     "package/service.py": "the service",
     "package/cost.py": "the cost function",
-    "package/desk.py": "the service, and the task that it brings",
-    "package/tally.py": "the task that the service brings",
+    "package/desk.py": "the service and its task",
+    "package/tally.py": "the task of the service",
     "configs/package.toml": "an agent that runs it",
     "configs/sensor.toml": "an agent with the sensor and the task",
     "configs/gateway.toml": "an agent with the service",
-    "tests/conftest.py": "what the tests have in common",
+    "tests/conftest.py": "what the tests share",
     "tests/test_package.py": "its tests, in virtual time",
 }
-"""What each file is for, by the name of its template; in the order in which a person should read them."""
+"""The purpose of each file, by the name of its template, in the order in which to read them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """The names of a distribution and of what is in it, all made of one.
+    """The names of a distribution and its contents, all made from one name.
 
     Attributes:
-        dist: of the distribution and its folder, as in `scan-target`.
-        package: of the package, as in `scan_target`; also the prefix of its types.
-        cls: of its class, as in `ScanTarget`.
+        dist: the name of the distribution and its folder, such as `scan-target`.
+        package: the name of the package, such as `scan_target`; also the prefix of its types.
+        cls: the name of its class, such as `ScanTarget`.
     """
 
     dist: str
@@ -72,15 +72,15 @@ class Names:
 
     @classmethod
     def of(cls, text: str) -> Names:
-        """Read a name as a person writes it: `scan_target`, `scan-target` or `ScanTarget`.
+        """Parse a name in any style: `scan_target`, `scan-target` or `ScanTarget`.
 
         Raises:
             ValueError: it cannot be the name of a package; the message is a sentence.
         """
         if not _NAME.fullmatch(text):
             raise ValueError(
-                f"{text!r} is no name: it must begin with a letter, and have only the letters a to z, digits, and"
-                " single - or _ between its words"
+                f"{text!r} is not a valid name: it must begin with a letter, and may have only the letters a to z,"
+                " digits, and single - or _ between its words"
             )
         words = _WORD_BEGINS.sub("_", text.replace("-", "_")).split("_")
         if text.isupper():
@@ -94,30 +94,30 @@ class Names:
     def _check(self) -> None:
         if not 2 <= len(self.package) <= LONGEST:
             raise ValueError(
-                f"a name must have from 2 to {LONGEST} characters, and {self.package!r} has {len(self.package)}"
+                f"a name must have 2 to {LONGEST} characters, and {self.package!r} has {len(self.package)}"
             )
         if keyword.iskeyword(self.package) or keyword.issoftkeyword(self.package) or keyword.iskeyword(self.cls):
-            raise ValueError(f"{self.package!r} is a word of the Python language: choose another name")
+            raise ValueError(f"{self.package!r} is a keyword of Python: choose another name")
         if self.package in sys.stdlib_module_names:
-            raise ValueError(f"Python has a module {self.package!r} of its own: choose another name")
+            raise ValueError(f"Python has a module called {self.package!r}: choose another name")
         if self.package in (*_RESERVED, *CORE_CHANNELS, *DEFAULT_SERVICES):
-            raise ValueError(f"{self.package!r} means something else to Pancakes or to its tools: choose another name")
+            raise ValueError(f"{self.package!r} is reserved in Pancakes or its tools: choose another name")
         if self.cls in named_in_templates():
-            raise ValueError(f"Pancakes has a class {self.cls} of its own: choose another name than {self.package!r}")
+            raise ValueError(f"Pancakes has a class called {self.cls}: choose another name than {self.package!r}")
 
-    def taken(self, kind: str) -> str:
-        """Say why what is installed here leaves no room for a distribution of this name; empty: there is room."""
+    def conflict(self, kind: str) -> str:
+        """Return which installed module, distribution or packet type has this name already; empty if none has."""
         found = importlib.util.find_spec(self.package)
         if found is not None and found.origin is not None:
-            return f"a module {self.package} is installed here already, in {found.origin}"
+            return f"a module called {self.package} is already installed here, in {found.origin}"
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             version = importlib.metadata.version(self.dist)
-            return f"a distribution {self.dist} is installed here already, in version {version}"
+            return f"a distribution called {self.dist} is already installed here, in version {version}"
         if kind in ("driver", "plugin"):
             Plugins().load_packets()
             known = body_class(self.package)
             if known is not None:
-                return f"there is a packet type {self.package!r} already, {known.__module__}.{known.__qualname__}"
+                return f"the packet type {self.package!r} exists already: {known.__module__}.{known.__qualname__}"
         return ""
 
 
@@ -126,9 +126,9 @@ class File:
     """One file of a distribution.
 
     Attributes:
-        path: where it stands in the distribution's folder, with `/`.
-        purpose: what it is for, in a few words.
-        text: what is in it.
+        path: its path in the distribution's folder, with `/`.
+        purpose: its purpose, in a few words.
+        text: its contents.
     """
 
     path: str
@@ -137,19 +137,19 @@ class File:
 
 
 def files_of(kind: str, names: Names) -> list[File]:
-    """Return the files of a distribution of one kind (see `KINDS`), in the order in which one should read them."""
+    """Return the files of a distribution of one kind (see `KINDS`), in the order in which to read them."""
     values = {"dist": names.dist, "package": names.package, "Class": names.cls}
-    made = []
+    named_files = []
     for name, template in _templates(kind):
         text = _PLACEHOLDER.sub(lambda found: values[found[1]], template.read_text(encoding="utf-8"))
-        made.append((name, File(name.replace("package", names.package), PURPOSES[name], text)))
+        named_files.append((name, File(name.replace("package", names.package), PURPOSES[name], text)))
     order = list(PURPOSES)
-    return [file for _, file in sorted(made, key=lambda pair: order.index(pair[0]))]
+    return [file for _, file in sorted(named_files, key=lambda pair: order.index(pair[0]))]
 
 
 @cache
 def named_in_templates() -> frozenset[str]:
-    """Return the classes that the templates import or define under names of their own."""
+    """Return the names of classes that the templates import or define, except the class named by the user."""
     text = "\n".join(template.read_text(encoding="utf-8") for template in sorted(_TEMPLATES.rglob("*.py.in")))
     lines = re.findall(r"^from (?!\{)[\w.]+ import (.+)$", text, re.MULTILINE)
     names = [*re.findall(r"^(?:class )?([A-Z]\w+)(?: = |[(:])", text, re.MULTILINE), *", ".join(lines).split(", ")]
@@ -157,9 +157,9 @@ def named_in_templates() -> frozenset[str]:
 
 
 def _templates(kind: str) -> Iterator[tuple[str, Path]]:
-    """Yield the name and the place of each template of a kind.
+    """Yield the name and the path of each template of a kind.
 
-    Their names end with `.in`, so that no tool takes them for Python; `dot.` stands for a dot at the beginning.
+    File names end with `.in`, so that no tool takes them for Python; a leading `dot.` stands for a dot.
     """
     for folder in (_TEMPLATES / "common", _TEMPLATES / kind):
         for template in sorted(folder.rglob("*.in")):
@@ -168,14 +168,14 @@ def _templates(kind: str) -> Iterator[tuple[str, Path]]:
 
 
 def write(folder: Path, files: list[File]) -> None:
-    """Write a distribution's folder: all of it, or nothing.
+    """Write a distribution's folder: all of it or nothing.
 
     Args:
-        folder: the folder; it must not be there, and what it is in must be.
-        files: what is to be in it.
+        folder: the folder; it must not exist, and its parent must exist.
+        files: its files.
 
     Raises:
-        PancakesError: it is there already, or cannot be written.
+        PancakesError: the folder exists already, or cannot be written.
     """
     check_free(folder)
     unfinished = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
@@ -191,16 +191,16 @@ def write(folder: Path, files: list[File]) -> None:
 
 def _fill(folder: Path, texts: Mapping[str, str]) -> None:
     for path, text in texts.items():
-        place = folder / path
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_text(text, encoding="utf-8")
+        file = folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
 
 
 def check_free(folder: Path) -> None:
-    """Check that a folder may be written.
+    """Check that a folder does not exist yet.
 
     Raises:
-        PancakesError: there is something of its name already.
+        PancakesError: a file or folder of its name exists already.
     """
     if folder.exists() or folder.is_symlink():
         raise PancakesError(f"{folder} exists already: nothing was written")

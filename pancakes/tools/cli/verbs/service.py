@@ -1,4 +1,4 @@
-"""`pancakes service ...`: the services of agents."""
+"""`pancakes service ...`: list, show, start, stop and restart the services of agents."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from pancakes.util.text import hint_of
 COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
 TASKS = ("task", "type", "state", "rate_hz", "reason")
 STATES = ("stopped", "starting", "running", "stopping", "restarting", "failed")
-"""The words of `pancakes.supervision.lifecycle` for services; it is not imported, so that a command is quick."""
+"""The words of `pancakes.supervision.lifecycle` for services. Importing that module would slow each command."""
 
 
 @click.group()
 def service() -> None:
-    """Services that agents have."""
+    """Show and control the services of agents."""
 
 
 @service.command("list")
 @agents
-@click.option("--state", type=click.Choice(STATES), help="Only those in this state.")
+@click.option("--state", type=click.Choice(STATES), help="Only services in this state.")
 @asks_agents
 def list_(agents: tuple[str, ...], state: str | None, ask: Ask) -> None:
-    """List the services of all agents, or of those that are named.
+    """List the services of all agents, or only of those named.
 
     An agent that does not answer in time is named on standard error; the exit code is 3 if none answers.
 
@@ -94,14 +94,15 @@ def start(name: ServiceName, dry_run: bool, ask: Ask) -> None:
 @service.command()
 @a_service
 @click.option(
-    "--for", "for_s", metavar="TIME", type=Duration(), help="It starts again by itself after this mission time: 30s."
+    "--for", "for_s", metavar="TIME", type=Duration(), help="Start it again after this mission time, such as 30s."
 )
 @dry_run_option
 @orders_agents
 def stop(name: ServiceName, for_s: float | None, dry_run: bool, ask: Ask) -> None:
-    """Stop a service and all of its tasks, and wait for that.
+    """Stop a service and all of its tasks, and wait until they have stopped.
 
-    The Network Service of another agent can be stopped for a time only: no command could reach it to start it again.
+    The Network Service of another agent can be stopped only with --for, because no command could reach the agent to
+    start the service again.
 
     \b
     Example:
@@ -113,14 +114,14 @@ def stop(name: ServiceName, for_s: float | None, dry_run: bool, ask: Ask) -> Non
 
 @service.command()
 @a_service
-@keep_state_option("Whether its tasks go on with their state and settings, or begin as their configuration says.")
+@keep_state_option("Keep the state and settings of its tasks, or begin from scratch as their configuration says.")
 @force_option
 @dry_run_option
 @orders_agents
 def restart(name: ServiceName, keep_state: bool, force: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a service and all of its tasks, start it, and wait until it runs.
 
-    With --drop-state it asks first; if this is no terminal, nothing is done without --force.
+    With --drop-state it asks first; if this is not a terminal, --force is required.
 
     \b
     Example:
@@ -130,11 +131,11 @@ def restart(name: ServiceName, keep_state: bool, force: bool, dry_run: bool, ask
     with ask.client() as client:
         if not (keep_state or force or dry_run):
             request(client, name.agent, Restart(name.target, keep_state, dry_run=True))
-            confirm(f"all tasks of {name} begin as their configuration says: their state is lost", force)
+            confirm(f"all tasks of {name} would begin from scratch: their state is lost", force)
         show_done(ask, client, name, "restarted", Restart(name.target, keep_state, dry_run))
 
 
 def _order(ask: Ask, name: ServiceName, done: str, body: Start | Stop, **others: Any) -> None:
-    """Have an agent do something with a service, and show that it was done."""
+    """Send a control packet about a service, and print that it was done."""
     with ask.client() as client:
         show_done(ask, client, name, done, body, **others)

@@ -55,19 +55,19 @@ if TYPE_CHECKING:
     metavar="TYPE",
     required=True,
     shell_complete=types,
-    help="Its class, such as encirclement.ScanTarget.",
+    help="The task's class, such as encirclement.ScanTarget.",
 )
-@set_option("Give it this setting. Repeatable.")
-@click.option("--rate", "rate_hz", metavar="HZ", type=FiniteRange(min=0.0), help="How often it ticks; 0: not yet.")
-@click.option("--guard", type=click.Choice(["3", "5"]), help="How many agents guard it.")
-@click.option("--lease", "lease_s", metavar="TIME", type=Duration(), help="How long its leases are.")
+@set_option("Give the task this setting. Repeatable.")
+@click.option("--rate", "rate_hz", metavar="HZ", type=FiniteRange(min=0.0), help="Ticks per second; 0: no ticks yet.")
+@click.option("--guard", type=click.Choice(["3", "5"]), help="How many agents guard the task.")
+@click.option("--lease", "lease_s", metavar="TIME", type=Duration(), help="The duration of its leases.")
 @click.option(
     "--key",
     "keys",
     metavar="KEY=VALUE",
     type=SettingChange(),
     multiple=True,
-    help="Any other key that [task.TASK] has in a file: durability=each. Repeatable.",
+    help="Any other key of [task.TASK] in a configuration, such as durability=each. Repeatable.",
 )
 @dry_run_option
 @orders_agents
@@ -82,13 +82,13 @@ def create(
     dry_run: bool,
     ask: Ask,
 ) -> None:
-    """Make a task that no configuration file names, and wait until it runs. AGENT/SERVICE/TASK has another service than
-    `client` look after it.
+    """Create a task that no configuration file names, and wait until it runs.
 
-    From then on it is like one that a file names: it comes back with its agent, can be moved and guarded, and is ended
-    for good by `pancakes task remove`. `pancakes config show AGENT` prints it as TOML to keep.
+    The service `client` runs it, or another one if you name it: AGENT/SERVICE/TASK. The new task behaves like one that
+    a file names: it starts with its agent, and can be migrated and guarded. `pancakes task remove` ends it for good.
+    `pancakes config show AGENT` prints it as TOML to keep.
 
-    A value of --set or --key that reads as TOML is taken as such (5, true, [1, 2]), anything else as a string.
+    A value of --set or --key is read as TOML (5, true, [1, 2]) if possible, otherwise as a string.
 
     \b
     Example:
@@ -100,7 +100,7 @@ def create(
     table = changes_of({}, dict(keys))
     for option, key, value in (("--guard", "guard", int(guard) if guard else None), ("--lease", "lease_s", lease_s)):
         if value is not None and key in table:
-            raise click.UsageError(f"{option} and --key {key} say the same: give one of them")
+            raise click.UsageError(f"{option} and --key {key} set the same key: give only one of them")
         if value is not None:
             table[key] = value
     with ask.client() as client:
@@ -108,9 +108,10 @@ def create(
         body = Create(name.target, type_, changes_of({}, dict(sets)), rate_hz, table, dry_run)
         reply = request(client, name.agent, body)
     if reply.result["silent"]:
-        show_text(f"not asked whether they know it: {', '.join(reply.result['silent'])}", err=True)
+        silent = ", ".join(reply.result["silent"])
+        show_text(f"could not ask whether these agents know the task: {silent}", err=True)
     if table.get("guard") and not dry_run:
-        text = f"{name.agent} alone guards it until other agents have agreed to: see pancakes task guards"
+        text = f"only {name.agent} guards the task until other agents agree: see pancakes task guards"
         show_text(text, err=True)
     done = DRY_RUN if dry_run else "created"
     row: dict[str, Any] = {"agent": name.agent, **reply.result, "done": done, "number": reply.number}
@@ -123,9 +124,10 @@ def create(
 @dry_run_option
 @orders_agents
 def remove(name: TaskName, force: bool, dry_run: bool, ask: Ask) -> None:
-    """Stop a task that no configuration file names, and forget it: its state is gone.
+    """Stop a task that no configuration file names, and delete it with its state.
 
-    A later task of its name begins from scratch. One that a file names is refused, as it would be back with its agent.
+    A later task of this name begins from scratch. A task that a file names is refused, because it would start again
+    with its agent.
 
     \b
     Example:
@@ -136,7 +138,7 @@ def remove(name: TaskName, force: bool, dry_run: bool, ask: Ask) -> None:
         name = resolve_service(client, name)
         if not (force or dry_run):
             request(client, name.agent, Remove(name.target, True))
-        confirm(f"{name} ends for good, and its state is lost", force, dry_run)
+        confirm(f"this ends {name} for good, and its state is lost", force, dry_run)
         show_done(ask, client, name, "removed", Remove(name.target, dry_run))
 
 
@@ -144,12 +146,12 @@ COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
 LONG = (*COLUMNS, "incarnation", "ticks", "missed", "lateness_max_s", "dropped", "reason")
 READS = ("channel", "types", "keep", "limit", "waiting", "dropped")
 STATES = ("stopped", "starting", "running", "stopping", "stuck", "restarting", "failed")
-"""The values of `pancakes.supervision.lifecycle.WORDS`, which is not imported for them: a command has to be quick."""
+"""The values of `pancakes.supervision.lifecycle.WORDS`. Importing that module would slow each command."""
 
 
 @click.group()
 def task() -> None:
-    """Tasks that agents have; a device is a task too, with the device's name."""
+    """Show, control and migrate tasks; a device is a task too, with the device's name."""
 
 
 task.add_command(create)
@@ -171,10 +173,10 @@ task.add_command(take)
 @click.option("--service", metavar="NAME", default="", help="Only tasks of the service of this name.")
 @click.option("--type", "type_", metavar="PATTERN", default="*", help="Only tasks of these types: sim.*")
 @click.option("--state", type=click.Choice(STATES), help="Only tasks in this state.")
-@click.option("--long", "-l", is_flag=True, help="Also how often they began, what they missed, and why they stopped.")
+@click.option("--long", "-l", is_flag=True, help="Also show starts, missed ticks, lost packets, and why they stopped.")
 @asks_agents
 def list_(agents: tuple[str, ...], service: str, type_: str, state: str | None, long: bool, ask: Ask) -> None:
-    """List the tasks of all agents, or of those that are named.
+    """List the tasks of all agents, or only of those named.
 
     An agent that does not answer in time is named on standard error; the exit code is 3 if none answers.
 
@@ -192,24 +194,25 @@ def list_(agents: tuple[str, ...], service: str, type_: str, state: str | None, 
     ]
     columns = LONG if long else COLUMNS
     for_programs = [{key: row[key] for key in (*columns, "rest")} for row in rows]
-    for_people = [{**row, "state": row["rest"] or row["state"]} for row in rows]  # the word that says more
+    for_people = [{**row, "state": row["rest"] or row["state"]} for row in rows]  # `rest` is the more specific word
     ask.printer.emit(for_programs, Rows(for_people, columns))
 
 
 @task.command()
 @a_task
-@click.option("--state", "with_state", is_flag=True, help="Also what the task keeps in its state now.")
+@click.option("--state", "with_state", is_flag=True, help="Also show the present state of the task.")
 @asks_agents
 def info(name: TaskName, with_state: bool, ask: Ask) -> None:
-    """Show all that is known of a task: its timers, what it reads, its settings, when it is started again, and how it
-    failed the last time, with the whole traceback. Of a guarded task that AGENT owns: its permit, its guardians, and
-    how old the checkpoint is that each of them has.
+    """Show all about a task: timers, subscriptions, settings, restart policy, and the last failure with its traceback.
 
-    With --state, also what it keeps in its state, between two of its turns. In the table long values are cut.
+    For a guarded task that AGENT owns it also shows the permit, the guardians, and the age of the checkpoint that each
+    guardian holds.
 
-    As JSON, it is the answer of its agent as it stands, with the JSON Schema of the settings. With --state it has the
-    whole state as "kept_state", when that was told as "kept_state_s" (mission time), and as "kept_state_reason" why
-    there is none.
+    --state adds the task's state, taken between two of its turns. The table truncates long values.
+
+    JSON is the unchanged answer of the agent, with the JSON Schema of the settings. With --state it also has the
+    whole state as "kept_state", its mission time as "kept_state_s", and as "kept_state_reason" why the state is
+    missing.
 
     \b
     Example:
@@ -233,7 +236,7 @@ def info(name: TaskName, with_state: bool, ask: Ask) -> None:
 def start(name: TaskName, sets: Changes, dry_run: bool, ask: Ask) -> None:
     """Start a stopped task, and wait until it runs.
 
-    A value of --set that reads as TOML is taken as such (5, true, [1, 2]), anything else as a string.
+    A value of --set is read as TOML (5, true, [1, 2]) if possible, otherwise as a string.
 
     \b
     Example:
@@ -251,9 +254,9 @@ def start(name: TaskName, sets: Changes, dry_run: bool, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
-    """Stop a task once it has finished what it has in hand, and wait for that.
+    """Stop a task after the message that it is handling, and wait until it has stopped.
 
-    It stays stopped, also when its agent is started again.
+    It stays stopped, even if its agent is restarted.
 
     \b
     Example:
@@ -264,14 +267,14 @@ def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
 
 @task.command()
 @a_task
-@keep_state_option("Whether it goes on with its state and settings, or begins as its configuration says.")
+@keep_state_option("Keep the task's state and settings, or begin from scratch as its configuration says.")
 @force_option
 @dry_run_option
 @orders_agents
 def restart(name: TaskName, keep_state: bool, force: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a task, start it, and wait until it runs.
 
-    With --drop-state it asks first; if this is no terminal, nothing is done without --force.
+    With --drop-state it asks first; if this is not a terminal, --force is required.
 
     \b
     Example:
@@ -282,7 +285,7 @@ def restart(name: TaskName, keep_state: bool, force: bool, dry_run: bool, ask: A
         name = resolve_service(client, name)
         if not (keep_state or force or dry_run):
             request(client, name.agent, Restart(name.target, keep_state, dry_run=True))
-            confirm(f"{name} begins as its configuration says: its state is lost", force)
+            confirm(f"{name} would begin from scratch, as its configuration says: its state is lost", force)
         show_done(ask, client, name, "restarted", Restart(name.target, keep_state, dry_run))
 
 
@@ -294,12 +297,12 @@ def restart(name: TaskName, keep_state: bool, force: bool, dry_run: bool, ask: A
     metavar="METHOD",
     default="",
     shell_complete=timers,
-    help="Which of its timers, if it has several.",
+    help="The timer, if the task has several.",
 )
 @dry_run_option
 @orders_agents
 def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, ask: Ask) -> None:
-    """Change the rate of a time-driven task to HZ ticks a second, from its next tick on; 0 lets it rest.
+    """Change the rate of a time-driven task to HZ ticks per second, from its next tick on; 0 stops the ticks.
 
     \b
     Example:
@@ -310,18 +313,18 @@ def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, ask: Ask) ->
 
 
 def _order(ask: Ask, name: TaskName, done: str, body: Callable[[str], Start | Stop | Reschedule]) -> None:
-    """Have an agent do something with a task, given what asks for it by the task's target; show that it was done."""
+    """Send a control packet, made by `body` from the task's target, and print that it was done."""
     with ask.client() as client:
         name = resolve_service(client, name)
         show_done(ask, client, name, done, body(name.target))
 
 
 def _kept(client: Client, name: TaskName, timeout_s: float) -> dict[str, Any]:
-    """Return what a task keeps in its state, and when it said so; or why that is not known."""
+    """Return the state of a task and its mission time, or the reason why the state is not known."""
     try:
         reply = client.request(name.agent, Describe(name.target, state=True))
-    except NoAnswer:  # its service has just answered
-        busy = f"{name} has not told its state within {timeout_s:g} s: it may be busy, try again or with --timeout"
+    except NoAnswer:  # its service has just answered, so only the task itself is busy
+        busy = f"{name} did not report its state within {timeout_s:g} s: it may be busy. Try again or raise --timeout"
         return {"kept_state": None, "kept_state_s": None, "kept_state_reason": busy}
     if not reply.ok:
         return {"kept_state": None, "kept_state_s": None, "kept_state_reason": reply.reason}
@@ -329,25 +332,25 @@ def _kept(client: Client, name: TaskName, timeout_s: float) -> dict[str, Any]:
 
 
 def _state_section(kept: Mapping[str, Any]) -> dict[str, Any]:
-    """The state of a task, for people."""
+    """Return the state of a task, for people."""
     if kept["kept_state"] is None:
-        return {"keeps in its state": kept["kept_state_reason"]}
+        return {"task state": kept["kept_state_reason"]}
     short = shortened(kept["kept_state"], most_bytes=4 * MOST_BYTES)
-    cut = " (what is cut is whole with --format json)" if short.cut else ""
-    title = f"keeps in its state, at {kept['kept_state_s']:.3f} s{cut}"
-    return {title: dict(short.rows) or "nothing: it has no state"}
+    cut = " (truncated; --format json has all of it)" if short.cut else ""
+    title = f"task state, at {kept['kept_state_s']:.3f} s{cut}"
+    return {title: dict(short.rows) or "empty: this task keeps no state"}
 
 
 def _readings(readings: Mapping[str, Any] | None) -> dict[str, Any]:
-    """How a device fares, for people."""
+    """Return how many readings or commands of a device came and were missed, for people."""
     if readings is None:
         return {}
-    why = f", the last one so: {readings['why']}" if readings["why"] else ""
+    why = f"; the last one: {readings['why']}" if readings["why"] else ""
     return {"readings or commands": f"{readings['came']}, and {readings['missed']} missed{why}"}
 
 
 def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
-    """All about one task, for people."""
+    """Return all about one task, for people."""
     fence, failure = found["fence"], found["failure"]
     return {
         name: {
@@ -361,7 +364,7 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
             "on disk": found["durability"],
             "guarded": _guarding(found["guard"]),
             **_permit(found.get("guarding")),
-            "started again": _policy(found["restart"]),
+            "restarts": _policy(found["restart"]),
             "epoch": None if fence is None else f"{fence['epoch']} of {fence['task_id']}",
             "packets dropped": found["dropped"],
             **_readings(found.get("readings")),
@@ -392,16 +395,16 @@ def _guarding(guard: Mapping[str, Any] | None) -> str:
 
 
 def _permit(guarding: Mapping[str, Any] | None) -> dict[str, str]:
-    """What the guardians of a task that this agent owns let it do, and from where another would go on."""
+    """Return the permit of a guarded task that this agent owns, and the checkpoint that its guardians hold."""
     if guarding is None:
         return {}
     permit_s, age_s = guarding["permit_s"], guarding["age_s"]
     age = f", {age_s:.1f} s old" if age_s is not None else ""
-    why = ", as the disk is a copy" if guarding["copied"] else ""
+    why = ", because the disk is a copy" if guarding["copied"] else ""
     return {
-        "permit": f"{permit_s:.1f} s" if permit_s else f"none: it stands still{why}",
-        "guardians answer": f"{guarding['answering']} of {len(guarding['guardians'])}, {guarding['guard']} are wanted",
-        "checkpoint they have": f"{guarding['epoch']}/{guarding['checkpoint']}{age}",
+        "permit": f"{permit_s:.1f} s" if permit_s else f"none: the task is paused{why}",
+        "guardians that answer": f"{guarding['answering']} of {len(guarding['guardians'])}; {guarding['guard']} wanted",
+        "checkpoint they hold": f"{guarding['epoch']}/{guarding['checkpoint']}{age}",
     }
 
 
@@ -409,7 +412,7 @@ def _policy(restart: Mapping[str, Any]) -> str:
     """A restart policy in a line."""
     if restart["policy"] == "no":
         return "no"
-    again = f", then each {restart['again_s']:g} s" if restart["again_s"] else ""
+    again = f", then every {restart['again_s']:g} s" if restart["again_s"] else ""
     return (
         f"{restart['policy']}, at most {restart['at_most']} times in {restart['within_s']:g} s,"
         f" after {restart['pause_s']:g} s to {restart['pause_max_s']:g} s{again}"

@@ -1,4 +1,4 @@
-"""Arguments, and their completion, for what belongs to a task: settings (`NAME=VALUE`), timers, types, costs."""
+"""Arguments about a task and their completion: settings (`NAME=VALUE`), timers, types, cost functions."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from click.shell_completion import CompletionItem
 
 from pancakes.control import Describe
 from pancakes.tools.cli.name_completion import answer, descriptions
-from pancakes.tools.cli.options import TASK_NAME, TaskName
+from pancakes.tools.cli.options import AGENT_NAME, TASK_NAME, TaskName
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
 
 def timers(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Complete the timers of the task that is named on the line already."""
+    """Complete the timers of the task that the command line names already."""
     name = _task_named(ctx)
     found = answer(ctx, name.agent, Describe(name.target)) if name is not None else None
-    # A service of that name would answer with a list.
+    # If a service has this name, the answer is a list.
     rows = found["timers"] if isinstance(found, dict) else []
     return [
         CompletionItem(row["timer"], help=f"{row['rate_hz']:g} Hz")
@@ -31,7 +31,7 @@ def timers(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 
 def tasks_beside(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Complete the tasks on the agent of the task that is named on the line already."""
+    """Complete the other tasks on the agent of the task that the command line names already."""
     name = _task_named(ctx)
     if name is None:
         return []
@@ -60,7 +60,7 @@ def _installed(group: str, incomplete: str) -> list[CompletionItem]:
 
 
 def _task_named(ctx: click.Context) -> TaskName | None:
-    """The argument that names a task; click leaves arguments unread where the value of an option is asked for."""
+    """Return the argument that names a task; click has not parsed it yet while it completes an option's value."""
     for word in ctx.args:
         with suppress(click.BadParameter):
             return TASK_NAME.convert(word, None, ctx)
@@ -70,7 +70,7 @@ def _task_named(ctx: click.Context) -> TaskName | None:
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 Changes = tuple[tuple[tuple[str, ...], Any], ...]
-"""Changes of settings: for each the keys that lead to the setting, and its value."""
+"""Changes of settings: for each, the path of keys to the setting, and its value."""
 
 
 class AgentOrTask(click.ParamType):
@@ -87,15 +87,15 @@ class AgentOrTask(click.ParamType):
         """See `click.ParamType`."""
         from pancakes.tools.cli import name_completion
 
-        begun = [] if "/" in incomplete else name_completion.agents(ctx, param, incomplete)
-        return begun + name_completion.names("task", ctx, param, incomplete)
+        of_agents = [] if "/" in incomplete else name_completion.agents(ctx, param, incomplete)
+        return of_agents + name_completion.names("task", ctx, param, incomplete)
 
 
 class ParamName(click.ParamType):
-    """The name of a setting of the task that stands before it.
+    """The name of a setting of the task that precedes it on the command line.
 
     Attributes:
-        end: the text that completes the name.
+        end: the text to append to a completed name.
     """
 
     name = "NAME"
@@ -109,8 +109,8 @@ class ParamName(click.ParamType):
         from pancakes.tools.cli.name_completion import answer
 
         name = ctx.params.get("name")
-        told = answer(ctx, name.agent, Describe(name.target)) if isinstance(name, TaskName) else None
-        settings = told.get("settings", {}) if isinstance(told, dict) else {}
+        found = answer(ctx, name.agent, Describe(name.target)) if isinstance(name, TaskName) else None
+        settings = found.get("settings", {}) if isinstance(found, dict) else {}
         return [
             CompletionItem(f"{key}{self.end}", help=value_text(value))
             for key, value in settings.items()
@@ -119,7 +119,7 @@ class ParamName(click.ParamType):
 
 
 class SettingChange(ParamName):
-    """Read `NAME=VALUE`, with a value as `--set` takes it, as the keys that lead to a setting, and its value."""
+    """Read `NAME=VALUE` into the path of keys to a setting, and its value."""
 
     name = "NAME=VALUE"
     end = "="
@@ -129,14 +129,19 @@ class SettingChange(ParamName):
 
         found = change_of(value)
         if found is None:
-            self.fail(f"{value!r} is no setting: write it as {self.name}", param, ctx)
+            self.fail(f"{value!r} is not a setting: write it as {self.name}", param, ctx)
         return found
 
 
 a_task_or_agent = click.argument("name", metavar="AGENT[/TASK]", type=AgentOrTask())
-"""The argument `name` of a verb about one task, or all tasks of one agent."""
+"""The argument `name` of a verb about one task, or about all tasks of one agent."""
 
 
 def set_option(help_: str) -> Callable[[_F], _F]:
     """Return the option `--set` for settings of a task; its parameter is `sets`, of the type `Changes`."""
     return click.option("--set", "sets", metavar="NAME=VALUE", type=SettingChange(), multiple=True, help=help_)
+
+
+def birthplace_option(help_: str) -> Callable[[_F], _F]:
+    """Return the option `--birthplace`, which tells tasks of the same name apart; its parameter is `birthplace`."""
+    return click.option("--birthplace", metavar="AGENT", type=AGENT_NAME, default="", help=help_)

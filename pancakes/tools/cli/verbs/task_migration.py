@@ -1,9 +1,9 @@
-"""`pancakes task migrate|migrations|adopt|forget|forget-peer`: tasks that migrate, have migrated, or are in doubt."""
+"""`pancakes task migrate|migrations|adopt|forget|forget-peer`: migrate tasks, and decide about tasks in doubt."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Mapping
+from typing import Any
 
 import click
 import msgspec
@@ -24,12 +24,10 @@ from pancakes.tools.cli.options import (
     the_agent,
 )
 from pancakes.tools.cli.output import DRY_RUN, Printer, Rows
-from pancakes.tools.cli.verbs.task_arguments import costs, tasks_beside
+from pancakes.tools.cli.verbs.task_arguments import birthplace_option, costs, tasks_beside
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-
-LINES = ("neighbour", "answer", "cost", "terms", "fate", "reason")
-MOVES = (
+ANSWER_COLUMNS = ("neighbour", "answer", "cost", "terms", "fate", "reason")
+MIGRATION_COLUMNS = (
     "source",
     "number",
     "boot",
@@ -45,19 +43,15 @@ MOVES = (
 )
 
 
-def _birthplace_option(help_: str) -> Callable[[_F], _F]:
-    return click.option("--birthplace", metavar="AGENT", type=AGENT_NAME, default="", help=help_)
-
-
 @click.command()
 @a_task
-@click.option("--to", metavar="AGENT", type=AGENT_NAME, default="", help="Ask only this neighbour.")
+@click.option("--to", metavar="AGENT", type=AGENT_NAME, default="", help="Ask only this neighbour to take the task.")
 @click.option(
     "--then",
     metavar="TASK",
     default="",
     shell_complete=tasks_beside,
-    help="Start this task where the other was, once it has gone.",
+    help="Start this task on the source agent after the migration.",
 )
 @click.option(
     "--cost",
@@ -67,13 +61,13 @@ def _birthplace_option(help_: str) -> Callable[[_F], _F]:
     shell_complete=costs,
     help="The cost function to bid with.",
 )
-@click.option("--dry-run", is_flag=True, help="Only ask which agents would take it, and for what cost; move nothing.")
+@click.option("--dry-run", is_flag=True, help="Only ask which agents would take it, and at what cost.")
 @asks_agents_for(30.0)
 def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: Ask) -> None:
-    """Move a running task to the neighbour that takes it for the lowest cost, and wait until it runs there.
+    """Migrate a running task to the neighbour that bids the lowest cost, and wait until it runs there.
 
-    Shows which agents were asked, what each answered, and why the others did not get it. The exit code is 1 if no
-    agent takes it; the task has then never stopped.
+    It prints which agents were asked, what each answered, and why the others did not get the task. The exit code is 1
+    if no agent takes the task; then it has not stopped.
 
     \b
     Example:
@@ -87,7 +81,7 @@ def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: A
         except NoAnswer as error:
             if dry_run:
                 raise
-            hint = f"the move may go on all the same, pancakes task migrations {name.agent} shows what becomes of it"
+            hint = f"the migration may still continue: pancakes task migrations {name.agent} shows its outcome"
             raise NoAnswer(f"{error}\n{hint}") from None
     if reply.result is not None:
         _show_ledger(reply.result, ask.printer)
@@ -99,39 +93,39 @@ def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: A
 @agents
 @asks_agents
 def migrations(agents: tuple[str, ...], ask: Ask) -> None:
-    """List the moves that all agents, or those that are named, were asked for: the newest 100 of each, oldest first.
+    """List the newest 100 migrations of each agent, or only of those named, oldest first.
 
-    They come from the journals of the agents that the tasks were to leave. As JSON, each has a line for every
-    neighbour that was asked.
+    They come from the journals of the source agents, and include migrations that failed. In JSON, each has an entry
+    for every neighbour that was asked.
 
     \b
     Example:
         pancakes task migrations
         pancakes task migrations agent1 --format json
     """
-    moves: list[dict[str, Any]] = [move for _, moves in ask_each(ask, Migrations(), *agents) for move in moves]
-    told = [{**move, "reason": move["reason"] or move["cause"]} for move in moves]  # of a take-over, its cause
-    ask.printer.emit(moves, Rows(told, MOVES))
+    ledgers: list[dict[str, Any]] = [row for _, rows in ask_each(ask, Migrations(), *agents) for row in rows]
+    shown = [{**row, "reason": row["reason"] or row["cause"]} for row in ledgers]  # a take-over has only a cause
+    ask.printer.emit(ledgers, Rows(shown, MIGRATION_COLUMNS))
 
 
 @click.command()
 @a_task
 @force_option
-@_birthplace_option("Where it was born, if two of its name are in doubt.")
+@birthplace_option("Where the task was born, if two tasks of this name are in doubt.")
 @dry_run_option
 @orders_agents
 def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask) -> None:
-    """Run a task on AGENT that rests there because AGENT cannot know where it is. You know: it runs nowhere else.
+    """Run a task on AGENT that does not start because AGENT cannot know whether it runs elsewhere.
 
-    This is the one act that can make two of a task: if it runs elsewhere after all, or comes back on an agent that
-    is off. So see first, with `pancakes task list`, that it runs nowhere. It is said what it would mean, and asked; if
-    this is no terminal, nothing is done without --force, and the exit code is 1.
+    Only you can know that it runs nowhere else. If it does, or if it comes back on an agent that is switched off, two
+    copies run. So check first, with `pancakes task list`. The command prints the consequences and asks; if this is not
+    a terminal, --force is required.
 
-    Where its hand-off to another agent is in doubt, that agent must be gone for good: switch it off, adopt, and only
-    then set it up again, with an empty state_dir. It is refused while the other agent is connected.
+    If its hand-off to another agent is in doubt, that agent must be gone for good: switch it off, adopt the task, and
+    only then set the agent up again with an empty state_dir. Adopting is refused while that agent is connected.
 
-    Where AGENT's own record of it was lost, it goes on from what can be read of that, or else begins as its
-    configuration says, without its state. If it does run elsewhere, see `pancakes task forget`.
+    If AGENT's own record of the task was lost, the task continues from what is readable of the record. Otherwise it
+    begins from scratch, as its configuration says. If it runs elsewhere, use `pancakes task forget` instead.
 
     \b
     Example:
@@ -148,21 +142,21 @@ def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask)
 
 @click.command()
 @a_task
-@_birthplace_option("Where it was born, if the records of two of its name were lost.")
+@birthplace_option("Where the task was born, if the records of two tasks of this name were lost.")
 @force_option
 @dry_run_option
 @orders_agents
 def forget(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask) -> None:
-    """Let a task rest on AGENT for good, because it runs elsewhere, and AGENT has lost its record of it.
+    """Stop AGENT for good from starting a task whose record it has lost, because the task runs elsewhere.
 
-    An agent whose record of a task is damaged cannot know whether it gave the task away. It does not start it, however
-    often it is started itself, until you decide: `forget` where the task runs elsewhere, or is not wanted any more;
-    `pancakes task adopt` if it runs nowhere, and shall run on AGENT.
+    An agent whose record of a task is damaged cannot know whether it gave the task away. It does not start the task,
+    even after a restart, until you decide: `forget` if the task runs elsewhere or is not wanted any more;
+    `pancakes task adopt` if it runs nowhere and should run on AGENT.
 
-    What was forgotten can still be moved to AGENT, and `pancakes task adopt` takes the decision back.
+    A forgotten task can still migrate to AGENT, and `pancakes task adopt` reverses the decision.
 
-    A task that another agent has brought, which is gone now and does not say whether it gave the task away, is dropped
-    with --force; see also `pancakes task forget-peer`.
+    --force also drops a task whose hand-off to AGENT is in doubt because its source agent is gone; see also
+    `pancakes task forget-peer`.
 
     \b
     Example:
@@ -173,7 +167,7 @@ def forget(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask
         body = Forget(name.target, birthplace, force=force)
         if not (force or dry_run):
             request(client, name.agent, msgspec.structs.replace(body, dry_run=True))
-        confirm(f"{name} rests for good, and what {name.agent} has of its state is lost", force, dry_run)
+        confirm(f"{name} would not start any more, and the state of it on {name.agent} is lost", force, dry_run)
         reply = request(client, name.agent, msgspec.structs.replace(body, dry_run=dry_run))
     _show_decided(ask, name, reply, DRY_RUN if dry_run else "forgotten")
 
@@ -185,11 +179,11 @@ def forget(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask
 @dry_run_option
 @orders_agents
 def forget_peer(agent: str, peer: str, force: bool, dry_run: bool, ask: Ask) -> None:
-    """Drop the tasks that PEER has brought to AGENT and never handed over, once PEER is gone.
+    """Drop the tasks on AGENT whose hand-off from PEER is in doubt, once PEER is gone.
 
-    A robot that is lost, or was revoked, may leave tasks behind whose hand-off is in doubt. AGENT keeps them, for PEER
-    may have given them away. If PEER is gone for good, `pancakes task adopt` runs one of them on AGENT, and this drops
-    those that are left.
+    A robot that was lost or revoked may leave tasks behind whose hand-off is in doubt. AGENT keeps them, because PEER
+    may have committed the hand-off. If PEER is gone for good, first run those that you need on AGENT with
+    `pancakes task adopt`, then drop the others with this command.
 
     \b
     Example:
@@ -200,8 +194,8 @@ def forget_peer(agent: str, peer: str, force: bool, dry_run: bool, ask: Ask) -> 
         held = request(client, agent, Checkpoints("")).result
         left = sorted(row["task_id"] for row in held if row["held"] == "in doubt" and row["peer"] == peer)
         if not left:
-            raise PancakesError(f"{agent} keeps no task that {peer} has brought and not handed over")
-        what = f"{agent} would drop {', '.join(left)}. Each is nowhere else if {peer} had given it away"
+            raise PancakesError(f"{agent} has no task whose hand-off from {peer} is in doubt")
+        what = f"{agent} would drop {', '.join(left)}. If {peer} had committed a hand-off, that task is lost"
         confirm(what, force, dry_run)
         rows = []
         for birthplace, name in (task_id.split("/") for task_id in left):
@@ -220,17 +214,17 @@ def _show_decided(ask: Ask, name: TaskName, reply: Reply, done: str, **others: A
 def _show_ledger(ledger: Mapping[str, Any], printer: Printer) -> None:
     task_id, source, winner, duration_s = (ledger[key] for key in ("task_id", "source", "winner", "duration_s"))
     story = {
-        "moved": f"{task_id} moved from {source} to {winner}",
-        "dry run": f"{task_id} would move from {source} to {winner}",
+        "moved": f"{task_id} migrated from {source} to {winner}",
+        "dry run": f"{task_id} would migrate from {source} to {winner}",
         "stayed": f"{task_id} stays on {source}",
-        "undecided": f"{task_id} was on its way from {source} to {winner} when this account was closed",
+        "undecided": f"{task_id} was migrating from {source} to {winner} when this ledger was closed",
     }[ledger["outcome"]]
     only = f"; only {ledger['to']} was asked" if ledger["to"] else ""
     rows = [{**line, "neighbour": line["peer"], "terms": _terms(line["terms"])} for line in ledger["lines"]]
     printer.emit(
         [ledger],
         f"{story} (cost {ledger['cost']}, {duration_s:.3f} s{only})",
-        Rows(rows, LINES) if rows else "",
+        Rows(rows, ANSWER_COLUMNS) if rows else "",
     )
 
 

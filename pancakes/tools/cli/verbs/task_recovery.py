@@ -1,6 +1,6 @@
-"""`pancakes task guards|take|revive|resolve|fence`: what a person does if the owner of a task is lost or disputed.
+"""`pancakes task guards|take|revive|resolve|fence`: recover tasks whose owner is lost or disputed.
 
-`take` lets a guardian take over, `revive` starts a task from the newest checkpoint that any agent holds, `resolve`
+`take` makes a guardian take over, `revive` starts a task from the newest checkpoint that any agent holds, `resolve`
 decides between two owners, and `fence` shows and sets the epochs that an actuator has seen.
 """
 
@@ -40,7 +40,6 @@ from pancakes.tools.cli.agent_requests import (
     resolve_service,
 )
 from pancakes.tools.cli.options import (
-    AGENT_NAME,
     TASK_NAME,
     Ask,
     TaskName,
@@ -53,6 +52,7 @@ from pancakes.tools.cli.options import (
 )
 from pancakes.tools.cli.output import DRY_RUN
 from pancakes.tools.cli.verbs.agent_checks import is_awaited
+from pancakes.tools.cli.verbs.task_arguments import birthplace_option
 
 if TYPE_CHECKING:
     from pancakes.client import Client
@@ -66,11 +66,11 @@ GUARD_COLUMNS: Final = ("task_id", "owner", "permit_s", "guardian", "checkpoint"
 @agents
 @asks_agents
 def guards(agents: tuple[str, ...], ask: Ask) -> None:
-    """List the guarded tasks of all agents, or of those that are named, with a line for each of their guardians.
+    """List the guarded tasks of all agents, or only of those named, with a line for each guardian.
 
-    A guardian that does not answer is listed as silent. `permit_s` says for how long the owner may act yet: empty if
-    it may not. `age_s` says how long ago the task was known to be as the guardian's newest checkpoint says, and
-    `silent_s` how long the guardian has not heard the owner.
+    A guardian that does not answer is listed as silent. `permit_s` is the time for which the owner may still act, and
+    is empty if it may not. `age_s` is the age of the guardian's newest checkpoint. `silent_s` is the time since the
+    guardian last heard the owner.
 
     \b
     Example:
@@ -102,17 +102,16 @@ def _permit(owner: dict[str, Any] | None) -> float | None:
 
 @click.command()
 @a_task
-@click.option(
-    "--birthplace", metavar="AGENT", type=AGENT_NAME, default="", help="Where it was born, if two bear its name."
-)
+@birthplace_option("Where the task was born, if two tasks have this name.")
 @dry_run_option
 @asks_agents_for(10.0)
 def take(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
-    """Have a guarded task taken over whose owner is silent; AGENT is one of its guardians.
+    """Make the guardians take over a guarded task whose owner is silent; AGENT is one of them.
 
-    Guardians do that by themselves, unless the task says `takeover = "ask"`. More than half of them must say that the
-    owner is silent. --dry-run names the agent that would take it, and the newest checkpoint. What the task did after
-    that is lost: `age_s` says how old it was when the owner was heard last, and `silent_s` how long ago that is.
+    Guardians take over by themselves, unless the task has `takeover = "ask"`. A quorum (more than half) of them must
+    report the owner as silent. --dry-run shows the agent that would take over, and the newest checkpoint. What the
+    task did after that checkpoint is lost: `age_s` is the checkpoint's age when the owner was last heard, and
+    `silent_s` is the time since then.
 
     \b
     Example:
@@ -136,36 +135,29 @@ RUNS = ("running", "starting", "restarting", "stuck")
     "path",
     metavar="FILE",
     default="",
-    help="Begin from scratch, as FILE says (configuration of the lost agent).",
+    help="Begin from scratch, as FILE (the configuration of the lost agent) says.",
 )
 @click.option(
-    "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what FILE has. Repeatable."
+    "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a key of FILE with VALUE. Repeatable."
 )
-@click.option(
-    "--birthplace",
-    metavar="AGENT",
-    type=AGENT_NAME,
-    default="",
-    help="Where it was born, if checkpoints of two of its name are held. [with --config: FILE's agent]",
-)
+@birthplace_option("Where the task was born, if two tasks have this name. [with --config: FILE's agent]")
 @force_option
 @dry_run_option
 @orders_agents
 def revive(
     name: TaskName, path: str, sets: tuple[str, ...], birthplace: str, force: bool, dry_run: bool, ask: Ask
 ) -> None:
-    """Run a task on AGENT whose own agent is gone for good: from the newest checkpoint that any agent holds of it.
+    """Run a task of an agent that is gone for good on AGENT, from the newest checkpoint that any agent holds.
 
-    Guardians hold checkpoints of guarded tasks, and agents whose hand-off is in doubt hold that of any task. If no
-    agent holds one, --config says with what it begins from scratch: its state is lost then.
+    Guardians hold checkpoints of guarded tasks. An agent whose hand-off of a task is in doubt holds one of that task,
+    guarded or not. If no agent holds a checkpoint, pass --config: the task begins from scratch, and its state is lost.
 
-    It runs under an epoch above all that can be known of it, so actuators obey it, and packets for it come to AGENT.
-    Where the lost agent comes back, its copy stands still once the two are linked. It is said which checkpoint it would
-    go on from, and what it may cost, and asked; if this is no terminal, nothing is done without --force, and the exit
-    code is 1.
+    The task runs under an epoch above all known ones, so actuators obey it, and packets for it come to AGENT.
+    If the lost agent comes back, its copy is paused once the two agents are linked. The command shows the checkpoint
+    and the consequences, and asks; if this is not a terminal, --force is required.
 
-    A guarded task that stands still on AGENT, because more than half of its guardians are gone for good, goes on as it
-    stands. Where more than half are there, see `pancakes task take`.
+    A guarded task that is paused on AGENT because more than half of its guardians are gone for good continues with its
+    present state. If more than half of them answer, use `pancakes task take` instead.
 
     \b
     Example:
@@ -174,7 +166,7 @@ def revive(
         pancakes task revive agent2/ScanTarget --config agent1.toml --force
     """
     if sets and not path:
-        raise click.UsageError("--set changes what FILE has: say --config FILE too")
+        raise click.UsageError("--set overrides a key of FILE: pass --config FILE too")
     with ask.client() as client:
         name = resolve_fleet(client, name)
         body, rate_hz = _configured(path, sets, name, birthplace) if path else (None, None)
@@ -184,30 +176,30 @@ def revive(
         here = _must_be_lost(client, name, services, held)
         body = body or (Revive(here) if here and not held else _from_newest(client, name, held))
         seen = max((row["seen"] for row in held), default=0)
-        made = msgspec.structs.replace(body, seen=seen)
+        revival = msgspec.structs.replace(body, seen=seen)
         reply = request_confirmed(
             client,
             name.agent,
-            lambda forced, dry: msgspec.structs.replace(made, force=forced or dry, dry_run=dry),
+            lambda forced, dry: msgspec.structs.replace(revival, force=forced or dry, dry_run=dry),
             force,
             dry_run,
         )
         if rate_hz is not None and not dry_run:
             request(client, name.agent, Reschedule(f"{body.service}/{name.task}", rate_hz))
     done = {"task_id": reply.result["task_id"], "done": DRY_RUN if dry_run else "revived", "number": reply.number}
-    goes_on_from = name_of(newest(held)) if body.checkpoint is not None else ""
-    ask.printer.table([{"agent": name.agent, **done, "from": goes_on_from}], ("agent", *done, "from"))
+    checkpoint = name_of(newest(held)) if body.checkpoint is not None else ""
+    ask.printer.table([{"agent": name.agent, **done, "from": checkpoint}], ("agent", *done, "from"))
 
 
 def _configured(path: str, sets: Sequence[str], name: TaskName, birthplace: str) -> tuple[Revive, float | None]:
-    """Return how the task begins from scratch, and at what rate; None: as its class says."""
+    """Return how the task begins from scratch, and its rate; None: the rate of its class."""
     from pancakes.config import load
     from pancakes.util.plugins import Plugins
 
     config = load(path, sets, Plugins())
     task: TaskConfig | None = config.tasks.get(name.task)
     if task is None:
-        raise PancakesError(f"{config.path} has no [task.{name.task}]: it has {', '.join(config.tasks) or 'no task'}")
+        raise PancakesError(f"{config.path} has no [task.{name.task}]. It has {', '.join(config.tasks) or 'no task'}")
     body = Revive(
         f"{birthplace or config.agent.name}/{name.task}",
         task.type,
@@ -227,19 +219,19 @@ def _held(client: Client, asked: Checkpoints) -> list[dict[str, Any]]:
 
 
 def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequence[dict[str, Any]]) -> str:
-    """Look whether the task runs, or is about to be taken over.
+    """Check that the task neither runs nor is about to be taken over.
 
     Args:
         client: asks the agents.
         name: the task.
-        services: those that may look after it; empty: any.
-        held: the checkpoints of it that agents hold.
+        services: the services that may run it; empty: any.
+        held: its checkpoints that agents hold.
 
     Returns:
-        Its id, where it stands still on the agent that is to go on with it; else an empty text.
+        The task's id if it is paused on the agent that should run it; otherwise an empty text.
 
     Raises:
-        ControlRefused: it does.
+        ControlRefused: it runs, or is about to be taken over.
     """
     for agent in client.survey().agents:
         for row in agent["tasks"]:
@@ -250,16 +242,16 @@ def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequ
                 raise ControlRefused(f"{name.task} is {row['state']} on {agent['agent']}: it is not lost")
             if agent["agent"] != name.agent:
                 raise ControlRefused(
-                    f"{name.task} stands still on {agent['agent']}, with its state: `pancakes task revive"
-                    f" {agent['agent']}/{name.task}` has it go on there without its guardians"
+                    f"{name.task} is paused on {agent['agent']}, with its state: `pancakes task revive"
+                    f" {agent['agent']}/{name.task}` resumes it there without its guardians"
                 )
             return str(row["guarding"]["task_id"])
     guarding = [row for row in held if row["guardians"]]
     if guarding and has_quorum(newest(guarding), guarding):
         row = newest(guarding)
         raise ControlRefused(
-            f"more than half of the guardians of {row['task_id']} answer, so it is not lost: they have another agent go"
-            f" on with it by themselves, or at `pancakes task take {row['agent']}/{name.task}`"
+            f"more than half of the guardians of {row['task_id']} answer, so it is not lost: one of them takes over"
+            f" by itself, or after `pancakes task take {row['agent']}/{name.task}`"
         )
     return ""
 
@@ -270,20 +262,20 @@ def newest(held: Iterable[dict[str, Any]]) -> dict[str, Any]:
 
 
 def has_quorum(row: dict[str, Any], held: Iterable[dict[str, Any]]) -> bool:
-    """Return whether more than half of the guardians of a task, as one of them knows them, hold checkpoints."""
-    there = {one["agent"] for one in held if one["task_id"] == row["task_id"]}
-    return all(2 * len(there.intersection(agents)) > len(agents) for agents in row["guardians"])
+    """Return whether more than half of a task's guardians, according to one of them, hold checkpoints."""
+    holders = {one["agent"] for one in held if one["task_id"] == row["task_id"]}
+    return all(2 * len(holders.intersection(agents)) > len(agents) for agents in row["guardians"])
 
 
 def name_of(row: dict[str, Any]) -> str:
-    """Return how a checkpoint is called."""
+    """Return the name of a checkpoint, `EPOCH@MINTER/NUMBER`."""
     n, minter = row["epoch"]
     return f"{n}@{minter}/{row['no']}"
 
 
 def story_of(row: dict[str, Any]) -> str:
-    """Return which checkpoint it is, how old it is and where it is held, as a clause."""
-    stopped = "" if row["wanted"] == "running" else f", of a task that was to be {row['wanted']}"
+    """Describe a checkpoint, its age and its holder in a clause."""
+    stopped = "" if row["wanted"] == "running" else f", of a task that should be {row['wanted']}"
     if row["age_s"] is None:
         return f"the snapshot of the hand-off {row['epoch'][0]}@{row['epoch'][1]}, held by {row['agent']}{stopped}"
     least = "at least " if row["at_least"] else ""
@@ -291,25 +283,25 @@ def story_of(row: dict[str, Any]) -> str:
 
 
 def _from_newest(client: Client, name: TaskName, held: Sequence[dict[str, Any]]) -> Revive:
-    """Fetch the newest checkpoint, and return how the task goes on from it.
+    """Fetch the newest checkpoint, and return the request that starts the task from it.
 
     Raises:
-        ControlRefused: no agent holds one, or those of several tasks can be meant.
+        ControlRefused: no agent holds a checkpoint, or the held ones are of several tasks.
     """
     if not held:
         raise ControlRefused(
-            f"no agent that answers holds a checkpoint of {name.task}: with --config FILE, where FILE is the"
-            f" configuration of the agent that is lost, it begins from scratch on {name.agent}"
+            f"no agent that answers holds a checkpoint of {name.task}. To start it from scratch on {name.agent}, pass"
+            " --config FILE with the configuration of the lost agent"
         )
     ids = sorted({row["task_id"] for row in held})
     if len(ids) > 1:
-        raise ControlRefused(f"checkpoints of {' and '.join(ids)} are held: say which --birthplace is meant")
+        raise ControlRefused(f"agents hold checkpoints of {' and '.join(ids)}: choose one with --birthplace")
     row = newest(held)
     asked = Checkpoints(name.task, row["task_id"].partition("/")[0], body=True)
     bodies = request(client, row["agent"], asked).result
     body = next((it for it in bodies if (it["epoch"], it["no"]) == (row["epoch"], row["no"])), None)
     if body is None:
-        raise ControlRefused(f"{row['agent']} holds another checkpoint of {row['task_id']} by now: ask again")
+        raise ControlRefused(f"{row['agent']} holds another checkpoint of {row['task_id']} by now: try again")
     checkpoint = HeldCheckpoint(body["snapshot"], tuple(row["epoch"]), row["no"], story_of(row))
     return Revive(row["task_id"], service=name.service or row["service"], checkpoint=checkpoint)
 
@@ -320,18 +312,16 @@ DISPUTED: Final = "disputed"
 
 @click.command()
 @a_task
-@click.option(
-    "--birthplace", metavar="AGENT", type=AGENT_NAME, default="", help="Where it was born, if two bear its name."
-)
+@birthplace_option("Where the task was born, if two tasks have this name.")
 @force_option
 @dry_run_option
 @orders_agents
 def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask) -> None:
-    """Decide that of a task that two agents own the one on AGENT lives, with its state; the other is given up.
+    """Keep the copy on AGENT of a task that two agents own, with its state, and give up the other copy.
 
-    Two agents own a task after a backup was restored, a disk was cloned or emptied, or a task was adopted by mistake.
-    They notice it when they are linked: the one with the lower epoch stands still, with equal epochs both do. The one
-    that is given up is stopped, its state is gone, and packets for it go to AGENT.
+    Two agents own a task if a backup was restored, a disk was cloned or emptied, or the task was adopted by mistake.
+    They notice it when they are linked: the copy with the lower epoch is paused; if the epochs are equal, both are. The
+    copy that is given up stops, its state is lost, and packets for the task go to AGENT.
 
     \b
     Example:
@@ -348,28 +338,28 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
             raise ControlRefused(f"{name} is not owned by {name.agent}: {here['rest']}")
         others = [_owner(client, agent["agent"], name, birthplace) for agent in agents if agent["agent"] != name.agent]
         owners = [owner for owner in others if owner is not None]
-        rests = here["rest"] == DISPUTED
-        if not owners and not rests:
+        is_disputed = here["rest"] == DISPUTED
+        if not owners and not is_disputed:
             raise ControlRefused(f"{name} is owned only by {name.agent}, as far as the agents that answer know")
         if not owners and not force:
             raise ControlRefused(
-                f"the other owner of {name} does not answer: {here['reason']}. With --force it lives here all the same,"
-                " and the other one stands still when it is back"
+                f"the other owner of {name} does not answer: {here['reason']}. With --force this copy is kept anyway,"
+                " and the other copy is paused when it is back"
             )
         given_up = ", ".join(f"{owner['task_id']} on {owner['agent']}" for owner in owners)
         if owners:
-            confirm(f"{given_up} is given up, and its state is lost; {name} lives", force, dry_run)
+            confirm(f"this keeps {name} and gives up {given_up}, whose state is lost", force, dry_run)
         rows = [_row(owner, "given up") for owner in owners]
         for owner in owners if not dry_run else ():
             if owner["runs"]:
                 request(client, owner["agent"], Stop(name.target))
             request(client, owner["agent"], Forget(name.target, birthplace, name.agent))
-        living = {"agent": name.agent, "task_id": rows[0]["task_id"] if rows else "", "epoch": ""}
-        if rests:
+        kept = {"agent": name.agent, "task_id": rows[0]["task_id"] if rows else "", "epoch": ""}
+        if is_disputed:
             reply = request(client, name.agent, Adopt(name.target, True, birthplace, dry_run))
-            living["task_id"] = reply.result["task_id"]
-    was = "at rest" if rests else here["state"]
-    rows.append({**living, "was": was, "becomes": "running" if rests else was})
+            kept["task_id"] = reply.result["task_id"]
+    was = "at rest" if is_disputed else here["state"]
+    rows.append({**kept, "was": was, "becomes": "running" if is_disputed else was})
     ask.printer.table([{**row, "done": DRY_RUN if dry_run else "resolved"} for row in rows], (*RESOLVE_COLUMNS, "done"))
 
 
@@ -379,7 +369,7 @@ def _task(agent: dict[str, Any], name: TaskName) -> dict[str, Any] | None:
 
 
 def _owner(client: Client, agent: str, name: TaskName, birthplace: str) -> dict[str, Any] | None:
-    """Return what an agent says of a task that it owns too; None: it does not."""
+    """Return an agent's description of a task that it owns too; None if it does not own it."""
     try:
         reply = client.request(agent, Forget(name.target, birthplace, name.agent, dry_run=True))
     except PancakesError:
@@ -399,27 +389,30 @@ def _row(owner: dict[str, Any], becomes: str) -> dict[str, Any]:
 
 
 FENCE_COLUMNS = ("actuator", "task_id", "seen", "brought_by", "owner", "owner_has", "obeyed", "reason")
-"""What the actuator has seen of a task; which agent has the task now, under which epoch, or why that is not known."""
+"""The epoch of a task that the actuator has seen, and the task's present owner and epoch, or why they are unknown."""
 
 
 @click.command()
 @click.argument("name", metavar="AGENT/ACTUATOR", type=TASK_NAME)
-@click.option("--set", "task_id", metavar="BIRTHPLACE/NAME", default="", help="Set the fence for this task.")
+@click.option(
+    "--set", "task_id", metavar="BIRTHPLACE/NAME", default="", help="Set the fence for this task to its present epoch."
+)
 @force_option
 @dry_run_option
 @orders_agents
 def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) -> None:
-    """Show which tasks have commanded an actuator, and whether it obeys those that have them now.
+    """Show which tasks have commanded an actuator, and whether it obeys their present owners.
 
-    An actuator obeys no epoch of a task lower than the highest that it has seen: so a copy that has lost its right
-    moves no wheel. And it takes a higher one only from an agent that is known to have been given the task. Where those
-    that could say so are gone, or something brought an epoch too high, the task is refused, and the log says why.
+    An actuator refuses an epoch of a task that is lower than the highest it has seen, so an old copy of the task
+    cannot move it. It accepts a higher epoch only from an agent that is known to have been given the task. If the
+    agents that could confirm this are gone, or something brought too high an epoch, the task is refused, and the log
+    has the reason.
 
     With --set the actuator goes to its safe hold, and the fence is set to the epoch under which the task runs now. The
-    agent of the actuator asks all agents that it is connected to. It refuses where one of them does not answer, and
-    if none has the task; of two that have it, the higher epoch counts. See first, with `pancakes task list`, that
-    the task runs once. It asks first; if this is no terminal, nothing is done without --force.
-    `pancakes task migrations` keeps the account.
+    actuator's agent asks all agents that it is connected to. It refuses if one of them does not answer, or if none of
+    them has the task; if two have it, the higher epoch counts. So check first, with `pancakes task list`, that the task
+    runs only once. The command asks first; if this is not a terminal, --force is required.
+    `pancakes task migrations` lists each change of a fence.
 
     \b
     Example:
@@ -428,9 +421,9 @@ def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) ->
         pancakes task fence agent1/motors --set agent1/ScanTarget
     """
     if dry_run and not task_id:
-        raise click.UsageError("--dry-run is about what --set would do: say for which task")
+        raise click.UsageError("--dry-run checks what --set would do: pass --set too")
     if force and not task_id:
-        raise click.UsageError("--force is about --set: say for which task")
+        raise click.UsageError("--force is for --set: pass --set too")
     if task_id:
         try:
             TaskId.parse(task_id)
@@ -441,7 +434,7 @@ def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) ->
         if task_id:
             if not (force or dry_run):
                 request(client, name.agent, SetFence(name.target, task_id, dry_run=True))
-                confirm(f"{name} goes to its safe hold, and forgets which epoch of {task_id} it has seen", force)
+                confirm(f"{name} would go to its safe hold and forget the epoch of {task_id} that it has seen", force)
             reply = request(client, name.agent, SetFence(name.target, task_id, dry_run))
             row = {**reply.result, "done": DRY_RUN if dry_run else "set", "number": reply.number}
             ask.printer.table([row], tuple(row))
@@ -451,15 +444,15 @@ def fence(name: TaskName, task_id: str, force: bool, dry_run: bool, ask: Ask) ->
 
 
 def fences_of(client: Client, agent: str, target: str) -> list[dict[str, Any]]:
-    """Return what an actuator has seen of each task that has commanded it, and which agent has that task now.
+    """Return the epoch that an actuator has seen of each task that commanded it, and the task's present owner.
 
     Args:
-        client: asks.
+        client: asks the agents.
         agent: the agent of the actuator.
         target: the actuator, as `service/device`.
 
     Raises:
-        ControlRefused: there is no such device.
+        ControlRefused: the agent has no such device.
         Unreachable: the agent does not answer.
     """
     rows: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""`pancakes view`: a page that shows what a fleet does."""
+"""`pancakes view`: show a fleet live on a web page."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from pancakes.tools.cli.streaming import event_at
 port_option = click.option(
     "--port",
     type=click.IntRange(1, 65535),
-    help="The page's port on this machine. [default: 7480, or a free one if that is taken]",
+    help="The page's port on this machine. [default: 7480, or a free port if that is taken]",
 )
 """The option `--port` of every verb that shows a page."""
 
 
 @click.command()
 @click.option(
-    "--control", is_flag=True, help="Let the page move, stop and start tasks and change settings; else it looks."
+    "--control", is_flag=True, help="Let the page migrate, stop and start tasks and change settings, not only look."
 )
-@click.option("--foxglove", is_flag=True, help="Serve the fleet's packets to Foxglove in place of the page.")
+@click.option("--foxglove", is_flag=True, help="Serve the fleet's packets to Foxglove instead of a page.")
 @port_option
-@click.option("--open", "open_", is_flag=True, help="Open the page in the browser as well.")
+@click.option("--open", "open_", is_flag=True, help="Also open the page in the browser.")
 @asks_agents
 def view(control: bool, foxglove: bool, port: int | None, open_: bool, ask: Ask) -> None:
     """Show a fleet on a page in the browser, until Ctrl-C.
 
-    It shows the arena with its robots (or the mesh, if there are no poses), the agents with their tasks, what
-    happens, and the last ten minutes on a timeline. The page is served on this machine's loopback interface only. From
-    another machine: ssh -L 7480:127.0.0.1:7480 HOST. The address that is printed has a token, without
-    which the page shows nothing; with --control a user who has it may change what the agents do.
+    The page shows the arena with its robots (or the mesh, if there are no poses), the agents with their tasks, the
+    events, and a timeline of the last ten minutes. It is served only on this machine's loopback interface. To open it
+    on another machine: ssh -L 7480:127.0.0.1:7480 HOST. The printed address has a token, without which the page shows
+    nothing. With --control, anyone who has the token may change what the agents do.
 
-    With --foxglove it serves the packets of all channels, in the topics and schemas of a recording, at an address that
-    Foxglove opens: "Open connection", "Foxglove WebSocket". That has no token: every program of this machine can read
-    it, and every page in its browser. Its usual port is 8765.
+    With --foxglove it serves the packets of all channels, in the topics and schemas of a recording, at an address for
+    Foxglove: "Open connection", "Foxglove WebSocket". This address has no token: every program of this machine, and
+    every page in its browser, can read the packets. The default port is 8765.
 
     \b
     Example:
@@ -47,7 +47,7 @@ def view(control: bool, foxglove: bool, port: int | None, open_: bool, ask: Ask)
     """
     if foxglove:
         if control or open_:
-            raise click.UsageError("--foxglove only shows, and opens no browser: leave --control and --open out")
+            raise click.UsageError("--foxglove cannot control and opens no browser: leave out --control and --open")
         from pancakes.tools.cli.foxglove_view import show_in_foxglove
 
         show_in_foxglove(port, ask)
@@ -75,5 +75,5 @@ def view(control: bool, foxglove: bool, port: int | None, open_: bool, ask: Ask)
 
 
 def tell_address(address: str, control: bool, printer: Printer) -> None:
-    """Say where the page is."""
+    """Print the address of the page."""
     printer.emit([{"address": address, "control": control}], f"the page is at {address}")
