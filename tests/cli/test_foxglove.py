@@ -107,7 +107,7 @@ def test_foxglove_is_refused_a_port_that_is_taken(rig: Rig):
     (told,) = json.loads("\n".join(first.said))
     port = told["address"].rpartition(":")[2]
     taken = rig.pancakes("view", "--foxglove", "--port", port)
-    sentence = f"Foxglove cannot be served at port {port}: name another with --port\n"
+    sentence = f"Foxglove cannot be served at port {port}: choose another with --port\n"
     assert (taken.returncode, taken.stderr) == (1, sentence)
 
     (rig.plugins / "foxglove").mkdir(parents=True)

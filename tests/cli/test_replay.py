@@ -108,7 +108,7 @@ def test_replay_as_another_agent_slower_and_in_part(walk):
 def test_replay_leaves_out_sources_that_run_and_names_unknown_agents(walk):
     walk.ready("a", WALKER.partition("[record]")[0])
     nothing = walk.pancakes("replay", "r")
-    assert (nothing.returncode, nothing.stderr) == (1, "nothing is left to be fed: its source runs\n")
+    assert (nothing.returncode, nothing.stderr) == (1, "all packets are left out: its source runs\n")
     of_walk = {row["channel"]: row["done"] for row in rows(walk, "r", "--only", "a/client/Walk", "--dry-run")}
     assert of_walk == {"log": "left out: agents take log only from its publisher", "system": "dry run"}
     missing = walk.pancakes("replay", "r", "--as", "c")

@@ -104,4 +104,4 @@ def test_rerun_finds_a_changed_line_of_code(recorded):
     (recorded.plugins / "sums-1.0.dist-info" / "entry_points.txt").write_text("")
     result = recorded.pancakes("rerun", "r", "Sum")
     assert result.returncode == 1
-    assert result.stderr.startswith("a/Sum cannot be run again: ") and "'sums.Sum'" in result.stderr
+    assert result.stderr.startswith("a/Sum cannot be rerun: ") and "'sums.Sum'" in result.stderr

@@ -202,9 +202,7 @@ def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts,
         # A configuration that is not sound with what is brought stops all before anything is touched.
         pids = running(robots)
         failed = deploy(rig, fleet, *ours, "--wheels", second, "--set", "c:task.Own.type=yard.Run")
-        assert (
-            failed.returncode == 1 and "nothing was brought to a host" in failed.stderr and "yard.Run" in failed.stderr
-        )
+        assert failed.returncode == 1 and "no host was changed" in failed.stderr and "yard.Run" in failed.stderr
         assert {name: files_of(host) for name, host in robots.hosts.items()} == before and running(robots) == pids
     finally:
         ended = rig.pancakes("down", "--fleet-file", str(fleet))
@@ -260,7 +258,7 @@ def test_a_host_that_cannot_take_part_leaves_the_fleet_as_it_was(
             rig.environment = {key: value for key, value in environment.items() if key != "PANCAKES_RUNTIME_DIR"}
             agent = rig.agent(rig.directory / "c.toml", "--set", "agent.fleet=yard", "--set", "task={}")
             agent.hear("/kernel: ready")
-            expected = f"c runs on robot3 already (process {agent.pid}), not by a deployment"
+            expected = f"c already runs on robot3 (process {agent.pid}), not from a deployment"
 
         failed = deploy(rig, fleet, "--wheels", core, "--wheels", plugin_wheel(rig.directory / "1", "1.0"))
 
@@ -279,7 +277,7 @@ def test_two_deployments_do_not_meet_on_one_host(rig: Rig, hosts: SshHosts, flee
     failed = deploy(rig, fleet, "--wheels", core)
     link.close()
     assert failed.returncode == 1
-    assert "robot2 has another deployment at work: wait until it has ended" in failed.stderr
+    assert "robot2 is busy with another deployment: wait until it has ended" in failed.stderr
 
 
 def test_a_disk_that_fills_up_meanwhile_is_told_with_its_host(hosts: SshHosts):
@@ -300,4 +298,4 @@ def test_a_disk_that_fills_up_meanwhile_is_told_with_its_host(hosts: SshHosts):
 
 def test_a_fleet_without_hosts_is_told_how_to_name_one(rig: Rig, fleet: Path):
     failed = deploy(rig, rig.directory / "b.toml")
-    assert failed.returncode == 1 and 'write one as host = "pi@robot1"' in failed.stderr
+    assert failed.returncode == 1 and 'add host = "pi@robot1"' in failed.stderr

@@ -80,7 +80,7 @@ def yard(rig: Rig, hosts: SshHosts, core: Path, cache: Path) -> Iterator[Yard]:
 def test_bare_hosts_become_a_fleet_with_keys_by_one_command(yard: Yard):
     # Without keys nothing is brought; without a fleet no keys are given out.
     code, said = yard.deploy()
-    assert code == 1 and "a needs keys of the fleet yard, and robot1 has none: pancakes deploy --enrol" in said, said
+    assert code == 1 and "a needs keys of the fleet yard, and robot1 has none: use pancakes deploy" in said, said
     code, said = yard.deploy("--enrol", "--dry-run")
     assert code == 0, said
     code, said = yard.deploy("--enrol")
@@ -123,7 +123,7 @@ def test_bare_hosts_become_a_fleet_with_keys_by_one_command(yard: Yard):
     good = (yard.rig.directory / "c.toml").read_text()
     (yard.rig.directory / "c.toml").write_text(good + WALK.replace("broken", "borken"))
     code, said = yard.deploy()
-    assert code == 1 and "c.toml:" in said and "borken" in said and "nothing was brought" in said, said
+    assert code == 1 and "c.toml:" in said and "borken" in said and "no host was changed" in said, said
     (yard.rig.directory / "c.toml").write_text(good)
     assert yard.runs() == pids
 

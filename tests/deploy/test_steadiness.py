@@ -18,7 +18,7 @@ def test_tasks_have_to_run_for_a_while():
     assert [steadiness.look([row()], now_s) for now_s in (0.0, 1.0, 1.9, 2.0)] == [False, False, False, True]
 
 
-def test_one_that_begins_anew_begins_the_while_anew():
+def test_a_restarted_task_restarts_the_wait():
     steadiness = Steadiness({}, calm_s=2.0)
     steadiness.look([row()], 0.0)
     assert not steadiness.look([row(incarnation=2)], 2.0)

@@ -47,10 +47,10 @@ def test_wheels_are_named_or_lie_in_a_folder(tmp_path: Path):
 @pytest.mark.parametrize(
     ("names", "fault"),
     [
-        (["empty"], "empty has no wheels in it: scripts/release puts them into dist"),
+        (["empty"], "empty contains no wheels: scripts/release puts them into dist"),
         (["one/yard-1.0-py3-none-any.whl"], "no wheel of pancakes-agents is among "),
         (["core", "one", "two"], "are both of yard: name one of them"),
-        (["core", "text.whl"], "text.whl is no wheel: "),
+        (["core", "text.whl"], "text.whl is not a wheel: "),
     ],
 )
 def test_what_is_wrong_with_wheels_is_told(tmp_path: Path, names: list[str], fault: str):
@@ -119,6 +119,6 @@ def test_a_library_that_is_not_there_for_a_platform_is_told(tmp_path: Path, monk
     with pytest.raises(PancakesError) as raised:
         libraries_for([wheel], [], Platform("3.11", ("linux_sparc64",)))
     told = str(raised.value)
-    assert told.startswith("no wheels can be had for Python 3.11 on linux_sparc64: ERROR: ")
+    assert told.startswith("no wheels for Python 3.11 on linux_sparc64: ERROR: ")
     assert "no-such-library-of-pancakes" in told
     assert not list((tmp_path / "cache" / "pancakes" / "libraries").iterdir())

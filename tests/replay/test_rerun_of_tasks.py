@@ -316,7 +316,7 @@ class Newest(Task):
         self.publish("ctrl", Load(packet.body.x_m))
 
 
-def test_what_fell_out_of_the_mailbox_then_falls_out_now(fleet, tmp_path):
+def test_a_packet_dropped_from_the_mailbox_then_is_dropped_now(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Newest": {"type": Newest, "start": False}})
     with recorded(tmp_path, agent):
         agent.ask(Start("Newest"))
@@ -393,11 +393,13 @@ def test_a_state_that_fits_no_more_and_a_class_that_is_gone_are_sentences(fleet,
         class State:
             sum: float = 0.0
 
-    with pytest.raises(RecordingError, match=r"a/Track cannot begin with what was recorded: .*total: unknown key"):
+    with pytest.raises(
+        RecordingError, match=r"a/Track cannot start with the recorded settings and state: .*total: unknown key"
+    ):
         run_again(tmp_path, "Track", Renamed)
     (stay,) = choose_stays(find_stays(RecordingReader(tmp_path).entries()), "Track")
     assert class_of(stay, registered({"test.Track": Track})) is Track
-    with pytest.raises(RecordingError, match=r"a/Track cannot be run again: .*test\.Track"):
+    with pytest.raises(RecordingError, match=r"a/Track cannot be rerun: .*test\.Track"):
         class_of(stay, registered({}))
 
 

@@ -112,11 +112,11 @@ def test_a_null_device_that_runs_says_nothing():
 
 def test_a_channel_that_is_not_there_an_agent_that_is_not_and_nothing_at_all_are_sentences():
     entries = [seen(1.0, "a", "a/client/Map", channel="map")]
-    with pytest.raises(ControlRefused, match=r"a has no channel 'map', on which 1 packets of a/client/Map"):
+    with pytest.raises(ControlRefused, match=r"a has no channel 'map' for 1 packets of a/client/Map"):
         tally_of(Selection(live("a")), entries)
-    with pytest.raises(ControlRefused, match="nothing is left to be fed: a is not there"):
+    with pytest.raises(ControlRefused, match="all packets are left out: a does not run"):
         tally_of(Selection(live("c")), entries)
-    with pytest.raises(ControlRefused, match="nothing that fits --only in that time"):
+    with pytest.raises(ControlRefused, match="no packets that match --only in that time"):
         tally_of(Selection(live("a"), only=("x",), to_s=1.0), entries)
-    with pytest.raises(ControlRefused, match="nothing on system or a channel of one's own"):
+    with pytest.raises(ControlRefused, match="no packets on system or a user channel"):
         tally_of(Selection(live("a")), [])

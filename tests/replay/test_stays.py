@@ -85,7 +85,7 @@ def test_a_task_is_named_by_identity_address_or_name_where_that_is_plain():
     assert names("X", "b") == names("X", "", 2) == ["b/client/X"]
     assert names("c/Y") == ["c/client/Y"]
     assert names("Z") == names("e/own/Z") == ["e/own/Z"]
-    with pytest.raises(RecordingError, match="several tasks 'Y': say c/Y or d/Y"):
+    with pytest.raises(RecordingError, match="several tasks 'Y': choose c/Y or d/Y"):
         names("Y")
     with pytest.raises(RecordingError, match="a/X has only 2 stays in the recording$"):
         names("X", "", 3)
@@ -93,5 +93,5 @@ def test_a_task_is_named_by_identity_address_or_name_where_that_is_plain():
         names("XX")
     with pytest.raises(RecordingError, match="a/X was never on 'c' in the recording, only on a, b$"):
         names("X", "c")
-    with pytest.raises(RecordingError, match="the recording does not say what its tasks were"):
+    with pytest.raises(RecordingError, match="the recording has no descriptions of tasks"):
         choose_stays([], "X")

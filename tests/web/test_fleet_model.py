@@ -165,7 +165,7 @@ def test_every_bid_and_refusal_is_an_event_with_a_sentence(model: FleetModel):
     refusal = Event("migration_refused", {"task": "T", "source_agent": "a", "reason": "lacks motors"})
     model.hear("s", packet("s/network/TaskMigrator", "log", "event", refusal, 3.0), 1.0)
 
-    events = model.happenings.since(0)
+    events = model.events.since(0)
     assert [it["text"] for it in events] == ["b bids 2 for T", "s refuses T: lacks motors"]
     assert (events[0]["source_agent"], events[0]["cost"], events[0]["t"], events[0]["m"]) == ("a", 2.0, 1.0, 3.0)
 
@@ -175,18 +175,18 @@ def test_what_was_said_before_lies_back_on_the_timeline_and_comes_once(model: Fl
     model.tell(record("a", "ready", t_s=16.0), 4.9)
     model.recall([record("a", "saved", t_s=10.0), record("a", "ready", t_s=16.0)], 5.0)
 
-    assert [(it["kind"], it["t"]) for it in model.happenings.since(0)] == [("ready", 4.9), ("saved", 0.0)]
+    assert [(it["kind"], it["t"]) for it in model.events.since(0)] == [("ready", 4.9), ("saved", 0.0)]
 
 
 def test_only_the_newest_events_are_kept_and_their_numbers_tell_what_is_missing():
     from pancakes.tools.web.fleet_model import EventLog
 
-    happenings = EventLog(limit=3)
+    events = EventLog(limit=3)
     for number in range(5):
-        happenings.add(record("a", f"kind{number}", float(number)), 0.0)
+        events.add(record("a", f"kind{number}", float(number)), 0.0)
 
-    assert [it["n"] for it in happenings.since(0)] == [3, 4, 5]
-    assert [it["n"] for it in happenings.since(4)] == [5]
+    assert [it["n"] for it in events.since(0)] == [3, 4, 5]
+    assert [it["n"] for it in events.since(4)] == [5]
 
 
 def test_a_new_rate_is_shown_at_once_and_not_beside_what_was_reached_before(model: FleetModel):

@@ -145,7 +145,7 @@ def test_it_fits_a_phone_and_follows_the_colours_that_a_person_likes(browser: An
     expect(page.locator("body")).to_have_attribute("data-stage", "mesh")
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     page.get_by_role("button", name="Keys and hints").click()
-    expect(page.get_by_role("dialog")).to_contain_text("This page only looks")
+    expect(page.get_by_role("dialog")).to_contain_text("This page is read-only")
     page.keyboard.press("Escape")
     page.locator("[data-agent=agent1]").get_by_role("button", name="Why?").click()
     expect(page.locator(".chain li").last).to_contain_text("motors agent1/client/")

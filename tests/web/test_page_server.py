@@ -98,7 +98,7 @@ def test_it_listens_on_loopback_only(server: PageServer):
 
 
 def test_a_port_in_use_is_a_sentence_and_the_usual_one_gives_way(server: PageServer, fleet: Fleet, monkeypatch: Any):
-    with pytest.raises(PancakesError, match=f"cannot be at port {server.port}: .*--port"):
+    with pytest.raises(PancakesError, match=f"cannot be served at port {server.port}: .*--port"):
         open_page(Shown(fleet.feed, fleet.explain, fleet.look), server.port)
 
     monkeypatch.setattr("pancakes.tools.web.page_server.PORT", server.port)
@@ -177,7 +177,7 @@ def test_of_strangers_that_say_nothing_the_first_gives_its_place_to_the_next(ser
     monkeypatch.setattr("pancakes.tools.web.page_server.TOKEN_S", 600.0)
     with ExitStack() as stack:
         first, *_ = [stack.enter_context(stranger(server)) for _ in range(MOST_ASIDE + 1)]
-        with pytest.raises(ConnectionClosed, match="open the page under the address that was printed"):
+        with pytest.raises(ConnectionClosed, match="open the page at the address that was printed"):
             first.recv(PATIENCE_S)
 
 
@@ -207,7 +207,7 @@ def test_page_server_does_nothing_without_the_token(server: PageServer, fleet: F
         for token in ("", "x", "é", None, 7):
             with stranger(server) as connection:
                 connection.send(json.dumps({"id": 7, "ask": asked, "token": token, **ORDER}))
-                with pytest.raises(ConnectionClosed, match="open the page under the address that was printed"):
+                with pytest.raises(ConnectionClosed, match="open the page at the address that was printed"):
                     connection.recv(PATIENCE_S)
             assert fleet.asked == [] and fleet.looked == [], (asked, token)
 
@@ -215,13 +215,13 @@ def test_page_server_does_nothing_without_the_token(server: PageServer, fleet: F
 def test_what_is_asked_before_the_token_is_shown_is_not_answered(server: PageServer, fleet: Fleet):
     with stranger(server) as connection:
         connection.send(json.dumps({"id": 7, "ask": "order", "token": server.token, **ORDER}))
-        with pytest.raises(ConnectionClosed, match="open the page under the address that was printed"):
+        with pytest.raises(ConnectionClosed, match="open the page at the address that was printed"):
             connection.recv(PATIENCE_S)
     assert fleet.asked == []
 
 
 def test_a_page_that_says_nothing_is_told_nothing(server: PageServer):
-    with stranger(server) as connection, pytest.raises(ConnectionClosed, match="it has a token"):
+    with stranger(server) as connection, pytest.raises(ConnectionClosed, match="it contains a token"):
         connection.recv(PATIENCE_S)
 
 

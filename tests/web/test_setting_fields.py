@@ -108,7 +108,7 @@ def test_what_a_page_cannot_give_back_as_it_is_stays_and_with_it_its_table():
     assert fields["name"]["fixed"] == "3002 characters long" and len(fields["name"]["value"]) < 200
     assert "characters long" in fields["legs.joints"]["fixed"]
     assert fields["legs.length_m"]["value"] == "1.0"
-    assert "it is in one table with legs.joints" in fields["legs.length_m"]["fixed"]
+    assert "it is in the same table as legs.joints" in fields["legs.length_m"]["fixed"]
     assert "fixed" not in fields["step_m"]
 
 

@@ -68,7 +68,7 @@ def test_the_past_has_the_states_that_were_seen_and_an_agent_that_has_gone_the_l
         before = ask(connection, "task", **TASK, t=0.5)["result"]
         present = ask(connection, "task", **TASK)["result"]
     assert past["state"]["rows"][0] == ["count", "7"] and past["no_state"] == ""
-    assert before["state"] is None and "the timeline has no state of it at this moment" in before["no_state"]
+    assert before["state"] is None and "the timeline has no state of this task at this moment" in before["no_state"]
     assert present["state"] == past["state"] and present["no_state"] == "a cannot be reached"
     assert len(fleet.looked) == 1, "about the past no agent is asked"
 

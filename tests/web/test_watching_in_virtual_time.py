@@ -121,7 +121,7 @@ def test_watch_needs_a_name_if_there_are_several_fleets():
 
     assert fleet_among(rows[:1]) == "one"
     assert fleet_among(rows, "two") == "two"
-    with pytest.raises(ControlRefused, match="several fleets, one, two: name one with --fleet"):
+    with pytest.raises(ControlRefused, match="several fleets are running, one, two: choose one with --fleet"):
         fleet_among(rows)
-    with pytest.raises(Unreachable, match="no agent of the fleet 'three', only of one, two"):
+    with pytest.raises(Unreachable, match="no agent of the fleet 'three' was found, only of one, two"):
         fleet_among(rows, "three")

@@ -206,5 +206,5 @@ def test_watch_that_has_ended_asks_nobody(rig: Rig, seen: Seen, watch: Watch):
     seen.wait(lambda it: "agent/a" in it["set"])
     watch.close()
 
-    with pytest.raises(Unreachable, match="no agent can be asked any more"):
+    with pytest.raises(Unreachable, match="its agents no longer answer"):
         watch.order("a", Stop("device/load"), PATIENCE_S).result(PATIENCE_S)

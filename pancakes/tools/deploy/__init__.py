@@ -1,1 +1,1 @@
-"""Deployments: a fleet's wheels and configurations are brought to its hosts, and its agents switched to them."""
+"""Deploy a fleet: copy its wheels and configurations to its hosts, and switch its agents to them."""

@@ -1,4 +1,4 @@
-"""Carry out a deployment: all hosts are prepared, then agents are switched one after the other, or all go back.
+"""Carry out a deployment: prepare all hosts, then switch one agent after the other; on a failure, roll all back.
 
 Agents that need keys get them first, from the authority of their fleet (`enrol`).
 """
@@ -32,7 +32,7 @@ Need = Literal["has", "needs", "none"]
 
 
 def keys_needed(members: Sequence[Member], hosts: Mapping[str, Host]) -> dict[str, Need]:
-    """Return which agents have keys on their hosts, which need some, and which need none, by name."""
+    """Return for each agent, by name, whether its host has keys, or it needs keys, or it needs none."""
     plugins = Plugins()
     found: dict[str, Need] = {}
     for member in members:
@@ -47,19 +47,19 @@ def keys_needed(members: Sequence[Member], hosts: Mapping[str, Host]) -> dict[st
 
 
 def check_keys(members: Sequence[Member], needed: Mapping[str, Need]) -> None:
-    """See to it that no agent lacks keys.
+    """Check that no agent lacks keys.
 
     Raises:
-        PancakesError: some do; the sentences say which, and what to do.
+        PancakesError: agents lack keys; the sentences name them, and say what to do.
     """
     problems = [
-        f"{it.name} needs keys of the fleet {it.config.agent.fleet}, and {it.host} has none: pancakes deploy --enrol"
-        " gives them out, or pancakes fleet join there"
+        f"{it.name} needs keys of the fleet {it.config.agent.fleet}, and {it.host} has none: use pancakes deploy"
+        f" --enrol here, or pancakes fleet join on {it.host}"
         for it in members
         if needed[it.name] == "needs"
     ]
     if problems:
-        raise PancakesError("\n".join([*problems, "nothing was brought to a host"]))
+        raise PancakesError("\n".join([*problems, "no host was changed"]))
 
 
 def enrol(
@@ -69,17 +69,17 @@ def enrol(
     authorities: Mapping[str, Authority],
     tell: Callable[[str, str], None],
 ) -> None:
-    """Give keys to the agents that need some.
+    """Give keys to the agents that need them.
 
     Args:
         members: the agents.
         needed: see `keys_needed`.
         hosts: their hosts.
         authorities: the authorities of their fleets, by fleet.
-        tell: takes a clause about an agent, to be read after its name.
+        tell: reports a clause about an agent, to be read after its name.
 
     Raises:
-        PancakesError: a host does not take them.
+        PancakesError: a host does not accept the keys.
     """
     for member in members:
         if needed[member.name] != "needs":
@@ -90,18 +90,18 @@ def enrol(
         before = [it for it in authority.entries if not it.revoked and it.who == f"{role}/{agent.name}"]
         files = authority.enrol_with_key(role, agent.name, before[-1].groups if before else ())
         sent = {ROSTER: files.roster, FLEET: files.authority, KEY: files.certificate + files.key}
-        told = {name: b64encode(data).decode() for name, data in sent.items()}
-        hosts[member.host].link.obtain("put_keys", fleet=agent.fleet, name=agent.name, files=told)
-        again = ", beside the one that it was given before" if before else ""
+        encoded = {name: b64encode(data).decode() for name, data in sent.items()}
+        hosts[member.host].link.obtain("put_keys", fleet=agent.fleet, name=agent.name, files=encoded)
+        again = "; its earlier certificate stays valid" if before else ""
         tell(member.name, f"has keys of the fleet {agent.fleet} on {member.host}, with a new certificate{again}")
 
 
 LOCK_S: Final = 120.0
-"""So long a host may take to finish what was asked for over a connection that was lost."""
+"""How long a host may take to finish the request of a lost connection, in seconds."""
 
 
 class _Checked(TypedDict):
-    """What a host says of a configuration."""
+    """The answer of a host that has checked a configuration."""
 
     sound: bool
     said: str
@@ -109,7 +109,7 @@ class _Checked(TypedDict):
 
 @dataclass
 class _Done:
-    """How far one agent was taken, and what is to be undone of it."""
+    """How far the switch of one agent has got, so that it can be undone."""
 
     change: AgentChange
     before: AgentBefore = field(default_factory=AgentBefore)
@@ -121,12 +121,12 @@ class Deployment:
     """One deployment.
 
     Args:
-        supplies: what is brought, by host.
+        supplies: what each host gets, by host.
         changes: the agents, in the order in which they are switched.
-        moves: what moves their tasks, by fleet.
-        tell: takes a clause about a host or an agent, to be read after its name. Any thread may call it.
-        calm_s: so long the tasks of an agent have to run before the next one's turn.
-        called_off: returns whether a person wants an end; it is asked between two steps.
+        moves: migrate the tasks, by fleet.
+        tell: reports a clause about a host or an agent, to be read after its name. Any thread may call it.
+        calm_s: how long the tasks of an agent must run before the next agent is switched, in seconds.
+        called_off: returns whether a person has called the deployment off; checked between two steps.
     """
 
     def __init__(
@@ -145,13 +145,13 @@ class Deployment:
         self._tell = tell
         self._calm_s = calm_s
         self._called_off = called_off
-        self._anew: list[HostLink] = []
+        self._new_links: list[HostLink] = []
 
     def prepare(self) -> None:
-        """Bring everything to all hosts and check it there; nothing that runs is touched.
+        """Copy everything to all hosts and check it there, without touching anything that runs.
 
         Raises:
-            PancakesError: a host cannot be prepared. What was brought is taken away again, everywhere.
+            PancakesError: a host cannot be prepared; the copied files are removed from all hosts.
         """
         shortages = [text for supply in self._supplies.values() if (text := supply.shortage())]
         if shortages:
@@ -166,7 +166,7 @@ class Deployment:
         """Switch one agent after the other.
 
         Raises:
-            PancakesError: one of them does not run as it should. All are as they were before.
+            PancakesError: an agent does not run as it should; all agents were rolled back.
         """
         done: list[_Done] = []
         try:
@@ -185,24 +185,24 @@ class Deployment:
             raise PancakesError("\n".join([what, *self._undo(done)])) from None
         finally:
             self.clean()
-            for link in self._anew:
+            for link in self._new_links:
                 link.close()
 
     def clean(self) -> None:
-        """Remove from all hosts what no version needs."""
+        """Remove from all hosts the files that no version needs."""
         for link in self._links.values():
-            with suppress(PancakesError):  # a host that is gone keeps what it has
+            with suppress(PancakesError):  # a host that cannot be reached keeps its files
                 link.obtain("clean")
 
-    def _go_on(self) -> None:
-        """End the deployment where a person wants that."""
+    def _check_called_off(self) -> None:
+        """Raise if a person has called the deployment off."""
         if self._called_off():
             raise PancakesError("the deployment is called off")
 
     # A host ----------------------------------------------------------------------------------------------------
 
     def _everywhere(self, act: Callable[[Supply], None]) -> None:
-        """Do something at all hosts at once; raise what has failed."""
+        """Call `act` for all hosts in parallel; raise one error with all failures."""
 
         def tried(supply: Supply) -> str:
             try:
@@ -220,12 +220,12 @@ class Deployment:
         host = supply.host.name
         link = self._links[host]
         for wheel in supply.missing:
-            self._go_on()
+            self._check_called_off()
             link.send_file(wheel.name, wheel.digest, wheel.path.read_bytes())
         if supply.missing:
-            self._tell(host, f"has {len(supply.missing)} wheels more ({supply.brought_bytes / 1e6:.1f} MB)")
+            self._tell(host, f"has {len(supply.missing)} new wheels ({supply.brought_bytes / 1e6:.1f} MB)")
         own = digests(supply.own)
-        self._go_on()
+        self._check_called_off()
         link.obtain("libraries", name=supply.libraries, wheels=digests(supply.others))
         made = link.obtain(
             "environment", name=supply.environment, libraries=supply.libraries, wheels=own, build=supply.build
@@ -262,24 +262,24 @@ class Deployment:
         moves = self._moves[change.fleet]
         if change.ran:
             done.before = moves.look(change.name)
-        self._go_on()
+        self._check_called_off()
         if change.ran:
             moves.away(change.name)
-        self._go_on()
+        self._check_called_off()
         done.stopped = True
         self._restart(change)
         done.runs = True
         moves.run_again(change.name, done.before, only_those=False)
         moves.back(change.name)
         fault = moves.settle(change.name, done.before.states, self._calm_s, self._called_off)
-        self._go_on()
+        self._check_called_off()
         if fault:
             raise PancakesError(f"{change.name} does not run on {change.host} as it should: {fault}")
         changed = f" ({', '.join(change.changed)})" if change.changed else ""
         self._tell(change.name, f"runs the version {change.version} on {change.host}{changed}")
 
     def _restart(self, change: AgentChange) -> None:
-        """Stop an agent, have it use a version, and start it."""
+        """Stop an agent, switch it to its version, and start it."""
         self._ask(change, "stop_service")
         self._use(change, change.version, change.last if change.what == "start" else change.was)
         self._ask(change, "install_service")
@@ -289,7 +289,7 @@ class Deployment:
         self._links[change.host].obtain("switch", fleet=change.fleet, name=change.name, version=version, last=last)
 
     def _undo(self, done: Iterable[_Done]) -> list[str]:
-        """Take agents back to where they were, the last one first; return a sentence for each that could not be."""
+        """Roll agents back, the last one first; return a sentence for each that could not be rolled back."""
         problems = []
         for it in reversed(list(done)):
             change = it.change
@@ -304,10 +304,9 @@ class Deployment:
                         moves.run_again(change.name, it.before, only_those=True)
                 if change.ran:
                     moves.back(change.name)
-                where = f"the version {change.was}" if change.was else "what it was: not there"
-                self._tell(change.name, f"is back at {where}")
+                self._tell(change.name, f"is back at the version {change.was}" if change.was else "is removed again")
             except PancakesError as error:
-                problems.append(f"{change.name} could not be taken back on {change.host}: {error}")
+                problems.append(f"{change.name} could not be rolled back on {change.host}: {error}")
         self._all_back()
         return problems
 
@@ -316,11 +315,11 @@ class Deployment:
             moves.all_back()
 
     def _reach_again(self, host: str) -> None:
-        """Make a connection anew that was lost; what was asked for over the old one is finished there first."""
+        """Connect again to a host whose connection was lost, after it has finished the old connection's request."""
         if not self._links[host].lost:
             return
         self._links[host] = HostLink(host)
-        self._anew.append(self._links[host])
+        self._new_links.append(self._links[host])
         self._links[host].obtain("lock", within=LOCK_S)
 
     def _take_back(self, change: AgentChange) -> None:

@@ -1,6 +1,6 @@
 """Drain an agent before its restart: its tasks migrate to neighbours, and come back afterwards.
 
-`Steadiness` is pure: it decides whether the tasks run as they should after the restart.
+`Steadiness` is pure: it decides whether the tasks run well after the restart.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from pancakes.errors import PancakesError
 from pancakes.util.clock import MonotonicClock
 
 GOOD: Final = frozenset({"running", "stopped"})
-"""A task that is stopped was told so, or is elsewhere: that is for its agent to know."""
+"""States that are fine after a restart. A stopped task was stopped on purpose, or has migrated."""
 HOPELESS: Final = frozenset({"failed", "stuck"})
 GIVEN_UP: Final = "failed"
-"""Why a task rests that was given up in an earlier life of its agent; its state is `stopped` then."""
+"""The `rest` of a task that was given up in an earlier run of its agent; its state is then `stopped`."""
 
 
 @dataclass
 class Steadiness:
-    """Look at an agent's tasks until they have run for a while.
+    """Watch the tasks of an agent until they have run undisturbed for a while.
 
     Args:
-        before: the states of its tasks before, by name; what did not run then need not now.
-        calm_s: so long nothing may have begun again.
+        before: the states of its tasks before the restart, by name; a task that did not run then need not run now.
+        calm_s: how long all tasks must run without a restart, in seconds.
     """
 
     before: Mapping[str, str]
@@ -36,7 +36,7 @@ class Steadiness:
     _since_s: float | None = None
 
     def look(self, tasks: Sequence[TaskRow], now_s: float) -> bool:
-        """Take how they are; return whether they have run for long enough."""
+        """Take the present tasks; return whether they have run undisturbed for long enough."""
         seen = {str(row): row.incarnation for row in tasks}
         if self.faults(tasks) or seen != self._seen:
             self._since_s = None if self.faults(tasks) else now_s
@@ -46,7 +46,7 @@ class Steadiness:
         return now_s - self._since_s >= self.calm_s
 
     def faults(self, tasks: Sequence[TaskRow]) -> list[str]:
-        """Return a clause for each task that does not run, and did before, or is new."""
+        """Return a clause for each task that does not run although it ran before, or is new."""
         return [
             f"{row.service}/{row.task} is {_state(row)}" + (f": {row.reason}" if row.reason else "")
             for row in tasks
@@ -54,7 +54,7 @@ class Steadiness:
         ]
 
     def is_hopeless(self, tasks: Sequence[TaskRow]) -> bool:
-        """Return whether one of them has been given up."""
+        """Return whether a task has been given up, so that waiting is useless."""
         return any(_state(row) in HOPELESS and self._ran(row) for row in tasks)
 
     def _ran(self, row: TaskRow) -> bool:
@@ -62,7 +62,7 @@ class Steadiness:
 
 
 def is_given_up(row: TaskRow) -> bool:
-    """Return whether a task was given up, now or in an earlier life of its agent."""
+    """Return whether a task was given up, now or in an earlier run of its agent."""
     return _state(row) == GIVEN_UP
 
 
@@ -72,18 +72,18 @@ def _state(row: TaskRow) -> str:
 
 ANSWER_S: Final = 10.0
 SOON_S: Final = 5.0
-"""So long an agent that is ready again may take until its neighbours are linked to it, and its tasks are back."""
+"""How long tasks may take to come back to a restarted agent, in seconds, including the time to connect it."""
 BACK_S: Final = 20.0
-"""So long it may take at the end, when all agents have their versions."""
+"""The same at the end, when all agents have their new versions."""
 SETTLE_S: Final = 60.0
-"""So long the tasks of an agent may take until all of them run."""
+"""How long all tasks of an agent may take to run, in seconds."""
 LOOK_S: Final = 0.5
 HOSTED: Final = "client"
-"""The service that has the tasks which can move."""
+"""The service whose tasks can migrate."""
 RECORDER: Final = "log/Recorder"
 RUNNING: Final = ("running", "starting", "restarting")
 AWAY: Final = ("moved", "forgotten", "disputed")
-"""How the reasons begin for which a task rests that is not for this agent to start."""
+"""How `rest` begins for a task that this agent must not start."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class MovedTask:
     Attributes:
         task: its name.
         home: the agent that it belongs to.
-        at: the agent that has it now.
+        at: the agent that runs it now.
     """
 
     task: str
@@ -103,11 +103,11 @@ class MovedTask:
 
 @dataclass(frozen=True)
 class AgentBefore:
-    """How an agent was before it was restarted.
+    """The tasks of an agent before its restart.
 
     Attributes:
-        states: the states of its tasks, as `SERVICE/TASK`.
-        recorder: the settings of its recording; None: it recorded nothing.
+        states: the states of its tasks, by `SERVICE/TASK`.
+        recorder: the settings of its recorder; None: it did not record.
     """
 
     states: Mapping[str, str] = field(default_factory=dict)
@@ -119,16 +119,16 @@ class AgentBefore:
 
 
 class TaskMoves:
-    """Move tasks, and look how they are.
+    """Migrate the tasks of a fleet away and back, and check them.
 
     Args:
-        ways: the address of each agent of the fleet that can be reached from here, by name.
+        addresses: the address of each agent of the fleet that can be reached from here, by name.
         fleet: their fleet.
-        tell: takes a clause about an agent, to be read after its name.
+        tell: reports a clause about an agent, to be read after its name.
     """
 
-    def __init__(self, ways: Mapping[str, str], fleet: str, tell: Callable[[str, str], None]) -> None:
-        self._ways = ways
+    def __init__(self, addresses: Mapping[str, str], fleet: str, tell: Callable[[str, str], None]) -> None:
+        self._addresses = addresses
         self._fleet = fleet
         self._tell = tell
         self._moved: list[MovedTask] = []
@@ -138,24 +138,24 @@ class TaskMoves:
         """Return the tasks of an agent.
 
         Raises:
-            PancakesError: it does not answer.
+            PancakesError: the agent does not answer.
         """
         with self._client(agent) as client:
             return client.tasks(agent)
 
     def look(self, agent: str) -> AgentBefore:
-        """Return how an agent is, so that `run_again` can make it so once more; empty if it does not answer."""
+        """Return the present tasks of an agent, for a later `run_again`; empty if it does not answer."""
         try:
             with self._client(agent) as client:
                 states = {_name(row): row.state for row in client.tasks(agent)}
-                told = client.request(agent, Describe(RECORDER)) if states.get(RECORDER) == "running" else None
+                recorder = client.request(agent, Describe(RECORDER)) if states.get(RECORDER) == "running" else None
         except PancakesError as error:
-            self._tell(agent, f"does not say what runs on it: {error}")
+            self._tell(agent, f"does not report its tasks: {error}")
             return AgentBefore()
-        return AgentBefore(states, told.result["settings"] if told is not None and told.ok else None)
+        return AgentBefore(states, recorder.result["settings"] if recorder is not None and recorder.ok else None)
 
     def given_up(self, agent: str) -> list[str]:
-        """Return a clause for each task of an agent that was given up; none if it does not answer."""
+        """Return a clause for each task of an agent that was given up; empty if the agent does not answer."""
         try:
             rows = self.tasks(agent)
         except PancakesError:
@@ -166,13 +166,13 @@ class TaskMoves:
         ]
 
     def run_again(self, agent: str, before: AgentBefore, only_those: bool) -> None:
-        """Start tasks that an agent does not start by itself; say which do not start.
+        """Start tasks that a restarted agent does not start by itself; report those that do not start.
 
         Args:
-            agent: the agent, which has been restarted.
-            before: how it was.
-            only_those: whether only what ran then is started, and that however it ended; otherwise what was given up,
-                because it has another version now.
+            agent: the agent.
+            before: its tasks before the restart.
+            only_those: True: start the tasks that ran before. False: start the tasks that were given up, as the new
+                version may run them.
         """
         for row in self._answering(agent):
             if row.state in RUNNING or row.rest.startswith(AWAY):
@@ -192,7 +192,7 @@ class TaskMoves:
                 self._tell(agent, f"does not start {row.task}: {reply.reason}")
 
     def _answering(self, agent: str) -> list[TaskRow]:
-        """Return the tasks of an agent that has just been started, as soon as it answers."""
+        """Return the tasks of an agent that has just been started, once it answers."""
         until_s = self._now() + ANSWER_S
         with self._client(agent) as client:
             while True:
@@ -200,12 +200,12 @@ class TaskMoves:
                     return client.tasks(agent)
                 except PancakesError as error:
                     if self._now() >= until_s:
-                        self._tell(agent, f"does not say what runs on it: {error}")
+                        self._tell(agent, f"does not report its tasks: {error}")
                         return []
                 client.wait(lambda: False, LOOK_S)
 
     def movable(self, agent: str) -> list[tuple[str, str]]:
-        """Return the running tasks that could move, each with the agent that would take it now; empty: none would."""
+        """Return the running tasks that could migrate, each with the agent that would take it now; empty: none."""
         found = []
         for row in self._hosted(agent):
             with self._client(agent) as client:
@@ -216,9 +216,9 @@ class TaskMoves:
         return found
 
     def away(self, agent: str) -> None:
-        """Move the running tasks of an agent to its neighbours, if these can take them; say which stay.
+        """Migrate the running tasks of an agent to its neighbours; report those that no neighbour takes.
 
-        Those of others that wait there move on, and go home from where they are then.
+        Tasks of other agents that wait there migrate on, and later go home from their new place.
         """
         for row in self._hosted(agent):
             guest = next((it for it in self._moved if (it.task, it.at) == (row.task, agent)), None)
@@ -236,13 +236,13 @@ class TaskMoves:
                 self._moved.append(MovedTask(row.task, home, ledger.winner))
 
     def back(self, agent: str, within_s: float = SOON_S) -> None:
-        """Move tasks back to an agent that runs again.
+        """Migrate tasks back to an agent that runs again.
 
-        One that is refused waits where it is: tasks move between equal versions alone.
+        A task that is refused stays where it is for now: tasks migrate only between equal versions.
         """
         until_s = self._now() + within_s
         for it in [it for it in self._moved if it.home == agent]:
-            if it.at not in self._ways:
+            if it.at not in self._addresses:
                 self._moved.remove(it)
                 self._tell(agent, f"does not get {it.task} back: {it.at} has no host in the fleet file")
             elif not (fault := self._back(it, until_s)):
@@ -253,20 +253,20 @@ class TaskMoves:
                 self._tell(agent, f"does not get {it.task} back from {it.at}: {fault}")
 
     def all_back(self) -> None:
-        """Move all tasks back that are still away, once all agents run; say which stay away."""
+        """Migrate all tasks home that are still away, after all agents run; report those that stay away."""
         for agent in dict.fromkeys(it.home for it in self._moved):
             self.back(agent, BACK_S)
 
     def settle(
         self, agent: str, before: Mapping[str, str], calm_s: float, called_off: Callable[[], bool] = lambda: False
     ) -> str:
-        """Wait until the tasks of an agent run; return what is wrong, empty: nothing.
+        """Wait until the tasks of an agent run; return what is wrong, or an empty string.
 
         Args:
             agent: the agent.
             before: the states of its tasks before, by name.
-            calm_s: so long they have to run without one beginning from scratch.
-            called_off: returns whether to wait no more.
+            calm_s: how long they must run without a restart, in seconds.
+            called_off: returns whether to stop waiting.
         """
         steadiness, until_s = Steadiness(before, calm_s), self._now() + SETTLE_S
         with self._client(agent) as client:
@@ -281,7 +281,7 @@ class TaskMoves:
                 if steadiness.look(tasks, self._now()):
                     return ""
                 if steadiness.is_hopeless(tasks) or self._now() >= until_s:
-                    return "; ".join(steadiness.faults(tasks)) or "its tasks begin again and again"
+                    return "; ".join(steadiness.faults(tasks)) or "its tasks restart again and again"
                 client.wait(lambda: False, LOOK_S)
         return ""
 
@@ -289,11 +289,11 @@ class TaskMoves:
         try:
             return [row for row in self.tasks(agent) if row.service == HOSTED and row.state == "running"]
         except PancakesError as error:
-            self._tell(agent, f"is not asked for its tasks: {error}")
+            self._tell(agent, f"does not report its tasks: {error}")
             return []
 
     def _back(self, it: MovedTask, until_s: float) -> str:
-        """Move a task home; return why not, empty: it is there."""
+        """Migrate a task home; return why this failed, or an empty string."""
         with self._client(it.at) as client:
             while True:
                 try:
@@ -305,7 +305,7 @@ class TaskMoves:
                 client.wait(lambda: False, LOOK_S)
 
     def _client(self, agent: str) -> Client:
-        return Client(Where((self._ways[agent],), self._fleet), ANSWER_S, lambda text: None)
+        return Client(Where((self._addresses[agent],), self._fleet), ANSWER_S, lambda text: None)
 
 
 def _name(row: TaskRow) -> str:

@@ -1,8 +1,7 @@
-"""Plan a deployment: from the agents of a fleet file and what their hosts report to what is done where.
+"""Plan a deployment: from the agents of a fleet file and the reports of their hosts to the changes on each host.
 
-`plan_of` returns the plan, or raises with all that stands against it; nothing is changed on a host. `check_configs`
-checks the configurations with the wheels that are brought, on this machine. `change_of` is pure: what changes of one
-agent.
+`plan_of` returns the plan, or raises one error with all obstacles; it changes nothing on a host. `check_configs` checks
+the configurations on this machine, with the wheels to deploy. `change_of` plans the change of one agent, and is pure.
 """
 
 from __future__ import annotations
@@ -44,22 +43,22 @@ from pancakes.util.plugins import Plugins
 from pancakes.util.text import hint_of
 
 MARGIN: Final = 1.1
-"""What a disk loses beside the bytes of files."""
+"""How much more than the bytes of files is needed on a disk, as a factor."""
 
 
 @dataclass(frozen=True)
 class Supply:
-    """What is brought to one host.
+    """What one host gets.
 
     Attributes:
         host: the host.
         build: the build of Pancakes and its plug-ins.
-        environment: the environment that is made of it there.
-        own: the wheels of Pancakes and its plug-ins, and that of pip.
-        libraries: the folder with what they need.
-        others: the wheels that are unpacked there, and that of pip.
-        missing: those of the wheels that are to be sent.
-        damaged: files of the environment there that were changed by hand, so that another one is made.
+        environment: the name of the environment that is made of it.
+        own: the wheels of Pancakes and its plug-ins, and pip's.
+        libraries: the name of the folder with their dependencies.
+        others: the wheels that are unpacked in that folder, and pip's.
+        missing: the wheels that must be sent.
+        damaged: files of the host's environment that were changed by hand, so that a new one is made.
     """
 
     host: Host
@@ -73,11 +72,11 @@ class Supply:
 
     @property
     def brought_bytes(self) -> int:
-        """How much is sent."""
+        """How many bytes are sent."""
         return sum(wheel.path.stat().st_size for wheel in self.missing)
 
     def shortage(self) -> str:
-        """Return a sentence if the disk over there has too little room; empty: it has enough."""
+        """Return a sentence if the host's disk has too little room; empty if it has enough."""
         unpacked = 0
         if self.environment not in self.host.is_["environments"]:
             unpacked += sum(wheel.unpacked_bytes for wheel in self.own)
@@ -92,11 +91,11 @@ class Supply:
 
 
 def needed_extras(config: Config, has_keys: bool, plugins: Plugins) -> list[str]:
-    """Return the extras without which an agent would lack something that its configuration asks for.
+    """Return the extras that the configuration of an agent needs.
 
     Args:
-        config: its configuration.
-        has_keys: whether there are keys of it on its host.
+        config: the configuration.
+        has_keys: whether the host has keys of the agent.
         plugins: where its transports are found.
     """
     network = config.services.get("network")
@@ -104,7 +103,7 @@ def needed_extras(config: Config, has_keys: bool, plugins: Plugins) -> list[str]
     named = bool(settings.get("keys"))
     keyed = bool(keyed_addresses(config.agent, plugins)) and not settings.get("insecure")
     needed = {
-        "keys": has_keys or named or keyed,  # with keys but without this extra it takes no revocation
+        "keys": has_keys or named or keyed,  # an agent with keys but without this extra ignores revocations
         "metrics": any(service.type == "metrics" for service in config.services.values()),
         "record": config.record is not None,
     }
@@ -113,18 +112,20 @@ def needed_extras(config: Config, has_keys: bool, plugins: Plugins) -> list[str]
 
 @dataclass(frozen=True)
 class AgentChange:
-    """One agent, as it is and as it is to be.
+    """The planned change of one agent.
 
     Attributes:
-        name, fleet, host: which it is, and where.
-        version: the version that it is to have.
-        environment: the environment of that.
-        config: the configuration of that, as TOML.
-        was: the version that it has; empty: none.
-        last: the one that it had before that; empty: none.
-        ran: whether it runs, kept so by a manager.
-        changed: what is another than in the version that it has, for people.
-        edited: a clause about what a person has changed on its host; empty: nothing.
+        name: the agent.
+        fleet: its fleet.
+        host: its host.
+        version: its new version.
+        environment: the environment of the new version.
+        config: the configuration of the new version, as TOML.
+        was: its present version; empty: none.
+        last: the version before the present one; empty: none.
+        ran: whether a service manager runs it now.
+        changed: what differs between the present and the new version, for people.
+        edited: a clause about what a person has edited on its host; empty: nothing.
     """
 
     name: str
@@ -147,24 +148,24 @@ class AgentChange:
         return "switch" if self.was else "new"
 
 
-def change_of(member: Member, told: HostedAgent, supply: Supply) -> AgentChange:
-    """Return what is to be changed of an agent.
+def change_of(member: Member, hosted: HostedAgent, supply: Supply) -> AgentChange:
+    """Plan the change of an agent.
 
     Args:
         member: the agent.
-        told: what its host says of it (`pancakes.tools.remote_host.host_probe`).
-        supply: what is brought to its host.
+        hosted: its host's report on it (`pancakes.tools.remote_host.host_probe`).
+        supply: what its host gets.
     """
     config = effective_config(member.path, member.sets)
     digest = digest_of(config)
     base = f"{supply.build.partition('-')[0]}-{digest_of(supply.environment, config)[:12]}"
-    now, kept = told["version"], told["versions"]
-    # A file that was edited over there makes the version another one, whatever it is called.
+    now, kept = hosted["version"], hosted["versions"]
+    # If its file was edited on the host, the version differs, even if its name is the same.
     is_same = (
-        now in series(base, {*kept, now}) and told["config"] == digest and told["environment"] == supply.environment
+        now in series(base, {*kept, now}) and hosted["config"] == digest and hosted["environment"] == supply.environment
     )
     free = next(it for it in series(base, {*kept, now}) if it != now and kept.get(it, digest) == digest)
-    service = told["service"]
+    service = hosted["service"]
     return AgentChange(
         member.name,
         member.config.agent.fleet,
@@ -173,38 +174,38 @@ def change_of(member: Member, told: HostedAgent, supply: Supply) -> AgentChange:
         supply.environment,
         config,
         now,
-        told["last"],
+        hosted["last"],
         service is not None and service["state"] in ("active", "starting"),
-        () if is_same or not now else tuple(_changed(told, supply, digest)),
-        _edited(told),
+        () if is_same or not now else tuple(_changed(hosted, supply, digest)),
+        _edited(hosted),
     )
 
 
 def digest_of(*texts: str) -> str:
-    """Return a digest of texts, as hosts make it of a file."""
+    """Return the digest of texts; for one text, the same as a host's digest of a file with it."""
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
 def series(base: str, used: Collection[str]) -> list[str]:
-    """Return the names that something may have: its own, and others, until one is not in use."""
+    """Return the possible names of something: `base`, `base.2`, ..., up to the first that is not in use."""
     names = [base]
     while names[-1] in used or len(names) < 1 + sum(it.startswith(f"{base}.") for it in used):
         names.append(f"{base}.{len(names) + 1}")
     return names
 
 
-def _edited(told: HostedAgent) -> str:
-    """Return a clause if the configuration over there is not the one that was brought; empty: it is."""
-    brought = told["about"].get("config", "")
-    if not told["version"] or not brought or brought == told["config"]:
+def _edited(hosted: HostedAgent) -> str:
+    """Return a clause if the configuration on the host differs from the deployed one; empty if not."""
+    deployed = hosted["about"].get("config", "")
+    if not hosted["version"] or not deployed or deployed == hosted["config"]:
         return ""
-    what = "was edited" if told["config"] else "is gone or cannot be read"
-    return f"its configuration {what} there since it was brought (versions/{told['version']}/agent.toml)"
+    what = "was edited" if hosted["config"] else "is missing or cannot be read"
+    return f"its configuration {what} there since the last deployment (versions/{hosted['version']}/agent.toml)"
 
 
-def _changed(told: HostedAgent, supply: Supply, digest: str) -> Iterator[str]:
-    """Yield what is another than in the version over there, for people."""
-    before = {distribution_of_file(it): (it, seal) for it, seal in dict(told["about"].get("wheels") or {}).items()}
+def _changed(hosted: HostedAgent, supply: Supply, digest: str) -> Iterator[str]:
+    """Yield what differs from the host's present version, for people."""
+    before = {distribution_of_file(it): (it, seal) for it, seal in dict(hosted["about"].get("wheels") or {}).items()}
     after = {distribution_of_file(it): (it, seal) for it, seal in digests(supply.own).items()}
     for name in sorted({*before, *after} - {PIP} if before else ()):
         if name not in before:
@@ -214,19 +215,19 @@ def _changed(told: HostedAgent, supply: Supply, digest: str) -> Iterator[str]:
         elif before[name] != after[name]:
             was, now = (version_of_file(it[name][0]) for it in (before, after))
             yield f"{name} {was} → {now}" if was != now else f"{name} {now} is another build"
-    if told["about"].get("libraries") != supply.libraries:
+    if hosted["about"].get("libraries") != supply.libraries:
         yield "libraries"
-    if told["config"] != digest:
+    if hosted["config"] != digest:
         yield "configuration"
-    if told["environment"] != supply.environment:
+    if hosted["environment"] != supply.environment:
         yield "environment"
 
 
 def effective_config(path: Path, sets: tuple[str, ...]) -> str:
-    """Return an agent's file as TOML, with what a fleet file and the command line change of it.
+    """Return an agent's file as TOML, with the changes of the fleet file and the command line.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: the file cannot be read.
     """
     tables, places = tables_of(text_of(str(path)), str(path))
     if not sets:
@@ -253,17 +254,17 @@ print(json.dumps(faults))
 
 
 def check_configs(members: Sequence[Member], own: Sequence[Wheel]) -> str:
-    """Check the configurations of agents as the Pancakes and the plug-ins in some wheels read them.
+    """Check the configurations of agents with the Pancakes and the plug-ins of some wheels.
 
     Args:
         members: the agents.
         own: the wheels of Pancakes and its plug-ins.
 
     Returns:
-        Why that cannot be done on this machine, as a clause; empty: it is done.
+        Why this machine cannot check them, as a clause; empty: they were checked.
 
     Raises:
-        PancakesError: some are not sound; the sentences name file, line and key.
+        PancakesError: some are invalid; the sentences name file, line and key.
     """
     with tempfile.TemporaryDirectory(prefix="pancakes-check-") as folder:
         for wheel in own:
@@ -277,18 +278,18 @@ def check_configs(members: Sequence[Member], own: Sequence[Wheel]) -> str:
     try:
         faults: list[str] = json.loads(done.stdout)
     except ValueError:  # those wheels need libraries that this machine lacks
-        return next((line for line in reversed(done.stderr.splitlines()) if line.strip()), "its check says nothing")
+        return next((line for line in reversed(done.stderr.splitlines()) if line.strip()), "there is no output")
     if faults:
-        raise PancakesError("\n".join([*dict.fromkeys(faults), "nothing was brought to a host"]))
+        raise PancakesError("\n".join([*dict.fromkeys(faults), "no host was changed"]))
     return ""
 
 
 @dataclass(frozen=True)
 class DeploymentPlan:
-    """What is to be done where.
+    """A planned deployment.
 
     Attributes:
-        supplies: what is brought, by host.
+        supplies: what each host gets, by host.
         changes: the agents, in the order in which they are switched.
     """
 
@@ -297,19 +298,19 @@ class DeploymentPlan:
 
 
 def plan_of(
-    members: Sequence[Member], hosts: Mapping[str, Host], own: Sequence[Wheel], extras: Sequence[str], anew: bool
+    members: Sequence[Member], hosts: Mapping[str, Host], own: Sequence[Wheel], extras: Sequence[str], upgrade: bool
 ) -> DeploymentPlan:
-    """Return what is to be done; nothing is changed on a host.
+    """Plan a deployment, without changing a host.
 
     Args:
         members: the agents that have a host.
         hosts: their hosts.
         own: the wheels of Pancakes and its plug-ins.
-        extras: those of Pancakes that are installed with it, beside those that the configurations need.
-        anew: whether newer libraries are looked for than those that were fetched before.
+        extras: extras of Pancakes to install, besides those that the configurations need.
+        upgrade: whether to look for newer libraries instead of using those that were downloaded before.
 
     Raises:
-        PancakesError: a host cannot take part; the sentences say all that stands against it.
+        PancakesError: a host cannot take part; the sentences name all obstacles.
     """
     _check_extras(own, extras)
     _check_running(members, hosts)
@@ -322,7 +323,7 @@ def plan_of(
         try:
             platform = Platform.of(host.is_["python"], host.is_["platform"], host.is_["libc"])
             if platform not in by_platform:
-                by_platform[platform] = libraries_for(own, extras, platform, anew)
+                by_platform[platform] = libraries_for(own, extras, platform, upgrade)
         except PancakesError as error:
             raise PancakesError(f"{name}: {error}") from None
         supplies[name] = _supply(host, own, by_platform[platform], platform)
@@ -331,7 +332,7 @@ def plan_of(
 
 
 def has_keys(member: Member, hosts: Mapping[str, Host]) -> bool:
-    """Return whether there are keys of an agent on its host."""
+    """Return whether the host of an agent has its keys."""
     return bool(hosts[member.host].agent(member.name)["keys"])
 
 
@@ -341,15 +342,15 @@ def _supply(host: Host, own: Sequence[Wheel], others: Sequence[Wheel], platform:
     own = [*own, *(wheel for wheel in others if distribution_of(wheel) == PIP)]
     made, folders, damaged = host.is_["environments"], host.is_["libraries"], []
 
-    def intact(kind: str, base: str, there: Collection[str]) -> str:
-        """Return the name of what is there and as it was made, or else one that is free."""
-        names = series(base, there)
+    def intact(kind: str, base: str, existing: Collection[str]) -> str:
+        """Return the name of an existing undamaged folder, or a free name."""
+        names = series(base, existing)
         for name in names:
-            if name in there:
+            if name in existing:
                 if not (found := host.link.obtain("damaged", kind=list[str], folder=kind, name=name)):
                     return name
                 damaged.extend(found)
-        return next(name for name in names if name not in there)
+        return next(name for name in names if name not in existing)
 
     libraries = intact("libraries", name_of(python, *platform.tags[:1], wheels=others), folders)
     environment = intact("environments", name_of(f"{version}-{python}", libraries, wheels=own), made)
@@ -370,13 +371,15 @@ def _check_extras(own: Sequence[Wheel], extras: Sequence[str]) -> None:
 
 
 def _check_running(members: Sequence[Member], hosts: Mapping[str, Host]) -> None:
-    """An agent that a person or a launcher has started is none that may be restarted here."""
+    """Raise if an agent was started by a person or a launcher: a deployment must not restart it."""
     problems = []
     for member in members:
         host = hosts[member.host]
         pid, service = host.runs(member), host.agent(member.name)["service"]
         if pid and (service is None or pid != service["pid"]):
-            advice = "end it first, with pancakes down --fleet-file or its launcher"
-            problems.append(f"{member.name} runs on {host.name} already (process {pid}), not by a deployment: {advice}")
+            advice = "stop it first, with pancakes down --fleet-file or its launcher"
+            problems.append(
+                f"{member.name} already runs on {host.name} (process {pid}), not from a deployment: {advice}"
+            )
     if problems:
         raise PancakesError("\n".join(problems))

@@ -1,4 +1,4 @@
-"""The wheels of a deployment: those of Pancakes and its plug-ins, and what they need on a host."""
+"""Collect the wheels of a deployment: those of Pancakes and its plug-ins, and their dependencies for a host."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ PIP: Final = "pip"
 CORE: Final = "pancakes-agents"
 """The distribution of Pancakes itself."""
 ORIGIN: Final = "direct_url.json"
-"""The file of an installed distribution that says where it came from, unless from an index."""
+"""The file of an installed distribution that names its source, if it did not come from an index."""
 OLDEST_GLIBC: Final = 17
-"""No wheel is for an older glibc than 2.17."""
+"""The minor version of the oldest glibc with wheels: 2.17."""
 _OLD_NAMES: Final = ("manylinux2014", "manylinux2010", "manylinux1")
 MOST_KEPT: Final = 40
-"""So many builds and sets of libraries are kept on this machine, the last ones that were used."""
+"""How many of the last used builds and sets of libraries are kept on this machine."""
 UNREACHED: Final = re.compile(
     r"connection broken by|NewConnectionError|ConnectTimeoutError|Failed to establish a new connection"
     r"|Name or service not known|Temporary failure in name resolution|ProxyError|Network is unreachable"
 )
-"""How pip says that it cannot reach an index; that it has found nothing there follows from that."""
+"""Pip's messages if it cannot reach an index; its other errors, such as that it found nothing, follow from that."""
 _LEFT_OUT: Final = shutil.ignore_patterns(".*", "venv", "build", "dist", "runs", "*.egg-info", "__pycache__")
 
 
@@ -55,8 +55,9 @@ class Wheel:
 
     Attributes:
         path: the file.
-        digest: a digest of what is in it. When it was built does not count: a build of the same sources is the same.
-        unpacked_bytes: the size of what is in it.
+        digest: the digest of its content, without the time of the build: another build of the same sources has the
+            same digest.
+        unpacked_bytes: the size of its content.
     """
 
     path: Path
@@ -71,11 +72,11 @@ class Wheel:
 
 @dataclass(frozen=True)
 class Platform:
-    """What a wheel has to be made for.
+    """The Python version and platform of a host.
 
     Attributes:
         python: the minor version, `3.11`.
-        tags: the platforms of wheels that run there, the best first.
+        tags: the platform tags of wheels that run there, the best first.
     """
 
     python: str
@@ -83,24 +84,24 @@ class Platform:
 
     @classmethod
     def of(cls, python: Sequence[int], platform: str, libc: Sequence[str]) -> Platform:
-        """Return that of a host.
+        """Return the platform of a host.
 
         Args:
-            python: its version.
-            platform: as `sysconfig.get_platform` says it, such as `linux-aarch64`.
-            libc: as `platform.libc_ver` says it, such as `("glibc", "2.36")`.
+            python: its Python version.
+            platform: from `sysconfig.get_platform`, such as `linux-aarch64`.
+            libc: from `platform.libc_ver`, such as `("glibc", "2.36")`.
 
         Raises:
-            PancakesError: it is no Linux.
+            PancakesError: the host does not run Linux.
         """
         return cls(f"{python[0]}.{python[1]}", tuple(_tags(platform, libc)))
 
 
 def wheel_at(path: Path) -> Wheel:
-    """Return a wheel.
+    """Read a wheel.
 
     Raises:
-        PancakesError: the file is none.
+        PancakesError: the file is not a wheel.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -109,25 +110,25 @@ def wheel_at(path: Path) -> Wheel:
             for file in files:
                 data = archive.read(file)
                 if file.filename.endswith(".dist-info/RECORD"):
-                    data = b"\n".join(sorted(data.splitlines()))  # its order is that in which files were found
-                told = f"{file.filename}\n{file.external_attr >> 16 & stat.S_IXUSR}\n"
-                whole.update(told.encode() + hashlib.sha256(data).digest())
+                    data = b"\n".join(sorted(data.splitlines()))  # the order of its lines depends on the build
+                head = f"{file.filename}\n{file.external_attr >> 16 & stat.S_IXUSR}\n"
+                whole.update(head.encode() + hashlib.sha256(data).digest())
     except (OSError, zipfile.BadZipFile, zlib.error) as error:
-        raise PancakesError(f"{path} is no wheel: {error}") from None
+        raise PancakesError(f"{path} is not a wheel: {error}") from None
     return Wheel(path, whole.hexdigest()[:16], sum(file.file_size for file in files))
 
 
 def given_wheels(paths: Iterable[Path]) -> list[Wheel]:
-    """Return the wheels that a person has named, or that lie in a folder which that person has named.
+    """Return the wheels at the given paths, which are files or folders.
 
     Raises:
-        PancakesError: there are none, or none of Pancakes is among them, or two of one distribution.
+        PancakesError: a folder has no wheels, Pancakes' wheel is missing, or two wheels are of one distribution.
     """
     files: list[Path] = []
     for path in paths:
         found = sorted(path.glob("*.whl")) if path.is_dir() else [path]
         if not found:
-            raise PancakesError(f"{path} has no wheels in it: scripts/release puts them into dist")
+            raise PancakesError(f"{path} contains no wheels: scripts/release puts them into dist")
         files += found
     wheels = [wheel_at(path) for path in dict.fromkeys(files)]
     by_name: dict[str, Wheel] = {}
@@ -142,16 +143,16 @@ def given_wheels(paths: Iterable[Path]) -> list[Wheel]:
 
 
 def installed_wheels(folder: Path) -> list[Wheel]:
-    """Make wheels of the Pancakes that is installed here, and of the plug-ins beside it.
+    """Make wheels of the installed Pancakes and its plug-ins.
 
-    A clone or a folder that is installed as such is built as it is now; what came from an index is fetched from there.
-    What was built or fetched before is taken again.
+    A distribution that was installed from a folder is built from its present files; one from an index is downloaded.
+    Earlier builds and downloads are reused.
 
     Args:
-        folder: where they go.
+        folder: the folder for the wheels.
 
     Raises:
-        PancakesError: one cannot be made.
+        PancakesError: a wheel cannot be made.
     """
     for number, own in enumerate(_own_distributions()):
         source = _source_of(own)
@@ -167,49 +168,51 @@ def installed_wheels(folder: Path) -> list[Wheel]:
         if not source.is_dir():
             raise PancakesError(f"{name} is installed from {source}, which is gone: name its wheel with --wheels")
         copy = folder / f"source-{number}"
-        shutil.copytree(source, copy, symlinks=True, ignore=_LEFT_OUT)  # nothing of an older build gets in
-        isolation = ["--no-build-isolation"] if _is_built_with_what_is_here(source) else []
+        shutil.copytree(source, copy, symlinks=True, ignore=_LEFT_OUT)  # without files of an older build
+        isolation = ["--no-build-isolation"] if _has_build_requirements(source) else []
         command = ["wheel", *isolation, "--no-deps", str(copy), "--wheel-dir"]
         shutil.copytree(_kept("wheels", _digest_of_tree(copy), command, name), folder, dirs_exist_ok=True)
         shutil.rmtree(copy)
     return [wheel_at(path) for path in sorted(folder.glob("*.whl"))]
 
 
-def libraries_for(own: Sequence[Wheel], extras: Sequence[str], platform: Platform, anew: bool = False) -> list[Wheel]:
-    """Return the wheels that some wheels need on a platform, with that of pip, which installs them there.
+def libraries_for(
+    own: Sequence[Wheel], extras: Sequence[str], platform: Platform, upgrade: bool = False
+) -> list[Wheel]:
+    """Return the wheels of the dependencies for a platform, and pip's wheel, which installs them there.
 
-    They are fetched once and kept, so that a fleet keeps the libraries that it has as long as it needs the same.
+    They are downloaded once and kept, so that a fleet keeps its libraries as long as its requirements do not change.
 
     Args:
         own: the wheels of Pancakes and its plug-ins.
-        extras: those of Pancakes that are installed with it.
+        extras: the extras of Pancakes to install.
         platform: the platform.
-        anew: whether newer ones are looked for.
+        upgrade: whether to look for newer versions.
 
     Raises:
-        PancakesError: one cannot be had for that platform.
+        PancakesError: a dependency has no wheel for the platform.
     """
     needs = [line for wheel in own for line in (distribution_of(wheel), *_metadata(wheel).get_all("Requires-Dist", []))]
-    told = "\n".join([platform.python, *platform.tags, *sorted(extras), *needs])
+    key = "\n".join([platform.python, *platform.tags, *sorted(extras), *needs])
     command = _download(own, extras, platform)
-    folder = _kept("libraries", told, command, f"Python {platform.python} on {platform.tags[-1]}", anew)
+    folder = _kept("libraries", key, command, f"Python {platform.python} on {platform.tags[-1]}", upgrade)
     mine = {distribution_of(wheel) for wheel in own}
     return [wheel for path in sorted(folder.glob("*.whl")) if distribution_of(wheel := wheel_at(path)) not in mine]
 
 
-def _kept(kind: str, told: str, command: Sequence[str], about: str, anew: bool = False) -> Path:
-    """Return a folder with wheels that `pip` has put there, now or before.
+def _kept(kind: str, key: str, command: Sequence[str], about: str, renew: bool = False) -> Path:
+    """Return a cached folder with wheels; run `pip` to fill it if it does not exist.
 
     Args:
-        kind: the folder that is for this kind of wheels.
-        told: what they follow from.
-        command: the command that puts them into the folder that is named after it.
-        about: what they are for, for people.
-        anew: whether they are made again.
+        kind: the name of the cache for this kind of wheels.
+        key: identifies the folder in the cache.
+        command: the arguments of `pip`, without the folder.
+        about: what the wheels are for, for people.
+        renew: whether to fill it again.
     """
     base = _cache() / kind
-    folder = base / hashlib.sha256(f"{told}\n{sys.version_info[:2]}".encode()).hexdigest()[:16]
-    if anew or not folder.exists():
+    folder = base / hashlib.sha256(f"{key}\n{sys.version_info[:2]}".encode()).hexdigest()[:16]
+    if renew or not folder.exists():
         base.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=base, prefix=".new-") as made:
             _pip([*command, made], about)
@@ -231,7 +234,7 @@ def _digest_of_tree(folder: Path) -> str:
 
 
 def _download(own: Sequence[Wheel], extras: Sequence[str], platform: Platform) -> list[str]:
-    """Return the command that fetches what some wheels need; the folder for it comes last."""
+    """Return the arguments of `pip` that download dependencies; the folder for them comes last."""
     major, minor = platform.python.split(".")
     options = ["--only-binary=:all:", "--python-version", platform.python]
     options += ["--implementation", "cp", "--abi", f"cp{major}{minor}", "--abi", "abi3", "--abi", "none"]
@@ -245,11 +248,11 @@ def _download(own: Sequence[Wheel], extras: Sequence[str], platform: Platform) -
 
 
 def _cache() -> Path:
-    return user_folder("XDG_CACHE_HOME", ".cache", "what pip brings") / "pancakes"
+    return user_folder("XDG_CACHE_HOME", ".cache", "wheels from pip") / "pancakes"
 
 
 def build_of(own: Sequence[Wheel]) -> str:
-    """Return a name for some wheels of Pancakes and plug-ins: the version, and a digest of all that is in them."""
+    """Return the name of a build of Pancakes and plug-ins: the version, and a digest of the wheels' content."""
     whole = hashlib.sha256()
     version = ""
     for wheel in sorted(own, key=lambda it: it.name):
@@ -267,28 +270,28 @@ def digests(wheels: Iterable[Wheel]) -> dict[str, str]:
 
 
 def name_of(prefix: str, *parts: str, wheels: Iterable[Wheel]) -> str:
-    """Return a name for what is made of wheels: another one where one of them, or one of `parts`, is another."""
-    told = [*parts, *(f"{name} {digest}" for name, digest in sorted(digests(wheels).items()))]
-    return f"{prefix}-{hashlib.sha256(chr(10).join(told).encode()).hexdigest()[:12]}"
+    """Return a name that depends on all wheels and all `parts`, and begins with `prefix`."""
+    lines = [*parts, *(f"{name} {digest}" for name, digest in sorted(digests(wheels).items()))]
+    return f"{prefix}-{hashlib.sha256(chr(10).join(lines).encode()).hexdigest()[:12]}"
 
 
 def distribution_of(wheel: Wheel) -> str:
-    """Return the name of the distribution that a wheel is of."""
+    """Return the name of a wheel's distribution."""
     return distribution_of_file(wheel.name)
 
 
 def distribution_of_file(name: str) -> str:
-    """Return the name of the distribution that a wheel is of, by its file."""
+    """Return the name of a wheel's distribution, by its file name."""
     return str(canonicalize_name(name.split("-")[0]))
 
 
 def version_of_file(name: str) -> str:
-    """Return the version of a wheel, by its file."""
+    """Return the version of a wheel, by its file name."""
     return name.split("-")[1]
 
 
 def extras_of(wheel: Wheel) -> list[str]:
-    """Return the extras that a wheel has."""
+    """Return the extras of a wheel."""
     return list(_metadata(wheel).get_all("Provides-Extra", []))
 
 
@@ -299,34 +302,34 @@ def _metadata(wheel: Wheel) -> Message:
 
 
 def _own_distributions() -> list[Distribution]:
-    """Return Pancakes, and what brings plug-ins for it, each once."""
+    """Return the distributions of Pancakes and of its plug-ins, each once."""
     found: dict[str, Distribution] = {}
     for it in distributions():
         name = str(canonicalize_name(it.metadata["Name"] or ""))
         if name == CORE or any(entry.group in GROUPS for entry in it.entry_points):
             known = found.setdefault(name, it)
             if known.read_text(ORIGIN) is None and it.read_text(ORIGIN) is not None:
-                found[name] = it  # the other is what lies in the working directory
+                found[name] = it  # the other one is only a folder in the working directory
     return list(found.values())
 
 
 def _source_of(installed: Distribution) -> Path | None:
-    """Return the folder, or the wheel, from which a distribution was installed; None: it came from an index."""
-    told = installed.read_text(ORIGIN)
-    if told is None:
-        # It lies beside its sources then, as `setup.py develop` leaves it.
+    """Return the folder or wheel that a distribution was installed from; None: it came from an index."""
+    origin = installed.read_text(ORIGIN)
+    if origin is None:
+        # Without METADATA, it lies beside its sources, as `setup.py develop` leaves it.
         is_source = installed.read_text("METADATA") is None
         return Path(str(installed.locate_file(""))) if is_source else None
-    url = str(json.loads(told)["url"])
+    url = str(json.loads(origin)["url"])
     return Path(unquote(urlsplit(url).path)) if url.startswith("file:") else None
 
 
-def _is_built_with_what_is_here(source: Path) -> bool:
-    """Return whether all is installed here that builds a source, so that nothing has to be fetched for that."""
+def _has_build_requirements(source: Path) -> bool:
+    """Return whether the build requirements of a source are installed here, so that none must be downloaded."""
     try:
         table = toml_values((source / "pyproject.toml").read_text())["build-system"]
         wanted = [Requirement(text) for text in table["requires"]]
-        # An older one needs a further library to make wheels.
+        # An older setuptools needs another library to make wheels.
         wanted += [Requirement("setuptools>=70.1")] if any(it.name == "setuptools" for it in wanted) else []
         return all(it.specifier.contains(version_of(it.name), prereleases=True) for it in wanted)
     except (OSError, ValueError, KeyError, PackageNotFoundError):
@@ -354,10 +357,10 @@ def _pip(words: Sequence[str], about: str) -> None:
     if done.returncode == 0:
         return
     if UNREACHED.search(done.stdout + done.stderr):
-        advice = "connect this machine to it once; what was fetched before is kept"
-        raise PancakesError(f"no wheels can be had for {about}: the package index cannot be reached: {advice}")
+        advice = "connect this machine to it once; downloaded wheels are kept"
+        raise PancakesError(f"no wheels for {about}: the package index cannot be reached: {advice}")
     lines = [line.strip() for line in (done.stderr or done.stdout).splitlines() if line.strip()]
-    # Where pip fails by itself, as when a network goes, it ends with the error.
-    said = [line for line in lines if line.startswith("ERROR:") and line != "ERROR: Exception:"]
-    said = said or lines[-1:] or ["pip does not say why"]
-    raise PancakesError(f"no wheels can be had for {about}: " + " ".join(said))
+    # If pip itself crashes, as when the network fails, its last line is the error.
+    errors = [line for line in lines if line.startswith("ERROR:") and line != "ERROR: Exception:"]
+    errors = errors or lines[-1:] or ["pip gives no reason"]
+    raise PancakesError(f"no wheels for {about}: " + " ".join(errors))

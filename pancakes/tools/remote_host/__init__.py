@@ -1,1 +1,1 @@
-"""What Pancakes runs on another machine, over SSH. The modules are sent there, so they need nothing but Python."""
+"""Run Pancakes' part on another machine, over SSH. These modules are sent there, so they need only Python."""

@@ -1,6 +1,6 @@
 """Start, read and end the processes of launched agents: used by the launcher itself, and sent to other hosts.
 
-Each agent has two pipes: one for what it prints, and one for how far it says that it is (`pancakes-agent --ready-fd`).
+Each agent has two pipes: one for its output, and one for its progress (`pancakes-agent --ready-fd`).
 """
 
 from __future__ import annotations
@@ -11,60 +11,60 @@ from collections.abc import Callable, Iterator
 from typing import Final, Protocol
 
 LONGEST: Final = 65_536
-"""A line that has no end is cut after so many characters."""
+"""A line without an end is cut after this many characters."""
 _CHUNK: Final = 65_536
 
 
 class AgentProcess(Protocol):
-    """One agent's process, as `subprocess.Popen` is one."""
+    """The process of one agent, with the interface of `subprocess.Popen`."""
 
     @property
     def pid(self) -> int:
-        """Its number."""
+        """The process number."""
 
     @property
     def returncode(self) -> int | None:
-        """Its exit code, minus the number of the signal that ended it; None: it runs, or `poll` was not called."""
+        """The exit code, or minus the number of the signal; None: the process runs, or `poll` was not called."""
 
     def poll(self) -> int | None:
-        """Return its exit code; None: it runs."""
+        """Return the exit code; None: the process runs."""
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait until it has ended, and return its exit code.
+        """Wait until the process has ended, and return its exit code.
 
         Raises:
-            subprocess.TimeoutExpired: it has not within `timeout` seconds.
+            subprocess.TimeoutExpired: it still runs after `timeout` seconds.
         """
 
     def terminate(self) -> None:
-        """Send it SIGTERM."""
+        """Send SIGTERM."""
 
     def kill(self) -> None:
-        """Send it SIGKILL."""
+        """Send SIGKILL."""
 
 
 class AgentListener(Protocol):
-    """Learn what becomes of agents, in the thread that runs them."""
+    """Receive the events of agents, in the thread that runs them."""
 
     def printed(self, name: str, text: str) -> None:
-        """Take a line that an agent has printed."""
+        """Handle a line that an agent has printed."""
 
     def said(self, name: str, line: str) -> None:
-        """Take a line that says how far an agent is, as `pancakes-agent --ready-fd` writes it."""
+        """Handle a line about the progress of an agent, as `pancakes-agent --ready-fd` writes it."""
 
     def ended(self, name: str, code: int, how: str = "") -> None:
-        """Take the exit code of an agent's process; `how` is a phrase if the code does not say it."""
+        """Handle the exit code of an agent's process; `how` says how it ended if the code does not."""
 
 
 class Lines:
-    """Split what a process prints into lines. What is no UTF-8 is shown as replacement characters."""
+    """Split the output of a process into lines. Bytes that are not UTF-8 become replacement characters."""
 
     def __init__(self) -> None:
         self._decoder = getincrementaldecoder("utf-8")("replace")
         self._begun = ""
 
     def feed(self, data: bytes) -> Iterator[str]:
-        """Take what was printed, and yield the lines that are whole by that."""
+        """Take some output, and yield the lines that are complete now."""
         *whole, self._begun = (self._begun + self._decoder.decode(data)).split("\n")
         for line in whole:
             yield line.removesuffix("\r")
@@ -73,14 +73,14 @@ class Lines:
             self._begun = self._begun[LONGEST:]
 
     def rest(self) -> Iterator[str]:
-        """Yield the last line, if it has no end."""
+        """Yield the last line if it has no newline."""
         begun, self._begun = self._begun + self._decoder.decode(b"", final=True), ""
         if begun:
             yield begun
 
 
 class _Pipe:
-    """One pipe of an agent, and the lines that come through it."""
+    """One pipe of an agent, and the lines from it."""
 
     def __init__(self, number: int, take: Callable[[str], None], closing: Callable[[int], None]) -> None:
         os.set_blocking(number, False)
@@ -91,7 +91,7 @@ class _Pipe:
         self._lines = Lines()
 
     def read(self) -> bool:
-        """Read it once, and close it at its end; return whether there was something."""
+        """Read the pipe once, and close it at its end; return whether there was any data."""
         try:
             data = os.read(self.number, _CHUNK)
         except BlockingIOError:
@@ -124,8 +124,8 @@ class AgentProcesses:
     """Hold the processes of agents by their names, in one thread.
 
     Args:
-        listener: learns what they print and say, and how they end.
-        closing: is told the number of each pipe before it is closed.
+        listener: receives the output, progress and end of each agent.
+        closing: called with the file descriptor of each pipe before it is closed.
     """
 
     def __init__(self, listener: AgentListener, closing: Callable[[int], None] = lambda pipe: None) -> None:
@@ -141,10 +141,10 @@ class AgentProcesses:
 
         Args:
             name: the agent.
-            make: makes its process, given the ends of the pipes for its output and for what it says.
+            make: creates its process, given the write ends of the pipes for its output and its progress.
 
         Raises:
-            OSError: no process can be made.
+            OSError: the process cannot be created.
         """
         output, output_end = os.pipe()
         said, said_end = os.pipe()
@@ -176,16 +176,16 @@ class AgentProcesses:
             self._agents[name].process.kill()
 
     def processes(self) -> list[AgentProcess]:
-        """Return the processes whose end was not reported yet."""
+        """Return the processes whose end has not been reported yet."""
         return [agent.process for agent in self._agents.values()]
 
     def pipes(self, name: str = "") -> dict[int, Callable[[], bool]]:
-        """Return the open pipes of one agent, or of all, with what reads them once they are ready."""
+        """Return the open pipes of one agent, or of all, each with the function that reads it when it is ready."""
         agents = [self._agents[name]] if name else self._agents.values()
         return {pipe.number: pipe.read for agent in agents for pipe in (agent.output, agent.said) if pipe.open}
 
     def look(self) -> None:
-        """Report the agents that have ended, after all that they printed."""
+        """Report the agents that have ended, after all of their output."""
         for name, agent in list(self._agents.items()):
             code = agent.process.poll()
             if code is None:
@@ -193,6 +193,6 @@ class AgentProcesses:
             del self._agents[name]
             while agent.output.open and agent.output.read():
                 pass
-            agent.output.close()  # a child that the agent left may keep the other end open for ever
+            agent.output.close()  # a child process of the agent may keep the other end open for ever
             agent.said.close()
             self._listener.ended(name, code)

@@ -2,9 +2,9 @@
 
     python supervisor.py FOLDER
 
-This module is sent to the host alone and runs as a script: it needs nothing but Python, and works with any version of
-Pancakes. `command.json` in the folder is the command to run. The supervisor keeps the file `lock` locked, reports the
-state of the agent in `status.json`, and writes what the agent prints to `agent.log`. SIGTERM ends both.
+This module is sent to the host as a single file and runs as a script: it needs only Python, and works with any version
+of Pancakes. `command.json` in the folder is the command to run. The supervisor keeps the file `lock` locked, reports
+the state of the agent in `status.json`, and writes the agent's output to `agent.log`. SIGTERM ends both.
 """
 
 from __future__ import annotations
@@ -25,30 +25,31 @@ from pathlib import Path
 from typing import Any, Final
 
 WATCHDOG_S: Final = 10.0
-"""An agent that does not say for so long that it lives is hung."""
+"""An agent that sends no sign of life for this long hangs, in seconds."""
 READY_S: Final = 90.0
-"""An agent that is not ready after so long is ended, and started again."""
+"""An agent that is not ready after this time is killed and restarted, in seconds."""
 END_S: Final = 10.0
-"""An agent that was told to end is killed after so long."""
+"""How long an agent may take to stop before it is killed, in seconds."""
 PAUSE_S: Final = 1.0
-"""So long the first restart waits; each further one twice as long, up to the longest, until it has run for a while."""
+"""The pause before the first restart, in seconds; it doubles with each further failure up to `LONGEST_S`."""
 LONGEST_S: Final = 60.0
+"""The longest pause before a restart; an agent that ran this long starts again with the shortest."""
 BAD_CONFIGURATION: Final = 4
-"""The exit code of an agent that would end in the same way each time."""
+"""The exit code for a bad configuration: a restart would end in the same way."""
 LOCK_S: Final = 2.0
-"""A program that looks whether there is a supervisor has the lock for a moment."""
+"""How long to wait for the lock, in seconds: a program that checks for a supervisor holds it for a moment."""
 LOG_BYTES: Final = 4 << 20
-"""A log that is longer becomes `agent.log.1`."""
+"""A longer log becomes `agent.log.1`."""
 
 
 class AgentLog:
-    """What the agent prints, in a file that stays short."""
+    """The output of the agent, in a file of limited size."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def write(self, data: bytes) -> None:
-        """Add to it. A disk that is full stops no agent."""
+        """Append to the file. Errors are ignored: a full disk must not stop the agent."""
         with contextlib.suppress(OSError):
             if self._path.exists() and self._path.stat().st_size > LOG_BYTES:
                 os.replace(self._path, self._path.with_name("agent.log.1"))
@@ -57,10 +58,10 @@ class AgentLog:
 
 
 class Supervisor:
-    """Stand by an agent, in one thread.
+    """Keep one agent running, in one thread.
 
     Args:
-        folder: see above.
+        folder: the folder with `command.json`.
         watchdog_s: see `WATCHDOG_S`.
         pause_s: see `PAUSE_S`.
     """
@@ -78,7 +79,7 @@ class Supervisor:
         self._selector = selectors.DefaultSelector()
 
     def run(self) -> None:
-        """Run until it is told to end."""
+        """Run until SIGTERM, or until the agent ends for good."""
         place = tempfile.mkdtemp(prefix="pancakes-notify-")
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notices:
             try:
@@ -124,7 +125,7 @@ class Supervisor:
         elif self._process.poll() is not None:
             self._ended(self._process.returncode)
         elif now_s - self._heard_s > self._patience_s():
-            self._log.write(b"the supervisor ends the agent: it does not say that it lives\n")
+            self._log.write(b"the supervisor kills the agent: it hangs\n")
             self._process.kill()
             self._heard_s = now_s
 
@@ -169,13 +170,13 @@ class Supervisor:
 
     def _hear(self, notices: socket.socket) -> None:
         with contextlib.suppress(BlockingIOError):
-            while said := notices.recv(4096).decode("utf-8", "replace").splitlines():
+            while lines := notices.recv(4096).decode("utf-8", "replace").splitlines():
                 self._heard_s = time.monotonic()
-                if "READY=1" in said and self._process is not None:
+                if "READY=1" in lines and self._process is not None:
                     self._tell(state="active")
 
     def _ended(self, code: int) -> None:
-        """The agent has ended by itself, or was ended because it hung."""
+        """Plan the restart of an agent that has ended by itself, or was killed because it hung."""
         self._process = None
         if code in (0, BAD_CONFIGURATION):
             self._ends = True
@@ -184,11 +185,11 @@ class Supervisor:
             self._failures = 1 if time.monotonic() - self._began_s >= LONGEST_S else self._failures + 1
             pause_s = min(LONGEST_S, self._pause_s * 2 ** (self._failures - 1))
             self._due_s = time.monotonic() + pause_s
-            self._log.write(f"the supervisor starts the agent again in {pause_s:g} s: it ended with {code}\n".encode())
+            self._log.write(f"the supervisor restarts the agent in {pause_s:g} s: it ended with {code}\n".encode())
             self._tell(state="starting", pid=0, restarts=self._status["restarts"] + 1)
 
     def _end(self) -> None:
-        """End the agent, and read what it says meanwhile."""
+        """Stop the agent, and read its last output."""
         if self._process is None:
             return
         self._process.terminate()
@@ -215,7 +216,7 @@ class Supervisor:
 
 
 def main() -> None:
-    """Begin, unless another supervisor stands by this agent."""
+    """Start the supervisor, unless this agent already has one."""
     folder = Path(sys.argv[1])
     lock = open(folder / "lock", "a+")  # noqa: SIM115 - it is open as long as this process
     until_s = time.monotonic() + LOCK_S
@@ -225,7 +226,7 @@ def main() -> None:
             break
         except BlockingIOError:
             if time.monotonic() > until_s:
-                sys.exit("another supervisor stands by this agent")
+                sys.exit("this agent already has a supervisor")
             time.sleep(0.05)
     lock.truncate(0)
     lock.write(str(os.getpid()))

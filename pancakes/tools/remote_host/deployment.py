@@ -1,10 +1,10 @@
-"""A host's part in a deployment: it takes wheels, makes environments of them, and switches agents between versions.
+"""Do a host's part of a deployment: store wheels, make environments of them, switch agents between versions.
 
-wheels/DIGEST/FILE                   what was brought, for as long as a version uses it
+wheels/DIGEST/FILE                   the wheels, kept as long as a version uses them
 environments/NAME/                   a virtual environment with these wheels
-agents/FLEET/NAME/versions/VERSION/  agent.toml, version.json, environment -> the one that it runs in
+agents/FLEET/NAME/versions/VERSION/  agent.toml, version.json, environment -> the environment that it runs in
 agents/FLEET/NAME/current            -> the version in use
-agents/FLEET/NAME/last               -> the one that was in use before
+agents/FLEET/NAME/last               -> the version that was in use before
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ from pancakes.tools.remote_host.host_folders import (
 from pancakes.tools.remote_host.service_managers import manager_of, tail_of
 
 BUILD: Final = "pancakes-build"
-"""The file of an environment that says which build of Pancakes and its plug-ins it has."""
+"""The file of an environment that names its build of Pancakes and its plug-ins."""
 PIP: Final = "pip-"
-"""How the wheel of pip begins: it is run from there, so a host needs none."""
+"""The beginning of the file name of pip's wheel. Pip runs from its wheel, so a host needs no pip."""
 INSTALL: Final = (
     *("--no-index", "--no-deps", "--no-compile", "--no-input", "--no-cache-dir"),
     *("--quiet", "--disable-pip-version-check", "--isolated", "--no-warn-script-location"),
 )
 MOST_DAMAGED: Final = 5
-"""So many files that were changed by hand are named."""
+"""At most this many damaged files are named."""
 NO_ROOM: Final = "No space left on device"
 
 
 class HostDeployment:
-    """What a deployment asks of a host.
+    """The requests of a deployment.
 
     Attributes:
-        calls: what carries out each request, by name.
+        calls: the function for each request, by name.
     """
 
     def __init__(self) -> None:
@@ -76,10 +76,10 @@ class HostDeployment:
         }
 
     def lock(self, within: float = 0.0) -> None:
-        """Keep other deployments away from this host as long as this program runs.
+        """Lock this host against other deployments, as long as this program runs.
 
         Args:
-            within: how long it is waited for another one to end, in seconds.
+            within: how long to wait for another deployment to end, in seconds.
         """
         until_s = time.monotonic() + within
         data_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -90,21 +90,21 @@ class HostDeployment:
                 return
             except BlockingIOError:
                 if time.monotonic() >= until_s:
-                    raise HostFault("has another deployment at work: wait until it has ended") from None
+                    raise HostFault("is busy with another deployment: wait until it has ended") from None
                 time.sleep(0.1)
 
 
 def missing(wheels: Mapping[str, str]) -> list[str]:
-    """Return those wheels that are not here; they are given by name, each with its digest."""
+    """Return the wheels that this host lacks, of wheels by name with their digests."""
     return [name for name, digest in wheels.items() if not _wheel(name, digest).exists()]
 
 
 def damaged(folder: str, name: str) -> list[str]:
-    """Return files of an environment, or of libraries, that are not as they were installed; of many, the first.
+    """Return the first files of an environment, or of libraries, that differ from what was installed.
 
     Args:
-        folder: `environments`, of which each byte counts, or `libraries`, of which the sizes do.
-        name: which.
+        folder: `environments`, whose files are compared byte by byte, or `libraries`, whose file sizes are compared.
+        name: the name of the environment or libraries.
     """
     place = data_folder() / folder / name
     found = []
@@ -139,7 +139,7 @@ def _is_as_made(path: Path, digest: str, size: int, folder: str) -> bool:
 
 
 def put(name: str, digest: str, data: str, last: bool) -> None:
-    """Take a piece of a wheel, in base64; with the last piece it is whole."""
+    """Store a piece of a wheel, given in base64; the last piece completes it."""
     path = _wheel(name, digest)
     part = path.with_name(f".{name}.part")
     part.parent.mkdir(parents=True, exist_ok=True)
@@ -150,11 +150,11 @@ def put(name: str, digest: str, data: str, last: bool) -> None:
 
 
 def make_libraries(name: str, wheels: Mapping[str, str]) -> bool:
-    """Unpack the wheels that Pancakes and its plug-ins need; return whether that was not done before.
+    """Unpack the wheels that Pancakes and its plug-ins need; return False if they were already unpacked.
 
     Args:
         name: the name of the folder.
-        wheels: the wheels, by file, each with its digest; that of pip is among them, and installs the others.
+        wheels: the digest of each wheel, by file; they include pip, which installs the others.
     """
     place = data_folder() / "libraries" / name
     if (place / COMPLETE).exists():
@@ -171,13 +171,13 @@ def make_libraries(name: str, wheels: Mapping[str, str]) -> bool:
 
 
 def make_environment(name: str, libraries: str, wheels: Mapping[str, str], build: str) -> bool:
-    """Make an environment of wheels that are here; return whether it was not there.
+    """Make an environment of wheels on this host; return False if it existed already.
 
     Args:
         name: its name.
-        libraries: what `make_libraries` has made.
+        libraries: the name of a folder made by `make_libraries`.
         wheels: the wheels of Pancakes and its plug-ins, and that of pip, as above.
-        build: which build of Pancakes and its plug-ins this is.
+        build: the build of Pancakes and its plug-ins.
     """
     place = data_folder() / "environments" / name
     if (place / COMPLETE).exists():
@@ -196,7 +196,7 @@ def make_environment(name: str, libraries: str, wheels: Mapping[str, str], build
 
 
 def write_version(fleet: str, name: str, version: str, environment: str, config: str, about: dict[str, Any]) -> None:
-    """Write a version of an agent beside the others; nothing uses it yet.
+    """Write a version of an agent beside the others, without using it yet.
 
     Args:
         fleet: the agent's fleet.
@@ -204,13 +204,13 @@ def write_version(fleet: str, name: str, version: str, environment: str, config:
         version: the name of the version.
         environment: the environment in which it runs.
         config: its configuration, as TOML.
-        about: what `version.json` is to say; its `wheels` and `libraries` are kept as long as the version is.
+        about: the content of `version.json`; its `wheels` and `libraries` are kept as long as the version.
     """
     place = agent_folder(fleet, name) / "versions" / version
     with contextlib.suppress(OSError):
         if (place / "agent.toml").read_bytes() == config.encode():
             return
-    shutil.rmtree(place, ignore_errors=True)  # its configuration is gone: nothing can run it
+    shutil.rmtree(place, ignore_errors=True)  # a version with another configuration, or without one
     made = place.with_name(f".{version}.new")
     shutil.rmtree(made, ignore_errors=True)
     made.mkdir(mode=0o700, parents=True)
@@ -224,7 +224,7 @@ def check(fleet: str, name: str, version: str) -> dict[str, Any]:
     """Check the configuration of a version, in its environment.
 
     Returns:
-        Whether it is `sound`, and what is wrong with it (`said`), or what it is warned of.
+        Whether it is valid (`sound`), and its errors or warnings (`said`).
     """
     place = agent_folder(fleet, name) / "versions" / version
     python = str(place / "environment" / "bin" / "python")
@@ -240,10 +240,10 @@ def put_keys(fleet: str, name: str, files: Mapping[str, str]) -> None:
     Args:
         fleet: the agent's fleet.
         name: its name.
-        files: the contents by file, in base64; the key comes last, so that it never stands alone.
+        files: the contents by file, in base64; the private key comes last, because its file means that all are there.
     """
     if has_keys(fleet, name):
-        raise HostFault(f"has keys of {name} already")
+        raise HostFault(f"already has keys of {name}")
     folder = data_folder() / "keys" / fleet / name
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     folder.chmod(0o700)
@@ -257,13 +257,13 @@ def put_keys(fleet: str, name: str, files: Mapping[str, str]) -> None:
 
 
 def switch(fleet: str, name: str, version: str, last: str) -> None:
-    """Have an agent use a version from its next start on.
+    """Set the version that an agent uses from its next start.
 
     Args:
         fleet: the agent's fleet.
         name: its name.
         version: the version; empty: none.
-        last: the one that counts as that which was in use before; empty: none.
+        last: the version that a rollback returns to; empty: none.
     """
     folder = agent_folder(fleet, name)
     for link, wanted in ((folder / "last", last), (folder / "current", version)):
@@ -274,7 +274,7 @@ def switch(fleet: str, name: str, version: str, last: str) -> None:
 
 
 def clean() -> None:
-    """Remove the versions that are neither in use nor the last, and what only they rest on."""
+    """Remove all versions except the current and the last ones, and everything that only removed versions used."""
     used: set[Path] = set()
     wheels: set[str] = set()
     libraries: set[str] = set()
@@ -315,12 +315,12 @@ def _wheel(name: str, digest: str) -> Path:
 
 
 def _pip(wheels: Mapping[str, str]) -> list[str]:
-    """Return what runs pip from its wheel."""
+    """Return the arguments that make Python run pip from its wheel."""
     return [str(next(_wheel(it, digest) for it, digest in wheels.items() if it.startswith(PIP)) / "pip")]
 
 
 def _link(link: Path, target: str) -> None:
-    """Set a link, so that it leads there or where it did at any moment."""
+    """Set a link atomically."""
     made = link.with_name(f".{link.name}.new")
     made.unlink(missing_ok=True)
     made.symlink_to(target)
@@ -331,7 +331,7 @@ def _run(command: Sequence[str], fault: str) -> None:
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, env=environment)
     if done.returncode:
-        said = done.stderr or done.stdout
-        if NO_ROOM in said:
+        output = done.stderr or done.stdout
+        if NO_ROOM in output:
             raise HostFault(f"has no room left on its disk ({data_folder()}): make room there")
-        raise HostFault(f"{fault}: {tail_of(said)}")
+        raise HostFault(f"{fault}: {tail_of(output)}")

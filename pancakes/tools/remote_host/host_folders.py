@@ -1,4 +1,4 @@
-"""Where the files of Pancakes are on a host, for the user as whom this runs there."""
+"""Find the files of Pancakes on a host, for the user of this session."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import Any
 
 COMPLETE = "complete"
-"""The file that is written last into an environment."""
+"""The file that is written last into an environment: without it, the environment is incomplete."""
 
 
 class HostFault(Exception):
-    """A request cannot be met. Its text is a clause about the host, such as `has no room left`."""
+    """A request failed. The text is a clause about the host, such as `has no room left`."""
 
 
 def prepare_environment() -> None:
-    """See to it that this session has the folders of a login: SSH does not bring all of its variables."""
-    with contextlib.suppress(HostFault, OSError):  # without a home it stays where it is
+    """Set the folder and the variables of a login, because an SSH session may lack them."""
+    with contextlib.suppress(HostFault, OSError):  # without a home folder, stay in the present one
         os.chdir(home())
     own = f"/run/user/{os.getuid()}"
     if "XDG_RUNTIME_DIR" not in os.environ and os.path.isdir(own):
@@ -39,18 +39,18 @@ def home() -> Path:
 
 
 def data_folder() -> Path:
-    """Return where Pancakes keeps what was brought."""
+    """Return the folder of deployed files."""
     base = os.environ.get("XDG_DATA_HOME")
     return (Path(base) if base else home() / ".local" / "share") / "pancakes"
 
 
 def agent_folder(fleet: str, name: str) -> Path:
-    """Return where the versions of an agent are."""
+    """Return the folder with the versions of an agent."""
     return data_folder() / "agents" / fleet / name
 
 
 def current_python(fleet: str, name: str) -> Path:
-    """Return the interpreter of the version of an agent that is in use, whether there is one or not."""
+    """Return the path of the interpreter of an agent's current version, whether it exists or not."""
     return agent_folder(fleet, name) / "current" / "environment" / "bin" / "python"
 
 
@@ -61,7 +61,7 @@ def has_keys(fleet: str, name: str) -> bool:
 
 
 def runtime_folder() -> Path:
-    """Return the directory in which running agents are found."""
+    """Return the directory in which running agents are registered."""
     named, base = os.environ.get("PANCAKES_RUNTIME_DIR"), os.environ.get("XDG_RUNTIME_DIR")
     if named:
         return Path(named)
@@ -69,13 +69,13 @@ def runtime_folder() -> Path:
 
 
 def socket_of(fleet: str, name: str) -> str:
-    """Return the path of the socket at which an agent listens within this machine."""
+    """Return the path of the socket at which an agent listens for local connections."""
     folder = runtime_folder() / "local"
     return str(folder / f"{name}.sock" if fleet == "default" else folder / fleet / f"{name}.sock")
 
 
 def running() -> list[dict[str, Any]]:
-    """Return the entries of the agents that run."""
+    """Return the register entries of the running agents."""
     found = []
     with contextlib.suppress(OSError):
         for path in sorted(runtime_folder().glob("*.json")):
@@ -86,7 +86,7 @@ def running() -> list[dict[str, Any]]:
 
 
 def end_process(fleet: str, name: str, within: float) -> bool:
-    """Tell the process of an agent to end, and wait for that, in seconds; return whether it has ended.
+    """Stop the process of an agent, and wait at most `within` seconds; return whether it has ended.
 
     Raises:
         HostFault: it is the process of another user.
@@ -101,7 +101,7 @@ def end_process(fleet: str, name: str, within: float) -> bool:
         except ProcessLookupError:
             return True
         except PermissionError:
-            raise HostFault(f"has {name} as a process of another user ({found})") from None
+            raise HostFault(f"runs {name} as another user (process {found})") from None
     until_s = time.monotonic() + within
     while pid() and time.monotonic() < until_s:
         time.sleep(0.05)
@@ -109,7 +109,7 @@ def end_process(fleet: str, name: str, within: float) -> bool:
 
 
 def is_locked(handle: int) -> bool:
-    """Return whether another process has the lock on a file."""
+    """Return whether another process has locked a file."""
     try:
         fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -119,10 +119,7 @@ def is_locked(handle: int) -> bool:
 
 
 def interpreter_for(fleet: str, name: str) -> str:
-    """Return the Python that has Pancakes here: that of the agent's version, of another agent's, or of the path.
-
-    Empty: there is none.
-    """
+    """Return a Python with Pancakes: of the agent's version, of another agent, or on the PATH; empty if none exists."""
     own = current_python(fleet, name)
     if own.exists():
         return str(own)
@@ -140,7 +137,7 @@ def interpreter_for(fleet: str, name: str) -> str:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is there as a whole, or as it was."""
+    """Write a file atomically: after a crash it has either the new content or the old."""
     temporary = path.with_name(f".{path.name}.new")
     with open(temporary, "wb") as file:
         file.write(data)

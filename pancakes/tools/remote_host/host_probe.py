@@ -1,7 +1,4 @@
-"""Probe a host before anything is done there: user, Python, platform, disk, running and deployed agents.
-
-Nothing is changed.
-"""
+"""Probe a host before anything is done there: user, Python, platform, disk, running and deployed agents. Read-only."""
 
 from __future__ import annotations
 
@@ -30,10 +27,10 @@ from pancakes.tools.remote_host.service_managers import manager_of, runs_systemd
 
 
 def probe_host(fleet_of: dict[str, str]) -> dict[str, Any]:
-    """Return what this host is, and what of some agents is on it.
+    """Return the facts about this host, and about some agents on it.
 
     Args:
-        fleet_of: the agents that are to run here, each with its fleet.
+        fleet_of: the fleet of each agent that will run here, by agent.
     """
     return {
         "user": _user(),
@@ -77,7 +74,7 @@ def _version_at(link: Path) -> str:
 
 
 def _digest_at(path: Path) -> str:
-    """Return a digest of a file; empty: it cannot be read."""
+    """Return the digest of a file; empty if it cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:

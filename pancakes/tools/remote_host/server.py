@@ -1,9 +1,9 @@
-"""The program that Pancakes runs on a host: it serves requests from its standard input, and ends with that input.
+"""Serve requests on a host, from standard input; end with that input.
 
 A request is a line of JSON, `{"id": 1, "do": "look", ...}`, and so is its reply, `{"id": 1, "result": ...}` or
-`{"id": 1, "fault": "a clause about the host"}`. Events are `{"event": "ended", ...}`; every few seconds comes
-`{"event": "alive"}`. The marker that `main` is given stands before each line, because the user's shell may print too.
-The agents of a launch are processes of this program, and end with it.
+`{"id": 1, "fault": "a clause about the host"}`. An event is `{"event": "ended", ...}`; `{"event": "alive"}` is sent
+every few seconds. The marker from `main` begins each line, because the user's shell may print too. The agents of a
+launch are processes of this program, and end with it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pancakes.tools.remote_host.host_folders import HostFault, end_process, inte
 from pancakes.tools.remote_host.host_probe import probe_host
 
 END_S = 2.5
-"""An agent that was told to end is killed after so long."""
+"""How long an agent may take to stop before it is killed, in seconds."""
 FORGET = """
 import sys
 from pancakes.config import load
@@ -38,14 +38,14 @@ from pancakes.tools.launch.clear_state import empty_state
 empty_state(load(sys.argv[1], sys.argv[2:], None))
 """
 Emit = Callable[..., None]
-"""Tells the launcher something: a word, and values by name."""
+"""Sends the launcher an event: its name, and its values by name."""
 
 
 class LaunchedAgents:
-    """Start and end agents, and tell the launcher what they say.
+    """Start and end agents, and send the launcher their events.
 
     Args:
-        emit: what tells it.
+        emit: sends an event.
     """
 
     def __init__(self, emit: Emit) -> None:
@@ -62,16 +62,16 @@ class LaunchedAgents:
             fleet: its fleet.
             agent: its name.
             config: its configuration, as TOML.
-            sets: what is changed of that, as `--set` takes it.
-            keys: the files of its keys for this run, by name, in base64; none: it has its own, or needs none.
-            fresh: whether it forgets what it remembers of its tasks.
+            sets: the changes to the configuration, as `--set` takes them.
+            keys: the files of its keys for this run, by name, in base64; empty: it has its own, or needs none.
+            fresh: whether to clear its state directory first.
 
         Raises:
-            HostFault: it cannot be started.
+            HostFault: the agent cannot be started.
         """
         python = interpreter_for(fleet, agent)
         if not python:
-            raise HostFault("has no Pancakes: bring it there with pancakes deploy")
+            raise HostFault("has no Pancakes: install it there with pancakes deploy")
         try:
             path, sets = self._put(agent, config, sets, keys)
             if fresh:
@@ -82,7 +82,7 @@ class LaunchedAgents:
         return {"pid": process.pid}
 
     def end(self, agent: str) -> None:
-        """Tell an agent to end."""
+        """Stop an agent gracefully."""
         self.processes.terminate(agent)
 
     def kill(self, agent: str) -> None:
@@ -102,7 +102,7 @@ class LaunchedAgents:
         self._emit("ended", agent=name, code=code)
 
     def end_all(self) -> None:
-        """End all of them, by force if they do not in time, and remove what was written for them."""
+        """Stop all agents, by force after `END_S`, and remove their temporary files."""
         running = self.processes.processes()
         for process in running:
             process.terminate()
@@ -117,7 +117,7 @@ class LaunchedAgents:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _put(self, agent: str, config: str, sets: list[str], keys: Mapping[str, str]) -> tuple[Path, list[str]]:
-        """Write the configuration and the keys; return where it is, and what is set."""
+        """Write the configuration and the keys; return the path of the configuration, and the changes to it."""
         if self._folder is None:
             self._folder = tempfile.mkdtemp(prefix="pancakes-launch-")
         path = Path(self._folder) / f"{agent}.toml"
@@ -134,7 +134,7 @@ class LaunchedAgents:
     def _forget(self, python: str, path: Path, sets: list[str]) -> None:
         done = subprocess.run([python, "-c", FORGET, str(path), *sets], capture_output=True, text=True)
         if done.returncode:
-            raise HostFault(f"cannot begin afresh: {last_line(done.stderr)}")
+            raise HostFault(f"cannot clear the state of the agent: {last_line(done.stderr)}")
 
 
 def _spawn(python: str, path: Path, sets: list[str], output: int, said: int) -> subprocess.Popen[bytes]:
@@ -153,24 +153,24 @@ def _spawn(python: str, path: Path, sets: list[str], output: int, said: int) -> 
 
 
 def last_line(text: str) -> str:
-    """Return the last line that says something."""
-    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it does not say why")
+    """Return the last line that is not blank."""
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "no reason was given")
 
 
 SILENCE_S = 20.0
-"""A launcher from which nothing came for so long has gone, with its network perhaps: its agents end."""
+"""A launcher that sends nothing for this long is gone, perhaps with its network: its agents are stopped."""
 ALIVE_S = 5.0
-"""So often the launcher hears that this program lives, also while it does something that takes long."""
+"""How often a sign of life is sent to the launcher, in seconds, even during a long request."""
 MOST_WAITING = 1 << 20
-"""At most this many bytes wait for the launcher; then the agents wait until they can print on."""
+"""The most bytes that wait for the launcher; beyond that the output of the agents is not read, so that they wait."""
 _CHUNK = 65_536
 
 
 class HostServer:
-    """Read requests and carries them out, in one thread, until the standard input ends.
+    """Read and execute requests, in one thread, until the standard input ends.
 
     Args:
-        marker: what stands before each answer.
+        marker: the prefix of each answer.
     """
 
     def __init__(self, marker: bytes) -> None:
@@ -193,7 +193,7 @@ class HostServer:
         }
 
     def run(self) -> None:
-        """Serve until the launcher has gone, and leave no agent of a launch behind."""
+        """Serve until the launcher is gone, then stop the agents of the launch."""
         reader, writer = os.pipe()
         for end in (reader, writer):
             os.set_blocking(end, False)
@@ -232,7 +232,7 @@ class HostServer:
                 self._ends = True
 
     def _live(self) -> None:
-        """Tell that this program lives, in a thread of its own: the other may be at something that takes long."""
+        """Send signs of life from a thread of its own: the main thread may be busy with a long request."""
         while True:
             time.sleep(ALIVE_S)
             if not self._out:
@@ -250,7 +250,7 @@ class HostServer:
         *lines, self._begun = (self._begun + data).split(b"\n")
         for line in lines:
             self._carry_out(json.loads(line))
-        self._heard_s = time.monotonic()  # what was asked for may have taken long
+        self._heard_s = time.monotonic()  # a long request is not silence of the launcher
 
     def _carry_out(self, request: dict[str, Any]) -> None:
         number, call = request.pop("id"), self._calls[request.pop("do")]
@@ -277,10 +277,10 @@ def _fault_of(error: OSError) -> str:
 
 
 def main(marker: bytes) -> None:
-    """Begin.
+    """Run the server.
 
     Args:
-        marker: see above.
+        marker: the prefix of each answer.
     """
     prepare_environment()
     HostServer(marker).run()

@@ -1,7 +1,7 @@
-"""Keep a deployed agent running on a host: by systemd for the user's own services, or by a supervisor of ours.
+"""Keep a deployed agent running on a host: with systemd as a service of the user, or with Pancakes' own supervisor.
 
-Both start an agent and wait until it is ready, restart it if it fails or hangs, and let it run on when the user logs
-out. One suite of tests holds for both.
+Both start an agent and wait until it is ready, restart it if it fails or hangs, and keep it running when the user logs
+out. The same tests check both.
 """
 
 from __future__ import annotations
@@ -29,12 +29,13 @@ from pancakes.tools.remote_host.host_folders import (
 )
 
 START_S: Final = 90.0
-"""An agent that is not ready after so long has failed to start."""
+"""An agent that is not ready after this time has failed to start, in seconds."""
 STOP_S: Final = 20.0
-"""A supervisor that has not ended after so long is killed, and its agent ends with it."""
+"""A supervisor that has not ended after this time is killed, and its agent with it, in seconds."""
 LOOK_S: Final = 0.05
 TAIL: Final = 12
-"""So many of the last lines of an agent are shown if it does not start."""
+"""How many of the last lines of an agent are shown if it does not start."""
+NO_OUTPUT: Final = "there is no output"
 
 
 class ServiceManager(Protocol):
@@ -47,23 +48,23 @@ class ServiceManager(Protocol):
     kind: str
 
     def install(self) -> None:
-        """Take the version that is current now; where a computer starts its services, it starts this one too."""
+        """Register the current version as a service, which starts with the computer if the manager supports it."""
 
     def start(self) -> None:
         """Start the agent, and wait until it is ready.
 
         Raises:
-            HostFault: it ends, or is not ready in time; the fault has the last lines that it said.
+            HostFault: the agent ends, or is not ready in time; the fault has its last lines of output.
         """
 
     def stop(self) -> None:
-        """Stop the agent, and wait until it has ended; nothing starts it again."""
+        """Stop the agent, and wait until it has ended; it is not restarted."""
 
     def status(self) -> dict[str, Any]:
         """Return `state` (`active`, `starting`, `failed`, `inactive`), `pid` (0: none) and `restarts`."""
 
     def forget(self) -> None:
-        """Take away what `install` has put there; the agent does not run."""
+        """Undo `install`; the agent does not run."""
 
 
 def agent_command(fleet: str, name: str) -> list[str]:
@@ -73,19 +74,19 @@ def agent_command(fleet: str, name: str) -> list[str]:
 
 
 def runs_systemd() -> bool:
-    """Return whether systemd runs here, and takes services of this user."""
+    """Return whether systemd runs here and manages services of this user."""
     if not os.path.isdir("/run/systemd/system") or shutil.which("systemctl") is None:
         return False
     return _systemctl("show-environment").returncode == 0
 
 
 def manager_of(fleet: str, name: str) -> ServiceManager:
-    """Return what keeps an agent running on this host."""
+    """Return the service manager of an agent on this host."""
     return Systemd(fleet, name) if runs_systemd() else OwnSupervisor(fleet, name)
 
 
 class Systemd:
-    """The systemd of the user, with a unit that `pancakes agent unit` makes."""
+    """The systemd of the user, with a unit from `pancakes agent unit`."""
 
     kind = "systemd"
 
@@ -103,7 +104,7 @@ class Systemd:
         command = [python, "-m", "pancakes.tools.cli.main", "agent", "unit", str(config), "--user"]
         made = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
         if made.returncode:
-            raise HostFault(f"makes no unit for {self._name}: {tail_of(made.stderr)}")
+            raise HostFault(f"cannot make a unit for {self._name}: {tail_of(made.stderr)}")
         self._path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(self._path, made.stdout.encode())
         self._order("daemon-reload")
@@ -115,9 +116,9 @@ class Systemd:
         began_s = time.time()
         started = _systemctl("start", self._unit)
         if started.returncode:
-            said = self._said(began_s)
+            output = self._output(began_s)
             _systemctl("stop", self._unit)
-            raise HostFault(f"does not get {self._name} ready: {said or tail_of(started.stderr)}")
+            raise HostFault(f"does not get {self._name} ready: {output or tail_of(started.stderr)}")
 
     def stop(self) -> None:
         """See `ServiceManager`."""
@@ -151,7 +152,7 @@ class Systemd:
         if done.returncode:
             raise HostFault(f"refuses `systemctl --user {' '.join(words)}`: {tail_of(done.stderr)}")
 
-    def _said(self, since_s: float) -> str:
+    def _output(self, since_s: float) -> str:
         command = ["journalctl", "--user", "-u", self._unit, "-o", "cat", "-n", str(TAIL), f"--since=@{since_s:.0f}"]
         with contextlib.suppress(OSError):
             found = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
@@ -160,7 +161,7 @@ class Systemd:
 
 
 class OwnSupervisor:
-    """A process of ours that stands by the agent (`own_supervisor.py`), if no systemd does."""
+    """Pancakes' own supervisor process (`agent_supervisor.py`), for hosts without systemd."""
 
     kind = "supervisor"
 
@@ -181,9 +182,9 @@ class OwnSupervisor:
         while (status := self.status())["state"] != "active":
             ended = status["state"] in ("failed", "inactive") or status["restarts"] > 0
             if ended or time.monotonic() > until_s:
-                said = self._said()
+                output = self._output()
                 self.stop()
-                raise HostFault(f"does not get {self._name} ready: {said}")
+                raise HostFault(f"does not get {self._name} ready: {output}")
             time.sleep(LOOK_S)
 
     def stop(self) -> None:
@@ -229,52 +230,53 @@ class OwnSupervisor:
             )
         while not (self._folder / "status.json").exists():
             if process.poll() is not None:
-                with open(self._folder / "agent.log", "rb") as said:
-                    said.seek(begun)
-                    raise HostFault(f"does not start the supervisor: {tail_of(said.read().decode('utf-8', 'replace'))}")
+                with open(self._folder / "agent.log", "rb") as file:
+                    file.seek(begun)
+                    output = tail_of(file.read().decode("utf-8", "replace"))
+                raise HostFault(f"cannot start the supervisor: {output}")
             time.sleep(LOOK_S)
 
     def _supervisor(self) -> int | None:
-        """Return the process of the supervisor; None: there is none."""
+        """Return the process number of the supervisor; None: it does not run."""
         with contextlib.suppress(OSError, ValueError), open(self._folder / "lock") as file:
             if is_locked(file.fileno()):
                 return int(file.read() or 0) or None
         return None
 
-    def _said(self) -> str:
+    def _output(self) -> str:
         with contextlib.suppress(OSError):
             return tail_of((self._folder / "agent.log").read_text(errors="replace"))
-        return "it has said nothing"
+        return NO_OUTPUT
 
 
 def _source_of_supervisor() -> bytes:
-    """Return the source of our supervisor; what is sent to a host has no files."""
+    """Return the source of our supervisor; modules that were sent to a host have no files."""
     sent: str | None = getattr(agent_supervisor, "__source__", None)
     return sent.encode() if sent is not None else Path(agent_supervisor.__file__).read_bytes()
 
 
 def tail_of(text: str) -> str:
-    """Return the last lines of a text."""
-    return "\n    ".join([line.rstrip() for line in text.splitlines() if line.strip()][-TAIL:]) or "it says nothing"
+    """Return the last lines of some output."""
+    return "\n    ".join([line.rstrip() for line in text.splitlines() if line.strip()][-TAIL:]) or NO_OUTPUT
 
 
 def _linger() -> None:
-    """See to it that systemd lets the services of this user run while the user is not logged in.
+    """Make systemd keep the services of this user running while the user is not logged in.
 
     Raises:
-        HostFault: it does not, and may not be told so by this user.
+        HostFault: systemd does not, and this user may not change that.
     """
 
     def lingers() -> bool:
         shown = _run(["loginctl", "show-user", str(os.getuid()), "--property=Linger"])
-        return shown.returncode != 0 or shown.stdout.strip() != "Linger=no"  # without logind nothing ends them
+        return shown.returncode != 0 or shown.stdout.strip() != "Linger=no"  # without logind, services are not ended
 
     if not lingers():
         _run(["loginctl", "enable-linger"])
         if not lingers():
             name = os.environ.get("USER") or str(os.getuid())
             advice = f"run `sudo loginctl enable-linger {name}` there"
-            raise HostFault(f"ends the services of {name} when {name} logs out: {advice}")
+            raise HostFault(f"stops the services of {name} when {name} logs out: {advice}")
 
 
 def _systemctl(*words: str) -> subprocess.CompletedProcess[str]:

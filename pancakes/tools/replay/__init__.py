@@ -1,1 +1,1 @@
-"""What was recorded, once more: fed into a fleet (`pancakes replay`), or into one task's present code (`rerun`)."""
+"""Use a recording as input again: of a whole fleet (`pancakes replay`), or of one task's present code (`rerun`)."""

@@ -1,4 +1,4 @@
-"""What a task published once and what it publishes now, packet by packet. Pure."""
+"""Compare what a task published in a recording with what it publishes now, packet by packet. Pure."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ DIFFERENT: Final = "different"
 MISSING: Final = "missing"
 EXTRA: Final = "extra"
 STAMP: Final = "stamp"
-"""What stands for a field where two packets differ in the time at which they were published."""
+"""The name of the field in a `FieldDifference` if two packets differ in the time of their publication."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """What counts as equal.
+    """How much two equal packets may differ.
 
     Attributes:
-        share: so much may a number differ, as a share of itself, or from 0.
-        time_s: so much may the time differ at which a packet was published, in mission seconds.
+        share: the largest relative difference of a number; near 0 the absolute difference.
+        time_s: the largest difference between the times of publication, in mission seconds.
     """
 
     share: float = 1e-6
@@ -45,12 +45,12 @@ class FieldDifference(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A packet that is not as it was.
+    """A packet that differs between the two runs.
 
     Attributes:
-        kind: `different`, `missing` (it is not published any more) or `extra` (it was not published then).
-        packet: the recorded packet; of an extra one the new.
-        fields: what differs, where it is `different`.
+        kind: `different`, `missing` (published only then) or `extra` (published only now).
+        packet: the recorded packet; for `extra`, the new one.
+        fields: the fields that differ, if it is `different`.
     """
 
     kind: str
@@ -59,7 +59,7 @@ class Difference:
 
 
 class StreamKey(NamedTuple):
-    """What the packets have in common that are compared with each other."""
+    """What two packets must have in common to be compared."""
 
     channel: str
     type: str
@@ -68,7 +68,7 @@ class StreamKey(NamedTuple):
 
 @dataclass
 class Stream:
-    """How many packets of one channel, type and destination agree, and how many do not."""
+    """How many packets of one channel, type and destination are equal, different, missing or extra."""
 
     recorded: int
     now: int
@@ -80,10 +80,10 @@ class Stream:
 
 @dataclass
 class RunComparison:
-    """What two runs of a task have in common, and what not.
+    """The comparison of two runs of a task.
 
     Attributes:
-        streams: the counts, by what was compared.
+        streams: the counts of each stream.
         differences: the packets that differ, in the order of time.
     """
 
@@ -97,20 +97,20 @@ class RunComparison:
 
 
 def key_of(packet: Packet) -> StreamKey:
-    """Return with which packets a packet is compared."""
+    """Return the stream of a packet."""
     return StreamKey(packet.channel, packet.type, packet.destination)
 
 
 def compare(recorded: Sequence[Packet], now: Sequence[Packet], address: str, tolerance: Tolerance) -> RunComparison:
-    """Compare what a task published with what it publishes now.
+    """Compare the packets that a task published then with those that it publishes now.
 
-    What a packet led to is compared with what the same packet leads to now, the rest (ticks) by the time.
+    Packets with the same cause are compared with each other; packets without one (from ticks) by their time.
 
     Args:
-        recorded: what it published, in order.
-        now: what it publishes now, in order.
+        recorded: the recorded packets, in order.
+        now: the packets of the new run, in order.
         address: the task's address.
-        tolerance: what counts as equal.
+        tolerance: how much equal packets may differ.
     """
     result = RunComparison()
     streams: dict[StreamKey, tuple[list[Packet], list[Packet]]] = {}
@@ -162,7 +162,7 @@ def _pairs(before: Sequence[Packet], after: Sequence[Packet], address: str, time
 
 
 def _cause(packet: Packet, address: str) -> tuple[str, int] | None:
-    """Return what led to a packet, where that is the same in both runs: not what the task itself has published."""
+    """Return the cause of a packet; None if it has none, or it is the task's own, whose numbers differ between runs."""
     cause = packet.cause
     return (cause[0], cause[1]) if cause is not None and cause[0] != address else None
 

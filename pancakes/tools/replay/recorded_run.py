@@ -1,7 +1,7 @@
-"""What a task got and gave between its start and its end on one agent, read from a recording. Pure.
+"""Read from a recording what a task received and published between its start and its end on one agent. Pure.
 
 A `Stay` is the time that a task spent on one agent. `read_script` collects its packets, changes and ticks. A recording
-does not tell which packets fell out of the mailbox: `Overtaken` works that out.
+does not contain which packets were dropped from the mailbox: `Overtaken` infers that.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from pancakes.util.arrays import alike
 from pancakes.util.text import did_you_mean
 
 CHANGES: Final = ("rate_changed", "settings_changed", "task_frozen", "task_resumed")
-"""The events of a service that say what was done to a task while it ran."""
+"""The events of a service about changes of a running task."""
 
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A packet that the task got.
+    """A packet that the task received.
 
     Attributes:
-        time_s: mission time at which it was handled, as far as its effects tell; else when it was published.
+        time_s: mission time at which it was handled, if its effects show that; otherwise when it was published.
         published_s: mission time at which it was published on the task's agent.
         packet: the packet.
-        letter: whether it was addressed to the task wherever it was, past all subscriptions.
+        letter: whether it was a letter: addressed to the task on any agent, without a subscription.
     """
 
     time_s: float
@@ -49,11 +49,11 @@ class Given:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Something that was done to the task.
+    """A change of the task.
 
     Attributes:
         time_s: mission time.
-        event: the event that told of it; one of `CHANGES`.
+        event: the event about it; one of `CHANGES`.
     """
 
     time_s: float
@@ -63,20 +63,20 @@ class Change:
 STOPPED: Final = "stopped"
 FAILED: Final = "failed"
 ENDS: Final = {"task_stopped": STOPPED, "task_failed": FAILED}
-"""The events of a service that say that a task has ended, and how."""
+"""The events of a service about the end of a task, and how the task ended."""
 
 
 @dataclass
 class Stay:
-    """A time that one actor of a task spent on one agent, from its start or from when the recording began.
+    """The time that one actor of a task spent on one agent, from its start or the beginning of the recording.
 
     Attributes:
         agent: the agent.
-        task: what the task was at the beginning.
-        from_ns: when it began, as the recording counts time.
-        to_ns: when it ended, or the recording.
+        task: the description of the task at the beginning.
+        from_ns: when the stay began, in recording time.
+        to_ns: when the stay or the recording ended.
         end: `stopped`, `failed`, or empty if the recording ended first.
-        reason: why it ended.
+        reason: why the stay ended.
     """
 
     agent: str
@@ -88,12 +88,12 @@ class Stay:
 
     @property
     def task_id(self) -> str:
-        """What the task is called: its identity for life, or its address if it has none."""
+        """The task's identity for life, or its address if it has none."""
         return self.task.task_id or self.task.address
 
     @property
     def whole(self) -> bool:
-        """Whether the recording saw it start."""
+        """Whether the recording contains its start."""
         return self.task.began is not None
 
     @property
@@ -137,7 +137,7 @@ def find_stays(entries: Iterable[RecordedPacket]) -> list[Stay]:
             found.append(stay)
         elif entry.packet.channel == LOG and isinstance(body, Event):
             if body.kind == "recording_started" and entry.packet.source == f"{entry.agent}/log/Recorder":
-                # Another recording of this agent: what was between the two was seen by none.
+                # Another recording of this agent begins: the time between the two was not recorded.
                 for stay in [stay for stay in open_.values() if stay.agent == entry.agent]:
                     close(stay, last_ns[entry.agent])
             ended = open_.get(f"{entry.packet.source}/{body.fields.get('task')}")
@@ -155,18 +155,18 @@ def choose_stays(stays: Sequence[Stay], task: str, agent: str = "", number: int 
 
     Args:
         stays: all stays in a recording.
-        task: the task's identity for life (`birthplace/name`), its address (`agent/service/name`), or its name where
-            only one task bears it.
-        agent: only those on this agent; empty: on any.
-        number: only one of them, from 1.
+        task: the task's identity for life (`birthplace/name`), its address (`agent/service/name`), or its name if only
+            one task has that name.
+        agent: only stays on this agent; empty: on any.
+        number: only the stay with this number, from 1; None: all.
 
     Raises:
-        RecordingError: there is no such task, or there are several; or no such stay.
+        RecordingError: no such task or no such stay exists, or `task` fits several.
     """
     if not stays:
         raise RecordingError(
-            "the recording does not say what its tasks were: it is of another kind, or of some channels only"
-            " (pancakes record start without --channel and --type, or with --task)"
+            "the recording has no descriptions of tasks: record with pancakes record start without --channel and"
+            " --type, or with --task"
         )
     known = list(dict.fromkeys(stay.task_id for stay in stays))
     meant = list(dict.fromkeys(stay.task_id for stay in stays if task in (stay.task_id, stay.task.address)))
@@ -176,11 +176,11 @@ def choose_stays(stays: Sequence[Stay], task: str, agent: str = "", number: int 
         hint = did_you_mean(task, names, otherwise=f", only {', '.join(known)}")
         raise RecordingError(f"the recording has no task {task!r}{hint}")
     if len(meant) > 1:
-        raise RecordingError(f"the recording has several tasks {task!r}: say {' or '.join(meant)}")
-    there = [stay for stay in stays if stay.task_id == meant[0]]
-    chosen = [stay for stay in there if agent in ("", stay.agent)]
+        raise RecordingError(f"the recording has several tasks {task!r}: choose {' or '.join(meant)}")
+    all_stays = [stay for stay in stays if stay.task_id == meant[0]]
+    chosen = [stay for stay in all_stays if agent in ("", stay.agent)]
     if not chosen:
-        agents = ", ".join(dict.fromkeys(stay.agent for stay in there))
+        agents = ", ".join(dict.fromkeys(stay.agent for stay in all_stays))
         raise RecordingError(f"{meant[0]} was never on {agent!r} in the recording, only on {agents}")
     if number is None:
         return chosen
@@ -191,13 +191,13 @@ def choose_stays(stays: Sequence[Stay], task: str, agent: str = "", number: int 
 
 
 class Overtaken:
-    """Tell which packets fell out of the task's mailbox before the task handled them. No recording says so by itself.
+    """Infer which packets were dropped from the mailbox before the task handled them. A recording does not contain it.
 
     Args:
         steps: the packets that arrived, and the changes.
-        limits: how many packets of a type on a channel wait at most.
-        handled: packets that had an effect, so that they were handled for sure.
-        close_s: no task is surely given a turn in less mission time than this.
+        limits: how many packets of a type on a channel can wait.
+        handled: packets that had an effect, and so were certainly handled.
+        close_s: within this mission time, a task may not get a turn.
     """
 
     def __init__(
@@ -218,8 +218,8 @@ class Overtaken:
                 self._number[id(step)] = len(alike)
                 alike.append(step)
 
-    def fell_out(self, step: Given | Change) -> bool:
-        """Return whether newer packets of its type took a packet's place."""
+    def was_dropped(self, step: Given | Change) -> bool:
+        """Return whether a packet was dropped because newer packets of its type took its place."""
         if not isinstance(step, Given) or step.letter or self._is_handled(step):
             return False
         key = (step.packet.channel, step.packet.type)
@@ -229,8 +229,8 @@ class Overtaken:
             return False
         newer = self._given[key][last]
         if newer.published_s < step.time_s:
-            return True  # the task was busy with something else until after that
-        # Several at once of the same source, of which only the last had an effect.
+            return True  # the task was still busy when the newer packet arrived
+        # Several packets arrived at once from one source, and only the last had an effect.
         while limit == 1 and newer.packet.source == step.packet.source and self._at_once(step, newer):
             if self._is_handled(newer):
                 return True
@@ -241,7 +241,7 @@ class Overtaken:
         return False
 
     def came_late(self, step: Given | Change, end_s: float) -> bool:
-        """Return whether a packet came too late to be handled, when the task may have ended."""
+        """Return whether a packet came too late: the task may have ended before it could handle it."""
         return isinstance(step, Given) and step.published_s > end_s and not self._is_handled(step)
 
     def _at_once(self, one: Given, other: Given) -> bool:
@@ -252,8 +252,7 @@ class Overtaken:
 
 
 UNKNOWN_TICKS: Final = (
-    "the recording does not tell which ticks ran: what the task says in ticks that its host missed then, or gave it"
-    " late, may differ"
+    "the recording does not contain which ticks ran: packets of ticks that were missed or late then may differ"
 )
 
 
@@ -261,9 +260,9 @@ class RanTicks:
     """The ticks of one timer that ran.
 
     Args:
-        period_s: the period that the task was described with.
+        period_s: the period in the task's description.
         runs: the ticks that ran.
-        complete: whether no tick ran after these.
+        complete: whether these are all ticks up to the end of the stay.
     """
 
     def __init__(self, period_s: float, runs: Iterable[TickRun], complete: bool) -> None:
@@ -273,10 +272,10 @@ class RanTicks:
         self._complete = complete
 
     def tick_at(self, deadline_s: float, period_s: float) -> Tick | None:
-        """Return a tick as the task was given it, with its lateness if it was late; None: it did not run.
+        """Return a tick as the task got it then, with its lateness if it was late; None: it did not run.
 
-        A tick that the recording cannot tell of counts as one that ran: the timer had another period then, or the
-        recording ends before.
+        A tick that the recording cannot know of counts as one that ran: if the timer had another period then, or the
+        recording ended before.
         """
         after = bisect_right(self._firsts_s, deadline_s)
         if after:
@@ -291,14 +290,14 @@ class RanTicks:
 
 
 class TicksReader:
-    """Collect what a recording tells of the ticks of a stay."""
+    """Collect the recorded ticks of a stay."""
 
     def __init__(self, stay: Stay) -> None:
         self._stay = stay
         self._runs: dict[str, list[TickRun]] = {}
         self._number = 0
-        self._told = False
-        self._holes = False
+        self._has_ticks = False
+        self._has_gaps = False
         self._complete = False
         self._over = False
 
@@ -314,22 +313,22 @@ class TicksReader:
                 self._number = 0
                 self._over = entry.time_ns >= stay.to_ns
 
-    def _take_ticks(self, time_ns: int, told: TaskTicks) -> None:
+    def _take_ticks(self, time_ns: int, ticks: TaskTicks) -> None:
         stay = self._stay
-        follows, self._number = told.number == self._number + 1, told.number
+        follows, self._number = ticks.number == self._number + 1, ticks.number
         if time_ns <= stay.from_ns or (time_ns > stay.to_ns and not stay.end):
             return
-        self._told = True
-        self._holes |= not follows
-        for timer in told.timers:
+        self._has_ticks = True
+        self._has_gaps |= not follows
+        for timer in ticks.timers:
             if timer.address == stay.task.address:
                 self._runs.setdefault(timer.timer, []).extend(TickRun(*run) for run in timer.runs)
-        # If the recording ends before the task does, this is its last entry, made after all others.
+        # If the recording ends before the task does, its last entry is this one, written after all others.
         self._complete = self._over = time_ns >= stay.to_ns
 
     def ticks(self) -> dict[str, RanTicks] | None:
-        """Return the ticks that ran, by timer; None: the recording does not tell."""
-        if not self._told or self._holes:
+        """Return the ticks that ran, by timer; None: unknown."""
+        if not self._has_ticks or self._has_gaps:
             return None
         periods_s = {it["timer"]: 1.0 / it["rate_hz"] if it["rate_hz"] else math.inf for it in self._stay.task.timers}
         return {
@@ -339,29 +338,29 @@ class TicksReader:
 
 
 CLOSE_S: Final = 0.005
-"""In less host time than this a task is not surely given a turn."""
+"""Within this time, a task may not get a turn, in seconds of host time."""
 END_S: Final = 0.05
-"""A task may have ended this much earlier than its service says, in host time."""
+"""A task may have ended this much earlier than its service reports, in seconds of host time."""
 _LINGERING_NS: Final = 5 * NANOSECONDS
-"""A packet may have arrived this long before a stay, and have its effect only in the stay."""
+"""A packet that arrived at most this long before a stay may have its effect in the stay."""
 
 
 @dataclass
 class Script:
-    """All that a task got and gave in the course of a stay.
+    """Everything that a task received and published during a stay.
 
     Attributes:
-        steps: what it got and what was done to it, in order.
+        steps: the packets that it received and its changes, in order.
         outputs: the packets that it published, in order.
         end_s: the mission time at which the stay ended.
-        channels: the channels that were spoken on at its agent.
-        spoken_s: when it published what no packet had led to, such as in a tick, and when it had published something
-            before that; in order, in mission time.
-        superseded: how many packets were left out of `steps`, because a newer one took their place in the mailbox
-            before the task came to them, or the task's end came first.
-        speed: mission seconds for each second of host time then.
-        ticks: which ticks ran, by timer; None: all did, or the recording does not tell.
-        notes: sentences on what the recording does not tell.
+        channels: the channels with packets on its agent.
+        spoken_s: for each packet without a cause, such as from a tick: when it was published, and when the packet
+            before it was published; in order, in mission time.
+        superseded: how many packets `steps` lacks, because a newer one replaced them in the mailbox, or the task ended
+            before it handled them.
+        speed: mission seconds per second of host time then.
+        ticks: which ticks ran, by timer; None: all of them, or unknown.
+        notes: sentences about what the recording lacks.
     """
 
     steps: list[Given | Change] = field(default_factory=list)
@@ -378,14 +377,14 @@ class Script:
 def read_script(
     entries: Iterable[RecordedPacket], stay: Stay, cls: type[Task], speed: float = 1.0, virtual: bool = False
 ) -> Script:
-    """Read what a task got and gave.
+    """Read what a task received and published during a stay.
 
     Args:
         entries: the recording, in the order of time.
         stay: the stay.
-        cls: the present class: what it subscribes to counts as well as what the recorded one did.
-        speed: mission seconds for each second of the recording.
-        virtual: whether it was made in virtual time: there nothing takes time.
+        cls: the present class of the task: its subscriptions are used in addition to the recorded ones.
+        speed: mission seconds per second of the recording.
+        virtual: whether the recording is from virtual time, in which handlers take no time.
     """
     reader = _StayReader(stay, cls)
     seen = [entry for entry in entries if reader.take(entry)]
@@ -418,7 +417,7 @@ def read_script(
     script.end_s = max(now_s, times.end_s)
     overtaken = Overtaken(steps, reader.limits, handled_s, 0.0 if virtual else CLOSE_S * speed)
     end_s = times.end_s - END_S * speed if stay.end and not virtual else math.inf
-    script.steps = [step for step in steps if not overtaken.fell_out(step) and not overtaken.came_late(step, end_s)]
+    script.steps = [step for step in steps if not overtaken.was_dropped(step) and not overtaken.came_late(step, end_s)]
     script.superseded = len(steps) - len(script.steps)
     script.ticks = reader.ticks.ticks()
     if script.ticks is None and stay.task.timers and not virtual:
@@ -427,7 +426,7 @@ def read_script(
 
 
 class _StayReader:
-    """Tell what of a recording has to do with a stay."""
+    """Recognize the entries of a recording that belong to a stay."""
 
     def __init__(self, stay: Stay, cls: type[Task]) -> None:
         self._stay = stay
@@ -452,7 +451,7 @@ class _StayReader:
             self._lives = alike(asdict(packet.body), asdict(stay.task))
         if self._over or entry.agent != stay.agent or entry.time_ns > stay.to_ns or packet.channel == CHANNEL:
             return False
-        # In virtual time its successor may live from the very same moment on.
+        # In virtual time, its successor may start at the same moment.
         self._over = bool(stay.end) and entry.time_ns == stay.to_ns and self._is_told(packet, ENDS)
         if entry.time_ns < stay.from_ns or (entry.time_ns == stay.from_ns and not self._begun(entry)):
             if not stay.whole and entry.time_ns >= stay.from_ns - _LINGERING_NS:
@@ -462,26 +461,26 @@ class _StayReader:
         return self.is_output(packet) or self.is_change(packet) or self._is_input(packet)
 
     def _begun(self, entry: RecordedPacket) -> bool:
-        """Return whether a stay has begun, at the very moment at which it does so.
+        """Return whether the stay has already begun, for an entry at the very moment of its beginning.
 
-        In virtual time much happens at one moment, before that and after: the task has said something, its service has
-        said that it runs, or it has been described.
+        In virtual time, other entries before and after the beginning have the same time. The stay has begun once the
+        task has published something, its service has reported the start, or the task has been described.
         """
         if self._stay.whole and not self._lives:
             self._lives = self.is_output(entry.packet) or self._is_told(entry.packet, ("task_started",))
         return self._lives
 
     def is_output(self, packet: Packet) -> bool:
-        """Return whether the task published it."""
+        """Return whether the task published a packet."""
         return packet.source == self._address
 
     def lingers(self, entry: RecordedPacket) -> bool:
-        """Return whether a packet is the effect of one that came before the stay."""
+        """Return whether a packet was caused by one from before the stay."""
         cause = entry.packet.cause
         return cause is not None and (cause[0], cause[1]) in self._before
 
     def is_change(self, packet: Packet) -> bool:
-        """Return whether it tells of a change of the task."""
+        """Return whether a packet is an event about a change of the task."""
         return self._is_told(packet, CHANGES)
 
     def _is_told(self, packet: Packet, kinds: Collection[str]) -> bool:
@@ -510,7 +509,7 @@ class _StayReader:
         return wants or self._stay.task.reads_packet(packet.channel, packet.type)
 
     def _letter_of(self, packet: Packet) -> Packet | None:
-        """Return the packet to this task, wherever it is, that this one is or brings."""
+        """Return the letter to this task that a packet is or contains; None: neither."""
         if packet.destination == TO_TASK + self._stay.task.task_id and agent_of(packet.source) == self._stay.agent:
             return packet
         body = packet.body
@@ -523,7 +522,7 @@ class _StayReader:
         return None
 
     def inputs(self, packet: Packet) -> Iterator[tuple[Packet, bool]]:
-        """Yield the packet as the task got it, and whether it was a letter; a letter that came twice only once."""
+        """Yield the packet as the task got it, and whether it was a letter; skip a letter that came before."""
         letter = self._letter_of(packet)
         if letter is None:
             yield packet, False
@@ -533,20 +532,20 @@ class _StayReader:
 
 
 class _MissionTimes:
-    """Turn a recording's time into the mission time of a stay's agent."""
+    """Convert recording time to the mission time of a stay's agent."""
 
     def __init__(self, stay: Stay, speed: float, entries: Iterable[RecordedPacket]) -> None:
         self._stay = stay
         self._speed = speed
         own = [(entry.packet.stamp, entry.time_ns) for entry in entries if self._is_own(entry.packet)]
-        # A packet bears the mission time of its making, and is seen the moment after, or a little later.
+        # A packet has the mission time of its publication as stamp, and is recorded at that moment or a little later.
         offsets = [stamp - self._elapsed_s(time_ns) for stamp, time_ns in own if stamp > 0.0]
-        # While a mission is held it has no time that could be compared.
+        # While a mission is held, all stamps are 0 and cannot be compared.
         self._offset_s = max(offsets, default=stay.begins_s)
         self.end_s = max(self._of_ns(stay.to_ns), stay.begins_s)
 
     def of(self, entry: RecordedPacket) -> float:
-        """Return the mission time at which a packet was seen."""
+        """Return the mission time at which an entry was recorded."""
         return entry.packet.stamp if self._is_own(entry.packet) else self._of_ns(entry.time_ns)
 
     def _is_own(self, packet: Packet) -> bool:

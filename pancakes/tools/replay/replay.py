@@ -1,6 +1,6 @@
-"""Feed recorded packets into running agents, each to the agent on which it was seen, at its time.
+"""Feed recorded packets into running agents: each packet into the agent that it was recorded on, at its time.
 
-`Selection` decides which packets are fed, and into which agent; it is pure, and `virtual_replay` uses it too.
+`Selection` decides which packets are fed, and into which agent. It is pure, and `virtual_replay` uses it too.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pancakes.recording.records import CHANNEL, NANOSECONDS, RecordedPacket
 from pancakes.security.access import may_be_replayed
 
 _TWICE_NS: Final = 60 * NANOSECONDS
-"""Two recordings may show the same packet this far apart."""
+"""The largest time between two recordings of the same packet."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Live:
     Attributes:
         name: its name.
         channels: its channels.
-        speaking: the addresses there that publish by themselves: what runs, but for null devices, which say nothing.
+        speaking: the addresses of its running components that publish by themselves: all except null devices.
         mission_s: its mission time.
-        speed: mission seconds for each second of host time; 0 while it is held.
+        speed: mission seconds per second of host time; 0 while the mission clock is held.
     """
 
     name: str
@@ -44,28 +44,28 @@ class Live:
     speed: float
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Live:
-        """Make it of what an agent answers to `Describe()`."""
-        name = told["agent"]
-        speaking = {join(name, "kernel"), *(join(name, row["service"]) for row in told["services"])}
-        for row in told["tasks"]:
+    def of(cls, description: Mapping[str, Any]) -> Live:
+        """Convert an agent's answer to `Describe()`."""
+        name = description["agent"]
+        speaking = {join(name, "kernel"), *(join(name, row["service"]) for row in description["services"])}
+        for row in description["tasks"]:
             null = row["service"] == "device" and row["type"].startswith("null.")
             if row["state"] == "running" and not null:
                 speaking.add(join(name, row["service"], row["task"]))
-        speed = 0.0 if told["held"] else told["speed"]
-        return cls(name, told["channels"], frozenset(speaking), told["mission_s"], speed)
+        speed = 0.0 if description["held"] else description["speed"]
+        return cls(name, description["channels"], frozenset(speaking), description["mission_s"], speed)
 
 
 class Topic(NamedTuple):
-    """What the packets have in common that are fed or left out together.
+    """A group of packets that are fed or left out together.
 
     Attributes:
-        recorded_on: the agent that they were seen on.
+        recorded_on: the agent that they were recorded on.
         channel: the channel.
         type: their type.
         source: the address of their publisher.
-        agent: the agent that they are for.
-        left_out: why they are not fed; empty if they are.
+        agent: the agent that they are fed into.
+        left_out: why they are left out; empty: they are fed.
     """
 
     recorded_on: str
@@ -78,12 +78,12 @@ class Topic(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Fed:
-    """A packet that is fed.
+    """A packet to feed.
 
     Attributes:
-        time_ns: when it was seen, as the recording counts time.
-        topic: what it belongs to.
-        packet: the packet as its agent is to get it; its stamp is still the recorded one.
+        time_ns: when it was recorded, in recording time.
+        topic: its topic.
+        packet: the packet as its agent will get it, but still with the recorded stamp.
     """
 
     time_ns: int
@@ -95,18 +95,17 @@ class Fed:
 class Selection:
     """Which packets of a recording are fed, and into which agent.
 
-    Packets go to the agent on which they were seen, if they were for a component there. Without `only`, these are what
-    was said on `system` and on channels of one's own, but for what the fleet says by itself: that of components that
-    run.
+    A packet is fed into the agent that it was recorded on, if it was for a component there. Without `only`, the packets
+    on `system` and on user channels are fed, except those of components that run now and so publish by themselves.
 
     Attributes:
         agents: the agents of the fleet, by name.
-        only: patterns of the shell for `AGENT/CHANNEL/TYPE` or for the source; what fits one of them is fed, also
-            where its source runs, and nothing else.
-        from_s: nothing before this mission time.
-        to_s: nothing from this mission time on; None: to the end.
-        as_name: the agent that gets everything, in place of those on which it was seen; empty: none.
-        time: turns the recording's time into mission time.
+        only: shell patterns for `AGENT/CHANNEL/TYPE` or for the source: feed exactly the packets that match one of
+            them, even if their source runs; empty: see above.
+        from_s: the mission time to begin at.
+        to_s: the mission time to end before; None: the end of the recording.
+        as_name: feed all packets into this agent; empty: into the agents that they were recorded on.
+        time: converts recording time to mission time.
     """
 
     agents: Mapping[str, Live]
@@ -117,7 +116,7 @@ class Selection:
     time: MissionTime = MissionTime()
 
     def of(self, entries: Iterable[RecordedPacket]) -> Iterator[Fed]:
-        """Yield what is fed and what is left out (see `Topic.left_out`), in the order of time, each packet once.
+        """Yield the packets to feed and those left out (see `Topic.left_out`), in the order of time, each once.
 
         Args:
             entries: the recording, in the order of time.
@@ -145,7 +144,7 @@ class Selection:
 
     def _left_out(self, packet: Packet, name: str) -> str:
         if name not in self.agents:
-            return f"{name} is not there"
+            return f"{name} does not run"
         if not may_be_replayed(packet.channel):
             return f"agents take {packet.channel} only from its publisher"
         if self.only:
@@ -155,7 +154,7 @@ class Selection:
 
 
 def _was_for(entry: RecordedPacket) -> bool:
-    """Return whether a packet was for the agent on which it was seen, and not only on its way out there."""
+    """Return whether a packet was for the agent that it was recorded on, and was not only leaving it."""
     packet = entry.packet
     destination = packet.destination
     if packet.channel == CHANNEL or destination.startswith(TO_TASK):
@@ -166,18 +165,18 @@ def _was_for(entry: RecordedPacket) -> bool:
 
 
 def _moved(packet: Packet, seen_on: str, name: str) -> Packet:
-    """Return a packet for another agent in place of the one on which it was seen, in whose name it speaks."""
+    """Return a packet with `name` in place of the agent that it was recorded on."""
 
     def renamed(address: str) -> str:
         return name + address[len(seen_on) :] if agent_of(address) == seen_on else address
 
     destination = name if packet.destination in ("", NEIGHBOURS) else renamed(packet.destination)
-    # No packet of a replay bears a right that a task once had.
+    # A replayed packet must not have the rights that its task had then.
     return replace(packet, source=renamed(packet.source), destination=destination, fence=None)
 
 
 class _Once:
-    """Remember which packets were there already: two recordings may have the same."""
+    """Remember the packets of the last minute: several recordings may have the same packet."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, str, int, float]] = set()
@@ -201,8 +200,8 @@ class Tally:
 
     Attributes:
         packets: the counts.
-        first_ns: when the first was seen that is fed; None if none is.
-        last_ns: when the last was.
+        first_ns: when the first packet to feed was recorded; None: no packet is fed.
+        last_ns: when the last packet to feed was recorded.
     """
 
     packets: dict[Topic, int] = field(default_factory=dict)
@@ -217,15 +216,15 @@ class Tally:
             self.last_ns = fed.time_ns
 
     def fed(self) -> int:
-        """Return how many are fed."""
+        """Return how many packets are fed."""
         return sum(count for topic, count in self.packets.items() if not topic.left_out)
 
 
 def tally_of(selection: Selection, entries: Iterable[RecordedPacket]) -> Tally:
-    """Count what would be fed, before anything is.
+    """Count the packets to feed, before any is fed.
 
     Raises:
-        ControlRefused: an agent lacks a channel, nothing fits, or no agent is there of those that it is for.
+        ControlRefused: an agent lacks a channel, no packet matches, or none of the agents runs.
     """
     tally = Tally()
     for fed in selection.of(entries):
@@ -234,8 +233,8 @@ def tally_of(selection: Selection, entries: Iterable[RecordedPacket]) -> Tally:
         agent = selection.agents.get(topic.agent)
         if not topic.left_out and agent is not None and topic.channel not in agent.channels:
             raise ControlRefused(
-                f"{agent.name} has no channel {topic.channel!r}, on which {count} packets of {topic.source} are to be"
-                f" fed: add [channel.{topic.channel}] to its configuration, or choose others with --only"
+                f"{agent.name} has no channel {topic.channel!r} for {count} packets of {topic.source}: add"
+                f" [channel.{topic.channel}] to its configuration, or choose others with --only"
             )
     if not tally.fed():
         raise ControlRefused(_why_nothing(selection, tally))
@@ -244,26 +243,26 @@ def tally_of(selection: Selection, entries: Iterable[RecordedPacket]) -> Tally:
 
 def _why_nothing(selection: Selection, tally: Tally) -> str:
     if not tally.packets:
-        what = "that fits --only" if selection.only else "on system or a channel of one's own"
-        return f"the recording has nothing {what}" + (" in that time" if selection.from_s or selection.to_s else "")
+        what = "that match --only" if selection.only else "on system or a user channel"
+        return f"the recording has no packets {what}" + (" in that time" if selection.from_s or selection.to_s else "")
     reasons = ", ".join(dict.fromkeys(topic.left_out for topic in tally.packets))
-    return f"nothing is left to be fed: {reasons}"
+    return f"all packets are left out: {reasons}"
 
 
 LATE_S = 1.0
-"""When it is told that an agent cannot keep up."""
+"""An agent that delays the replay by more than this is reported, in seconds."""
 
 
 class Feeder:
     """Send packets to agents as a client of their fleet.
 
-    What happens does so at times that are counted from the first packet, so that nothing drifts. Packets wait for an
-    agent that is too slow for them; none is left out.
+    The time of each packet counts from the first one, so that nothing drifts. If an agent is too slow, its packets
+    wait; none is left out.
 
     Args:
         client: reaches the agents.
         selection: which packets are fed, and into which agent.
-        say: takes a sentence about an agent that is too slow.
+        say: reports a sentence about an agent that is too slow.
 
     Attributes:
         tally: what was fed so far.
@@ -283,19 +282,19 @@ class Feeder:
 
         Args:
             entries: the recording, in the order of time.
-            first_ns: when the first packet was seen that is fed; it goes out at once.
-            speed: how many times as fast as then, in mission time.
-            recorded_speed: mission seconds for each second of the recording.
+            first_ns: when the first packet to feed was recorded; it is fed at once.
+            speed: how many times faster than recorded, in mission time.
+            recorded_speed: mission seconds per second of the recording.
 
         Raises:
             ControlRefused: the agents' missions run at several speeds.
             Unreachable: an agent went away.
         """
-        # A mission that is held has no speed, and what is fed to it bears the time 0.
+        # A held mission has no speed; packets for it get the stamp 0.
         speeds = sorted({agent.speed for agent in self._selection.agents.values() if agent.speed})
         if len(speeds) > 1:
-            told = ", ".join(f"{name} at {agent.speed:g}" for name, agent in self._selection.agents.items())
-            raise ControlRefused(f"the agents' missions run at different speeds: {told}")
+            text = ", ".join(f"{name} at {agent.speed:g}" for name, agent in self._selection.agents.items())
+            raise ControlRefused(f"the agents' missions run at different speeds: {text}")
         pace = recorded_speed / (speed * (speeds[0] if speeds else 1.0))
         begin_s = self._client.now()
         for fed in self._selection.of(entries):
@@ -315,7 +314,7 @@ class Feeder:
             self.tally.add(fed)
 
     def settle(self) -> None:
-        """Wait until all agents have got what was sent to them."""
+        """Wait until all agents have received their packets."""
         for name in self._fed:
             self._client.wait(lambda: not self._waits(name))  # noqa: B023
             self._client.request(name, Describe())

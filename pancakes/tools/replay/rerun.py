@@ -1,4 +1,4 @@
-"""Run one task's present code in virtual time on what it got in a recording.
+"""Run one task's present code in virtual time on the recorded input.
 
 `LateTimer` gives it the ticks that ran then, as late as they were.
 """
@@ -35,24 +35,24 @@ from pancakes.util.clock import MissionClock
 from pancakes.util.plugins import Plugins
 
 LATEST_S: Final = 0.5
-"""No tick is held back longer, in mission time."""
+"""How long a tick may be delayed, in seconds of mission time."""
 TURN_S: Final = 0.0002
-"""The time from the begin of a tick to the first packet of the task, about, in host time."""
+"""The typical time from the beginning of a tick to the first packet of the task, in seconds of host time."""
 ROUNDING_S: Final = 1e-9
 
 
 class LateTimer(VirtualTimer):
-    """Ticks in virtual time; a tick is held back until the task said something then, if it did so before the next one.
+    """Ticks in virtual time, as late as they were in the recording.
 
-    Live, a tick comes later than it is due, and it matters what was handled between the two.
+    In a live run, a tick comes later than it is due, and the task may have handled packets in between. If the lateness
+    is unknown, the tick is delayed to the time of the next packet without a cause, if that came before the next tick.
 
     Args:
         name: the agent's name.
-        mission: the mission clock; one with the dispatcher's time.
+        mission: the mission clock, with the dispatcher's time.
         dispatcher: runs everything.
-        spoken_s: when the task published what no packet had led to, and when it had published something before that;
-            in order, in mission time.
-        speed: mission seconds for each second of host time then.
+        spoken_s: see `Script.spoken_s`.
+        speed: mission seconds per second of host time then.
         ran: which ticks ran, by the method that they call; None: all.
     """
 
@@ -84,7 +84,7 @@ class LateTimer(VirtualTimer):
             super().cancel(held)
 
     def hold_back(self, held: _Held, tick: Tick) -> None:
-        """A deadline has come: ticks now, or when it was done then; `tick` has its lateness if that is known."""
+        """Deliver a tick that is due: now, or as late as it was then; `tick` has its lateness if that is known."""
         deadline_s = tick.time_s
         if tick.lateness_s:
             self._dispatcher.call_at(deadline_s + tick.lateness_s, lambda: held.tick(tick))
@@ -94,13 +94,13 @@ class LateTimer(VirtualTimer):
         if not ROUNDING_S < spoken_s - deadline_s < held.most_s:
             held.tick(tick)
             return
-        # What it said before that it had said before the tick.
+        # The packet before it was published before the tick.
         begun_s = max(spoken_s - self._turn_s, before_s + 10 * ROUNDING_S)
         self._dispatcher.call_at(begun_s, lambda: held.tick(tick))
 
 
 class _Held:
-    """Take the ticks of the timer in place of a task's timer, and passes them on later."""
+    """Take the ticks in place of a task's timer, and pass them on later."""
 
     def __init__(self, timer: LateTimer, target: Ticking, period_s: float, ran: RanTicks | None) -> None:
         self._timer = timer
@@ -123,13 +123,13 @@ class _Held:
 
 @dataclass
 class Outcome:
-    """What a task did when it was run again.
+    """The result of a rerun.
 
     Attributes:
-        outputs: the packets that it published, in order.
+        outputs: the packets that the task published, in order.
         failed: why it failed; empty if it did not.
-        failed_s: when, in mission time.
-        notes: sentences on what could not be done as it was.
+        failed_s: when it failed, in mission time.
+        notes: sentences about recorded changes that could not be repeated.
     """
 
     outputs: list[Packet] = field(default_factory=list)
@@ -138,11 +138,11 @@ class Outcome:
     notes: list[str] = field(default_factory=list)
 
 
-_Said = tuple[StreamKey, str]
-"""The body of a packet, and what it is compared by."""
+_Content = tuple[StreamKey, str]
+"""The stream of a packet, and its body as text."""
 
 
-def _said(packet: Packet) -> _Said:
+def _content(packet: Packet) -> _Content:
     return key_of(packet), repr(packet.body)
 
 
@@ -150,26 +150,26 @@ def class_of(stay: Stay, plugins: Plugins) -> type[Task]:
     """Return the present class of a recorded task.
 
     Raises:
-        RecordingError: it is not installed, cannot be imported, or is one that its service made.
+        RecordingError: the class is not installed, cannot be imported, or is internal to a service.
     """
     try:
         found: type[Task] = plugins.get("pancakes.tasks", stay.task.type)
     except PluginError as error:
-        raise RecordingError(f"{stay.task_id} cannot be run again: {error}") from None
+        raise RecordingError(f"{stay.task_id} cannot be rerun: {error}") from None
     return found
 
 
 class Rerun:
-    """One task, alone on an agent that has nothing else, from the beginning of a stay to its end.
+    """Run one task on an otherwise empty agent, from the beginning of a stay to its end.
 
     Args:
         stay: the stay.
-        script: what the task got, and gave.
+        script: what the task received and published then.
         cls: its present class.
-        settings: settings that shall differ from the recorded ones, as plain values.
+        settings: settings that replace the recorded ones, as plain values.
 
     Raises:
-        SettingsError: they do not fit.
+        SettingsError: the settings are invalid.
     """
 
     def __init__(self, stay: Stay, script: Script, cls: type[Task], settings: Mapping[str, Any]) -> None:
@@ -189,22 +189,23 @@ class Rerun:
         network = MemoryNetwork(self._dispatcher.call_at, self._dispatcher.clock.now, random.Random("network"))
         self._kernel.transport = network.transport(stay.agent)
         self._tapped: dict[str, None] = {}
-        self._now_of: dict[_Said, list[int]] = {}
+        self._seqs_now: dict[_Content, list[int]] = {}
         self._carried, self._rate_hz = self._beginning()
         change_plain(cls.Settings, self._carried.settings, self._settings)
-        # What answers the task names one of its packets; where it publishes others now, the number is another.
-        self._place_of: dict[int, tuple[_Said, int]] = {}
-        counts: dict[_Said, int] = {}
+        # An answer to the task names the number of its packet. In this run the packet may have another number, so find
+        # it by its content, and its place among packets with the same content.
+        self._place_of: dict[int, tuple[_Content, int]] = {}
+        counts: dict[_Content, int] = {}
         for packet in script.outputs:
-            said = _said(packet)
-            self._place_of[packet.seq] = (said, counts.get(said, 0))
-            counts[said] = counts.get(said, 0) + 1
+            content = _content(packet)
+            self._place_of[packet.seq] = (content, counts.get(content, 0))
+            counts[content] = counts.get(content, 0) + 1
 
     def run(self) -> Outcome:
-        """Run the task; once.
+        """Run the task. Call this once.
 
         Raises:
-            RecordingError: it cannot begin, for instance because its class has changed too much.
+            RecordingError: the task cannot start, for instance because its class has changed too much.
         """
         stay, script, outcome = self._stay, self._script, self._outcome
         for channel in script.channels:
@@ -218,9 +219,9 @@ class Rerun:
         self._dispatcher.run_until(stay.begins_s)
         task = self._spawn()
         if not stay.whole:
-            # It has begun long ago: what it says at its start was said then.
+            # Then, the task had started before the recording: ignore the packets of its start.
             outcome.outputs.clear()
-            self._now_of.clear()
+            self._seqs_now.clear()
         for step in script.steps:
             self._run_until(step.time_s)
             if outcome.failed:
@@ -247,15 +248,15 @@ class Rerun:
         dispatcher.settle()
 
     def _beginning(self) -> tuple[Carried, float | None]:
-        told = self._stay.task
-        if told.began is not None:
-            began = told.began
+        task = self._stay.task
+        if task.began is not None:
+            began = task.began
             periods_s = {name: float(period) for name, period in began["periods_s"].items()}
             settings = {**began["settings"], **self._settings}
             return Carried(settings, began["state"], periods_s), began["rate_hz"]
-        rates = {timer["timer"]: timer["rate_hz"] for timer in told.timers}
+        rates = {timer["timer"]: timer["rate_hz"] for timer in task.timers}
         periods_s = {name: 1.0 / rate_hz if rate_hz else float("inf") for name, rate_hz in rates.items()}
-        return Carried({**told.settings, **self._settings}, told.state, periods_s), None
+        return Carried({**task.settings, **self._settings}, task.state, periods_s), None
 
     def _spawn(self) -> TaskCore:
         stay = self._stay
@@ -269,9 +270,9 @@ class Rerun:
                 rate_hz=self._rate_hz,
                 fence=fence,
             )
-        except Exception as error:  # what a task's author wrote in __init__ may raise anything
+        except Exception as error:  # the user's __init__ may raise anything
             why = describe(error, self._cls)
-            raise RecordingError(f"{stay.task_id} cannot begin with what was recorded: {why}") from None
+            raise RecordingError(f"{stay.task_id} cannot start with the recorded settings and state: {why}") from None
         self._dispatcher.settle()
         return cast("TaskCore", core_of(task))
 
@@ -280,7 +281,7 @@ class Rerun:
             self._outcome.failed = describe(error, self._cls)
             self._outcome.failed_s = self._kernel.mission.now()
 
-    # What it publishes -----------------------------------------------------------------------------------------
+    # Packets of the task ---------------------------------------------------------------------------------------
 
     def _tap(self) -> None:
         for channel in self._kernel.stream.channels():
@@ -291,9 +292,9 @@ class Rerun:
     def _take(self, packet: Packet) -> None:
         if packet.source == self._address:
             self._outcome.outputs.append(packet)
-            self._now_of.setdefault(_said(packet), []).append(packet.seq)
+            self._seqs_now.setdefault(_content(packet), []).append(packet.seq)
 
-    # What it gets ----------------------------------------------------------------------------------------------
+    # Packets and changes for the task --------------------------------------------------------------------------
 
     def _give(self, task: TaskCore, given: Given) -> None:
         packet = given.packet
@@ -308,12 +309,12 @@ class Rerun:
             self._kernel.stream.inject(packet)
 
     def _seq_now(self, seq: int) -> int:
-        """Return the number that a packet of the task's bears in this run, given the one that it bore."""
+        """Return the number in this run of a packet of the task, given its recorded number."""
         place = self._place_of.get(seq)
         if place is None:
             return seq
-        said, number = place
-        now = self._now_of.get(said, [])
+        content, number = place
+        now = self._seqs_now.get(content, [])
         return now[number] if number < len(now) else seq
 
     def _change(self, task: TaskCore, change: Change) -> None:
@@ -323,14 +324,14 @@ class Rerun:
             if event.kind == "rate_changed":
                 task.reschedule(event.fields["rate_hz"], event.fields["timer"])
             else:
-                told = event.fields["settings"]
-                task.change_settings({name: told[name] for name in told if name not in self._settings})
+                settings = event.fields["settings"]
+                task.change_settings({name: settings[name] for name in settings if name not in self._settings})
 
         def try_it() -> None:
             try:
                 make()
             except (PancakesError, ValueError) as error:
-                self._outcome.notes.append(f"at {change.time_s:.3f} s what was changed then cannot be: {error}")
+                self._outcome.notes.append(f"the change at {change.time_s:.3f} s cannot be repeated: {error}")
 
         if event.kind == "task_frozen":
             tell(task, StandStill(Epoch(0, "")))

@@ -1,4 +1,4 @@
-"""Feed recorded packets into agents in virtual time, and records what they make of them."""
+"""Feed recorded packets into agents in virtual time, and record the result."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from pancakes.tools.replay.replay import Live, Selection, Tally
 from pancakes.util.plugins import Plugins
 
 READY_S: Final = 30.0
-"""How long, in virtual time, agents may take until they are ready."""
+"""How long agents may take to become ready, in seconds of virtual time."""
 AFTER_S: Final = 1.0
-"""How long they go on after the last packet, in virtual time: what it leads to belongs to the result."""
+"""How long the agents run after the last packet, in seconds of virtual time, so that its effects are recorded."""
 
 
 class VirtualReplay:
@@ -30,16 +30,16 @@ class VirtualReplay:
 
     Args:
         configs: their configurations.
-        out: the folder that what they say is recorded into, `AGENT.mcap` for each; None: it is not recorded.
+        out: the folder for their recordings, `AGENT.mcap` for each; None: they are not recorded.
         plugins: where their classes are found.
-        seed: draws the order of the actors, and the random numbers of agents that name no seed themselves.
+        seed: the seed for the order of the actors, and of agents whose configuration has no seed.
 
     Attributes:
-        tally: what was fed so far.
-        refused: sentences on packets for which no mailbox had room, and on packets that could not be recorded.
+        tally: the packets that were fed so far.
+        refused: sentences about packets that found a full mailbox, and packets that could not be recorded.
 
     Raises:
-        ConfigError: two of them have the same name.
+        ConfigError: two agents have the same name.
     """
 
     def __init__(self, configs: Sequence[Config], out: Path | None, plugins: Plugins, seed: int = 0) -> None:
@@ -69,10 +69,10 @@ class VirtualReplay:
                 recorder.end()
 
     def start(self) -> dict[str, Live]:
-        """Start the agents, and return what they say of themselves.
+        """Start the agents, and return them by name.
 
         Raises:
-            PancakesError: one does not become ready, or cannot be started or recorded.
+            PancakesError: an agent does not become ready, or cannot be started or recorded.
         """
         agents = []
         for name, config in self._configs.items():
@@ -87,13 +87,13 @@ class VirtualReplay:
         return {root.agent: Live.of(root.describe()) for root in roots if isinstance(root, Root)}
 
     def feed(self, selection: Selection, entries: Iterable[RecordedPacket], first_ns: int, scale: float) -> None:
-        """Feed all packets, and let the agents work on for a moment.
+        """Feed all packets, and run the agents a little longer.
 
         Args:
             selection: which packets are fed, and into which agent.
             entries: the recording, in the order of time.
-            first_ns: when the first packet was seen that is fed; it goes in at once.
-            scale: seconds of virtual time for each of the recording.
+            first_ns: when the first packet to feed was recorded; it is fed at once.
+            scale: seconds of virtual time per second of the recording.
         """
         begin_s = self._fleet.now()
         for fed in selection.of(entries):
@@ -112,7 +112,7 @@ class VirtualReplay:
 
 
 def _virtual(config: Config, seed: int) -> Config:
-    """Return a configuration for virtual time: it is recorded from outside, and its mission begins at once."""
+    """Return a configuration for virtual time: without a recorder, and with a mission that begins at once."""
     seed = seed if config.agent.seed is None else config.agent.seed
     agent = replace(config.agent, seed=seed, birth_wait_s=0.0)  # its peers are not here
     log = config.services["log"]

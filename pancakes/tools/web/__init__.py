@@ -1,1 +1,1 @@
-"""The page: what a fleet does, in a browser. A client of the fleet shows it, so that no agent is held up by it."""
+"""Show what a fleet does in a browser. The page is served by a client of the fleet, so it delays no agent."""

@@ -1,6 +1,6 @@
-"""Explain why actuators were commanded: of a recent command the chain back to the sensor reading. Pure.
+"""Explain why actuators were commanded: the chain of packets from a sensor reading to each recent command. Pure.
 
-In a running fleet `FleetTraces` puts the chains together from what each agent reports of its own packets.
+In a running fleet, `FleetTraces` builds the chains from what each agent reports of its own packets.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.tools.report.time_series import Distribution
 
 REMEMBERED: Final = 30_000
-"""The number of packets that are remembered until all of their chains are known."""
+"""How many packets are kept until their chains are complete."""
 SOON_S: Final = 0.5
-"""The pause before an agent is asked again to which the chains of another one lead, ..."""
+"""The pause between two questions to an agent that other agents' chains lead to, in seconds."""
 BUSY_S: Final = 2.0
-"""... before one whose actuators are commanded: a question costs it more than the notes for the answer, ..."""
+"""The same for an agent whose actuators are commanded; long, because answering costs more than recording."""
 IDLE_S: Final = 4.0
-"""... and before any other."""
+"""The same for any other agent."""
 PATIENCE_S: Final = 6.0
-"""The time that other agents have to tell what they know of a chain."""
+"""How long other agents may take to report their part of a chain, in seconds."""
 LOOK_S: Final = 0.5
-"""How often it is checked whether that time has passed."""
+"""How often complete and expired chains are looked for, in seconds."""
 MOST_ASKED: Final = 250
 """The most packets of other agents that one question asks about."""
 MOST_TRACED_COMMANDS: Final = 1200
-"""The most commands in a round of questions, of all agents together: a page must not slow the fleet; ..."""
+"""The most commands in one round of questions to all agents, so that a page does not slow the fleet."""
 FEW_COMMANDS: Final = 10
-"""... and the least of each agent."""
+"""The least number of commands that each agent is asked for, even in a large fleet."""
 
 
 @dataclass(slots=True)
 class _Open:
-    """A command whose chain may not be known yet."""
+    """A command whose chain may be incomplete."""
 
     packet: Packet
     time_ns: int
@@ -47,8 +47,8 @@ class _Open:
 
 
 @dataclass(slots=True)
-class _Told:
-    """How far an agent has told what it knows."""
+class _AgentProgress:
+    """How much an agent has reported so far, and what it is still asked for."""
 
     since_ns: int = 0
     left_out: int = 0
@@ -65,25 +65,25 @@ class FleetTraces:
 
     def __init__(self) -> None:
         self._causes = Causes(REMEMBERED)
-        self._told: dict[str, _Told] = {}
+        self._progress: dict[str, _AgentProgress] = {}
         self._missing: set[Cause] = set()
         self._open: dict[Cause, _Open] = {}
         self._look_at = 0.0
 
     def question(self, agent: str) -> Traces:
         """Return what to ask an agent now."""
-        told = self._of(agent)
-        told.answers = True
-        most = max(FEW_COMMANDS, MOST_TRACED_COMMANDS // len(self._told))
-        return Traces(told.since_ns, tuple(told.wanted)[:MOST_ASKED], most)
+        progress = self._of(agent)
+        progress.answers = True
+        most = max(FEW_COMMANDS, MOST_TRACED_COMMANDS // len(self._progress))
+        return Traces(progress.since_ns, tuple(progress.wanted)[:MOST_ASKED], most)
 
     def pause_s(self, agent: str) -> float:
         """Return how long to wait after a question to an agent before the next one."""
-        told = self._of(agent)
-        return SOON_S if told.wanted else BUSY_S if told.busy else IDLE_S
+        progress = self._of(agent)
+        return SOON_S if progress.wanted else BUSY_S if progress.busy else IDLE_S
 
     def left_out(self, agent: str) -> int:
-        """Return how many commands of an agent there were too many of."""
+        """Return how many commands of an agent were left out because there were too many."""
         return self._of(agent).left_out
 
     def take(self, agent: str, asked: Sequence[Cause], result: Mapping[str, Any], t: float) -> None:
@@ -93,30 +93,30 @@ class FleetTraces:
             agent: the agent that answered.
             asked: the packets that it was asked about.
             result: its result, see `Traces`.
-            t: when it came.
+            t: when it arrived.
         """
         self._look_at = t
-        told = self._of(agent)
+        progress = self._of(agent)
         now_ns = int(result["now_ns"])
-        before_ns, told.since_ns = told.since_ns, int(result["until_ns"])
-        told.busy = bool(result["rows"])
-        told.left_out += int(result["left_out"])
+        before_ns, progress.since_ns = progress.since_ns, int(result["until_ns"])
+        progress.busy = bool(result["rows"])
+        progress.left_out += int(result["left_out"])
         for key in asked:
-            told.wanted.pop(key, None)
+            progress.wanted.pop(key, None)
             self._missing.discard(key)
-        for time_ns, channel, type_, source, seq, stamp, cause, number, said in result["rows"]:
-            packet = Packet(channel, type_, source, "", stamp, seq, said, (cause, number) if cause else None)
+        for time_ns, channel, type_, source, seq, stamp, cause, number, body in result["rows"]:
+            packet = Packet(channel, type_, source, "", stamp, seq, body, (cause, number) if cause else None)
             self._causes.add(RecordedPacket(time_ns, agent, packet))
             key = (source, seq)
             other = agent_of(source)
             if other != agent:
                 self._want(other, key)
-            elif is_command(agent, packet) and before_ns < time_ns <= told.since_ns:
+            elif is_command(agent, packet) and before_ns < time_ns <= progress.since_ns:
                 at = t - (now_ns - time_ns) / NANOSECONDS
                 self._open[key] = _Open(packet, time_ns, at, t + PATIENCE_S)
 
     def settled(self, t: float) -> list[tuple[float, ActuatorCommand]]:
-        """Return the commands whose chains are known now, and those that were waited for long enough, with when."""
+        """Return the commands whose chains are complete or have waited long enough, each with its time."""
         if t < self._look_at:
             return []
         self._look_at = t + LOOK_S
@@ -133,34 +133,34 @@ class FleetTraces:
         return found
 
     def forget(self, agent: str) -> None:
-        """Wait no longer for what an agent might tell that cannot be asked; until it is asked again."""
-        told = self._of(agent)
-        self._missing.difference_update(told.wanted)
-        told.wanted.clear()
-        told.answers = False
+        """Stop waiting for the answers of an agent that does not answer, until it is asked again."""
+        progress = self._of(agent)
+        self._missing.difference_update(progress.wanted)
+        progress.wanted.clear()
+        progress.answers = False
 
     def _want(self, agent: str, key: Cause) -> None:
-        told = self._told.get(agent)
-        # No answer is awaited of an agent that cannot be asked.
-        if told is not None and told.answers and key not in told.wanted:
-            told.wanted[key] = None
+        progress = self._progress.get(agent)
+        # Do not wait for an agent that does not answer.
+        if progress is not None and progress.answers and key not in progress.wanted:
+            progress.wanted[key] = None
             self._missing.add(key)
 
-    def _of(self, agent: str) -> _Told:
-        return self._told.setdefault(agent, _Told())
+    def _of(self, agent: str) -> _AgentProgress:
+        return self._progress.setdefault(agent, _AgentProgress())
 
 
 MOST_COMMANDS: Final = 20_000
-"""The most commands that are kept, as many of each actuator; then the oldest are forgotten."""
+"""The most commands that are kept, shared equally among the actuators; beyond that the oldest are dropped."""
 FEW: Final = 100
-"""The least that are kept of each actuator."""
+"""The least number of commands that are kept of each actuator."""
 BINS: Final = 30
-"""A distribution is shown in so many bars."""
+"""The number of bars of a histogram."""
 
 
 @dataclass(order=True, frozen=True, slots=True)
 class _TimedCommand:
-    """A command, and where it lies on the timeline."""
+    """A command, and its time on the timeline."""
 
     t: float
     number: int
@@ -168,7 +168,7 @@ class _TimedCommand:
 
 
 class CommandExplainer:
-    """Keep the commands of the last minutes, and explains any of them.
+    """Keep the commands of the last minutes, and explain any of them.
 
     Times `t` are seconds on the page's timeline.
     """
@@ -180,9 +180,9 @@ class CommandExplainer:
         self._count = 0
 
     def add(self, commands: Iterable[tuple[float, ActuatorCommand]]) -> set[str]:
-        """Take commands, each with its time; return the agents of which an actuator was commanded for the first time.
+        """Take commands, each with its time; return the agents with an actuator that is commanded for the first time.
 
-        Of those, and of all others, `actuators` tells which they are.
+        `actuators` returns the actuators of an agent.
         """
         new = set()
         for t, command in commands:
@@ -200,28 +200,28 @@ class CommandExplainer:
         return new
 
     def actuators(self, agent: str) -> list[str]:
-        """Return which actuators of an agent were commanded, by their types."""
+        """Return the types of the commanded actuators of an agent."""
         return sorted(type_ for name, type_ in self._given if name == agent)
 
     def explain(
         self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
     ) -> dict[str, Any] | None:
-        """Return why a command was given, as plain values; None if there is none.
+        """Return why a command was given, as plain values; None if no command is known.
 
         Args:
-            agent: whose actuator was commanded.
-            type_: the actuator's type; empty: the one that was commanded last until then.
-            t: the command that was in force then: the newest that is no later; None: the newest of all.
-            command: this one, by its source and number, and not that at `t`.
-            step: so many commands after it, or before it where it is negative.
+            agent: the agent with the actuator.
+            type_: the actuator's type; empty: the actuator that was commanded last, at `t`.
+            t: choose the command that was in force at this moment; None: the newest command.
+            command: choose the command by its source and number instead of by `t`.
+            step: choose the command this many after it, or before it if negative.
 
         Returns:
             `agent`, `type`, `source`, `seq`, `t`, `mission_s`; `place` among the `count` commands that are known, from
             1; `actuators`; `steps`, the first cause first, each with `source`, `seq`, `number`, `channel`, `type`,
             `body`, `at_ms` (since the first), `travel_ms` (to the next agent) and `handling_ms` (until the next was
             published); and `alike`: of the commands whose chain has the same shape `count`, `p50_ms`, `p90_ms`,
-            `p99_ms`, `max_ms` from end to end, and `bars` of a histogram from `from_ms` to `to_ms`, the last with
-            all that took longer. It is None if the command answers no packet that is known.
+            `p99_ms`, `max_ms` from end to end, and `bars` of a histogram from `from_ms` to `to_ms`, whose last bar also
+            counts all longer times. `alike` is None if no packet is known that caused the command.
         """
         found = self._find(agent, type_, t, command)
         if found is None:
@@ -246,7 +246,7 @@ class CommandExplainer:
         }
 
     def _find(self, agent: str, type_: str, t: float | None, command: Cause | None) -> tuple[str, int] | None:
-        """Return the actuator's type, and the place of the command among those to it."""
+        """Return the type of the actuator, and the index of the command among its commands."""
         best: tuple[float, str, int] | None = None
         for name in [type_] if type_ else self.actuators(agent):
             given = self._given.get((agent, name))
@@ -263,7 +263,7 @@ class CommandExplainer:
 
 
 TIMES: Final = ("at_ms", "travel_ms", "handling_ms")
-"""They are 0 if they are not known, or clocks put them below it."""
+"""The times of a step: 0 if unknown, or if the agents' clocks disagree so that they would be negative."""
 
 
 def _steps(chain: Chain) -> list[dict[str, Any]]:
@@ -275,7 +275,7 @@ def _steps(chain: Chain) -> list[dict[str, Any]]:
 
 def _spread(sample: Distribution) -> dict[str, Any]:
     low_s = min(sample.kept)
-    # A few that took very long would leave the others one bar: they are all in the last one.
+    # A few very long times would squeeze all others into one bar, so the last bar takes them.
     high_s = max(sample.quantile(0.97), low_s + 1e-6)
     bars = [0] * BINS
     for value in sample.kept:

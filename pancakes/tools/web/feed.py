@@ -1,4 +1,4 @@
-"""What a watch fills and pages read: one model of a fleet, its history, and frames for pages. Any thread."""
+"""Hold what a page shows: the model of a fleet, its history, and the frames for pages. Any thread."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from pancakes.tools.web.timeline import FrameHistory, StateHistory
 from pancakes.util import codecs
 
 LONGEST_VALUE: Final = 80
-"""A value in the state of a task is cut after so many characters."""
+"""The longest value in the state of a task, in characters; the rest is cut."""
 FRAMES_HZ: Final = 10.0
 """How often, each second, pages get news and the history gets a frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cursor:
-    """How far a page has seen.
+    """How much a page has received.
 
     Attributes:
         version: the board's version.
@@ -35,14 +35,14 @@ class Cursor:
 
 
 class Feed:
-    """What is known of a fleet, for any number of pages. All methods may be called from any thread.
+    """The state of a fleet, for any number of pages. All methods may be called from any thread.
 
     Args:
-        now: returns the present on the timeline, in seconds. The timeline goes on as a person who watches sees it.
+        now: returns the present on the timeline, in seconds of the person who watches.
 
     Attributes:
-        model: what is known; under the lock only.
-        states: the states that tasks were seen with; under the lock only.
+        model: the model of the fleet; use it only with the lock.
+        states: the states that tasks were seen with; use it only with the lock.
         lock: guards both.
     """
 
@@ -60,12 +60,12 @@ class Feed:
         self._over = ""
 
     def wait_for(self, reason: str) -> None:
-        """Say why there is nothing to be seen; empty: there is."""
+        """Set why there is nothing to show yet; empty: there is something."""
         with self.lock:
             self._waiting = reason
 
     def end(self, sentence: str) -> None:
-        """Say that nothing more will happen, and how it went: from now on there is only the timeline."""
+        """End the timeline at the present; `sentence` says how the run ended. Pages can still look at the past."""
         with self.lock:
             if not self._over:
                 end_s = self.now()
@@ -73,7 +73,7 @@ class Feed:
             self._over = sentence
 
     def go_on(self) -> None:
-        """Say that something happens again after the end: the timeline goes on from there."""
+        """Continue the timeline after an `end`, without the gap in between."""
         with self.lock:
             if self._over:
                 self._gap_s = self._present() - self.now()
@@ -82,11 +82,11 @@ class Feed:
 
     @property
     def over(self) -> bool:
-        """Whether it was said that nothing more will happen."""
+        """Whether the timeline has ended."""
         return bool(self._over)
 
     def record(self) -> None:
-        """Keep the present in the history, where it is time to. To be called at least `FRAMES_HZ` times a second."""
+        """Add the present to the history if a frame is due. Call it at least `FRAMES_HZ` times a second."""
         t = self.now()
         if t - self._recorded_s < 0.999 / FRAMES_HZ:
             return
@@ -99,8 +99,8 @@ class Feed:
             self._history.add(t, frame)
 
     def take_detail(self, agent: str, description: Mapping[str, Any]) -> None:
-        """Take what is known about one task: the result of `Describe` of it, with its state."""
-        state = description["state"]  # of a task that does not run, that is the word for it
+        """Take the result of `Describe` of one task, with its state."""
+        state = description["state"]  # a word such as `stopped` if the task does not run
         short = shortened(state, most_chars=LONGEST_VALUE) if isinstance(state, Mapping) else None
         with self.lock:
             self.model.detail(agent, description)
@@ -108,22 +108,22 @@ class Feed:
                 self.states.add(f"{agent}/{description['service']}/{description['task']}", self.now(), short)
 
     def chunk(self, t: float) -> bytes:
-        """Return the piece of the history in which `t` lies, see `FrameHistory.at`."""
+        """Return the piece of the history that contains `t`, see `FrameHistory.at`."""
         with self.lock:
             return self._history.at(t)
 
     def frame(self, seen: Cursor | None) -> tuple[bytes, Cursor]:
-        """Return what a page has not seen as JSON, and how far it has then seen.
+        """Return what a page has not received yet as JSON, and its new cursor.
 
         Args:
-            seen: how far it has; None: nothing yet, so that it gets everything.
+            seen: the cursor of the page; None: it has received nothing, so it gets everything.
         """
         with self.lock:
             t = self.now()
             model = self.model
-            cursor = Cursor(model.board.version, model.happenings.count)
+            cursor = Cursor(model.board.version, model.events.count)
             frame = self._frame(t, seen.version if seen is not None else None)
-            events = model.happenings.since(seen.event if seen is not None else 0)
+            events = model.events.since(seen.event if seen is not None else 0)
             if events:
                 frame["events"] = events
             if seen is not None and events and events[0]["n"] > seen.event + 1:
@@ -156,9 +156,9 @@ class Shown:
     Attributes:
         feed: the fleet.
         explain: returns why an agent's actuator was commanded; as `CommandExplainer.explain`, from any thread.
-        look: asks an agent what is to be known of a task, within a time limit; from any thread.
-        order: asks an agent for something within a time limit; None: the page may only look.
-        title: what the page is headed with; empty: the fleet's name.
+        look: asks an agent to describe a task, within a time limit; from any thread.
+        order: sends an order to an agent, within a time limit; None: the page is read-only.
+        title: the title of the page; empty: the fleet's name.
     """
 
     feed: Feed

@@ -1,6 +1,6 @@
-"""What a page shows of a fleet: packets and descriptions go in, named plain values come out. Pure.
+"""Model a fleet for a page: packets and descriptions go in, named plain values come out. Pure.
 
-The values of the board, by name (AGENT, TASK ... stand for names; all are what JSON knows):
+The values of the board, by name (AGENT, TASK ... stand for names; all values are JSON):
 
 | name | value |
 |---|---|
@@ -12,11 +12,11 @@ The values of the board, by name (AGENT, TASK ... stand for names; all are what 
 | `rays/AGENT/TYPE` | `[range_m, ...]` |
 | `motion/AGENT` | `[detected, bearing_rad, range_m]` |
 | `battery/AGENT` | `[voltage_v, level]` |
-| `agent/AGENT` | what its card is headed with |
+| `agent/AGENT` | a mapping: the figures of its card |
 | `service/AGENT/SERVICE` | `[state, reason]` |
 | `task/AGENT/SERVICE/TASK` | a mapping, see `_task`; `guards`, see `_guards`: of a guarded task that AGENT owns |
 | `circle/AGENT/TASK` | `[x_m, y_m, radius_m]`: a task with `centre_m` in its state or settings, and `radius_m` |
-| `commands/AGENT` | the types of its actuators of which a command can be explained |
+| `commands/AGENT` | the types of its actuators whose commands can be explained |
 | `link/A/B` | the round trip in milliseconds, of two agents A < B; -1 while it is not known |
 """
 
@@ -37,9 +37,9 @@ from pancakes.tools.web.timeline import Board
 from pancakes.util.arrays import without_arrays
 
 MOST: Final = 2000
-"""The most events that are kept; then the oldest is forgotten."""
+"""The most events that are kept; beyond that the oldest are dropped."""
 LONGEST: Final = 400
-"""A sentence is cut after so many characters."""
+"""The longest sentence, in characters; the rest is cut."""
 SHOWN: Final = (
     "task",
     "task_id",
@@ -52,7 +52,7 @@ SHOWN: Final = (
     "lines",
     "to",
 )
-"""What a page gets of an event's own fields, besides its sentence."""
+"""The fields of an event that a page gets, besides its sentence."""
 
 
 class EventLog:
@@ -62,7 +62,7 @@ class EventLog:
         limit: see `MOST`.
 
     Attributes:
-        count: how many there were; the newest bears this number.
+        count: how many there were; this is also the number of the newest.
     """
 
     def __init__(self, limit: int = MOST) -> None:
@@ -75,10 +75,10 @@ class EventLog:
 
         Args:
             record: see `pancakes.events.record_of`.
-            timeline_s: where it lies on the timeline.
+            timeline_s: its time on the timeline.
 
         Returns:
-            Whether it is new: what was said while an agent could not be heard may come twice.
+            Whether it is new: after an interrupted connection, a record may arrive twice.
         """
         text = sentence_of(record)
         if len(text) > LONGEST:
@@ -103,7 +103,7 @@ class EventLog:
         return True
 
     def since(self, number: int) -> list[dict[str, Any]]:
-        """Return those after a number that are still kept, oldest first."""
+        """Return the events after a number that are still kept, oldest first."""
         found = []
         for it in reversed(self._kept.values()):
             if it["n"] <= number:
@@ -115,9 +115,9 @@ class EventLog:
 TRAIL: Final = 400
 """The most points of a trail."""
 TRAIL_STEPS: Final = 200
-"""The points of a trail are at least the arena's width divided by this apart."""
+"""The least distance between two points of a trail is the width of the arena divided by this, ..."""
 TRAIL_STEP_M: Final = 0.02
-"""The same if there is no arena."""
+"""... or this, in metres, if there is no arena."""
 RUNNING: Final = "running"
 _ENDS: Final = {"task_stopped": "stopped", "task_failed": "failed", "task_given_up": "failed"}
 
@@ -125,21 +125,21 @@ Point = tuple[float, float]
 
 
 class FleetModel:
-    """Keep what is known of one fleet. Times `t` are seconds on the page's timeline.
+    """The model of one fleet. Times `t` are seconds on the page's timeline.
 
     Attributes:
-        board: the present, see the module's text.
-        happenings: what the agents' logs said.
-        trails: where bodies were, oldest first.
+        board: the present, see the module's docstring.
+        events: events and lines of the agents' logs.
+        trails: the earlier positions of bodies, oldest first.
     """
 
     def __init__(self, fleet: str = "") -> None:
         self.board = Board()
-        self.happenings = EventLog()
+        self.events = EventLog()
         self.trails: dict[str, deque[Point]] = {}
         self._fleet = fleet
         self._step_m = TRAIL_STEP_M
-        self._anchor = (0.0, 0.0, 0.0)  # a moment of the timeline, the mission time then, and how fast that goes
+        self._anchor = (0.0, 0.0, 0.0)  # a moment of the timeline, the mission time then, and its speed
         self._leader = ""
         self._truth = False
 
@@ -148,7 +148,7 @@ class FleetModel:
         at_s, mission_s, speed = self._anchor
         return max(0.0, mission_s + (t - at_s) * speed)
 
-    # What was followed -----------------------------------------------------------------------------------------
+    # Packets and log records ------------------------------------------------------------------------------------
 
     def hear(self, agent: str, packet: Packet, t: float) -> None:
         """Take a packet that an agent published on `system` or `log`."""
@@ -172,7 +172,7 @@ class FleetModel:
 
     def tell(self, record: Mapping[str, Any], t: float) -> None:
         """Take a record of an agent's log that was written now."""
-        if self.happenings.add(record, t):
+        if self.events.add(record, t):
             self._follow_task(record)
 
     def recall(self, records: Iterable[Mapping[str, Any]], t: float) -> None:
@@ -180,7 +180,7 @@ class FleetModel:
         _, _, speed = self._anchor
         for record in records:
             before_s = (self.mission_s(t) - float(record["t_s"])) / speed if speed else 0.0
-            self.happenings.add(record, t - max(0.0, before_s))
+            self.events.add(record, t - max(0.0, before_s))
 
     def _world(self, agent: str, state: WorldState, t: float) -> None:
         self._truth = True
@@ -202,14 +202,14 @@ class FleetModel:
             trail.append(point)
 
     def _follow_task(self, record: Mapping[str, Any]) -> None:
-        """Show at once what an event says of a task; the next description says all of it."""
+        """Show at once what an event says of a task; the next description completes it."""
         kind, task, source = record["kind"], record.get("task"), str(record["source"]).split("/")
         if not isinstance(task, str) or len(source) < 2:
             return
         agent, service = source[0], source[1]
         key = f"task/{agent}/{service}/{task}"
         known = self.board.get(key)
-        if known is not None and "rest" in known:  # why it rested until now
+        if known is not None and "rest" in known:  # the former reason for not running is out of date
             known = {name: value for name, value in known.items() if name != "rest"}
         if kind in ("task_started", "task_resumed"):
             row = known or {"type": record.get("type", "")}
@@ -220,7 +220,7 @@ class FleetModel:
             self.board.set(key, {**known, "state": _ENDS[kind]})
             self.board.set(f"circle/{agent}/{task}", None)
         elif kind == "rate_changed" and known is not None and isinstance(record.get("rate_hz"), float | int):
-            # What was reached before says nothing about the new rate.
+            # The rate reached so far does not apply to the new rate.
             self.board.set(key, {**known, "rate_hz": _short(record["rate_hz"]), "achieved_hz": None})
 
     def _forget_task(self, agent: str, service: str, task: str) -> None:
@@ -228,18 +228,18 @@ class FleetModel:
         self.board.set(f"circle/{agent}/{task}", None)
 
     def commanded(self, agent: str, types: Sequence[str]) -> None:
-        """Show which actuators of an agent were commanded, so that the page offers to explain them."""
+        """Show which actuators of an agent were commanded, so that the page can explain their commands."""
         self.board.set(f"commands/{agent}", list(types))
 
-    # What was asked --------------------------------------------------------------------------------------------
+    # Answers of agents -------------------------------------------------------------------------------------------
 
     def describe(self, rows: Sequence[Mapping[str, Any]], described: Sequence[Mapping[str, Any]], t: float) -> None:
-        """Take what agents say of themselves.
+        """Take the descriptions of agents.
 
         Args:
-            rows: what became of them since the last look (`pancakes.client.rates`).
-            described: the results of `Describe` of those that answered.
-            t: when.
+            rows: the changes since the last descriptions (`pancakes.client.rates`).
+            described: the results of `Describe` of the agents that answered.
+            t: when they answered.
         """
         answers = {it["agent"]: it for it in described}
         for row in rows:
@@ -249,10 +249,10 @@ class FleetModel:
             self._clock(description, t)
 
     def detail(self, agent: str, description: Mapping[str, Any]) -> None:
-        """Take what is known about one task: the result of `Describe` of it, with its state."""
+        """Take the result of `Describe` of one task, with its state."""
         service, task = description["service"], description["task"]
         settings = without_arrays(description.get("settings") or {})
-        # Of a task that does not run, `state` is the word for that.
+        # If the task does not run, `state` is a word such as `stopped`.
         state = without_arrays(description["state"]) if isinstance(description["state"], Mapping) else {}
         if "arena" in settings:
             self._arena(settings)
@@ -268,7 +268,7 @@ class FleetModel:
         self.board.set(f"circle/{agent}/{task}", circle)
 
     def running(self) -> list[tuple[str, str, str]]:
-        """Return the agent, service and name of each task that runs and that a user has made, or that is a world's."""
+        """Return agent, service and name of each running task of a user or a world."""
         found = []
         for key in self.board.keys("task/"):
             _, agent, service, task = key.split("/", 3)
@@ -310,9 +310,9 @@ class FleetModel:
             self.board.set(f"battery/{agent}", [None, round(level, 3)])
         for service in answer["services"]:
             self.board.set(f"service/{agent}/{service['service']}", [service["state"], service["reason"]])
-        there = {f"task/{agent}/{task['service']}/{task['task']}" for task in row["tasks"]}
+        present = {f"task/{agent}/{task['service']}/{task['task']}" for task in row["tasks"]}
         for key in self.board.keys(f"task/{agent}/"):
-            if key not in there:
+            if key not in present:
                 _, _, service_name, name = key.split("/", 3)
                 self._forget_task(agent, service_name, name)
         described = {(task["service"], task["task"]): task for task in answer["tasks"]}
@@ -345,18 +345,18 @@ class FleetModel:
 
     def _links(self, description: Mapping[str, Any]) -> None:
         agent = description["agent"]
-        there = set()
+        present = set()
         for peer in description["mesh"]["peers"]:
             if peer["role"] == "client":
                 continue
             one, other = sorted((agent, peer["name"]))
             key = f"link/{one}/{other}"
-            there.add(key)
-            # Both ends measure it; that of the lower name counts, so that it does not go to and fro.
+            present.add(key)
+            # Both ends measure it; the one with the lower name counts, so that the value does not alternate.
             if agent == one or self.board.get(key) is None:
                 self.board.set(key, _short(1000.0 * peer["rtt_s"], 2) if peer["rtt_s"] is not None else -1)
         for key in self.board.keys("link/"):
-            if agent in key.split("/")[1:] and key not in there:
+            if agent in key.split("/")[1:] and key not in present:
                 self.board.set(key, None)
 
     def _clock(self, description: Mapping[str, Any], t: float) -> None:
@@ -396,17 +396,17 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _version(process: Mapping[str, Any] | None) -> str | None:
-    """Return which version an agent runs; None: it shares the process of others, and their version."""
+    """Return the version of an agent; None: it shares the process and version of others."""
     return None if process is None else process.get("build") or process["version"]
 
 
 def _short(value: float | None, digits: int = 3) -> float | None:
-    """Return a figure as it is shown: it need not be sent again because of a digit that the page does not show."""
+    """Round a figure to the digits that the page shows, so that it is sent again only if these change."""
     return float(f"{value:.{digits}g}") if value is not None else None
 
 
 def _guards(guarding: Mapping[str, Any]) -> dict[str, Any]:
-    """Return how a task is guarded; `by`: `[agent, age_s of its checkpoint, whether it answers]` of each guardian."""
+    """Return how a task is guarded; `by` has `[agent, age_s of its checkpoint, whether it answers]` per guardian."""
     guardians = [
         [it["agent"], _short(it["age_s"], 2), it["silent_s"] < guarding["lease_s"]] for it in guarding["guardians"]
     ]

@@ -1,4 +1,4 @@
-"""A server to which Foxglove connects: it gets packets as a recording of them would have them."""
+"""Serve packets to Foxglove over a WebSocket, in the format of a recording."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class FoxgloveServer:
     A viewer that is too slow loses the oldest messages; nothing here waits for it.
 
     Args:
-        name: what viewers show as its name.
-        port: the port; None: the usual one, or a free one if that is taken.
+        name: the name that viewers show.
+        port: the port; None: the default port, or a free one if that is taken.
 
     Attributes:
-        address: where it listens, `ws://HOST:PORT`.
+        address: its address, `ws://HOST:PORT`.
 
     Raises:
         PancakesError: the port is taken.
@@ -47,7 +47,7 @@ class FoxgloveServer:
         self._server.stop()
 
     def show_packet(self, entry: RecordedPacket) -> None:
-        """Send a packet to the viewers that show its topic; one that JSON cannot express is left out."""
+        """Send a packet to the viewers that show its topic; a packet that JSON cannot express is skipped."""
         type_name = entry.packet.type
         channel = self._channel(entry.topic, SCHEMAS + type_name) or self._made(
             entry.topic, SCHEMAS + type_name, schema_for(type_name)
@@ -70,7 +70,7 @@ class FoxgloveServer:
             return foxglove.start_server(name=name, host=ADDRESS, port=port or PORT, context=self._context)
         except RuntimeError:
             if port is not None:
-                raise PancakesError(f"Foxglove cannot be served at port {port}: name another with --port") from None
+                raise PancakesError(f"Foxglove cannot be served at port {port}: choose another with --port") from None
         return foxglove.start_server(name=name, host=ADDRESS, port=0, context=self._context)
 
     def _channel(self, topic: str, schema_name: str) -> foxglove.Channel | None:
@@ -79,8 +79,8 @@ class FoxgloveServer:
     def _made(self, topic: str, schema_name: str, schema: Mapping[str, object]) -> foxglove.Channel:
         with self._lock:
             if (topic, schema_name) not in self._channels:
-                told = foxglove.Schema(name=schema_name, encoding="jsonschema", data=codecs.encode_json(schema))
+                json_schema = foxglove.Schema(name=schema_name, encoding="jsonschema", data=codecs.encode_json(schema))
                 self._channels[topic, schema_name] = foxglove.Channel(
-                    topic, schema=told, message_encoding="json", context=self._context
+                    topic, schema=json_schema, message_encoding="json", context=self._context
                 )
             return self._channels[topic, schema_name]

@@ -1,6 +1,6 @@
-"""What a page may ask for, checked: a message becomes a control packet, or a sentence why not. Pure.
+"""Check the orders of a page: a message becomes a control packet, or a refusal with a reason. Pure.
 
-`fields_of` describes the settings of a task as form fields: type, bounds, and how each is changed.
+`fields_of` describes the settings of a task as form fields: type, bounds, and how to change each.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from pancakes.util.arrays import without_arrays
 from pancakes.util.text import NAME
 
 LONGEST_VALUE: Final = 2000
-"""A value that is longer as JSON is not changed on a page."""
+"""The longest value that a page can change, in characters of JSON."""
 MOST_BYTES: Final = 64 * 1024
-"""So long are all fields of a task together as JSON, at most; the others are left out."""
+"""The most bytes of JSON for all fields of a task; further fields are left out."""
 EXACT: Final = 2**53
-"""A browser has no larger integers."""
+"""The largest integer that a browser represents exactly."""
 _KINDS: Final = {"number": "number", "integer": "integer", "string": "text", "boolean": "boolean"}
 
 
@@ -35,13 +35,12 @@ def fields_of(schema: Mapping[str, Any], settings: Mapping[str, Any]) -> tuple[l
     """Return a field for each setting, and how many were left out.
 
     A field has `path` (the keys that lead to the value), `name` (the same as TOML writes it), `kind` (`number`,
-    `integer`, `boolean`, `text`, `choice`, or `json` for all else), `type`, `bounds`, `unit`, `description` (for
-    people), `value`, `nullable`; and if there are such, `default`, `min`, `max`, `choices`. What is in a table of
-    known keys has fields of its own. Where the value cannot be changed on a page, `fixed` says why, and `value` is a
-    text.
+    `integer`, `boolean`, `text`, `choice`, or `json` for everything else), `type`, `bounds`, `unit`, `description` (for
+    people), `value`, `nullable`; and if they exist, `default`, `min`, `max`, `choices`. Each value in a table with
+    known keys has its own field. If a page cannot change the value, `fixed` says why, and `value` is a text.
 
     Args:
-        schema: the JSON Schema of the settings; empty: it is not known.
+        schema: the JSON Schema of the settings; empty: unknown.
         settings: the present values, plain or numpy arrays.
     """
     made: list[dict[str, Any]] = []
@@ -57,11 +56,11 @@ def fields_of(schema: Mapping[str, Any], settings: Mapping[str, Any]) -> tuple[l
 
 
 def _changed_together(fields: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the fields of one table, which is set as a whole: if one cannot be changed, no other can be."""
+    """Return the fields of one table. It is set as a whole, so one field that cannot be changed fixes all others."""
     fixed = next((field for field in fields if "fixed" in field), None)
     if fixed is None:
         return fields
-    reason = f"it is in one table with {fixed['name']}, which is {fixed['fixed']}"
+    reason = f"it is in the same table as {fixed['name']}, which is {fixed['fixed']}"
     return [
         field if "fixed" in field else {**field, "value": _shown(field["value"]), "fixed": reason} for field in fields
     ]
@@ -87,13 +86,13 @@ def _fields(
 
 
 def _arm(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> tuple[Mapping[str, Any], bool]:
-    """Return the schema that a value has to fit where it is there, and whether it may be nothing instead.
+    """Return the schema of a value that is not null, and whether null is allowed too.
 
-    If there are several such schemas, the first is empty: no kind of field fits all of them.
+    If several schemas are allowed, the result is empty: no kind of field fits all of them.
     """
     arms = arms_of(resolved(part, definitions), definitions)
-    there = [arm for arm in arms if arm.get("type") != "null"]
-    return (there[0] if len(there) == 1 else {}), len(there) < len(arms)
+    not_null = [arm for arm in arms if arm.get("type") != "null"]
+    return (not_null[0] if len(not_null) == 1 else {}), len(not_null) < len(arms)
 
 
 def _field(
@@ -153,11 +152,11 @@ def _inexact(value: Any) -> bool:
 MOST_SETTINGS: Final = 64
 """The most settings that one order may change."""
 MOST_VALUES: Final = 1000
-"""The most values in them, those in lists and tables counted."""
+"""The most values in the settings of one order, including those in lists and tables."""
 LONGEST_TEXT: Final = 4000
-"""The most characters of one text in them."""
+"""The longest text in them, in characters."""
 MOST_DEEP: Final = 8
-"""The most lists and tables that may lie in each other."""
+"""The deepest nesting of lists and tables in them."""
 MOST_INTEGER: Final = 2**63 - 1
 
 AgentName = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z")]
@@ -167,17 +166,17 @@ Method = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z_]\w{0,99}\Z")]
 
 
 class PageOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a page may ask of an agent.
+    """An order of a page to an agent.
 
     Attributes:
         agent: the agent's name.
         task: the task on it, as `service/task`.
-        do: what is to be done with the task.
-        dry_run: whether the agent only checks it.
-        to: the agent that the task moves to; of `migrate` alone.
-        rate_hz: the task's new rate; of `rate` alone.
-        timer: the method that ticks, where the task has several; of `rate` alone.
-        settings: the new values by name, plain; of `configure` alone.
+        do: what to do with the task.
+        dry_run: whether the agent only checks the order.
+        to: the agent that the task migrates to; only with `migrate`.
+        rate_hz: the task's new rate; only with `rate`.
+        timer: the method that ticks, if the task has several; only with `rate`.
+        settings: the new plain values by name; only with `configure`.
     """
 
     agent: AgentName
@@ -196,11 +195,11 @@ class PageOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             ("settings", "configure", self.settings),
         ):
             if (given is not None) != (self.do == do):
-                raise ValueError(f"{field} goes with {do!r}, and with nothing else")
+                raise ValueError(f"{field} belongs to {do!r}, and only to it")
         if self.timer is not None and self.do != "rate":
-            raise ValueError("timer goes with 'rate', and with nothing else")
+            raise ValueError("timer belongs to 'rate', and only to it")
         if self.rate_hz is not None:
-            period_of(self.rate_hz)  # it says so of one that no agent takes
+            period_of(self.rate_hz)  # raises an error for a rate that no agent takes
         if self.settings is not None and (fault := _fault_of(self.settings)):
             raise ValueError(fault)
 
@@ -223,15 +222,15 @@ _PLAIN: Final[Mapping[str, type[Stop] | type[Start] | type[Restart]]] = {
 
 
 def order_from(message: Any) -> PageOrder:
-    """Make an order of a message.
+    """Convert a message of a page to an order.
 
     Raises:
-        ControlRefused: it is none; the sentence says what is wrong with it.
+        ControlRefused: the message is not a valid order; the sentence says why.
     """
     try:
         return codecs.convert(message, PageOrder)
     except msgspec.ValidationError as error:
-        raise ControlRefused(f"the page asked for what it cannot have: {_lower(str(error))}") from None
+        raise ControlRefused(f"the page sent an invalid order: {_lower(str(error))}") from None
 
 
 def _lower(text: str) -> str:
@@ -239,27 +238,27 @@ def _lower(text: str) -> str:
 
 
 def _fault_of(settings: Mapping[str, Any]) -> str:
-    """Say why settings are more than a page may ask for; whether they are good the agent says. Empty: they are not."""
+    """Return why settings exceed the limits of a page; empty if they do not. The agent checks the values."""
     if not settings:
         return "settings are empty"
     if len(settings) > MOST_SETTINGS:
-        return f"{len(settings)} settings at once are too many, {MOST_SETTINGS} may be"
+        return f"{len(settings)} settings at once are too many, at most {MOST_SETTINGS} are allowed"
     for count, fault in enumerate(_faults(settings, 0)):
         if fault:
             return fault
         if count > MOST_VALUES:
-            return f"settings of more than {MOST_VALUES} values are too many"
+            return f"settings have more than {MOST_VALUES} values"
     return ""
 
 
 def _faults(value: Any, depth: int) -> Iterator[str]:
-    """Yield for each value in settings what is wrong with it; an empty text if nothing is."""
+    """Yield for each value in settings what is wrong with it; empty if it is valid."""
     if depth > MOST_DEEP:
         yield f"settings are nested more than {MOST_DEEP} deep"
     elif isinstance(value, Mapping):
         yield ""
         for key, item in value.items():
-            yield _fault_of_text(key) if isinstance(key, str) else "a key of settings is no text"
+            yield _fault_of_text(key) if isinstance(key, str) else "a key of settings is not a text"
             yield from _faults(item, depth + 1)
     elif isinstance(value, list):
         yield ""

@@ -1,4 +1,4 @@
-"""Open a page: the rest of the program needs no more than this."""
+"""Open a page: the only entry point for the rest of the program."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ def open_page(shown: Shown, port: int | None) -> PageServer:
     """Serve a page on the loopback interface until it is closed.
 
     Args:
-        shown: what it shows.
-        port: the port; None: the usual one, or a free one if that is taken.
+        shown: what the page shows.
+        port: the port; None: the default port, or a free one if that is taken.
 
     Raises:
         PancakesError: the port is taken, or the library is missing.
     """
-    with needing_extra("there is no page"):
+    with needing_extra("the page cannot be served"):
         from pancakes.tools.web.page_server import PageServer
     server = PageServer(shown)
     server.start(port)

@@ -1,8 +1,8 @@
 """Serve the page on the loopback interface: files over HTTP, news and orders over a WebSocket.
 
-The server runs in a thread of its own. The WebSocket library ignores the method of a request, or does not answer a
-request with a body, so `PageConnection` refuses other methods than GET. `TaskLooks` asks agents about the task that
-a person looks at. Needs `websockets`.
+The server runs in its own thread. The WebSocket library ignores the method of a request, and does not answer a request
+with a body; so `PageConnection` refuses all methods except GET. `TaskLooks` asks agents about the task that a person
+looks at. Needs `websockets`.
 """
 
 from __future__ import annotations
@@ -46,23 +46,23 @@ _HEADERS: Final = {
 
 
 def response(status: HTTPStatus, type_: str, data: bytes) -> Response:
-    """Return an answer with a body of this type, after which the connection is closed."""
+    """Return an HTTP response with a body of this type; it closes the connection."""
     headers = Headers({**_HEADERS, "Content-Type": type_, "Content-Length": str(len(data)), "Connection": "close"})
     return Response(status.value, status.phrase, headers, data)
 
 
 def refused(status: HTTPStatus, sentence: str) -> Response:
-    """Return the answer to a request that gets nothing but a sentence."""
+    """Return an HTTP response whose body is only a sentence."""
     return response(status, "text/plain; charset=utf-8", f"{sentence}\n".encode())
 
 
 METHODS: Final = "GET"
 LONGEST_METHOD: Final = 20
-"""No method is longer; the library refuses what begins with more letters."""
+"""The longest method, in characters; the library refuses longer ones."""
 
 
 class PageConnection(ServerConnection):
-    """Answer requests of other methods than GET, with the sentence that there is no other."""
+    """Refuse requests with any method except GET."""
 
     def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
@@ -72,7 +72,7 @@ class PageConnection(ServerConnection):
     def data_received(self, data: bytes) -> None:
         """See `asyncio.Protocol`."""
         if self._refused:
-            return  # what it still sends of its request; it is closed like all that open no page in time
+            return  # the rest of the refused request; the connection is closed like any that opens no page in time
         if self._begun is not None:
             data = self._begun + data
             method, space, _ = data.partition(b" ")
@@ -103,14 +103,14 @@ TYPES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class StaticFile:
-    """A file, and what kind of file it is."""
+    """A file, and its content type."""
 
     type: str
     data: bytes
 
 
 def static_files() -> dict[str, StaticFile]:
-    """Return the files by the path under which they are asked for; nothing else is ever sent."""
+    """Return the files of the page by their URL path; no other file is ever served."""
     found = {}
     for file in resources.files("pancakes.tools.web").joinpath("static").iterdir():
         suffix = file.name[file.name.rfind(".") :]
@@ -121,25 +121,21 @@ def static_files() -> dict[str, StaticFile]:
 
 
 AGAIN_S: Final = 0.5
-"""An agent is asked about a task no more often than that, however many pages look at it."""
+"""The least time between two questions about a task, however many pages look at it, in seconds."""
 LOOK_S: Final = 3.0
-"""How long an agent may take; a task tells its state in its own turn, and may be busy."""
-NEVER_SEEN: Final = "the timeline has no state of it at this moment: states are seen while a page shows the task, \
-and every ten seconds"
+"""How long an agent may take to answer, in seconds; a task reports its state in its own turn, and may be busy."""
+NEVER_SEEN: Final = "the timeline has no state of this task at this moment: states are recorded while a page shows the \
+task, and every ten seconds"
 
 
 class TaskLooks:
-    """Ask agents about tasks, for any number of pages. In the thread of the page's server."""
+    """Ask agents about tasks, for any number of pages. Use it in the thread of the page's server."""
 
     def __init__(self) -> None:
         self._asked: dict[tuple[str, str], tuple[Shown, float, asyncio.Task[dict[str, Any]]]] = {}
 
     async def look(self, shown: Shown, agent: str, target: str, t: float | None) -> dict[str, Any]:
-        """Return what there is to be known of a task.
-
-        That is `state`: its `rows`, whether they are `cut`, and at what moment `t` of the timeline it was seen with
-        them; None, and the sentence `no_state`, if it is not known. And of the present `settings` with the number
-        of those that are `left_out` (see `fields_of`), and `timers`.
+        """Return the state, settings and timers of a task.
 
         Args:
             shown: what the pages show.
@@ -147,8 +143,13 @@ class TaskLooks:
             target: the task, as `service/task`.
             t: a moment of the timeline; None: the present.
 
+        Returns:
+            `state`: its `rows`, whether they are `cut`, and the moment `t` of the timeline at which it was seen; None
+            if the state is unknown, with the reason as `no_state`. Only for the present: `settings`, the number of
+            those that are `left_out` (see `fields_of`), and `timers`.
+
         Raises:
-            PancakesError: its agent refuses, or does not answer, and the timeline has no state of it.
+            PancakesError: the agent refuses or does not answer, and the timeline has no state of the task.
         """
         if t is not None:
             state = _seen(shown, agent, target, t)
@@ -158,37 +159,38 @@ class TaskLooks:
         known = self._asked.get((agent, target))
         if known is None or known[0] is not shown:
             asking = asyncio.ensure_future(_look(shown, agent, target))
-            asking.add_done_callback(lambda done: done.cancelled() or done.exception())  # the page may have gone
+            asking.add_done_callback(lambda done: done.cancelled() or done.exception())  # the page may be closed
             self._asked[agent, target] = known = shown, now_s, asking
-        # One page that goes away ends no question of another.
+        # Other pages may wait for the same answer, so a page that closes must not cancel the question.
         return await asyncio.shield(known[2])
 
 
 async def _look(shown: Shown, agent: str, target: str) -> dict[str, Any]:
     try:
-        told, no_state = await _described(shown, agent, target)
+        description, no_state = await _described(shown, agent, target)
     except PancakesError as error:
         state = _seen(shown, agent, target, shown.feed.now())
         if state is None:
             raise
         return {"state": state, "no_state": str(error)}
     if not no_state:
-        shown.feed.take_detail(agent, told)
-    settings, left_out = fields_of(told["settings_schema"], told["settings"])
+        shown.feed.take_detail(agent, description)
+    settings, left_out = fields_of(description["settings_schema"], description["settings"])
+    timers = description["timers"]
     return {
         "state": None if no_state else _seen(shown, agent, target, shown.feed.now()),
         "no_state": no_state,
         "settings": settings,
         "left_out": left_out,
-        "timers": [{key: timer[key] for key in ("timer", "rate_hz", "ticks", "missed")} for timer in told["timers"]],
+        "timers": [{key: timer[key] for key in ("timer", "rate_hz", "ticks", "missed")} for timer in timers],
     }
 
 
 async def _described(shown: Shown, agent: str, target: str) -> tuple[dict[str, Any], str]:
-    """Return what an agent says of a task, and why its state is not among it; empty: it is.
+    """Return the description of a task, and why it lacks the state; empty if it has the state.
 
     Raises:
-        PancakesError: it says nothing of it.
+        PancakesError: the agent refuses or does not answer.
     """
     try:
         reply = await _asked(shown, agent, Describe(target, state=True))
@@ -226,25 +228,25 @@ def _plain(seen_s: float, state: ShortState) -> dict[str, Any]:
 
 ADDRESS: Final = "127.0.0.1"
 PORT: Final = 7480
-"""The port of the page if no other is named and this one is free."""
+"""The default port of the page."""
 SOCKET: Final = "/news"
 MOST_PAGES: Final = 32
 """The most pages that may be open."""
 MOST_ASIDE: Final = 32
-"""The most pages that have not shown the token yet; one more takes the place of the first."""
+"""The most connections that have not shown the token yet; beyond that the oldest is closed."""
 TOKEN_S: Final = 2.0
-"""How long a page may take to show the token."""
+"""How long a page may take to show the token, in seconds."""
 MOST_ASKED: Final = 16
 """The most questions of one page at a time."""
 LONGEST_MESSAGE: Final = 16 * 1024
 ORDER_S: Final = 30.0
-"""How long an agent may take for what it is asked for: a task may be busy before it moves."""
+"""How long an agent may take for an order, in seconds: a task may be busy before it migrates."""
 CLOSE_S: Final = 2.0
 FULL: Final = f"full: {MOST_PAGES} pages are open already, close one"
-WITHOUT_TOKEN: Final = "open the page under the address that was printed: it has a token"
+WITHOUT_TOKEN: Final = "open the page at the address that was printed: it contains a token"
 
 _LOG: Final = logging.getLogger("pancakes.tools.web.page")
-"""What the library says of requests that are none: nothing that a terminal should show."""
+"""Takes the library's complaints about malformed requests, which should not appear on the terminal."""
 _LOG.addHandler(logging.NullHandler())
 _LOG.propagate = False
 
@@ -252,18 +254,18 @@ _LOG.propagate = False
 class PageServer:
     """Show a fleet to any number of pages, in a thread of its own.
 
-    A page gets what changed since it got something last, whenever it has taken that: so a page that is slow gets less,
-    and delays no other. It is answered only if it came from this server, under a name of the loopback interface:
-    a foreign site that a browser shows at the same time can neither look nor ask. And it must show the token that is in
-    the address which a person was given: other users of the machine reach the loopback too.
+    A page gets the changes since its last frame, as soon as it has taken that frame: a slow page gets fewer frames, and
+    delays no other page. The server answers only pages that it served itself under a name of the loopback interface, so
+    another site in the same browser can neither read nor order anything. A page must also show the token from the
+    printed address, because other users of the machine reach the loopback interface too.
 
     Args:
-        shown: what is shown.
+        shown: what the pages show.
 
     Attributes:
-        token: what a page has to know.
-        port: the port, once it has started.
-        skipped: how many frames pages were too slow for.
+        token: the secret that a page must show.
+        port: the port, after `start`.
+        skipped: how many frames were skipped because pages were too slow.
     """
 
     def __init__(self, shown: Shown) -> None:
@@ -297,10 +299,11 @@ class PageServer:
         self._begun.wait()
         if self._fault is not None:
             self._thread.join()
-            raise PancakesError(f"the page cannot be at port {port}: {self._fault.strerror}: name another with --port")
+            why = self._fault.strerror
+            raise PancakesError(f"the page cannot be served at port {port}: {why}: choose another with --port")
 
     def show(self, shown: Shown) -> None:
-        """Show something else from now on, to all pages. Any thread."""
+        """Show something else to all pages from now on. Any thread."""
         self._shown = shown
 
     def close(self) -> None:
@@ -359,18 +362,18 @@ class PageServer:
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a request for a file, or let a WebSocket be opened (None)."""
-        # Under another name than one of the loopback interface it is a name server that led the browser here.
+        # Any other host name can be a DNS rebinding attack: a foreign site whose name leads to this machine.
         host = request.headers.get_all("Host")
         if not names_loopback(host):
-            return refused(HTTPStatus.MISDIRECTED_REQUEST, "this page is only there under http://127.0.0.1")
+            return refused(HTTPStatus.MISDIRECTED_REQUEST, "open this page at http://127.0.0.1")
         path = request.path.partition("?")[0]
         if path == SOCKET:
             if request.headers.get_all("Origin") != [f"http://{host[0]}"]:
-                return refused(HTTPStatus.FORBIDDEN, "only this server's own page may open this")
+                return refused(HTTPStatus.FORBIDDEN, "only the page of this server may open this")
             return None
         file = self._files.get(path)
         if file is None:
-            return refused(HTTPStatus.NOT_FOUND, "there is nothing here")
+            return refused(HTTPStatus.NOT_FOUND, "not found")
         return response(HTTPStatus.OK, file.type, file.data)
 
     # The WebSocket ---------------------------------------------------------------------------------------------
@@ -391,7 +394,7 @@ class PageServer:
             answering.cancel()
 
     async def _let_in(self, connection: ServerConnection) -> bool:
-        """Return whether a page may look: its first message must show the token. One that may not is told so."""
+        """Return whether a page may look: its first message must show the token. Otherwise close it with a reason."""
         while len(self._aside) >= MOST_ASIDE:
             self._aside.pop(next(iter(self._aside))).cancel()
         self._aside[connection] = first = asyncio.ensure_future(connection.recv())
@@ -420,7 +423,7 @@ class PageServer:
         return asked.get("ask") == "hello" and hmac.compare_digest(given.encode(), self.token.encode())
 
     async def _show(self, connection: ServerConnection) -> None:
-        """Send news, as fast as the page takes them and no faster than `FRAMES_HZ`."""
+        """Send frames as fast as the page takes them, at most at `FRAMES_HZ`."""
         period_s = 1.0 / FRAMES_HZ
         shown: Shown | None = None
         seen: Cursor | None = None
@@ -437,7 +440,7 @@ class PageServer:
             await asyncio.sleep(due_s - now_s)
 
     async def _answer_all(self, connection: ServerConnection) -> None:
-        """Answer what a page asks for, several things at a time."""
+        """Answer the questions of a page, several at a time."""
         room = asyncio.Semaphore(MOST_ASKED)
         asked: set[asyncio.Task[None]] = set()
 
@@ -471,7 +474,7 @@ class PageServer:
             reason = str(error)
         except MALFORMED as error:
             reason = f"a message of the page is malformed: {why_malformed(error)}"
-        except Exception as error:  # else it would end as a traceback on the terminal
+        except Exception as error:  # otherwise the traceback would appear on the terminal
             reason = f"a defect in Pancakes: {describe(error)}"
         return _ENCODE({"answer": number, "ok": False, "reason": reason, "result": None})
 
@@ -488,7 +491,7 @@ class PageServer:
             return await self._looks.look(shown, wanted.agent, wanted.task, wanted.t)
         if what == "order":
             if shown.order is None:
-                raise ControlRefused("this page may only look: start it with --control to change something")
+                raise ControlRefused("this page is read-only: start it with --control to change something")
             order = order_from(asked)
             asked_for = asyncio.wrap_future(shown.order(order.agent, order.body(), ORDER_S))
             try:
@@ -499,11 +502,11 @@ class PageServer:
 
 
 _Number = Annotated[int, msgspec.Meta(ge=0, le=2**53)] | None
-"""The number under which a page asks."""
+"""The number of a question; the answer has the same."""
 
 
 def _moment_of(asked: dict[str, Any]) -> float:
-    """Return the moment on the timeline that a page asks for; 0 if it is none, such as a number of 400 digits."""
+    """Return the moment on the timeline that a page asks for; 0 if it is invalid, such as a number of 400 digits."""
     try:
         return codecs.convert(asked.get("t"), float)
     except msgspec.ValidationError:
@@ -514,7 +517,7 @@ def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | 
     """Return which command a page asks about, see `CommandExplainer.explain`.
 
     Raises:
-        msgspec.ValidationError: it says so in another way.
+        msgspec.ValidationError: the question is malformed.
     """
     it = codecs.convert(asked, _ExplainRequest)
     return it.agent, it.type, it.t, it.command, it.step
@@ -525,7 +528,7 @@ _ASKED: Final[Callable[[bytes | str], dict[str, Any]]] = codecs.json_decoder(dic
 
 
 class _TaskLookRequest(msgspec.Struct):
-    """Which task a page asks about, and at which moment of the timeline; None: now."""
+    """The task that a page asks about, and the moment of the timeline; None: now."""
 
     agent: AgentName
     task: ServiceTask
@@ -533,7 +536,7 @@ class _TaskLookRequest(msgspec.Struct):
 
 
 class _ExplainRequest(msgspec.Struct):
-    """What a page says of the command that it asks about."""
+    """The command that a page asks about."""
 
     agent: str
     type: str = ""

@@ -1,7 +1,7 @@
-"""What a page shows, and its last minutes: named values, frames of changes, and states of tasks. Pure.
+"""Keep what a page shows, and its last minutes: named values, frames of changes, and states of tasks. Pure.
 
-A page that has seen one version of the `Board` gets all changes since. `FrameHistory` keeps pieces that can be fetched
-one by one. Times are seconds on the page's timeline.
+A page with an older version of the `Board` gets all changes since. `FrameHistory` keeps pieces of the timeline that a
+page fetches one by one. Times are seconds on the page's timeline.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from pancakes.util import codecs
 
 
 class Board:
-    """Named plain values. A page that has seen one version gets all changes since, however long ago that was.
+    """Named plain values. A page with an older version gets all changes since, however old its version is.
 
-    So the board keeps nothing for its pages: a slow page gets the newest values only.
+    So the board stores nothing per page, and a slow page gets only the newest values.
 
     Attributes:
-        version: goes up with each change.
+        version: increases with each change.
     """
 
     def __init__(self) -> None:
@@ -28,7 +28,7 @@ class Board:
         self._entries: OrderedDict[str, tuple[int, Any]] = OrderedDict()
 
     def set(self, key: str, value: Any) -> None:
-        """Write a value; one that is there already is no change. None takes it away."""
+        """Set a value; an equal value is not a change. None removes it."""
         known = self._entries.get(key)
         if known[1] == value if known is not None else value is None:
             return
@@ -37,16 +37,16 @@ class Board:
         self._entries.move_to_end(key)
 
     def get(self, key: str) -> Any:
-        """Return a value, None if there is none."""
+        """Return a value; None if there is none."""
         entry = self._entries.get(key)
         return entry[1] if entry is not None else None
 
     def keys(self, prefix: str = "") -> list[str]:
-        """Return the names of the values that are there, of those that begin with `prefix`."""
+        """Return the names of the values that begin with `prefix`."""
         return [key for key, (_, value) in self._entries.items() if value is not None and key.startswith(prefix)]
 
     def since(self, version: int) -> dict[str, Any]:
-        """Return what changed after a version, the oldest change first; what was taken away since is None."""
+        """Return the values that changed after a version, oldest change first; removed ones are None."""
         changed: list[tuple[str, Any]] = []
         for key, (when, value) in reversed(self._entries.items()):
             if when <= version:
@@ -60,16 +60,16 @@ class Board:
 
 
 CHUNK_S: Final = 10.0
-"""How much of the timeline is one piece."""
+"""The length of one piece of the timeline, in seconds."""
 SPAN_S: Final = 600.0
-"""How much of it is kept."""
+"""The length of the timeline that is kept, in seconds."""
 MOST_BYTES: Final = 64 * 1024 * 1024
-"""How much memory that may take; then less is kept."""
+"""The most memory of the frames; beyond that the oldest piece is dropped."""
 
 
 @dataclass(slots=True)
 class _Chunk:
-    """A piece: all that was to be seen at its beginning, and the changes since."""
+    """A piece of the timeline: all values at its beginning (`key`), and the changes since."""
 
     number: int
     begin_s: float
@@ -79,7 +79,7 @@ class _Chunk:
 
 
 class FrameHistory:
-    """Keep frames, each what changed since the one before.
+    """Keep frames, each with the changes since the one before.
 
     Args:
         span_s: see `SPAN_S`.
@@ -95,11 +95,11 @@ class FrameHistory:
         self._end_s = 0.0
 
     def due(self, t: float) -> bool:
-        """Return whether the frame at `t` needs everything, as a new piece begins with it."""
+        """Return whether a new piece begins at `t`, so that this frame needs all values."""
         return not self._chunks or t - self._chunks[-1].begin_s >= CHUNK_S
 
     def add(self, t: float, frame: Any) -> None:
-        """Keep a frame: one that has everything where that is `due`, else what changed."""
+        """Keep a frame: with all values if a new piece is `due`, otherwise with the changes."""
         data = codecs.encode_json(frame)
         if self.due(t):
             self._chunks.append(_Chunk(self._count, t, data))
@@ -113,13 +113,13 @@ class FrameHistory:
             self._size -= self._chunks.popleft().size
 
     def begin_s(self) -> float:
-        """Return where on the timeline it begins."""
+        """Return the time at which the history begins."""
         return self._chunks[0].begin_s if self._chunks else 0.0
 
     def at(self, t: float) -> bytes:
         """Return the piece around `t` as JSON: `begin`, `end`, `open` (whether it still grows), `key`, `frames`.
 
-        Before the beginning that is the first one, after the end the last; `null` if there is none.
+        Before the beginning this is the first piece, after the end the last; `null` if there is none.
         """
         if not self._chunks:
             return b"null"
@@ -140,12 +140,12 @@ class FrameHistory:
 
 
 MOST_STATE_BYTES: Final = 8 * 1024 * 1024
-"""How much memory all of them may take; then less is kept."""
+"""The most memory of the states; beyond that the oldest state is dropped."""
 
 
 @dataclass(slots=True)
 class _SeenState:
-    """A state, and from when until when the task was seen with it."""
+    """A state, and the first and last time that the task was seen with it."""
 
     first_s: float
     last_s: float
@@ -153,11 +153,11 @@ class _SeenState:
 
 
 class StateHistory:
-    """Keep short states of tasks, each as long as the timeline goes back. Times are seconds on it.
+    """Keep the short states of tasks, as far back as the timeline. Times are seconds on it.
 
     Args:
-        span_s: how much of the timeline is kept.
-        most_bytes: see `MOST_BYTES`.
+        span_s: see `SPAN_S`.
+        most_bytes: see `MOST_STATE_BYTES`.
     """
 
     def __init__(self, span_s: float = SPAN_S, most_bytes: int = MOST_STATE_BYTES) -> None:
@@ -172,8 +172,8 @@ class StateHistory:
 
         Args:
             task: its address, as `agent/service/task`.
-            t: when; not before what was noted last.
-            state: what there is room for of its state.
+            t: when; not earlier than in the call before.
+            state: its state, shortened.
         """
         seen = self._seen.setdefault(task, deque())
         if seen and seen[-1].state == state:
@@ -186,7 +186,7 @@ class StateHistory:
             self._forget_oldest()
 
     def at(self, task: str, t: float) -> tuple[float, ShortState] | None:
-        """Return when a task was seen last, at `t` or before, and with which state; None if it was not."""
+        """Return when a task was last seen, not after `t`, and its state then; None if it was not seen."""
         for seen in reversed(self._seen.get(task, ())):
             if seen.first_s <= t:
                 return min(t, seen.last_s), seen.state

@@ -1,4 +1,4 @@
-"""Watch a fleet in virtual time from outside: it sends no packets to the agents, so the run stays the same."""
+"""Watch a fleet in virtual time from outside: the watch sends no packets, so the run does not change."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from pancakes.tools.web.watch import DETAIL_S, FOLLOWED, POSES
 from pancakes.util.clock import MonotonicClock
 
 HOST = MonotonicClock()
-"""Processes live in the host's time, whatever the mission's clock does."""
+"""A person watches in host time, whatever the mission clock does."""
 
 LOOK_S: Final = 1.0
-"""How often, in mission time, it reads the descriptions of the agents."""
+"""How often the descriptions of the agents are read, in seconds of mission time."""
 SLICE_S: Final = 0.05
-"""How often, in the viewer's time, it waits for the viewer's clock."""
+"""How often the mission waits for the viewer's clock, in seconds of the viewer's time."""
 
 
 class VirtualWatch:
-    """Fill a feed with what a fleet in virtual time does, and keep it from going faster than can be watched.
+    """Fill a feed with what a fleet in virtual time does, at a speed that a person can watch.
 
-    What agents publish is tapped where they publish it, and what they are is read between two turns. Its methods are
-    called in the thread in which the fleet runs, unless they say otherwise.
+    It taps the packets in the agents' streams, and reads the agents' descriptions between two turns. Call its methods
+    in the thread of the fleet, unless they say otherwise.
 
     Args:
-        speed: mission seconds for each second of the viewer.
+        speed: mission seconds per second of the viewer.
         stopping: ends the waiting.
     """
 
@@ -62,13 +62,13 @@ class VirtualWatch:
         self._explainer = CommandExplainer()
 
     def begin(self, fleet: Fleet) -> None:
-        """Take the agents of a fleet that are there; to be called before anything runs."""
+        """Watch the agents of a fleet. Call this before anything runs."""
         self._fleet = fleet
         for handle in fleet.agents.values():
             self.joined(handle.agent)
 
     def joined(self, agent: Agent) -> None:
-        """Take an agent that was killed, and is started again; to be called before it runs."""
+        """Watch an agent that was killed and is started again. Call this before it runs."""
         self._tap(agent)
 
     def slice_s(self) -> float:
@@ -76,7 +76,7 @@ class VirtualWatch:
         return SLICE_S * self.speed
 
     def pace(self) -> None:
-        """Show what has happened, and wait until its time has come."""
+        """Show what has happened, and wait for the viewer's clock."""
         assert self._fleet is not None
         self._time_s = self._fleet.now()
         self._look()
@@ -85,7 +85,7 @@ class VirtualWatch:
         self._stopping.wait(max(0.0, self._began_s + self._now() - HOST.now()))
 
     def end(self) -> None:
-        """Take no more descriptions: that agents stop once a mission is over is no part of it."""
+        """End the watch at the end of the mission: the stop of the agents is not part of it."""
         self._over = True
         self._answer()
         with self.feed.lock:
@@ -103,12 +103,12 @@ class VirtualWatch:
 
         Args:
             agent: the agent's name.
-            body: what is asked; its target is `service/task`.
-            timeout_s: the mission runs in this process, so the answer takes no longer than until the next `pace`.
+            body: the question; its target is `service/task`.
+            timeout_s: not used: the mission runs in this process, and the next `pace` gives the answer.
         """
         answer: Future[Reply] = Future()
         self._questions.append((agent, body, answer))
-        if self._over:  # it looks no more, and may have answered the last of them before this one
+        if self._over:  # `pace` is not called any more
             self._answer()
         return answer
 
@@ -126,14 +126,14 @@ class VirtualWatch:
                 answer.set_exception(error)
 
     def _described(self, agent: str, body: Describe) -> dict[str, Any]:
-        """Return what there is to be known of a task.
+        """Return the description of a task, with its state if `body` asks for it.
 
         Raises:
-            ControlRefused: there is none, or it does not run and so has no state, or that cannot be written down.
-            Unreachable: the mission is over, or its agent was killed.
+            ControlRefused: the task does not exist, does not run and so has no state, or its state cannot be encoded.
+            Unreachable: the mission is over, or the agent was killed.
         """
         if self._over:
-            raise Unreachable("the mission is over: no agent can be asked any more")
+            raise Unreachable("the mission is over: its agents no longer answer")
         assert self._fleet is not None
         if agent not in self._fleet.agents:
             raise Unreachable(f"{agent} cannot be reached")
@@ -180,7 +180,7 @@ class VirtualWatch:
 
         for channel in (LOG, SYSTEM, CTRL):
             stream.tap(channel, hear)
-        # When it leaves, a packet is not on any channel here.
+        # A packet that leaves for another agent is not on a channel here.
         stream.tap_outgoing(leaves)
 
     def _explain(self, commands: Iterable[ActuatorCommand]) -> None:
@@ -202,7 +202,7 @@ class VirtualWatch:
             root = agent.kernel.registry.get(f"{agent.name}/kernel")
             if isinstance(root, Root) and agent.config.agent.role != "client":
                 description = root.describe()
-                # As fast as mission time goes for the viewer.
+                # The speed of mission time as the viewer sees it.
                 described.append({**description, "speed": description["speed"] * self.speed})
         with self.feed.lock:
             self.feed.model.describe(self._rates.update(described), described, self._now())
@@ -214,9 +214,9 @@ class VirtualWatch:
         self._stale.clear()
 
     def _detail(self, agent: str, service: str, task: str) -> None:
-        for state in (True, False):  # what a task keeps in its state may be anything; what cannot be told is not shown
+        for state in (True, False):  # a state can contain anything; without it, the rest is shown
             try:
                 self.feed.take_detail(agent, self._described(agent, Describe(f"{service}/{task}", state)))
                 return
-            except PancakesError:  # or its agent was killed
+            except PancakesError:  # the state cannot be encoded, or the agent was killed
                 continue

@@ -1,4 +1,4 @@
-"""Watch a fleet of processes, as a client of its mesh: a thread of its own, so that no other thread waits."""
+"""Watch a fleet of processes as a client of its mesh, in a thread of its own."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from pancakes.tools.web.command_causes import CommandExplainer, FleetTraces
 from pancakes.tools.web.feed import FRAMES_HZ, Feed
 
 TURN_S: Final = 0.04
-"""How often it takes the packets that have arrived."""
+"""How often arrived packets are taken, in seconds."""
 LOOK_S: Final = 1.0
-"""How often agents are asked to describe themselves."""
+"""How often agents are asked to describe themselves, in seconds."""
 SILENT_S: Final = 2.5
-"""An agent that has not answered for so long is shown as silent."""
+"""An agent that has not answered for this long is shown as silent, in seconds."""
 DETAIL_S: Final = 10.0
-"""How often a task is asked for its settings and state; after an event about it at the next `LOOK_S`."""
+"""How often a task is asked for its settings and state, in seconds; after an event about it at the next `LOOK_S`."""
 RETRY_S: Final = 0.5
-"""How long to wait before agents are looked for again if there are none."""
+"""How long to wait before the next search for agents if none were found, in seconds."""
 RECALL_S: Final = 600.0
-"""How far back, in mission time, a newly met agent is asked for its log."""
+"""How far back a new agent is asked for its log, in seconds of mission time."""
 MOST_ANSWERS: Final = 20
 """The most replies with earlier log records that one agent is asked for."""
 ENDED_S: Final = 1.0
-"""After so long without any agent the fleet is shown as ended."""
-ENDED: Final = "the fleet has ended: none of its agents can be reached. The timeline is still there"
+"""Without any agent for this long, the fleet is shown as ended, in seconds."""
+ENDED: Final = "the fleet has ended: none of its agents can be reached. You can still look at the timeline"
 FOLLOWED: Final = ("battery", "ir", "motion", "sonar", "world_state")
 POSES: Final = ("pose",)
 
 
 @dataclass
 class _PendingRequest:
-    """A request on its way to an agent."""
+    """A request that an agent has not answered yet."""
 
     fleet: FleetSession
     number: int
@@ -54,7 +54,7 @@ class _PendingRequest:
 
 @dataclass
 class _MetAgent:
-    """What is known of an agent that is connected."""
+    """When an agent that has been connected was asked, and for what."""
 
     asked_s: float = -1e9
     answered_s: float = -1e9
@@ -65,33 +65,33 @@ class _MetAgent:
 
 
 def fleet_among(described: Iterable[Mapping[str, Any]], fleet: str = "") -> str:
-    """Return the fleet that is meant, of those that agents are of which described themselves.
+    """Choose a fleet among those of some agents.
 
     Args:
-        described: the results of `Describe`.
-        fleet: its name; empty: the only one.
+        described: the results of `Describe` of the agents.
+        fleet: the name of the fleet; empty: the only one.
 
     Raises:
-        ControlRefused: there are several.
-        Unreachable: there is none of that name.
+        ControlRefused: there are several fleets, and `fleet` is empty.
+        Unreachable: no fleet has that name.
     """
-    there = sorted({row["fleet"] for row in described})
-    if not fleet and len(there) > 1:
-        raise ControlRefused(f"there are several fleets, {', '.join(there)}: name one with --fleet")
-    if fleet and fleet not in there:
-        raise Unreachable(f"there is no agent of the fleet {fleet!r}, only of {', '.join(there)}")
-    return fleet or there[0]
+    found = sorted({row["fleet"] for row in described})
+    if not fleet and len(found) > 1:
+        raise ControlRefused(f"several fleets are running, {', '.join(found)}: choose one with --fleet")
+    if fleet and fleet not in found:
+        raise Unreachable(f"no agent of the fleet {fleet!r} was found, only of {', '.join(found)}")
+    return fleet or found[0]
 
 
 class Watch:
     """Fill a feed with what a fleet does, from `start` to `close`.
 
     Args:
-        feed: what to fill.
-        at: addresses to begin with; none: the agents of this machine.
-        fleet: the fleet; empty: the only one that there is.
-        timeout_s: the time limit for what is asked at the beginning.
-        over: whether it is time to end by itself.
+        feed: the feed to fill.
+        at: addresses to begin with; empty: the agents of this machine.
+        fleet: the fleet; empty: the only one.
+        timeout_s: the time limit for the first questions, in seconds.
+        over: returns whether the watch should end by itself.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class Watch:
         self._closed = False
 
     def start(self) -> None:
-        """Begin; agents that are not there yet are waited for."""
+        """Begin to watch; wait for agents that have not started yet."""
         self._thread.start()
 
     def close(self) -> None:
@@ -130,19 +130,19 @@ class Watch:
             self._thread.join()
 
     def order(self, agent: str, body: Any, timeout_s: float) -> Future[Reply]:
-        """Ask an agent for something. Any thread.
+        """Send an agent a control packet. Any thread.
 
         Args:
-            agent: its name.
-            body: a control packet's body.
-            timeout_s: when to give up.
+            agent: the name of the agent.
+            body: the body of the control packet.
+            timeout_s: when to give up, in seconds.
 
         Returns:
-            Its reply; or the PancakesError that says why there is none.
+            The reply, or the PancakesError that says why there is none.
         """
         answer: Future[Reply] = Future()
         if self._closed:
-            answer.set_exception(Unreachable("the mission is over: no agent can be asked any more"))
+            answer.set_exception(Unreachable("the mission is over: its agents no longer answer"))
             return answer
         self._orders.append((agent, body, timeout_s, answer))
         return answer
@@ -170,7 +170,7 @@ class Watch:
                 self._feed.wait_for(f"a defect in Pancakes or in a plug-in: {type(error).__name__}: {error}")
                 raise
         self._closed = True
-        self._refuse_all("no agent can be asked any more")
+        self._refuse_all("the page no longer watches the fleet")
 
     def _watch(self, session: Session) -> None:
         found = session.survey().agents
@@ -185,7 +185,7 @@ class Watch:
                 self._hear(session, of_log)
                 self._hear(session, of_system)
                 self._tend(session)
-                self._look_who_is_there(session)
+                self._check_for_end(session)
                 self._feed.record()
             for fleet in session.fleets():
                 for hello in fleet.agents():
@@ -208,7 +208,7 @@ class Watch:
                 self._notice(it.agent, it.packet)
 
     def _notice(self, agent: str, packet: Any) -> None:
-        """A task of which something is said may be in another state; a line says nothing of the kind."""
+        """Ask a task again soon after an event about it, because its state may have changed; lines do not matter."""
         met = self._met.get(agent)
         if met is None or packet.type != "event":
             return
@@ -222,7 +222,7 @@ class Watch:
             met.recalled = 0
 
     def _tend(self, session: Session) -> None:
-        """Ask what is due, and take what was answered."""
+        """Ask the questions that are due, and take the answers."""
         now_s = session.now()
         fleets = session.fleets()
         for fleet in fleets:
@@ -237,8 +237,8 @@ class Watch:
         self._take_answers(now_s)
         self._take_commands()
 
-    def _look_who_is_there(self, session: Session) -> None:
-        """Say that the fleet has ended if it has: until an agent comes back."""
+    def _check_for_end(self, session: Session) -> None:
+        """End the feed if no agent is left; continue it when an agent comes back."""
         now_s = session.now()
         if any(fleet.agents() or fleet.asleep() for fleet in session.fleets()):
             self._seen_s = now_s
@@ -247,7 +247,7 @@ class Watch:
         elif self._seen_s is not None and now_s - self._seen_s >= ENDED_S and not self._feed.over:
             self._feed.end(ENDED)
 
-    # Why actuators are commanded ---------------------------------------------------------------------------------
+    # Causes of commands, and details of tasks ---------------------------------------------------------------------
 
     def _ask_traces(self, fleet: FleetSession, now_s: float) -> None:
         for hello in fleet.agents():
@@ -319,7 +319,7 @@ class Watch:
         if isinstance(answer, Reply):
             asked.answer.set_result(answer)
         else:
-            asked.answer.set_exception(NoAnswer(f"{asked.agent} did not answer: {answer or 'nothing came in time'}"))
+            asked.answer.set_exception(NoAnswer(f"{asked.agent} did not answer: {answer or 'no reply in time'}"))
 
     def _take_looks(self, answers: Sequence[tuple[_PendingRequest, Mapping[str, Any]]], now_s: float) -> None:
         described = [result for _, result in answers]

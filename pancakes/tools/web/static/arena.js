@@ -1,4 +1,4 @@
-// The arena: robots, headings, trails, sensor rays, circles, the sensor node; and the agents that talk about a move.
+// Draws the arena: robots, headings, trails, sensor rays, circles, sensor nodes; and messages about a migration.
 
 import { Labels, around } from "./labels.js";
 import { colour, dark, still } from "./words.js";
@@ -59,7 +59,7 @@ export class Arena {
     const names = [...picture.table("body").keys()].filter((name) => this.glides.has(name));
     for (const name of names) this.#body(picture, name, now);
     if (this.layers.names) {
-      // The body that is picked comes first: its label is there, whatever the crowd.
+      // The selected body comes first, so that its label always finds room.
       names.sort((one, other) => (other === this.selected) - (one === this.selected));
       for (const name of names) this.#name(picture, name, names.length > CROWD, now);
       if (this.layers.circles) this.#circleNames(picture);
@@ -319,7 +319,7 @@ export class Arena {
     const width = this.#widthOf(rows);
     const middles = around(x, y, radius + 3, width, rows.length * LINE);
     const middle = this.#label(name, rows, width, middles);
-    // From further away a line leads to the body.
+    // A label that is further away gets a line to its body.
     const nearest = Math.hypot(width / 2, (rows.length * LINE) / 2) + radius + LINE;
     if (middle && Math.hypot(middle[0] - x, middle[1] - y) > nearest) this.#line([x, y], middle, this.ink(0.12), 1);
   }
@@ -333,7 +333,7 @@ export class Arena {
     );
   }
 
-  /** Writes rows where there is room for them; returns their middle, or null where there is none. */
+  /** Writes rows of text where there is room; returns their middle, or null if there is no room. */
   #label(key, rows, width, middles) {
     const middle = this.labels.place(key, width, rows.length * LINE, middles);
     if (!middle) return null;
@@ -374,10 +374,10 @@ export class Arena {
   }
 }
 
-/** Draws what one agent says to another about a move: a line, a dot that travels, and the word where there is room. */
+/** Draws a message between two agents about a migration: a line, a dot that travels, and the text if there is room. */
 export function drawMessage(pen, from, to, effect, age, labels) {
   const fade = age < 0.75 ? 1 : (1 - age) / 0.25;
-  // What goes over keeps clear of what was said before.
+  // Labels of messages avoid the labels drawn before them.
   const middle = [(from[0] + to[0]) / 2, (from[1] + to[1]) / 2 + (effect.strong ? 56 : -32)];
   const at = bow(from, middle, to, Math.min(1, age * 3));
   pen.globalAlpha = fade;
@@ -396,7 +396,7 @@ export function drawMessage(pen, from, to, effect, age, labels) {
     pen.font = "600 12px system-ui";
     pen.textAlign = "center";
     const width = pen.measureText(effect.text).width + 14;
-    // What is said stands near the body that says it.
+    // A message stands near its sender.
     const first = effect.strong ? 0.36 : 0.3;
     const shares = [first, 0.45, 0.15, 0.6, 0.75, 0];
     const middles = shares.flatMap((share) => {
@@ -428,7 +428,7 @@ function bow(from, middle, to, share) {
   return [0, 1].map((axis) => rest ** 2 * from[axis] + 2 * rest * share * middle[axis] + share ** 2 * to[axis]);
 }
 
-/** Says in words what the arena shows. */
+/** Describes the arena in words, for screen readers. */
 export function inWords(picture) {
   const bodies = [...picture.table("body")].map(([name, [x, y, , task]]) => {
     return `${name} at ${x.toFixed(1)}, ${y.toFixed(1)} m${task ? `, driven by ${task}` : ""}`;

@@ -1,4 +1,4 @@
-// A card for each agent: what it is, how it fares, what it runs.
+// A card for each agent: its name and role, its figures, its tasks.
 
 import { OWN_SERVICES, RUNNING } from "./state.js";
 import { colour, guardians, h, hertz, percent, permit, say, set, show, still } from "./words.js";
@@ -8,8 +8,8 @@ const SLOW = 0.8;
 
 export class Cards {
   /**
-   * @param {HTMLElement} box Where they are.
-   * @param {{select: Function, why: Function, act: Function}} asks What is called when a person asks for something.
+   * @param {HTMLElement} box Contains the cards.
+   * @param {{select: Function, why: Function, act: Function}} asks Called when a person clicks something.
    */
   constructor(box, asks) {
     this.box = box;
@@ -18,7 +18,7 @@ export class Cards {
     this.control = false;
   }
 
-  /** Shows a picture; `touched`: only these agents may have changed, null: all. */
+  /** Shows a picture; `touched` names the agents that may have changed, null: all. */
   render(picture, touched) {
     const agents = picture.agents();
     const there = new Set(agents);
@@ -55,12 +55,12 @@ export class Cards {
     this.cards.get(name)?.root.scrollIntoView({ block: "nearest", behavior: still.matches ? "auto" : "smooth" });
   }
 
-  /** Returns where the chip of a task is, null where there is none. */
+  /** Returns the rectangle of the chip of a task, or null if there is no chip. */
   rectOf(agent, task) {
     return this.cards.get(agent)?.chipOf(task)?.root.getBoundingClientRect() ?? null;
   }
 
-  /** Lets a task be seen to move from where it was to its chip on another card; returns whether that is there. */
+  /** Animates a task from its former place to its chip on another card; returns whether that chip exists. */
   fly(task, from, agent) {
     const chip = this.cards.get(agent)?.chipOf(task)?.root;
     if (!chip || chip.dataset.state !== RUNNING) return false;
@@ -192,7 +192,7 @@ class Card {
     this.summary.classList.toggle("warn", stopped.length > 0);
   }
 
-  /** Puts what runs first, then goes by name; touches nothing that is in its place. */
+  /** Sorts running tasks first, then by name; moves only the elements that are out of order. */
   #order(box, own) {
     const rank = (chip) => `${chip.row.state === RUNNING ? 0 : 1} ${chip.task}`;
     const chips = [...this.chips.values()].filter((chip) => chip.isOwn === own);

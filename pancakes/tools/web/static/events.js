@@ -1,4 +1,4 @@
-// What happens: the list of events, newest first.
+// The list of events, newest first.
 
 import { clock, colour, h } from "./words.js";
 
@@ -9,7 +9,7 @@ const MOVES = new Set([
   "task_created", "task_removed",
 ]);
 
-/** Says what kind of event it is, for its colour and the filter. */
+/** Returns the kind of an event, for its colour and the filter. */
 export function sort(event) {
   if (event.kind === "migration_bid") return "bid";
   if (event.kind === "migration_refused" || event.kind === "handoff_failed") return "refused";
@@ -41,14 +41,14 @@ export class Events {
   add(events) {
     const before = Math.max(0, this.events.length - 1);
     this.events.push(...events);
-    // What was before the page came is told agent by agent.
+    // Earlier events arrive agent by agent, so they are not in order of time.
     const disorder = this.events.some((it, index) => index > before && it.t < this.events[index - 1].t);
     if (disorder) this.events.sort((a, b) => a.t - b.t || a.n - b.n);
     if (this.events.length > 4000) this.events.splice(0, this.events.length - 4000);
     this.stale = true;
   }
 
-  /** Shows what had happened until then. */
+  /** Shows the events until a moment. */
   show(until) {
     if (until === this.until) return;
     const [one, other] = [Math.min(until, this.until), Math.max(until, this.until)];
@@ -56,7 +56,7 @@ export class Events {
     if (this.events.some((it) => it.t > one && it.t <= other)) this.stale = true;
   }
 
-  /** Returns what happened after `from`, until `to`. */
+  /** Returns the events after `from`, until `to`. */
   between(from, to) {
     return this.events.filter((it) => it.t > from && it.t <= to);
   }

@@ -1,13 +1,13 @@
-// Settings or rates of a task as a form: the agent checks what was changed, and takes all of it or nothing.
+// A form for settings or rates of a task: the agent checks all changes, and takes all of them or none.
 
 import { SettingField } from "./setting_field.js";
 import { h, say, show } from "./words.js";
 
 export class FieldForm {
   /**
-   * @param {string} title What is over it.
-   * @param {Function} order Asks the agent, given the fields and whether it is only to check them. The promise is of
-   *   `{ok, reason, problems}`: problems are `[name, text]` of the fields whose values are bad.
+   * @param {string} title The title of the form.
+   * @param {Function} order Asks the agent, given the fields and whether to check them only. The promise resolves to
+   *   `{ok, reason, problems}`: problems are `[name, text]` of the fields with bad values.
    */
   constructor(title, order) {
     this.order = order;
@@ -32,10 +32,10 @@ export class FieldForm {
   }
 
   /**
-   * Shows fields as the agent tells them now.
+   * Shows fields with the agent's present values.
    * @param {object[]} fields See `SettingField`.
-   * @param {boolean} editable Whether they may be changed.
-   * @param {string} note What is to be said of all of them.
+   * @param {boolean} editable Whether the page may change them.
+   * @param {string} note A note above the fields.
    */
   show(fields, editable, note = "") {
     show(this.root, fields.length > 0 || Boolean(note));
@@ -62,11 +62,11 @@ export class FieldForm {
     for (const field of this.fields.values()) field.refuse("");
     const wrong = changed.filter((field) => !isValue(field));
     if (!changed.length || wrong.length) {
-      this.#say(wrong.length ? "nothing was asked: see above" : "nothing is changed here yet", wrong.length > 0);
+      this.#say(wrong.length ? "not sent: see above" : "nothing to apply: no field was changed", wrong.length > 0);
       wrong[0]?.control.focus();
       return;
     }
-    this.#say(dry ? "the agent checks it …" : "asking …");
+    this.#say(dry ? "checking …" : "asking …");
     const { ok, reason, problems } = await this.order([...this.fields.values()], dry);
     if (!ok) {
       const beside = problems.filter(([name]) => this.fields.has(name));
@@ -91,7 +91,7 @@ export class FieldForm {
   }
 }
 
-/** Returns whether a person has put a value into a field; else says beside it what is wrong. */
+/** Returns whether a field has a valid value; otherwise shows beside it what is wrong. */
 function isValue(field) {
   try {
     field.value();
@@ -102,7 +102,7 @@ function isValue(field) {
   }
 }
 
-/** Returns what is to be set so that the changed fields have their values: a table is set as a whole. */
+/** Returns the settings to change so that the changed fields get their values: a table is set as a whole. */
 export function changesOf(fields) {
   const changes = {};
   for (const top of new Set(fields.filter((it) => it.changed).map((it) => it.field.path[0]))) {

@@ -1,7 +1,7 @@
-// Where the arena's labels stand: each near what it belongs to, none over another.
+// Places the labels of the arena: each near its body, none over another.
 
 const GAP = 2;
-/** So many of the first places are near enough to stay at; from further away a label comes back as soon as it can. */
+/** A label stays at one of its first NEAR places; from a place further away it comes back as soon as it can. */
 const NEAR = 8;
 
 export class Labels {
@@ -17,23 +17,23 @@ export class Labels {
     this.avoided = [];
   }
 
-  /** No label is to stand there. */
+  /** Keeps labels out of an area. */
   take(left, top, right, bottom) {
     this.taken.push([left, top, right, bottom]);
   }
 
-  /** A label stands there only where it finds no other place. */
+  /** Keeps labels out of an area, unless there is no other place. */
   avoid(left, top, right, bottom) {
     this.avoided.push([left, top, right, bottom]);
   }
 
   /**
    * Finds a place for a label, and takes it.
-   * @param {string} key Whose label it is: in the next frame it stays on its side where it can.
+   * @param {string} key Identifies the label: in the next frame it keeps its side if it can.
    * @param {number} width Its width.
    * @param {number} height Its height.
-   * @param {number[][]} middles Where its middle may be, the best first.
-   * @returns {number[] | null} Its middle, or null: there is no room for it.
+   * @param {number[][]} middles Possible middles of the label, the best first.
+   * @returns {number[] | null} Its middle, or null if there is no room.
    */
   place(key, width, height, middles) {
     const chosen = this.choices.get(key) ?? 0;
@@ -52,7 +52,7 @@ export class Labels {
     return null;
   }
 
-  /** Forgets whose labels are gone. */
+  /** Forgets all labels except these. */
   keep(keys) {
     for (const key of this.choices.keys()) if (!keys.has(key)) this.choices.delete(key);
   }

@@ -1,15 +1,15 @@
-// The way to the server: news come by themselves, questions are answered.
+// The connection to the server: it sends frames by itself, and answers questions.
 
 const AGAIN_MS = 1000;
 const PATIENCE_MS = 35000;
-/** The server takes no longer message, in bytes. */
+/** The longest message that the server takes, in bytes. */
 const LONGEST = 16 * 1024;
 
 export class Link {
   /**
-   * @param {string} token What the address of the page says about what it may do.
+   * @param {string} token The token in the address of the page, which the server requires.
    * @param {{frame: Function, state: Function}} listener Takes frames, and "open" (with the greeting) or "closed"
-   *   (with the server's reason, such as that it is full; else empty).
+   *   (with the server's reason, if it gave one).
    */
   constructor(token, listener) {
     this.token = token;
@@ -19,7 +19,7 @@ export class Link {
     this.#open();
   }
 
-  /** Asks for something; the promise is of the answer `{ok, reason, result}`. */
+  /** Asks the server; the promise resolves to the answer `{ok, reason, result}`. */
   ask(what, fields = {}) {
     const id = ++this.number;
     return new Promise((resolve) => {
@@ -29,7 +29,7 @@ export class Link {
       }
       const message = JSON.stringify({ ...fields, id, ask: what });
       if (new Blob([message]).size > LONGEST) {
-        resolve({ ok: false, reason: "that is too long for a page: use pancakes param set", result: null });
+        resolve({ ok: false, reason: "this is too long for a page: use pancakes param set", result: null });
         return;
       }
       const timer = setTimeout(() => this.#settle(id, "no answer came"), PATIENCE_MS);

@@ -1,4 +1,4 @@
-// The page: takes news, and draws what is to be seen of them.
+// The page: takes frames from the server, and draws them.
 
 import { Arena, inWords } from "./arena.js";
 import { Cards } from "./cards.js";
@@ -100,7 +100,7 @@ function state(what, greeting) {
     find("help-control"),
     control
       ? "This page may change what the agents do: drag a task onto another agent (by its ⠿ with a finger; escape lets go), or open it to change its rates and settings. You are asked before it moves."
-      : "This page only looks. Started with --control it lets you move tasks between agents, change rates and settings, stop and start.",
+      : "This page is read-only. Start it with --control to move tasks between agents, change rates and settings, stop and start tasks.",
   );
 }
 
@@ -109,7 +109,7 @@ function touch(changed) {
   else for (const name of changed) touched.add(name);
 }
 
-/** A task that leaves a card in this frame is seen to fly from where it was. */
+/** Remembers where on the page a task was, if it leaves its agent in this frame: it will fly from there. */
 function rememberPlaces(news) {
   for (const event of news.events || []) {
     if (!["migration_asked", "task_stopped", "task_frozen", "task_handed_over"].includes(event.kind)) continue;
@@ -122,7 +122,7 @@ function remember(agent, task) {
   if (rect && rect.width) departed.set(`${agent}/${task}`, { rect, at: performance.now() });
 }
 
-/** Shows something that happens, now or in the past that is played. */
+/** Shows an event, of the present or of the past that is played. */
 function happen(event) {
   const now = performance.now();
   const effect = (from, to, colour, text, strong = false) =>
@@ -183,7 +183,7 @@ function draw(now) {
     cards.render(shown, touched);
     touched = new Set();
   }
-  // Where a task arrives it may not have started yet.
+  // A task flies only once it has started on its new agent.
   flights = flights.filter((flight) => now < flight.until && !cards.fly(flight.task, flight.from, flight.to));
   events.show(timeline.live ? Infinity : timeline.t);
   events.render();
@@ -196,7 +196,7 @@ function draw(now) {
   (isMesh ? mesh : arena).draw(shown, effects, now);
   if (!chosen) document.querySelector(`input[name=stage][value=${isMesh ? "mesh" : "arena"}]`).checked = true;
   head();
-  // A listener does not want to hear each step; what there is at all is to be told at once.
+  // A screen reader should not read each step of a robot, but a new body or agent at once.
   const crowd = shown.table("body").size + shown.table("agent").size;
   if (now - describedAt > DESCRIBED_MS || crowd !== described) {
     [describedAt, described] = [now, crowd];
@@ -215,12 +215,12 @@ function head() {
   say(find("status"), status);
   set(find("status"), "data-state", status);
   const closed = closedFor
-    ? `The server closed this page: ${closedFor}. It is asked again every second.`
-    : "The page has lost its server. It looks for it every second.";
+    ? `The server closed this page: ${closedFor}. The page tries again every second.`
+    : "The page has lost its server. It tries again every second.";
   const waiting = !open ? closed : lastFrame.over || lastFrame.waiting || "";
   show(find("waiting"), Boolean(waiting));
   say(find("waiting"), waiting);
-  if (open && !lastFrame.over && lastFrame.lost_events) say(find("announcer"), `${lastFrame.lost_events} events were too many`);
+  if (open && !lastFrame.over && lastFrame.lost_events) say(find("announcer"), `${lastFrame.lost_events} events were left out: there were too many`);
 }
 
 // What a person does ---------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-// The mesh: agents as dots on a ring, their links with the round trips.
+// Draws the mesh: agents as dots on a ring, and their links with the round-trip times.
 
 import { drawMessage } from "./arena.js";
 import { colour, dark } from "./words.js";
@@ -26,7 +26,7 @@ export class Mesh {
     const { canvas, pen } = this;
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-    // A thousand links are not drawn more often than they change.
+    // Drawing a thousand links is slow, so an unchanged picture is drawn only every AGAIN_MS.
     const drawn = `${width} ${height} ${ratio} ${this.selected} ${dark.matches}`;
     if (!effects.length && drawn === this.drawn && now - this.drawnAt < AGAIN_MS) return;
     [this.drawn, this.drawnAt] = [effects.length ? "" : drawn, now];
@@ -60,7 +60,7 @@ export class Mesh {
       pen.fillStyle = `rgb(${ink} / .75)`;
       pen.fillText(text, x, y + 4);
     }
-    // Among many, the round trips of the one that is picked stand beside the names of the others.
+    // With many agents, the round trips of the selected one stand beside the names of the others.
     const trips = few ? new Map() : new Map(links.filter(([pair, ms]) => ms >= 0 && pair.split("/").includes(this.selected)).map(([pair, ms]) => [pair.split("/").find((name) => name !== this.selected), ms]));
     for (const name of agents) this.#agent(picture, name, ink, few, [width / 2, height / 2], trips.get(name));
     for (const effect of effects) {
@@ -84,7 +84,7 @@ export class Mesh {
     let [beside, above] = [70, 42];
     this.radius = DOT_PX;
     if (!few) {
-      // Names point outward, so that many find room, and a round trip behind each.
+      // Names point outward, so that there is room for many, and for a round trip behind each.
       this.pen.font = "11px system-ui";
       this.texts = new Map(agents.map((name) => [name, this.#short(name)]));
       const widest = Math.max(...[...this.texts.values()].map((text) => this.pen.measureText(text).width));
@@ -99,7 +99,7 @@ export class Mesh {
     });
   }
 
-  /** Returns as much of a name as there is room for. */
+  /** Shortens a name to the room for it. */
   #short(name) {
     let text = name;
     while (text.length > 2 && this.pen.measureText(text).width > NAME_PX) text = `${text.slice(0, -2)}…`;
@@ -147,7 +147,7 @@ export class Mesh {
     pen.globalAlpha = 1;
   }
 
-  /** Writes a name along the line from the middle, never upside down, and behind it its round trip. */
+  /** Writes a name along the line from the middle, never upside down, and the round trip behind it. */
   #outward(name, [x, y], middle, ink, trip) {
     const { pen } = this;
     const angle = Math.atan2(y - middle[1], x - middle[0]);

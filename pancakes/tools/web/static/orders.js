@@ -1,4 +1,4 @@
-// What a person may ask for on a page with control: to move a task, to stop and start it.
+// The orders of a person on a page with control: migrate a task, stop, start and restart it.
 
 import { OWN_SERVICES, RUNNING } from "./state.js";
 import { h, hertz } from "./words.js";
@@ -10,7 +10,7 @@ const SCROLL_PX = 14;
 export class Orders {
   /**
    * @param {Link} link Asks the server.
-   * @param {HTMLDialogElement} dialog Where a person is asked.
+   * @param {HTMLDialogElement} dialog Asks the person.
    * @param {Function} agents Returns the names of the agents that could take a task.
    */
   constructor(link, dialog, agents) {
@@ -72,7 +72,7 @@ export class Orders {
     const own = list.scrollHeight > list.clientHeight + 1 && getComputedStyle(list).overflowY === "auto";
     const { top, bottom } = list.getBoundingClientRect();
     const [first, last] = own ? [Math.max(0, top), Math.min(bottom, window.innerHeight)] : [0, window.innerHeight];
-    // The page goes no further than to the ends of the list.
+    // The page scrolls only as far as the ends of the list.
     const [before, after] = own ? [Infinity, Infinity] : [Math.max(0, first - top), Math.max(0, bottom - last)];
     const step = (px) => (SCROLL_PX * Math.min(EDGE_PX, px)) / EDGE_PX;
     const by = Math.min(after, step(Math.max(0, drag.y - last + EDGE_PX))) - Math.min(before, step(Math.max(0, first + EDGE_PX - drag.y)));
@@ -94,7 +94,7 @@ export class Orders {
 
   #drop(drag, dropped) {
     if (!drag.ghost) return;
-    // The click that ends a drag is none.
+    // The end of a drag also causes a click, which must do nothing.
     window.addEventListener("click", stop, { capture: true, once: true });
     setTimeout(() => window.removeEventListener("click", stop, { capture: true }), 0);
     drag.ghost.remove();
@@ -107,7 +107,7 @@ export class Orders {
 
   // Dialogs -----------------------------------------------------------------------------------------------------
 
-  /** Returns what can be done with a task besides changing it; `said`: where the answers are told. */
+  /** Returns the buttons that migrate, stop and start a task; `said` shows the answers. */
   actions(agent, key, row, said) {
     const runs = row.state === RUNNING;
     const box = h("div.actions");
@@ -131,7 +131,7 @@ export class Orders {
     return box;
   }
 
-  /** Asks for bids, shows them, and moves the task where a person wants that. */
+  /** Asks for a bid, shows it, and migrates the task if the person confirms. */
   async move(agent, key, to) {
     const task = key.split("/")[1];
     const said = h("p.said", { role: "status" }, `asking only ${to} for a bid …`);
@@ -172,7 +172,7 @@ function stop(event) {
   event.preventDefault();
 }
 
-/** The table of what neighbours answered. */
+/** Makes a table of the answers of the neighbours. */
 export function ledger(lines) {
   const rows = lines.map((line) =>
     h(

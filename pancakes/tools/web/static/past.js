@@ -1,4 +1,4 @@
-// The past, as the server keeps it: pieces of the timeline, fetched when they are looked at.
+// The past: pieces of the timeline, fetched from the server when a person looks at them.
 
 import { Picture } from "./state.js";
 

@@ -1,16 +1,16 @@
-// One setting or rate of a task: what it is, and where it may be changed the control for it.
+// One setting or rate of a task: its description, and its control if the page may change it.
 
 import { h, say, set, show } from "./words.js";
 
 const LONG = 60;
-/** A slider has so many steps. */
+/** The number of steps of a slider. */
 const STEPS = 200;
 let made = 0;
 
 export class SettingField {
   /**
-   * @param {object} field What the server says of it, see pancakes/tools/web/setting_fields.py.
-   * @param {boolean} editable Whether it may be changed.
+   * @param {object} field The field from the server, see `fields_of` in pancakes/tools/web/orders.py.
+   * @param {boolean} editable Whether the page may change it.
    */
   constructor(field, editable) {
     this.field = field;
@@ -22,7 +22,7 @@ export class SettingField {
     this.touched = false;
     this.control.addEventListener("input", () => (this.touched = true));
     const name = [field.name, ...(field.unit ? [h("span.dim", {}, ` ${field.unit}`)] : [])];
-    // A slider does the same as the number beside it, which a keyboard and a listener need alone.
+    // A slider only repeats the number beside it: keyboards and screen readers use the number.
     this.slider = this.editable && this.#slides() ? this.#slider() : null;
     this.root = h(
       "div.field",
@@ -47,23 +47,23 @@ export class SettingField {
     }
   }
 
-  /** Returns what the person wants; throws a sentence where that is no value. */
+  /** Returns the value that the person entered; throws a sentence if it is not a value. */
   value() {
     const { kind, nullable, choices } = this.field;
     if (kind === "boolean") return this.control.checked;
     if (kind === "choice") return choices[Number(this.control.value)];
     const text = this.control.value;
     const isNumber = kind === "number" || kind === "integer";
-    if (isNumber && (this.control.validity.badInput || (text === "" && !nullable))) throw "a number is wanted";
+    if (isNumber && (this.control.validity.badInput || (text === "" && !nullable))) throw "enter a number";
     if (text === "" && nullable) return null;
     if (kind === "number") return Number(text);
     if (kind === "text") return text;
     const value = kind === "integer" ? Number(text) : parsed(text);
-    if (inexact(value)) throw "a browser has no integers of this size: use pancakes param set";
+    if (inexact(value)) throw "a browser cannot represent this integer exactly: use pancakes param set";
     return value;
   }
 
-  /** Takes what the agent says of it now; what the person has changed stays. */
+  /** Takes the agent's present value, but keeps what the person has changed. */
   update(field) {
     const keep = this.changed;
     this.field = field;
@@ -83,7 +83,7 @@ export class SettingField {
     this.#follow();
   }
 
-  /** Says beside it what is wrong with its value; empty: nothing. */
+  /** Shows beside the control what is wrong with its value; empty: nothing. */
   refuse(text) {
     say(this.refusal, text);
     show(this.refusal, Boolean(text));
@@ -142,11 +142,11 @@ function parsed(text) {
   try {
     return JSON.parse(text);
   } catch (error) {
-    throw `this is no JSON: ${error.message}`;
+    throw `this is not JSON: ${error.message}`;
   }
 }
 
-/** Returns whether there is an integer in it that may be another than was written. */
+/** Returns whether a value contains an integer that the browser may have rounded. */
 function inexact(value) {
   if (typeof value === "number") return Number.isInteger(value) && !Number.isSafeInteger(value);
   return value !== null && typeof value === "object" && Object.values(value).some(inexact);
@@ -156,7 +156,7 @@ function put(control, text) {
   if (control.value !== text) control.value = text;
 }
 
-/** A value as people read it. */
+/** Formats a value for people. */
 function words(value) {
   if (value === null || value === undefined) return "nothing";
   return typeof value === "string" ? value || "(empty)" : JSON.stringify(value);

@@ -1,7 +1,7 @@
-// What is to be seen at one moment: named values, see pancakes/tools/web/fleet_model.py, and the trails.
+// The picture of one moment: named values (see pancakes/tools/web/fleet_model.py) and the trails.
 
 export const RUNNING = "running";
-/** The services that every agent has; their tasks are its own affair. */
+/** The services that every agent has; their tasks are not the user's. */
 export const OWN_SERVICES = new Set(["device", "network", "log"]);
 const TRAIL = 400;
 
@@ -30,7 +30,7 @@ export class Picture {
     return this.table(kind).get(name);
   }
 
-  /** Takes a frame; returns the names of the agents whose cards it concerns, or null for all. */
+  /** Takes a frame; returns the names of the agents whose cards it changes, or null for all. */
   apply(frame) {
     if (frame.all) this.clear();
     this.t = frame.t;
@@ -107,7 +107,7 @@ function put(table, name, value) {
   else table.set(name, value);
 }
 
-// The world and others that are no robots come last.
+// Robots come first, worlds and others last.
 function byRole(picture) {
   const rank = (name) => (picture.get("agent", name).role === "agent" ? 0 : 1);
   return (a, b) => rank(a) - rank(b) || a.localeCompare(b, undefined, { numeric: true });

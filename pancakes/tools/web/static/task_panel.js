@@ -1,11 +1,11 @@
-// All that is known of one task while a person looks at it: its state as it changes, its rates and its settings.
+// One task, while a person looks at it: its state as it changes, its rates and its settings.
 
 import { FieldForm, changesOf } from "./field_form.js";
 import { RUNNING } from "./state.js";
 import { guardians, h, hertz, say, show } from "./words.js";
 
 const LOOK_MS = 1000;
-/** A task whose state takes long to tell is asked so much less often. */
+/** A task is asked again after this many times the duration of its last answer, so a slow task is asked less often. */
 const SHARE = 10;
 const FACTS_MS = 250;
 const RATE = { kind: "number", type: "number", bounds: "from 0 to 10,000", unit: "Hz", min: 0, nullable: false };
@@ -13,9 +13,9 @@ const RATE = { kind: "number", type: "number", bounds: "from 0 to 10,000", unit:
 export class TaskPanel {
   /**
    * @param {Link} link Asks the server.
-   * @param {HTMLDialogElement} dialog Where it is shown.
-   * @param {Orders} orders What else can be done with a task.
-   * @param {Timeline} timeline Says which moment is looked at.
+   * @param {HTMLDialogElement} dialog Shows the panel.
+   * @param {Orders} orders The other orders for a task.
+   * @param {Timeline} timeline Has the moment that the page shows.
    * @param {Function} shown Returns the picture of that moment.
    */
   constructor(link, dialog, orders, timeline, shown) {
@@ -62,7 +62,7 @@ export class TaskPanel {
       const moment = this.timeline.live ? {} : { t: this.timeline.t };
       const asked = (this.asked = Symbol());
       const answer = await this.link.ask("task", { agent: this.agent, task: this.key, ...moment });
-      // What was asked before something was changed says nothing of it.
+      // Ignore the answer if the person has changed something since the question.
       if (this.#isOpen(root) && asked === this.asked) this.#take(answer, moment.t === undefined);
       await new Promise((resolve) => setTimeout(resolve, Math.max(LOOK_MS, SHARE * (performance.now() - began))));
     }
@@ -75,8 +75,8 @@ export class TaskPanel {
     const { state, no_state, settings, timers, left_out } = this.told;
     this.rows.show(state ? state.rows : []);
     show(this.kept, Boolean(state && state.rows.length));
-    const nothing = state && !state.rows.length ? "It keeps nothing in its state." : "";
-    const cut = state && state.cut ? `What is cut: pancakes task info ${this.agent}/${this.key} --state --format json` : "";
+    const nothing = state && !state.rows.length ? "Its state is empty." : "";
+    const cut = state && state.cut ? `Parts are cut. See all: pancakes task info ${this.agent}/${this.key} --state --format json` : "";
     say(this.missing, [no_state, nothing, cut].filter(Boolean).join(" "));
     show(this.missing, Boolean(no_state || nothing || cut));
     if (!live) {
@@ -85,11 +85,11 @@ export class TaskPanel {
     } else if (settings) {
       const runs = this.#row()?.state === RUNNING;
       const editable = this.orders.control && runs;
-      const still = this.orders.control && !runs ? "It does not run: settings change while it does." : "";
-      const more = left_out ? `${left_out} more are too long for a page: pancakes param get ${this.agent}/${this.key}` : "";
+      const still = this.orders.control && !runs ? "It does not run: settings can be changed only while it runs." : "";
+      const more = left_out ? `${left_out} more do not fit on a page: pancakes param get ${this.agent}/${this.key}` : "";
       const rates = timers.map((it) => ({ ...RATE, path: [it.timer], name: it.timer, value: it.rate_hz, description: `${it.ticks} ticks, ${it.missed} missed` }));
       this.rates.show(rates, editable);
-      this.settings.show(settings, editable, [settings.length ? "" : "It has none.", still, more].filter(Boolean).join(" "));
+      this.settings.show(settings, editable, [settings.length ? "" : "It has no settings.", still, more].filter(Boolean).join(" "));
     }
     this.#draw();
   }
@@ -98,7 +98,7 @@ export class TaskPanel {
     return this.shown().tasksOf(this.agent).get(this.key);
   }
 
-  /** Shows what changes by itself: the facts, what can be done, how old the state is. */
+  /** Updates what changes by itself: the facts, the buttons, the age of the state. */
   #draw() {
     const row = this.#row();
     this.facts.show(row ? factsOf(this.agent, this.key, row) : [["agent", this.agent], ["state", "it is not on this agent"]]);
@@ -129,7 +129,7 @@ export class TaskPanel {
     return { ok, reason, problems };
   }
 
-  /** Changes rates one after the other, once the agent has said of all of them that they are good. */
+  /** Changes rates one after the other, after the agent has checked all of them. */
   async #setRates(fields, dry) {
     const changed = fields.filter((it) => it.changed).map((it) => ({ timer: it.field.name, rate_hz: it.value() }));
     for (const dry_run of dry ? [true] : [true, false]) {
@@ -142,7 +142,7 @@ export class TaskPanel {
   }
 }
 
-/** Names with texts, of which those alone are laid out again that change. */
+/** A list of names with texts, which updates only the texts that change. */
 class Rows {
   constructor() {
     this.root = h("dl.facts");
@@ -159,7 +159,7 @@ class Rows {
   }
 }
 
-/** Returns the name of the field that a bad value belongs to: of the value itself, or of the table around it. */
+/** Returns the name of the field with a bad value: the field of the value itself, or of the table around it. */
 function nameAt(fields, path) {
   const beginsWith = (keys) => keys.length <= path.length && keys.every((key, index) => key === path[index]);
   return fields.find((it) => beginsWith(it.field.path))?.field.name ?? path.join(".");
@@ -176,7 +176,7 @@ function factsOf(agent, key, row) {
   ];
   if (row.guards) {
     facts.push(["guardians", guardians(row.guards).replace("guarded by ", "")]);
-    facts.push(["permit", row.guards.permit_s > 0 ? `${row.guards.permit_s.toFixed(1)} s` : "none: it stands still"]);
+    facts.push(["permit", row.guards.permit_s > 0 ? `${row.guards.permit_s.toFixed(1)} s` : "none: the task is paused"]);
     facts.push(["checkpoint", row.guards.age_s === null ? null : `${row.guards.age_s} s old at more than half of them`]);
   }
   facts.push(

@@ -1,4 +1,4 @@
-// Where on the timeline the page is: at the present, or somewhere in the past, standing or playing.
+// The moment that the page shows: the present, or a moment of the past, paused or playing.
 
 import { clock, say, set } from "./words.js";
 
@@ -7,8 +7,9 @@ const NEAR_S = 0.25;
 
 export class Timeline {
   /**
-   * @param {Past} past What was.
-   * @param {{present: Function, past: Function, mission: Function}} shows Show the present, or a picture of the past.
+   * @param {Past} past The past.
+   * @param {{present: Function, past: Function, mission: Function}} shows Show the present or a picture of the past;
+   *   `mission` returns the mission time that is shown.
    */
   constructor(past, shows) {
     this.past = past;
@@ -83,7 +84,7 @@ export class Timeline {
     this.#label();
   }
 
-  /** Goes on by so many seconds; called for each picture that is drawn. */
+  /** Plays on by this many seconds; called before each drawn frame. */
   tick(seconds) {
     if (!this.live && this.playing) {
       this.t += seconds * Number(this.paceBox.value);
@@ -124,7 +125,7 @@ export class Timeline {
     this.#drawMarks();
   }
 
-  /** Shows on the timeline where something happened. */
+  /** Marks an event on the timeline. */
   mark(t, kind) {
     this.marks.push([t, kind]);
     this.drawn = "";

@@ -1,13 +1,13 @@
-// Why an actuator was commanded: any command of the last minutes, the chain of packets back to the sensor reading with
-// the time of each step, and how long all such chains took.
+// Explains why an actuator was commanded: for any command of the last minutes, the chain of packets from the sensor
+// reading with the time of each step, and how long all such chains took.
 
 import { clock, colour, h, say } from "./words.js";
 
 export class Why {
   /**
    * @param {Link} link Asks the server.
-   * @param {HTMLDialogElement} dialog Where it is shown.
-   * @param {Timeline} timeline Says which moment is looked at, and goes to that of a command.
+   * @param {HTMLDialogElement} dialog Shows the explanation.
+   * @param {Timeline} timeline Has the moment that the page shows, and goes to that of a command.
    */
   constructor(link, dialog, timeline) {
     this.link = link;
@@ -19,7 +19,7 @@ export class Why {
     dialog.addEventListener("close", () => (this.shown = null));
   }
 
-  /** Shows the command that was in force at the moment that is looked at. */
+  /** Shows the command that was in force at the moment that the page shows. */
   async open(agent) {
     const moment = this.timeline.live ? {} : { t: this.timeline.t };
     this.said = h("p.said", { role: "status" }, "asking …");
@@ -71,20 +71,20 @@ export class Why {
 
   #show(it) {
     this.nav.hidden = false;
-    // The first element is to have the focus first; it was not there when the dialog opened.
+    // The first button gets the focus; it was hidden when the dialog opened.
     if (!this.shown) this.before.focus();
     this.shown = it;
     this.which.hidden = it.actuators.length < 2;
     this.which.replaceChildren(...it.actuators.map((type) => h("option", { selected: type === it.type }, type)));
     this.which.value = it.type;
     say(this.place, `${it.place} of ${it.count}${it.left_out ? `, ${it.left_out} left out` : ""}`);
-    // A button that has the focus keeps it, also at the end.
+    // aria-disabled and not disabled: a disabled button would lose the focus.
     this.before.setAttribute("aria-disabled", String(it.place === 1));
     this.after.setAttribute("aria-disabled", String(it.place === it.count));
     const last = it.steps[it.steps.length - 1];
     const took = it.alike
       ? `${last.at_ms.toFixed(2)} ms from the first cause to the command.`
-      : "It answers no packet that is known: a timer led to it, or no agent has told its cause.";
+      : "No packet is known that caused it: a timer led to it, or no agent has reported the cause.";
     say(this.said, `${it.type} at ${clock(it.mission_s)} mission time. ${took}`);
     this.chain.replaceChildren(chain(it.steps, last.at_ms), ...(it.alike ? [alike(it.alike, last.at_ms)] : []));
   }
@@ -110,7 +110,7 @@ function chain(steps, whole) {
   return list;
 }
 
-/** How long all took that came about like this, and where among them this one is. */
+/** Shows how long all commands with the same kind of chain took, and where this one is among them. */
 function alike(figures, whole) {
   const most = Math.max(1, ...figures.bars);
   const width = (figures.to_ms - figures.from_ms) / figures.bars.length;

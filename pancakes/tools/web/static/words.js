@@ -1,4 +1,4 @@
-// Words, figures and colours as people read them.
+// Formats words, figures and colours for people.
 
 const HUES = [212, 22, 152, 282, 48, 332, 186, 98, 252, 0];
 
@@ -36,13 +36,13 @@ function age(seconds) {
   return seconds === null || seconds === undefined ? "" : ` ${seconds < 10 ? seconds.toFixed(1) : Math.round(seconds)} s`;
 }
 
-/** Says what agents guard a task, and how old the checkpoint is that each of them has. */
+/** Returns which agents guard a task, and the age of each one's checkpoint. */
 export function guardians({ by, wanted }) {
   if (by.length < wanted) return `not guarded: ${wanted} guardians are wanted`;
   return `guarded by ${by.map(([agent, seconds, answers]) => `${agent}${answers ? age(seconds) : " (silent)"}`).join(" · ")}`;
 }
 
-/** Says for how long a guarded task may act yet. */
+/** Returns how long a guarded task may still act. */
 export function permit({ permit_s }) {
   return permit_s > 0 ? ` · permit ${permit_s.toFixed(1)} s` : " · no permit";
 }
@@ -61,7 +61,7 @@ export function h(what, attributes = {}, ...children) {
   return element;
 }
 
-/** Changes a text only where it is another: the browser lays out nothing in vain. */
+/** Sets a text if it has changed, so that the browser does no layout for nothing. */
 export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
