@@ -71,7 +71,7 @@ if TYPE_CHECKING:
 
 
 _TOLD_ONCE = ("name", "role", "fleet", "listen")
-"""What a description of the agent says by itself, and not again with its mesh."""
+"""What the description of an agent itself says, so its mesh need not repeat it."""
 CLOSE_S = 1.5
 """How long, in host time, an agent waits for its tasks to end before it stops all the same."""
 
@@ -81,8 +81,8 @@ class Virtual(msgspec.Struct, frozen=True):
 
     Attributes:
         dispatcher: runs them all.
-        transport: this agent's own way onto the network in memory.
-        journal: what stands for its disk.
+        transport: this agent's transport on the network in memory.
+        journal: the journal, which takes the place of its disk.
         clock: its host clock; None: the virtual one.
     """
 
@@ -97,7 +97,7 @@ class Agent:
 
     Args:
         config: its configuration.
-        plugins: where its classes are found.
+        plugins: where its classes come from.
         virtual: run in virtual time; None: on threads and sockets.
         arguments: what its tasks get besides their settings, by the task's name and by argument.
 
@@ -106,14 +106,14 @@ class Agent:
         kernel: its kernel.
         mesh: its links.
         store: writes to its journal.
-        skipped: what does not run or was not believed (a broken plug-in, a torn journal entry), each a sentence.
+        skipped: a sentence for each part that does not run or is not believed: a broken plug-in, a torn journal entry.
         outbox: what its tasks have sent to tasks, until that is acknowledged.
-        host_state: what it could be to a task from elsewhere.
-        resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
-            it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
-        ready: set once all that should run at the start does.
-        insecure_over: the ways on which it does without the keys that they ask for, such as `tcp://`; empty: none.
-        fatal: set to a sentence where it must stop: its port is in use, another agent bears its name.
+        host_state: what this host offers to a task from elsewhere.
+        resting: why each task of its configuration that does not start now does not, in a word (`moved → r3`), by
+            `SERVICE/TASK`: it migrated, failed or was stopped when the agent ran before.
+        ready: set once everything that should run at the start runs.
+        insecure_over: the schemes, such as `tcp://`, that it uses without the keys that they need; empty: none.
+        fatal: why it must stop, as a sentence: its port is in use, another agent has its name, and so on.
 
     Raises:
         PancakesError: a plug-in is missing, its journal is in use, ...; the message says which.
@@ -134,7 +134,7 @@ class Agent:
             self.name,
             seed=seed,
             speed=config.clock.speed,
-            hold=True,  # `MissionStart` lets it begin
+            hold=True,  # until `MissionStart`
             virtual=virtual.dispatcher if virtual is not None else None,
             skewed=virtual.clock if virtual is not None else None,
         )
@@ -224,7 +224,7 @@ class Agent:
             timebase=self.kernel.timebase,
             links=config.agent.links,
         )
-        # A stream's name never comes again, because what was numbered in it is forgotten with this process.
+        # A stream's name is never used again: its numbers are forgotten when this process ends.
         source = self.kernel.random_for("outbox") if virtual is not None else random.SystemRandom()
         secret = f"{source.getrandbits(128):032x}"
         self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name, secret))
@@ -255,7 +255,7 @@ class Agent:
     # Life ------------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Opens its port, and begins to start its services; `ready` says when that is done.
+        """Open the port, and begin to start the services; `ready` is set when they run.
 
         Raises:
             PancakesError: its port is in use.
@@ -267,7 +267,7 @@ class Agent:
         if self.kernel.virtual is None:
             self._tend(Importer, IMPORTER, installed=self._installed)
         try:
-            self.mesh.start()  # after the actors that peers ask at once
+            self.mesh.start()  # after the actors, which peers ask at once
         except PancakesError:
             self._release()
             raise
@@ -288,7 +288,7 @@ class Agent:
         self._root = root
 
     def _tend(self, cls: type[Component], place: str, **arguments: Any) -> None:
-        """Starts an actor that belongs to no service, and again where it fails: what it must know is not in it."""
+        """Start an actor that belongs to no service, and start it again if it fails: it keeps no state that matters."""
 
         def ended(helper: Component, error: BaseException | None) -> None:
             self.kernel.stream.unsubscribe(helper.address)
@@ -300,7 +300,7 @@ class Agent:
         self.kernel.spawn(cls, join(self.name, place), exited=ended, **arguments)
 
     def _root_ended(self, root: Root, error: BaseException | None) -> None:
-        """Without its root an agent takes no command any more, and no service comes back: so the agent ends too."""
+        """End the agent: without its root it takes no command any more, and no service is restarted."""
         self.kernel.stream.unsubscribe(root.address)
         if error is None and self.kernel.stopping:
             self._closed.set()
@@ -319,7 +319,7 @@ class Agent:
         )
 
     def _become_ready(self) -> None:
-        # Only now does the Log Service listen to what was found wrong before.
+        # Faults that were found earlier are logged only now, when the Log Service listens.
         for sentence in self.skipped:
             self.kernel.log("error", sentence)
         for sentence in self._remarks:
@@ -335,7 +335,7 @@ class Agent:
         self._unsaid.say_all()
 
     def stop(self) -> None:
-        """Stops everything in reverse, and waits for it. Not from one of its own threads."""
+        """Stop everything in reverse order, and wait for that. Not from one of its own threads."""
         if self.stopping.is_set():
             return
         self.stopping.set()
@@ -364,7 +364,7 @@ class Agent:
         self.kernel.stop()
 
     def crash(self) -> None:
-        """Ends at once, as a kill does: no hook is called, what waits for the disk is lost. In virtual time only."""
+        """End at once, as a kill does: no hook is called, and what waits for the disk is lost. In virtual time only."""
         if not isinstance(self.store, VirtualStore):
             raise RuntimeError(f"{self.name} does not run in virtual time")
         self.stopping.set()
@@ -374,13 +374,13 @@ class Agent:
         self.kernel.transport.close()
 
     def on_fatal(self, function: Callable[[str], None]) -> None:
-        """Calls `function` with the reason, in any thread, where the agent must stop; also where that is so already."""
+        """Call `function` with the reason, in any thread, if the agent must stop; also if that is already so."""
         self._on_fatal = function
         if self.fatal:
             function(self.fatal)
 
     def on_shutdown(self, function: Callable[[], None]) -> None:
-        """Calls `function`, in any thread, where a `Shutdown` packet asks for this agent's end; without, it refuses."""
+        """Call `function`, in any thread, if a `Shutdown` packet asks for this agent's end. Without one, refuse it."""
         self._on_shutdown = function
 
     def _shut_down(self, dry_run: bool) -> str:
@@ -397,7 +397,7 @@ class Agent:
         self._on_fatal(reason)
 
     def _journal_lost(self, reason: str) -> None:
-        """Another process could open what lies there now, and run what runs here: all of that ends (any thread)."""
+        """End all tasks: another process could open the journal that is there now, and run them too. Any thread."""
         self.kernel.stopping = True
         root = self._root
         if root is not None:
@@ -433,14 +433,14 @@ class Agent:
         return self._keys.roster if self._keys is not None else None
 
     def _roster_number(self) -> int | None:
-        """Returns the number of the roster that this agent goes by; 0: it knows none; None: it has no keys."""
+        """Return the number of the roster that this agent uses; 0: it has none; None: it has no keys."""
         roster = self._roster()
         return roster.number if roster is not None else 0 if self._keys is not None else None
 
     # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
 
     def receive(self, peer: str, packets: Sequence[Packet], size: int) -> None:
-        """Hands packets of a peer to the stream; they had `size` bytes on the link. In the transport's thread."""
+        """Pass the packets of a peer to the stream; they had `size` bytes on the link. In the transport's thread."""
         self.kernel.stream.inject_all(packets, partial(self._refused, peer), size)
 
     def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
@@ -451,13 +451,13 @@ class Agent:
         self._refuse(peer, packet, Refusal.of(error))
 
     def _refuse(self, peer: str, packet: Packet, refusal: Refusal) -> None:
-        """Tells the sender of a command that it found no way in; any other packet is dropped, and the log says so."""
+        """Tell the sender of a command that it was refused. Any other packet is dropped and logged."""
         root = self._root
         if body_class(packet.type) in CONTROLS and root is not None:
             tell(root, NoRoom(packet, refusal))
             return
         now_s = self.kernel.host.now()
-        # There may be thousands a second, and a line for each would be a load of its own.
+        # There may be thousands a second, and a line for each would be a load in itself.
         if now_s >= self._drop_said_s + DROPS_REPORTED_EVERY_S:
             self._drop_said_s = now_s
             self.kernel.log("warning", f"a packet of {peer} was dropped: {refusal.text}")
@@ -465,7 +465,7 @@ class Agent:
     def _on_peer_up(self, hello: Hello) -> None:
         self.kernel.unheard.met(hello.name)
         if hello.role == "client":
-            # Each command at a terminal is one: what it asks for is news, that it comes and goes is not.
+            # Each command at a terminal is a client: what it asks for is worth a line, its coming and going is not.
             self._clients.add(hello.name)
         else:
             self._unsaid.say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))

@@ -29,13 +29,13 @@ FIRST: tuple[type[Service], ...] = (LogService, DeviceService, NetworkService)
 
 
 class Composition:
-    """Makes the specs of an agent's services.
+    """Make the specs of an agent's services.
 
     Args:
         config: the agent's configuration.
-        plugins: where services and drivers are found.
-        installed: where task types are found.
-        shared: what services get from their agent, by class and by argument; a subclass gets it too.
+        plugins: where services and drivers come from.
+        installed: where task types come from.
+        shared: what services get from their agent, by class and by argument; subclasses get it too.
         arguments: what tasks get from the program that made the agent, by the task's name and by argument.
         skipped: the sentence about each part that does not run is added here.
     """
@@ -57,7 +57,7 @@ class Composition:
         self._skipped = skipped
 
     def services(self) -> list[ServiceSpec]:
-        """Returns the services that can run, in the order in which they start."""
+        """Return the services that can run, in the order in which they start."""
         by_service: dict[str, list[TaskSpec]] = {}
         for task in self._config.tasks.values():
             spec = self._task(task)
@@ -75,11 +75,11 @@ class Composition:
         return specs
 
     def configuration(self, records: Iterable[Record]) -> dict[str, Any]:
-        """Returns what is to be known of the configuration, as plain values.
+        """Return the effective configuration as plain values.
 
         Returns:
-            `config`: all of its keys, with the tasks that were created on this agent and are there; `said`: where the
-            value of each key was said that has not its default; `created`: the names of these tasks.
+            `config`: all of its keys, with the tasks that were created on this agent and still exist; `said`: where
+                each value that is not a default was set; `created`: the names of the created tasks.
         """
         from pancakes.config.toml_writer import key_text, leaves  # tomlkit is large, and few agents are asked
 
@@ -95,12 +95,12 @@ class Composition:
         return {"config": tables, "said": said, "created": list(created)}
 
     def folders(self, specs: Sequence[ServiceSpec]) -> Folders:
-        """Returns the folders that the configuration names, and the files in the settings of these services."""
+        """Return the folders that the configuration names, and the files in the settings of these services."""
         agent = self._config.agent
         return Folders(agent.name, agent.folders, self.files(specs))
 
     def files(self, specs: Sequence[ServiceSpec]) -> list[str]:
-        """Returns the files that the settings of these services, of their tasks and of their devices name."""
+        """Return the files named by the settings of these services, their tasks and their devices."""
         given: list[tuple[type, Mapping[str, Any]]] = []
         for spec in specs:
             given.append((spec.cls.Settings, spec.settings))
@@ -125,7 +125,7 @@ class Composition:
         )
 
     def _arguments_of(self, name: str, cls: type[Service]) -> dict[str, Any]:
-        """Returns what a service gets besides its settings and tasks: that goes by its class, not by its name."""
+        """Return what a service gets besides its settings and tasks. That depends on its class, not its name."""
         arguments: dict[str, Any] = {}
         for service, shared in self._shared.items():
             if issubclass(cls, service):
@@ -136,7 +136,7 @@ class Composition:
             devices = [self._device(device) for device in self._config.devices.values() if device.service == name]
             arguments["devices"] = tuple(device for device in devices if device is not None)
         elif issubclass(cls, LogService):
-            # The table [record] is for one recorder: all packets need not be recorded twice.
+            # The table [record] is for one recorder, because a second one would record all packets again.
             record = self._config.record if name == "log" else None
             arguments["record"] = asdict(record) if record is not None else None
         return arguments
@@ -167,14 +167,14 @@ class Composition:
             return None
 
     def described(self, name: str, table: Mapping[str, Any]) -> TaskSpec:
-        """Returns how to start a task that the configuration does not name. Any thread.
+        """Return how to start a task that the configuration does not name. Any thread.
 
         Args:
             name: its name.
-            table: what its table `[task.NAME]` would say.
+            table: the contents of its table `[task.NAME]`.
 
         Raises:
-            ControlRefused: that is not sound; the sentence names each key at fault.
+            ControlRefused: the table is not sound; the sentence names each key at fault.
         """
         try:
             config = read_task(name, table, self._config, self._plugins)
@@ -185,10 +185,10 @@ class Composition:
         return replace(self._spec(config), created=True, arguments={})
 
     def _spec(self, config: TaskConfig) -> TaskSpec:
-        """Returns how to start a task.
+        """Return how to start a task.
 
         Raises:
-            PluginError: its class cannot be had.
+            PluginError: its class cannot be loaded.
         """
         cls, version = self._installed.find(config.type)
         return TaskSpec(
@@ -207,10 +207,10 @@ class Composition:
         )
 
     def _skip(self, part: str, error: PluginError) -> None:
-        """Names one bad plug-in; the rest runs."""
+        """Note one bad plug-in; the rest runs."""
         self._skipped.append(f"{part} does not run: {error}")
 
 
 def _turn_of(spec: ServiceSpec) -> int:
-    """Returns the place of a service in the order in which services start; those of one place keep their order."""
+    """Return the position of a service in the order of starting; services with equal positions keep their order."""
     return next((place for place, cls in enumerate(FIRST) if issubclass(spec.cls, cls)), len(FIRST))

@@ -1,7 +1,7 @@
 """Log buffers of an agent: what is logged before the Log Service runs, and recent warnings for `pancakes doctor`.
 
-Links may come up before there is a Log Service (`Unsaid`). Of warnings each kind of line is kept once, with a count,
-while what it is about is still so (`RecentWarnings`). Any thread.
+Links may come up before there is a Log Service (`Unsaid`). `RecentWarnings` keeps each kind of warning once, with a
+count, while its cause lasts. Any thread.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from pancakes.packet import Packet
 from pancakes.supervision.lifecycle import State
 
 MOST: Final = 1024
-"""So much is kept until then; then the oldest falls out."""
+"""At most this many lines are kept until then; then the oldest is dropped."""
 
 
 class Unsaid:
-    """Says things, once the agent is ready, in the order in which they came: links may stand before that. Any thread.
+    """Hold back log lines until the agent is ready, then log them in order: links may be up before. Any thread.
 
     Args:
-        ready: set once it is.
+        ready: set once the agent is ready.
     """
 
     def __init__(self, ready: threading.Event) -> None:
@@ -36,13 +36,13 @@ class Unsaid:
         self._waiting: deque[Callable[[], None]] = deque(maxlen=MOST)
 
     def say(self, say: Callable[[], None]) -> None:
-        """Calls `say`, at once where the agent is ready."""
+        """Call `say`: at once if the agent is ready, else once it is."""
         self._waiting.append(say)
         if self._ready.is_set():
             self.say_all()
 
     def say_all(self) -> None:
-        """Says what waits: two threads may do so at once, and each takes what it finds."""
+        """Call all that waits. Two threads may do so at once: each takes what it finds."""
         while self._waiting:
             try:
                 say = self._waiting.popleft()
@@ -52,15 +52,15 @@ class Unsaid:
 
 
 KEPT_S: Final = 600.0
-"""A line is told for so long, in host seconds, ..."""
+"""How long a line is kept, in host seconds."""
 MOST_LINES: Final = 32
-"""... and at most this many, the newest."""
+"""At most this many lines are kept, the newest."""
 MOST_LETTERS: Final = 400
 _LEVELS: Final = ("warning", "error")
 _PASSING: Final = re.compile(r"the link to \S+ has ended|no link over .*(reset by peer|broken pipe|has ended)")
-"""What goes by with the next try: `doctor` sees for itself which peers have no link now."""
+"""Faults that the next attempt may end: `doctor` itself checks which peers have no link now."""
 _ANSWERS: Final = re.compile(r"what \S+ asked for \(#\d+\) was not done|.*, as \S+ asked\b", re.DOTALL)
-"""Events that answer a request: the one who made it knows already."""
+"""Events that answer a request: whoever made it has the answer."""
 _BIRTHS: Final = re.compile(r"not born yet: |\S+ is born, although nothing was heard of it from ")
 _REFUSED: Final = re.compile(r"\S+ (was not started: |is given up\b)")
 _FAILED: Final = re.compile(r"\S+ (was not started: |is given up\b|is started again |failed (while it stopped|as its))")
@@ -76,10 +76,10 @@ class _Line(msgspec.Struct):
 
 
 class RecentWarnings:
-    """Lines that differ in their numbers only are one. Any thread.
+    """Keep recent warnings. Lines that differ only in their numbers count as one. Any thread.
 
     Args:
-        tasks: the tasks of the agent: a line about one is told no more once it is gone, or that is over.
+        tasks: the tasks of the agent: a line about a task is dropped once the task is gone or its trouble is over.
     """
 
     def __init__(self, tasks: TaskTable) -> None:
@@ -88,7 +88,7 @@ class RecentWarnings:
         self._lines: OrderedDict[tuple[str, str], _Line] = OrderedDict()
 
     def hear(self, packet: Packet, now_s: float) -> None:
-        """Takes what was said on `log`; `now_s` is host time."""
+        """Take a packet of `log`; `now_s` is host time."""
         line = packet.body
         if not isinstance(line, LogLine) or line.level not in _LEVELS:
             return
@@ -104,7 +104,7 @@ class RecentWarnings:
                 self._lines.popitem(last=False)
 
     def told(self, now_s: float) -> list[dict[str, Any]]:
-        """Returns the lines as plain values, the oldest first, with how long ago each was said last."""
+        """Return the lines as plain values, the oldest first, with how long ago each was last logged."""
         with self._lock:
             lines = list(self._lines.items())
         return [
@@ -114,7 +114,7 @@ class RecentWarnings:
         ]
 
     def _task_of(self, source: str, text: str) -> tuple[str, str] | None:
-        """Returns the service and the name of the task that a line is about; None: of none that is there."""
+        """Return the service and the name of the task that a line is about; None: of no existing task."""
         for address in (text.partition(" ")[0], source):
             agent, *parts = address.split("/")
             if agent == source.partition("/")[0] and len(parts) == 2 and self._tasks.get(*parts) is not None:
@@ -122,7 +122,7 @@ class RecentWarnings:
         return None
 
     def _is_over(self, line: _Line) -> bool:
-        """Returns whether what a line is about is gone, or is not so any more."""
+        """Return whether the task that a line is about is gone, or its trouble is over."""
         if _BIRTHS.match(line.text):
             return not any(entry.rest.startswith(WAITS) for entry in self._tasks.all())
         if line.task is None:
@@ -132,7 +132,7 @@ class RecentWarnings:
 
 
 def _is_over_for(entry: TaskEntry, text: str) -> bool:
-    """Returns whether a line about the life of a task tells nothing new of it: it runs, or rests as it should."""
+    """Return whether a line about the life of a task is out of date: the task runs, or rests as it should."""
     if entry.life.state is State.RUNNING:
         return _REFUSED.match(text) is not None
     return entry.life.state is State.STOPPED and not entry.life.wanted and _FAILED.match(text) is not None

@@ -1,4 +1,4 @@
-"""What an agent's transports are told, from its configuration and the keys that this machine has for it."""
+"""The settings and keys of an agent's transports, from its configuration and the key folders of this machine."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ TCP: Final = "tcp"
 
 
 def transport_settings(agent: AgentConfig, network: NetworkService.Settings) -> dict[str, Mapping[str, Any]]:
-    """Returns the settings of an agent's transports, by the scheme of their addresses."""
+    """Return the settings of an agent's transports, by the scheme of their addresses."""
     if not agent.local_group:
         return dict(network.transports)
     return {**network.transports, LOCAL: {**network.transports.get(LOCAL, {}), "group": agent.local_group}}
 
 
 def network_settings(config: Config) -> NetworkService.Settings:
-    """Returns those settings of the network that are for transports and mesh, which are there before the service.
+    """Return the network settings that transports and mesh need before the Network Service exists.
 
     Raises:
-        SettingsError: they do not fit; a configuration that was made in code has not been checked before.
+        SettingsError: they do not fit; a configuration made in code was not checked before.
     """
     network = config.services.get("network")
     given = network.settings if network is not None else {}
@@ -44,18 +44,18 @@ def network_settings(config: Config) -> NetworkService.Settings:
 
 
 def keyed_addresses(agent: AgentConfig, plugins: Plugins) -> list[str]:
-    """Returns the addresses of an agent's configuration whose transport encrypts what is said, if there are keys."""
+    """Return the addresses of an agent's configuration whose transport encrypts if there are keys."""
     return [it for it in (*agent.listen, *agent.peers) if facts_of(it, True, plugins).encrypted]
 
 
 def insecure_over(agent: AgentConfig, keyed: bool, plugins: Plugins) -> str:
-    """Returns on which ways an agent does without the keys that they ask for, such as `tcp://`; empty: on none."""
+    """Return the schemes that an agent uses without the keys that they need, such as `tcp://`; empty: none."""
     schemes = {it.partition("://")[0] for it in keyed_addresses(agent, plugins)}
     return "" if keyed else " and ".join(f"{scheme}://" for scheme in sorted(schemes))
 
 
 def addresses_of(agent: AgentConfig, network: NetworkService.Settings) -> tuple[tuple[str, ...], str]:
-    """Returns where an agent listens, and why not at `local://`, where another user took the place of its directory."""
+    """Return where an agent listens, and why not at `local://`: another user took the place of its directory."""
     directory = network.transports.get(LOCAL, {}).get("directory")
     try:
         if not agent.local_group and not any(is_local(address) for address in agent.listen):
@@ -66,11 +66,10 @@ def addresses_of(agent: AgentConfig, network: NetworkService.Settings) -> tuple[
 
 
 def keys_for(config: Config, network: NetworkService.Settings, plugins: Plugins) -> Keys | None:
-    """Returns an agent's keys; None: it has none, and is to do without.
+    """Return an agent's keys; None: it works without keys.
 
     Raises:
-        ConfigError: it is to speak to other machines, and has no keys for that, or none that are of use; the fault says
-            what to do.
+        ConfigError: it must speak to other machines, and has no usable keys for that; the fault says what to do.
     """
     agent, places = config.agent, config.places
     folder = Path(network.keys) if network.keys else keys_of_agent(agent.fleet, agent.name)
@@ -87,7 +86,7 @@ def keys_for(config: Config, network: NetworkService.Settings, plugins: Plugins)
                 places.fault(
                     ("agent", "listen" if addresses[0] in agent.listen else "peers"),
                     f"{addresses[0]!r} needs keys of the agent {agent.name} of the fleet {agent.fleet}: run pancakes"
-                    f" fleet join, or use {LOCAL}://{agent.name} for this machine alone",
+                    f" fleet join, or use {LOCAL}://{agent.name} for this machine only",
                 )
             ]
         )
@@ -95,7 +94,7 @@ def keys_for(config: Config, network: NetworkService.Settings, plugins: Plugins)
 
 
 def _keys_of(agent: AgentConfig, folder: Path) -> Keys:
-    from pancakes.security.keys import Keys  # and with it OpenSSL, for which an agent without keys has no use
+    from pancakes.security.keys import Keys  # it imports OpenSSL, which an agent without keys does not need
 
     keys = Keys(folder)
     if fault := fault_of_bearer(keys.own, agent.name, agent.role, agent.fleet):

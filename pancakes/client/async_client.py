@@ -166,7 +166,7 @@ class AsyncSubscriber(Generic[Row]):
         subscriber = self._subscriber
         loop = asyncio.get_running_loop()
         until_s = None if wait_s is None else loop.time() + wait_s
-        await asyncio.sleep(0)  # other tasks go on even if rows come faster than they are read
+        await asyncio.sleep(0)  # so other tasks run even if rows come faster than they are read
         while True:
             self._news.clear()
             row = subscriber.take()
@@ -201,7 +201,7 @@ class AsyncSubscriber(Generic[Row]):
 
 
 MAX_CALLS: Final = 32
-"""At most this many calls wait for their answers at a time; others wait until one of them has its own."""
+"""At most this many calls wait for their answers at a time; further calls wait until one of them is answered."""
 
 
 def _awaited(
@@ -249,8 +249,8 @@ class AsyncClient:
             for task in await client.tasks():
                 print(task, task.state, task.rate_hz)
 
-    A `Client` waits in threads of this one, which pass what came to the event loop. A call that is cancelled is
-    forgotten; what it asked for may be done all the same.
+    A `Client` waits in a pool of threads, which pass the results to the event loop. If a call is cancelled, its answer
+    is dropped; the agent may still do what was asked.
 
     A subscriber begins, and raises its errors, when it is entered or awaited. Callbacks are called in the event loop;
     that of a subscriber may be a coroutine function.
@@ -290,7 +290,7 @@ class AsyncClient:
         """End all subscribers, and leave all fleets."""
         self._closed = True
         if self._opened is not None:
-            # Not in one of the threads that may all wait for answers, and now end.
+            # Not in the pool: all of its threads may be waiting for answers.
             await asyncio.to_thread(self._opened.close)
         self._pool.shutdown(wait=False)
 

@@ -42,14 +42,14 @@ MIGRATE_S: Final = 30.0
 DESCRIBED_S: Final = 1.0
 """How long an agent's description is used: its mission may have been held, and have begun since."""
 BUSY_S: Final = 0.02
-"""When to send a packet again for which there was no room."""
+"""After how long to send a packet again if there was no room for it."""
 
 
 def task_of(task: str | TaskRow) -> tuple[str, str]:
     """Return the agent of a task, and the task as that agent reads it (see `pancakes.control`).
 
     Raises:
-        PancakesError: it is no such name.
+        PancakesError: it is not such a name.
     """
     agent, *rest = str(task).split("/")
     if not agent or len(rest) not in (1, 2) or not all(rest):
@@ -61,7 +61,7 @@ def channel_of(channel: str) -> tuple[str, str]:
     """Return the agent of a channel, empty if it names none, and the channel's name.
 
     Raises:
-        PancakesError: it is no such name.
+        PancakesError: it is not such a name.
     """
     *agent, name = channel.split("/")
     if len(agent) > 1 or not all([*agent, name]):
@@ -73,18 +73,18 @@ def destination_on(agent: str, to: str) -> str:
     """Return the address on an agent that `SERVICE/TASK` means, with or without the agent before it. Pure.
 
     Raises:
-        PancakesError: it is no such address.
+        PancakesError: it is not such an address.
     """
     if not to:
         return agent
     address = to if agent_of(to) == agent else join(agent, to)
     if to == NEIGHBOURS or to.startswith(TO_TASK) or address.count("/") > 2 or not all(address.split("/")):
-        raise PancakesError(f"{to!r} is no service or task of {agent}: write it as SERVICE/TASK")
+        raise PancakesError(f"{to!r} is not a service or task of {agent}: write it as SERVICE/TASK")
     return address
 
 
 def check_body(body: Any) -> None:
-    """Encode and decode a body, as the agent will that gets it. Pure.
+    """Encode and decode a body, as it will be on its way to an agent. Pure.
 
     Raises:
         PancakesError: a value in it does not fit its type, or cannot travel.
@@ -100,7 +100,7 @@ def check_timeout(timeout_s: float | None) -> float | None:
     """Return a time limit as it is; None stays None.
 
     Raises:
-        PancakesError: it is none.
+        PancakesError: it is not a time limit.
     """
     if timeout_s is None:
         return None
@@ -149,14 +149,14 @@ class Client:
         at: an address to begin with (`HOST:PORT`, `tcp://HOST:PORT` or `local://NAME`), or several; none: what runs on
             this machine. A `Where` names a fleet as well.
         timeout_s: the time limit of each call, in seconds.
-        say: takes sentences about what is no error: an agent that is silent, goes or comes back, a subscriber that is
+        say: takes sentences about what is not an error: an agent is silent, goes or comes back, or a subscriber is
             too slow. It may be called in another thread. By default they are warnings of the logger `pancakes.client`.
 
     Attributes:
         timeout_s: the same.
 
     Raises:
-        PancakesError: one of them is no address, the time limit is none, or the runtime directory cannot be used.
+        PancakesError: an address or the time limit is not valid, or the runtime directory cannot be used.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class Client:
             if kind is None:
                 self.settle()
         except PancakesError as fault:
-            self._say(f"whether the last packets that were published have arrived is not known: {fault}")
+            self._say(f"it is not known whether the last published packets have arrived: {fault}")
         finally:
             self.close()
 
@@ -201,7 +201,7 @@ class Client:
             timeout_s: the time limit; None: that of the client.
 
         Raises:
-            Unreachable: no agent answers in time, or there is none of a name.
+            Unreachable: no agent answers in time, or no agent has one of the names.
             ControlRefused: agents of two fleets have the same name.
         """
         return [_row(AgentRow, found, found) for found in self._surveyed(agents, timeout_s)]
@@ -242,16 +242,16 @@ class Client:
                 here, the body is a plain mapping.
             callback: takes each packet, in a thread of its own, one after the other. Without it the caller reads them.
             agents: only these, if the channel names none.
-            foreign: whether packets count that came to the channel from other agents.
+            foreign: also packets that other agents sent to the channel.
             max_waiting: at most this many packets wait, fewer if they are large.
-            timeout_s: how long the reader waits for one packet; None: without end.
+            timeout_s: how long the reader waits for one packet; None: no limit.
             on_resubscribe: takes the name of an agent that is subscribed to again: what it published meanwhile was
                 missed.
 
         Raises:
             Unreachable: there is no such agent, or none at all, or none answers in time.
             ControlRefused: the agents have no such channel.
-            PancakesError: a class is no packet type, or an argument makes no sense.
+            PancakesError: a class is not a packet type, or an argument makes no sense.
         """
         spec = SubscriptionSpec(
             channel=channel,
@@ -321,7 +321,7 @@ class Client:
     def publish(self, channel: str, body: Any, *, to: str = "", timeout_s: float | None = None) -> None:
         """Publish a packet on a channel of an agent, in that agent's mission time.
 
-        It waits only for room: see `settle`. Of readings on `system`, an agent that is slow gets only the newest.
+        It waits only until there is room: `settle` waits for arrival. A slow agent gets only the newest on `system`.
 
         Args:
             channel: `AGENT/CHANNEL`.
@@ -392,16 +392,16 @@ class Client:
         Args:
             task: `AGENT/TASK` or `AGENT/SERVICE/TASK`, or a row of `tasks`.
             settings: the new values, by name.
-            dry_run: only ask whether it would be done.
+            dry_run: only ask whether the task would accept them.
             timeout_s: the time limit; None: that of the client.
 
         Returns:
             The agent's reply; events on `log` that the change led to carry its `number`.
 
         Raises:
-            ControlRefused: the task refuses, or there is none; the message says why.
+            ControlRefused: the task refuses, or does not exist; the message says why.
             Unreachable: there is no such agent.
-            NoAnswer: it was asked, and does not answer in time.
+            NoAnswer: it does not answer in time.
         """
         agent, target = task_of(task)
         return self._ordered(agent, Configure(target, settings, dry_run), timeout_s)
@@ -421,7 +421,7 @@ class Client:
         Args:
             task: `AGENT/TASK` or `AGENT/SERVICE/TASK`, or a row of `tasks`.
             to: the only neighbour to ask; empty: all.
-            then: a task to start where the other was, once it has gone.
+            then: a task to start on the old agent once this one has left.
             cost: the cost function that the neighbours bid with, or the weight of each of several.
             dry_run: only ask for bids, and migrate nothing.
             timeout_s: the time limit.
@@ -430,7 +430,7 @@ class Client:
             The account of the migration: which neighbours were asked, what each answered, and which has the task.
 
         Raises:
-            ControlRefused: no neighbour takes it, or there is no such task; it goes on where it is.
+            ControlRefused: no neighbour takes it, or there is no such task; it keeps running where it is.
             Unreachable: there is no such agent.
             NoAnswer: no answer came in time; the migration may go on all the same.
         """
@@ -456,7 +456,7 @@ class Client:
 
         Raises:
             Unreachable: there is no such agent.
-            NoAnswer: it was asked, and does not answer in time.
+            NoAnswer: it does not answer in time.
             ControlRefused: agents of two fleets have this name.
             PancakesError: a value in the body does not fit its type, or cannot travel, so it was not asked.
         """
@@ -484,7 +484,7 @@ class Client:
     # Which agents are meant ------------------------------------------------------------------------------------
 
     def is_reachable(self, agent: str, fleet: str = "") -> bool:
-        """Return whether an agent of this name can be reached: once it is, or all others have answered.
+        """Return whether an agent of this name can be reached. Waits until it can, or until all others have answered.
 
         Args:
             agent: its name.
@@ -582,13 +582,13 @@ class Client:
             except PeerBusy as error:
                 if self.now() >= until_s:
                     limit_s = self.timeout_s if timeout_s is None else timeout_s
-                    raise NoAnswer(f"{agent} is too slow, and found no room within {limit_s:g} s: {error}") from None
+                    raise NoAnswer(f"{agent} is too slow, and had no room within {limit_s:g} s: {error}") from None
                 self._session.wait(self.now() + BUSY_S, lambda: False)
 
     def _refresh(self) -> None:
         """Find what was started since."""
         self._session.refresh()
-        if self.now() - self._probed_s >= LOOK_S:  # which costs each address a connection
+        if self.now() - self._probed_s >= LOOK_S:  # each probe costs a connection for each address
             self._session.probe_again()
             self._probed_s = self.now()
 
@@ -602,5 +602,5 @@ def _row(kind: type[Row], plain: Any, description: Mapping[str, Any]) -> Row:
         return codecs.convert(plain, kind)
     except msgspec.ValidationError as error:
         raise RemoteProtocolError(
-            f"{description['agent']} answers what cannot be read here, so it is of another version: {error}"
+            f"{description['agent']} sent an answer that cannot be read here, so it runs another version: {error}"
         ) from None

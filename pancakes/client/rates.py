@@ -14,7 +14,7 @@ from typing import Any, Final
 SPAN_S: Final = 10.0
 """Rates are measured over this much mission time, or since the first description if that is less."""
 FEWEST_TICKS: Final = 2.0
-"""If a task should tick less often in the time measured, there is no rate: one tick more or less is half of it."""
+"""No rate is given for fewer ticks than this: one tick more or less would change it too much."""
 
 Described = Mapping[str, Any]
 """The `result` of `Describe` of an agent, or of one of its tasks."""
@@ -41,8 +41,8 @@ class RateMeter:
 
         Returns:
             A row for each agent, by fleet and name. `processor_share` (of one processor), `lateness_s` (mean of all
-            ticks) and a task's `achieved_hz` and `lateness_s` are None while there is nothing to compare with. An
-            agent that answered before and does not now has the `state` "no answer".
+            ticks) and a task's `achieved_hz` and `lateness_s` are None while there is nothing to compare with. The
+            `state` is "no answer" if an agent answered before and does not now.
         """
         now = {(it["fleet"], it["agent"]): it for it in described}
         rows = [

@@ -91,10 +91,10 @@ class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
         rest: why it does not run, in a word, if its agent knows more than its state says; else empty.
         reason: why it stopped or failed, as a sentence; else empty.
         rate_hz: ticks for each second of mission time; None: it has no timer.
-        ticks, missed: how many came since it began, and how many did not, as it was late.
-        lateness_max_s: how late one came at most, in seconds.
-        dropped: how many packets it has lost, as it was too slow for them.
-        incarnation: how often it began.
+        ticks, missed: ticks since it began, and ticks that were skipped because it was late.
+        lateness_max_s: the largest lateness of a tick, in seconds.
+        dropped: packets that it lost because it was too slow.
+        incarnation: how many times it has started.
     """
 
     agent: str
@@ -151,7 +151,7 @@ def sentence_of(record: Mapping[str, Any]) -> str:
         try:
             return make(agent, record)
         except (KeyError, TypeError, ValueError):
-            pass  # an event of a user's own that bears the same name
+            pass  # an event of a user's own with the same name
     rest = ", ".join(f"{key} {_short(value)}" for key, value in record.items() if key not in _ENVELOPE)
     return f"{agent}: {str(kind).replace('_', ' ')}" + (f" ({rest})" if rest else "")
 
@@ -190,7 +190,7 @@ def _short(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"({', '.join(_short(it) for it in value)})"
     if isinstance(value, float):
-        # What is next to nothing is nothing to a person.
+        # To a person a tiny number is 0.
         return f"{round(value, 6) + 0.0:.3g}" if abs(value) >= 0.001 else "0"
     return str(value)
 
@@ -203,7 +203,7 @@ class EventRow(msgspec.Struct, frozen=True, kw_only=True):
         source: the address of the component that said it.
         stamp_s: when, in mission seconds of that agent.
         kind: what happened, such as `task_started`.
-        fields: its particulars, as plain values; of a line `level` and `text`.
+        fields: its values, plain; of a line `level` and `text`.
     """
 
     agent: str

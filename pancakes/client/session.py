@@ -67,7 +67,7 @@ class Where:
         """Return the place that one address, several addresses or a `Where` mean.
 
         Raises:
-            PancakesError: one of them is no address at which an agent could be, or the fleet has no name.
+            PancakesError: an address is not one that an agent could have, or the name of the fleet is not valid.
         """
         if isinstance(at, Where):
             if at.fleet and (fault := fault_of_name(at.fleet)):
@@ -125,15 +125,15 @@ class News:
         self._clock = clock
         self._lock = lock
         self._closed = False
-        # One for each thread that waits, held while there is no news. No `Condition`: Ctrl-C in the middle of its
-        # `wait`, which is written in Python, leaves its lock in disorder, and a program that then ends in good order
-        # waits for ever.
+        # One lock for each waiting thread, held while there is no news. Not a `Condition`: its `wait` is written in
+        # Python, and Ctrl-C in the middle of it leaves the lock in a broken state, so a program that then shuts down
+        # would wait for ever.
         self._no_news: list[threading.Lock] = []
 
     def notify(self) -> None:
         """Wake all threads that wait."""
         for no_news in tuple(self._no_news):
-            with suppress(RuntimeError):  # there is some already
+            with suppress(RuntimeError):  # it was notified already
                 no_news.release()
 
     def close(self) -> None:
@@ -142,7 +142,7 @@ class News:
         self.notify()
 
     def wait(self, until_s: float, condition: Callable[[], bool]) -> bool:
-        """Wait until the condition is true, at most until a host time; return whether it is.
+        """Wait until the condition is true, or until a host time; return whether it is true.
 
         Raises:
             PancakesError: the client is closed, or is closed meanwhile.
@@ -189,11 +189,11 @@ class FleetAccess(NamedTuple):
         if folder is None:
             name = f"cli-{os.getpid()}-{secrets.token_hex(3)}"
             return cls(name, SocketTransport(clock, name, Plugins(), insecure=True))
-        from pancakes.security.keys import Keys  # and with it OpenSSL, which takes its time
+        from pancakes.security.keys import Keys  # it imports OpenSSL, which is slow
 
         keys = Keys(folder)
         if fault := keys.fault_of(keys.own):
-            raise PancakesError(f"your keys for the fleet {fleet} are of no use ({folder}): {fault}")
+            raise PancakesError(f"your keys for the fleet {fleet} cannot be used ({folder}): {fault}")
         name = f"{keys.own.name}.{secrets.token_hex(4)}"
         return cls(name, SocketTransport(clock, name, Plugins(), keys=keys), keys)
 
@@ -320,7 +320,7 @@ class FleetSession:
         self._listeners.append((listener, unreadable))
 
     def unlisten(self, listener: Listener) -> None:
-        """Pass on nothing more to a listener."""
+        """Stop passing packets on to a listener."""
         self._listeners = [it for it in self._listeners if it[0] != listener]
 
     def agents(self) -> list[Hello]:
@@ -332,11 +332,11 @@ class FleetSession:
         return any(hello.name == agent for hello in self.agents())
 
     def address_of(self, agent: str) -> str:
-        """Return the address at which a connected agent was dialled; empty if it is not connected any more."""
+        """Return the address at which a connected agent was dialled; empty if it is no longer connected."""
         return next((link["remote"] for link in self._mesh.links() if link["name"] == agent), "")
 
     def link(self, agent: str) -> int:
-        """Return the number of the current link to an agent; 0: there is none.
+        """Return the number of the current link to an agent; 0: no link.
 
         An agent forgets its subscribers when their link ends, so each link has a number of its own.
         """
@@ -376,7 +376,7 @@ class FleetSession:
         return self._answers.get(number)
 
     def forget(self, number: int) -> None:
-        """Drop a request, and its outcome even if that is still to come."""
+        """Drop a request and its outcome, even one that comes later."""
         self._asked.pop(number, None)
         self._answers.pop(number, None)
 
@@ -391,7 +391,7 @@ class FleetSession:
             destination: an address on the agent; empty: all subscribers there.
 
         Raises:
-            PancakesError: it cannot travel, or the agent is not connected any more.
+            PancakesError: it cannot be encoded, or the agent is no longer connected.
         """
         number = next(self._numbers)
         self.send(Packet(channel, type_of(body), self.name, destination or agent, stamp, number, body))
@@ -405,7 +405,7 @@ class FleetSession:
         return sum(sum(peer["waiting"].values()) for peer in self._mesh.describe()["peers"] if peer["name"] == agent)
 
     def close(self) -> None:
-        """Leave the mesh. The caller closes the transport, which it has made."""
+        """Leave the mesh. The caller, which made the transport, closes it."""
         self._mesh.stop()
 
     def _settle(self, number: int, answer: Answer) -> None:
@@ -465,7 +465,7 @@ class MergedSubscriptions:
             return session.request(agent, merged(requests.values()))
 
     def remove(self, subscriber: object, session: FleetSession, agent: str, channel: str) -> None:
-        """Tell an agent that a subscriber wants nothing more, without waiting."""
+        """Unsubscribe one subscriber at an agent, without waiting."""
         with self._lock:
             requests = self._requests.get((session.fleet, agent, channel), {})
             if requests.pop(subscriber, None) is None:
@@ -510,7 +510,7 @@ class Candidate:
         return f"{self.name} ({self.address})" if self.name and self.address else self.name or self.address
 
     def no_answer(self, why: str) -> str:
-        """Return a sentence that it gave no answer, and why; `why` is empty if that is not known."""
+        """Return the sentence that it did not answer, and why; `why` is empty if that is not known."""
         if why.startswith(f"{self.address} "):  # it names the address itself
             return f"{self}{why.removeprefix(self.address)}"
         return f"{self} did not answer" + (f": {why}" if why else "")
@@ -523,7 +523,7 @@ AgentKey = tuple[str, str]
 class Session:
     """Find agents, stay connected to them, and ask one, several or all of them.
 
-    `pancakes.client.Client` stands on it, and so does the page, which watches a whole fleet from one thread.
+    `pancakes.client.Client` is built on it, and so is the web page, which watches a whole fleet from one thread.
 
     Args:
         at: an address to begin with (`HOST:PORT`, `tcp://HOST:PORT` or `local://NAME`), or several; none: what runs on
@@ -535,7 +535,7 @@ class Session:
         subscriptions: what is subscribed to, on which channels of which agents.
 
     Raises:
-        PancakesError: one of them is no address, or the runtime directory cannot be used.
+        PancakesError: an address is not valid, or the runtime directory cannot be used.
     """
 
     def __init__(self, at: Where | str | Sequence[str] = (), timeout_s: float = 3.0) -> None:
@@ -580,15 +580,15 @@ class Session:
         return self._clock.now()
 
     def until_s(self, timeout_s: float | None) -> float:
-        """Return the host time at which a time limit ends; None: that of the session."""
+        """Return the host time at which a time limit ends; None: the session's limit."""
         return self._clock.now() + (self.timeout_s if timeout_s is None else timeout_s)
 
     def too_late(self, timeout_s: float | None) -> str:
-        """Return why there is no answer if a time limit is over; None: that of the session."""
+        """Return the reason for a missing answer: the time limit is over; None: the session's limit."""
         return f"nothing came within {self.timeout_s if timeout_s is None else timeout_s:g} s"
 
     def wait(self, until_s: float, condition: Callable[[], bool]) -> bool:
-        """Wait until the condition is true, at most until a host time; return whether it is.
+        """Wait until the condition is true, or until a host time; return whether it is true.
 
         It is checked whenever an agent comes, goes, answers or sends something, and every `LOOK_S`.
 
@@ -639,8 +639,8 @@ class Session:
     def refresh(self) -> None:
         """Find agents of this machine that were started since, and dial those that are away.
 
-        Only a session that was given no address looks at this machine. Agents of this machine that have ended since
-        are not looked for any more.
+        Only a session that was given no address looks at this machine. It stops looking for agents of this machine that
+        have ended since.
 
         Raises:
             PancakesError: the runtime directory cannot be used.
@@ -701,7 +701,7 @@ class Session:
         raise Unreachable(self._unknown(agent, sorted({name for _, name in answers}), silent))
 
     def search(self, enough: Callable[[], bool]) -> None:
-        """Ask all agents that can be found which others they know, until that is enough or all have answered."""
+        """Ask all agents that can be found which others they know, until `enough` is true or all have answered."""
         self._ask(self.until_s(None), lambda answers: enough())
 
     def survey(self, *agents: str, timeout_s: float | None = None) -> Survey:
@@ -718,7 +718,7 @@ class Session:
             timeout_s: the time limit; None: that of the session.
 
         Raises:
-            Unreachable: no agent answers in time, or there is no agent of a name.
+            Unreachable: no agent answers in time, or no agent has one of the names.
             ControlRefused: agents of two fleets have the same name.
         """
         wanted = [name for name in dict.fromkeys(agents) if name]
@@ -757,8 +757,8 @@ class Session:
 
         Args:
             until_s: when to give up.
-            enough: whether the answers so far will do.
-            body: what else to ask them for; its answer is then the one that counts.
+            enough: returns whether the answers so far are enough.
+            body: another request; its reply is then the answer.
             wanted: only these agents are asked for that; none: all.
 
         Returns:
@@ -816,9 +816,9 @@ class Session:
             return answers, list(silent())
 
     def _is_found(self, agent: str, fleets: set[str]) -> bool:
-        """Return whether an agent has been found, given the fleets in which one of its name has been.
+        """Return whether an agent has been found, given the fleets in which its name was found.
 
-        All candidates of that name are waited for, so that two agents of one name are noticed.
+        Waits for all candidates of that name, so that two agents with one name are noticed.
         """
         named = {it.fleet for it in self._candidates if it.name == agent and not it.failed}
         return bool(fleets) and named <= fleets
@@ -830,7 +830,7 @@ class Session:
         if not names:
             there = f"no agent knows of an agent {agent!r}" if lines else self._no_agents()
         if silent and not any(it.name for it, _ in silent) and not names:
-            return "\n".join(lines)  # nobody was reached who could know of it
+            return "\n".join(lines)  # no agent was reached that could know of it
         return "\n".join([*lines, there])
 
     def _no_agents(self) -> str:
@@ -879,17 +879,17 @@ class Session:
                 return here[0]
         own = fleets_of_person()
         if len(own) > 1 and DEFAULT_FLEET not in own and not is_local(candidate.address):
-            raise PancakesError(f"you have keys of {len(own)} fleets: say which with --fleet ({', '.join(own)})")
+            raise PancakesError(f"you have keys of {len(own)} fleets: choose one with --fleet ({', '.join(own)})")
         return own[0] if len(own) == 1 else DEFAULT_FLEET
 
     def _on_hello(self, candidate: Candidate, result: Hello | str) -> None:
         if isinstance(result, str):
             fleet = self._expected_fleet(candidate)
             keyless = not is_local(candidate.address) and self._access(fleet).keys is None
-            keyless = keyless and not result.startswith(f"{candidate.address} ")  # nobody is there to ask for them
-            candidate.failed = f"{result} (you have no keys of the fleet {fleet} to show it)" if keyless else result
+            keyless = keyless and not result.startswith(f"{candidate.address} ")  # nothing there could ask for them
+            candidate.failed = f"{result} (you have no keys of the fleet {fleet} )" if keyless else result
         elif candidate.name and (candidate.name, candidate.fleet) != (result.name, result.fleet):
-            candidate.failed = f"at its address is {result.name} of the fleet {result.fleet}"
+            candidate.failed = f"at its address there is {result.name} of the fleet {result.fleet}"
         elif self._fleet not in ("", result.fleet):
             candidate.failed = f"it is {result.name} of the fleet {result.fleet}, not of {self._fleet}"
         else:
@@ -901,7 +901,7 @@ class Session:
                     access.name, result.fleet, access.transport, self._clock, self._news.notify, access.keys
                 )
             joined.learn(candidate.address)
-        # A candidate that is not there yet is dialled again and again, as soon as another of its fleet is.
+        # A missing candidate is dialled again and again once another agent of its fleet is connected.
         for other in self._candidates:
             if other.failed and (later := self._fleets.get(fleet_in(other.address))) is not None:
                 later.learn(other.address)
@@ -926,7 +926,7 @@ class Session:
             if unmet is not None and not unmet.failed:
                 unmet.fleet, unmet.name = fleet.fleet, name
             else:
-                if unmet is not None:  # it was not there yet
+                if unmet is not None:  # no agent had answered there yet
                     self._candidates.remove(unmet)
                 self._probe(Candidate(next(iter(there), ""), fleet.fleet, name, failed))
 

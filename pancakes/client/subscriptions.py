@@ -2,7 +2,7 @@
 
 - `SubscriptionSpec` is what to subscribe to.
 - `Subscription` keeps it alive: agents that restart, or come back at another address, are asked again.
-- `Subscriber` makes rows of the packets. A program reads them one by one, or has a function called for each.
+- `Subscriber` makes rows of the packets. A program reads them one by one, or passes a function that is called for each.
 - `KeepAlive` is the thread that keeps the subscribers of a program alive while it does something else.
 
 A reader that is too slow loses the oldest packets; they are counted as `missed`.
@@ -27,15 +27,15 @@ from pancakes.packet import Packet, agent_of
 SEARCH_S: Final = 0.5
 """How often to look for agents that are away or new."""
 REPEAT_S: Final = 0.5
-"""When to ask an agent again that refused: its Network Service may only be starting."""
+"""After how long to ask an agent that refused again: its Network Service may still be starting."""
 ANSWER_S: Final = 3.0
-"""When to ask an agent again that did not answer: it may have been starting when it was asked."""
+"""After how long to ask an agent that did not answer again: it may have been starting."""
 QUIET_S: Final = 5.0
-"""After how long without a packet to ask an agent again: its Network Service may have failed and forgotten us."""
+"""After how long without a packet to ask an agent again: a failed Network Service has forgotten us."""
 MAX_UNREADABLE: Final = 20
-"""At most for this many types an unreadable packet is reported."""
+"""Unreadable packets are reported for at most this many types."""
 MAX_WAITING: Final = 100_000
-"""At most this many packets wait for a slow reader, fewer if they are large; then the oldest are dropped."""
+"""At most this many packets wait for a slow reader, fewer if they are large. Then the oldest are dropped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,13 +46,13 @@ class SubscriptionSpec:
         channel: the channel.
         types: only packets of these types; none: all.
         agents: the agents' names; none: all, including those that come later.
-        foreign: whether packets count that came to the channel from other agents.
+        foreign: also packets that other agents sent to the channel.
         max_hz: at most this many packets a second of each source and type, the newest ones; 0: all.
         max_waiting: at most this many packets wait for the reader, fewer if they are large; then the oldest are
             dropped.
         accepts: only packets for which it returns True wait; called in the transport's thread.
-        on_resubscribe: takes the name of an agent that is subscribed to again, or only now; what it published before
-            may have been missed.
+        on_resubscribe: takes the name of an agent that is subscribed to again, or late; earlier packets may have been
+            missed.
     """
 
     channel: str
@@ -72,12 +72,12 @@ class _SubscribedAgent:
     Attributes:
         session: the session in its fleet.
         agent: its name.
-        link: the link when it was asked last; what it agreed to over an earlier link does not count.
+        link: the link when it was asked last; an agreement over an earlier link does not count.
         request: the number of the request that it has not answered; None: it has answered all.
         asked_s: when it was asked last, in host time.
         subscribed: whether it agreed.
-        lapsed: whether packets may have been missed before it agrees again.
-        away: whether to report when it is here (again).
+        lapsed: whether packets may be missed until it agrees again.
+        away: whether to report when it is connected (again).
         received_s: when it sent the last packet, in host time.
         refusal: why it refused last.
     """
@@ -97,8 +97,8 @@ class _SubscribedAgent:
 class Subscription:
     """Receive the packets of one channel of one agent, of several or of all.
 
-    An agent that goes away is asked again when it comes back, also at another address: `keep_alive` does that, which
-    `next` calls. A program that does not wait in `next` has one thread call `keep_alive` now and then, another `take`.
+    `keep_alive`, which `next` calls, asks an agent that went away and came back again, also at another address. A
+    program that does not wait in `next` calls `keep_alive` now and then in one thread, and `take` in another.
 
         with Subscription(session, SubscriptionSpec(channel="system", agents=("agent1",)), print) as subscription:
             received = subscription.next(session.now() + 1.0)
@@ -110,7 +110,7 @@ class Subscription:
 
     Attributes:
         channel: the channel.
-        on_packet: called after a packet came that waits now, in the transport's thread.
+        on_packet: called when a packet has come and waits, in the transport's thread.
 
     Raises:
         Unreachable: there is no such agent, or none at all, or none answers in time.
@@ -125,12 +125,12 @@ class Subscription:
         self._say = say
         self.channel = spec.channel
         self.on_packet: Callable[[], None] = lambda: None
-        self._lock = threading.RLock()  # held while it is kept alive, or ends; `say` may end it
+        self._lock = threading.RLock()  # held in `keep_alive` and `close`; `say` may call `close`
         self._request = Follow(spec.channel, spec.types, spec.foreign, spec.max_hz)
         self._agents: dict[tuple[str, str], _SubscribedAgent] = {}  # by fleet and name
         self._waiting: Backlog[ReceivedPacket[Any]] = Backlog(spec.max_waiting)
-        self._unreadable: dict[str, str] = {}  # the reasons, by type
-        self._reported = 0  # how many of these
+        self._unreadable: dict[str, str] = {}  # reasons by type
+        self._reported = 0  # of `_unreadable`
         self._listeners: list[tuple[FleetSession, Listener]] = []
         self._ended = False
         self._searched_s = session.now()
@@ -159,7 +159,7 @@ class Subscription:
         self._waiting.clear()
 
     def next(self, until_s: float) -> ReceivedPacket[Any] | None:
-        """Return the next packet; None if none has come until then, in host time."""
+        """Return the next packet; None if none comes before `until_s`, in host time."""
         while True:
             self.keep_alive()
             received = self.take()
@@ -315,7 +315,7 @@ class Subscription:
             return
         it.received_s = self._session.now()
         spec = self._spec
-        # What other subscribers of this program want from the channel comes as well.
+        # Packets for other subscribers of this program come over the same subscription.
         ours = (not spec.types or packet.type in spec.types) and (spec.foreign or agent_of(packet.source) == agent)
         if ours and spec.accepts(packet):
             self._waiting.put(packet, ReceivedPacket(agent, packet, it.received_s))
@@ -336,7 +336,7 @@ class Subscription:
 Row = TypeVar("Row")
 
 TURN_S: Final = 0.2
-"""How often a thread that waits checks whether it must end."""
+"""How often a waiting thread checks whether it must end."""
 
 
 class Subscriber(Generic[Row]):
@@ -351,8 +351,8 @@ class Subscriber(Generic[Row]):
         subscription: what comes.
         make: makes a row of a packet.
         name: what it reads, for sentences: `agent1/system`.
-        timeout_s: how long `next` and the loop wait for a row; None: without end.
-        say: takes a sentence when it is too slow, or its function fails.
+        timeout_s: how long `next` and the loop wait for a row; None: no limit.
+        say: takes a sentence if it is too slow, or its callback fails.
         on_end: called once, when it ends.
     """
 
@@ -398,7 +398,7 @@ class Subscriber(Generic[Row]):
         """Wait for the next row.
 
         Args:
-            timeout_s: how long at most; None: as given to `subscribe`.
+            timeout_s: how long at most; None: the limit given to `subscribe`.
 
         Raises:
             NothingCame: no row came in time; the message names the agents that are away.
@@ -440,7 +440,7 @@ class Subscriber(Generic[Row]):
                 return None
             try:
                 self._session.wait(min(until_s, now_s + TURN_S), self._has_news)
-            except PancakesError:  # the client is closed, and so is this
+            except PancakesError:  # the client is closed, and this subscriber with it
                 if not self._closed:
                     raise
 
@@ -470,7 +470,7 @@ class Subscriber(Generic[Row]):
 
     @property
     def closed(self) -> bool:
-        """Whether it has ended, so that no row comes any more."""
+        """Whether it has ended: no more rows come."""
         return self._closed
 
     def agents(self) -> list[str]:
@@ -482,29 +482,29 @@ class Subscriber(Generic[Row]):
         return self._subscription.away()
 
     def close(self) -> None:
-        """End it and drop what waits. Its callback is not called any more once this returns."""
+        """End it and drop what waits. Its callback is not called again once this returns."""
         self._end()
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
             thread.join(self._session.timeout_s)
             if thread.is_alive():
-                self._say(f"{self._name}: its function is still at work after {self._session.timeout_s:g} s")
+                self._say(f"{self._name}: its callback is still running after {self._session.timeout_s:g} s")
 
     # For the client -------------------------------------------------------------------------------------------
 
     def call_for_each(self, function: Callable[[Row], object]) -> None:
-        """Call a function for each row from now on, in a thread of its own, one after the other."""
+        """Call a function for each row from now on, in a thread of its own, one at a time."""
         self._thread = threading.Thread(target=self._run, args=(function,), name=f"pancakes-{self._name}", daemon=True)
         self._thread.start()
 
     def on_news(self, callback: Callable[[], None]) -> None:
-        """Have a function called, in other threads, whenever a packet came or it has ended."""
+        """Register a function that is called, in other threads, when a packet comes or the subscriber ends."""
         self._on_news = callback
         self._subscription.on_packet = callback
         callback()
 
     def keep_alive(self) -> None:
-        """Stay subscribed at all agents that are there. In one thread."""
+        """Stay subscribed at all connected agents. In one thread."""
         try:
             self._subscription.keep_alive()
         except PancakesError as error:
@@ -517,7 +517,7 @@ class Subscriber(Generic[Row]):
             )
 
     def fail(self, reason: str) -> None:
-        """End it for a reason, which its reader gets as an error."""
+        """End it; its reader gets the reason as an error."""
         if not self._closed:
             self._failure = f"{self._name}: {reason}"
             self._say(self._failure)
@@ -537,7 +537,7 @@ class Subscriber(Generic[Row]):
         while not self._closed:
             try:
                 row = self.take(TURN_S)
-            except PancakesError:  # it has ended, and its failure was said
+            except PancakesError:  # it has failed, which was reported
                 return
             if row is None:
                 continue
@@ -549,11 +549,11 @@ class Subscriber(Generic[Row]):
 
 def callback_failed(error: Exception) -> str:
     """Return why a subscriber ends whose callback raised an exception."""
-    return f"the callback failed, and is not called any more: {describe(error)}"
+    return f"the callback failed, and is not called again: {describe(error)}"
 
 
 class KeepAlive:
-    """Keep subscribers alive in a thread of its own, as long as there are any. Any thread may use it."""
+    """Keep subscribers alive in a thread of its own. Any thread may use it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -570,7 +570,7 @@ class KeepAlive:
                 self._thread.start()
 
     def remove(self, subscriber: Subscriber[Any]) -> None:
-        """Keep a subscriber alive no more."""
+        """Stop keeping a subscriber alive."""
         with self._lock:
             self._subscribers = [it for it in self._subscribers if it is not subscriber]
 

@@ -1,7 +1,7 @@
 """Check a configuration against its plug-ins, its migration rules and this machine.
 
-Do the plug-ins exist, do their settings fit, is what they need there? `doubts_of` finds what is sound and probably
-not meant; it looks up host names, which may take seconds.
+It checks whether the plug-ins exist, whether their settings fit, and whether what they need is there. `doubts_of` finds
+settings that are valid but probably not meant; it looks up host names, which may take seconds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def faults_of_rule(rule: MigrationRule, task: str, tasks: Mapping[str, TaskConfi
 
     Args:
         rule: the rule.
-        task: the name of the task that it moves.
+        task: the name of the task that it migrates.
         tasks: all tasks of the configuration.
     """
     if not rule.when:
@@ -45,7 +45,7 @@ def faults_of_rule(rule: MigrationRule, task: str, tasks: Mapping[str, TaskConfi
         elif bound is not None and rule.field == "level" and not 0 <= bound <= 1:
             yield name, f"expected a number from 0 to 1 (a level is a share), not {bound:g}", ""
     if rule.below is not None and rule.above is not None and rule.below > rule.above:
-        yield "below", f"is more than above ({rule.above:g}), so that the task would always move", ""
+        yield "below", f"is more than above ({rule.above:g}), so that the task would always migrate", ""
     if rule.cost == "":
         yield "cost", "is empty: name a cost function, such as 'tasks'", ""
     elif not isinstance(rule.cost, str):
@@ -75,15 +75,15 @@ def check_plugins(
 ) -> list[Fault]:
     """Return all that a configuration gets wrong about drivers, services, tasks, costs and transports.
 
-    What could only be judged with a plug-in that cannot be imported is not judged.
+    Checks that need a plug-in that cannot be imported are skipped.
 
     Args:
-        config: a configuration; tables without a type are passed over.
+        config: a configuration; tables without a type are skipped.
         plugins: where the plug-ins come from. Those that the configuration names are imported, and so are all
             types of packets.
-        must_load: whether a plug-in that the configuration names and that cannot be imported is a fault. Where it is
-            none, it is left to `Plugins.problems`, and the rest of an agent runs.
-        missing: takes the names of plug-ins that are not installed, which are no faults then; None: they are.
+        must_load: whether it is a fault if a plug-in that the configuration names cannot be imported. Otherwise it is
+            left to `Plugins.problems`, and the rest of an agent runs.
+        missing: takes the names of plug-ins that are not installed, which then are not faults; None: they are faults.
     """
     check = _Check(config, plugins, must_load, missing)
     check.run()
@@ -95,7 +95,7 @@ def check_task(config: Config, task: TaskConfig, plugins: Plugins) -> list[Fault
 
     Args:
         config: the configuration that it is in.
-        task: the task; without a type it is passed over.
+        task: the task; without a type it is skipped.
         plugins: where the plug-ins come from. One that cannot be imported is a fault.
     """
     check = _Check(config, plugins, must_load=True)
@@ -104,7 +104,7 @@ def check_task(config: Config, task: TaskConfig, plugins: Plugins) -> list[Fault
 
 
 class _Check:
-    """One pass over one configuration."""
+    """Check one configuration."""
 
     def __init__(self, config: Config, plugins: Plugins, must_load: bool, missing: set[str] | None = None) -> None:
         self._missing = missing
@@ -112,7 +112,7 @@ class _Check:
         self._must_load = must_load
         self._plugins = plugins
         self._places: KeyPlaces = config.places
-        self._broken = False  # whether something could not be imported, so that not all is known
+        self._broken = False  # whether a plug-in could not be imported, so the rest is not fully known
         self.faults: list[Fault] = []
 
     def run(self) -> None:
@@ -137,7 +137,7 @@ class _Check:
                 self._check_rule(task.migrate, ("task", task.name, "migrate"))
 
     def task(self, task: TaskConfig) -> None:
-        """Check one task, wherever the rest of the configuration stands."""
+        """Check one task, but not the rest of the configuration."""
         cls = self._check_part(TASKS, task.type, task.settings, ("task", task.name), "type")
         self._check_requires(task, cls, self._device_types())
         if task.migrate:
@@ -147,14 +147,14 @@ class _Check:
         faults = self.faults
         self.faults = []
         found = self._check_devices()
-        self.faults = faults  # what is wrong about devices is said where they are
+        self.faults = faults  # faults of devices are reported with the devices
         return found
 
     def _fault(self, key: KeyPath, problem: str, near: str = "") -> None:
         self.faults.append(self._places.fault(key, problem, near))
 
     def _get(self, group: str, name: str, key: KeyPath) -> Any | None:
-        """Return a plug-in; None if there is none to be had, which is noted."""
+        """Return a plug-in; None if it cannot be loaded, which is noted."""
         try:
             return self._plugins.get(group, name)
         except UnknownPlugin as error:
@@ -178,14 +178,14 @@ class _Check:
             return None
         if not _is_class_of(group, found):
             kind = group.removeprefix("pancakes.")[:-1]
-            self._fault((*table, key), f"{name!r} is no {kind} but {_shown(found)}: a defect of its distribution")
+            self._fault((*table, key), f"{name!r} is not a {kind} but {_shown(found)}: a defect of its distribution")
             return None
         for problem in check_settings(found.Settings, settings):
             self._fault((*table, "settings", *problem.path), problem.text, problem.suggestion)
         return found
 
     def _check_transports(self) -> None:
-        """Look only for the transport of each address: faults in its form have been reported."""
+        """Check the transport of each address; faults in its form were reported before."""
         agent = self._config.agent
         addresses: list[tuple[KeyPath, str]] = [(("agent", "listen"), it) for it in agent.listen]
         addresses += [(("agent", "peers", index), peer) for index, peer in enumerate(agent.peers)]
@@ -206,7 +206,7 @@ class _Check:
         self._check_transport_settings()
 
     def _check_transport_settings(self) -> None:
-        """Check what the network's settings say of transports, by their schemes."""
+        """Check the settings of transports in the network's settings, by scheme."""
         network = self._config.services.get("network")
         given = network.settings.get("transports") if network is not None else None
         for scheme, settings in given.items() if isinstance(given, dict) else ():
@@ -229,7 +229,7 @@ class _Check:
         for device in self._config.devices.values():
             cls = classes.get(device.service)
             if cls is not None and not issubclass(cls, DeviceService):
-                self._fault(("device", device.name, "service"), f"{device.service!r} is no service for devices")
+                self._fault(("device", device.name, "service"), f"{device.service!r} is not a service for devices")
 
     def _check_devices(self) -> list[str] | None:
         """Check the devices and return their types; None if not all of them can be known."""
@@ -241,7 +241,7 @@ class _Check:
             found = self._check_part(DRIVERS, device.driver, device.settings, table, "driver")
             device_type = getattr(found, "type", None)
             if found is not None and not isinstance(device_type, str):
-                problem = f"{device.driver!r} does not say the type of its device: a defect of its distribution"
+                problem = f"{device.driver!r} does not define the type of its device: a defect of its distribution"
                 self._fault((*table, "driver"), problem)
             if not isinstance(device_type, str):
                 device_types = None
@@ -251,16 +251,16 @@ class _Check:
                 self._check_rate(table, device.driver, found)
             hold_key = (*table, "hold_after_s")
             if found is not None and not issubclass(found, Actuator) and self._places.has(*hold_key):
-                self._fault(hold_key, f"is for actuators, and {device.driver!r} is none")
+                self._fault(hold_key, f"is for actuators, and {device.driver!r} is not one")
             silent_key = (*table, "silent_s")
             if found is not None and issubclass(found, Actuator) and self._places.has(*silent_key):
-                self._fault(silent_key, f"is for sensors, and {device.driver!r} is none")
+                self._fault(silent_key, f"is for sensors, and {device.driver!r} is not one")
             elif found is not None:
                 self._check_silence(table, device, found)
         return device_types
 
     def _check_rate(self, table: KeyPath, driver: str, found: type[Driver]) -> None:
-        """A sensor that waits for a rate for ever, and a rate that nothing asks for, are both mistakes."""
+        """Check that a sensor that needs a rate has one, and that no other device has one."""
         from pancakes.devices.driver import Actuator
 
         key = (*table, "rate_hz")
@@ -274,11 +274,11 @@ class _Check:
             self._fault(key, f"is not for {driver!r}, which does nothing at a rate")
 
     def _check_silence(self, table: KeyPath, device: DeviceConfig, found: type[Driver]) -> None:
-        """A sensor that is silent before its next reading can come would be told as silent between any two."""
+        """Check that a sensor does not count as silent before its next reading can come."""
         given = device.silent_s is not None
         silent_s = device.silent_s if given else getattr(found, "silent_s", None)
         if device.rate_hz and silent_s is not None and silent_s <= 1 / device.rate_hz:
-            apart = f"{1 / device.rate_hz:g} s, as far as two readings are apart at `rate_hz = {device.rate_hz:g}`"
+            apart = f"{1 / device.rate_hz:g} s, the time between two readings at `rate_hz = {device.rate_hz:g}`"
             text = f"must be longer than {apart}"
             default = "" if given else f"; {device.driver!r} has {silent_s:g} s unless it is given"
             self._fault((*table, "silent_s"), text + default)
@@ -296,13 +296,13 @@ class _Check:
 
     def _check_rule(self, rule: MigrationRule, table: KeyPath) -> None:
         if isinstance(rule.cost, str):
-            if rule.cost:  # an empty one has been reported
+            if rule.cost:  # an empty one was reported before
                 self._get(COSTS, rule.cost, (*table, "cost"))
         else:
             for name in rule.cost:
                 self._get(COSTS, name, (*table, "cost", name))
         if not rule.when or self._broken:
-            return  # a module that failed may have had this type
+            return  # a module that could not be imported may define this type
         body = body_class(rule.when)
         if body is None:
             self._fault(
@@ -315,12 +315,12 @@ class _Check:
 
 
 def _is_class_of(group: str, found: Any) -> bool:
-    """Whether a plug-in is a class of the kind that its group promises."""
+    """Return whether a plug-in is a class of the kind that its group requires."""
     return isinstance(found, type) and issubclass(found, _base_of(group))
 
 
 def _base_of(group: str) -> type:
-    from pancakes.devices.driver import Driver  # late: reading a file alone needs no kernel
+    from pancakes.devices.driver import Driver  # late: only reading a file needs no kernel
     from pancakes.service import Service
     from pancakes.task import Task
 
@@ -333,14 +333,14 @@ def _shown(found: Any) -> str:
 
 
 def _strings(value: Any) -> list[str]:
-    """`requires = ("pose")` is a string, and surely meant as one type."""
+    """Return the strings of a value; `requires = ("pose")` is one string, and meant as one type."""
     if isinstance(value, str):
         return [value]
     return [item for item in value if isinstance(item, str)] if isinstance(value, Iterable) else []
 
 
 def doubts_of(config: Config) -> list[Fault]:
-    """Return sentences on a configuration that an agent of this machine would run, each with its place in the file.
+    """Return doubts about a configuration for an agent of this machine, each with its place in the file.
 
     Names of hosts are looked up, which may take some seconds.
     """

@@ -18,9 +18,9 @@ from pancakes.util.plugins import Plugins
 
 
 def created_tables(agent: str, records: Iterable[Record]) -> dict[str, dict[str, Any]]:
-    """Return the tables `[task.NAME]` of the tasks that were born on an agent and are there, by name.
+    """Return the tables `[task.NAME]` of the tasks that were created on an agent and still exist, by name.
 
-    Those that its file names are among them if there are records of them.
+    They include tasks in its file that have records.
 
     Args:
         agent: the agent's name.
@@ -33,15 +33,15 @@ def created_tables(agent: str, records: Iterable[Record]) -> dict[str, dict[str,
             try:
                 snapshot = Snapshot.decode(record.snapshot)
             except MigrationError:
-                continue  # its service has said so
+                continue  # its service has reported that
             tables[record.task_id.name] = table_of(snapshot, record.wanted is Wanted.RUNNING)
     return tables
 
 
 def table_of(snapshot: Snapshot, start: bool) -> dict[str, Any]:
-    """Return the table `[task.NAME]` of a task as it is; `start`: whether it is to run from the start.
+    """Return the table `[task.NAME]` of a task as it is now; `start`: whether it runs from the start.
 
-    Its settings are those that it has now, and so is its rate. What has no value is None.
+    It has the present settings and the present rate. A key without a value is None.
     """
     guard: Mapping[str, Any] = snapshot.guard or {"guard": 0}
     return {
@@ -58,7 +58,7 @@ def table_of(snapshot: Snapshot, start: bool) -> dict[str, Any]:
 
 
 def _rate_hz(snapshot: Snapshot) -> float | None:
-    """Return the rate of its first timer; None: as its class says."""
+    """Return the rate of its first timer; None: that of its class."""
     period_s = next(iter(snapshot.periods_s.values()), None)
     if period_s is None or not period_s > 0.0:
         return snapshot.rate_hz
@@ -66,14 +66,14 @@ def _rate_hz(snapshot: Snapshot) -> float | None:
 
 
 DEFAULT: Final = "default"
-"""Where a value comes from that neither the file nor `--set` gives."""
+"""The origin of a value that neither the file nor `--set` gives."""
 
 
 def effective(config: Config, plugins: Plugins) -> dict[str, Any]:
-    """Return all keys of a configuration as plain values, as its file could have them.
+    """Return all keys of a configuration as plain values, in the form of a file.
 
-    What has no value, as TOML has none for it, is None. Of a plug-in that cannot be imported, only those settings are
-    there that were given.
+    A key without a value is None, because TOML has no such value. For a plug-in that cannot be imported, only the given
+    settings are included.
 
     Args:
         config: the configuration.
@@ -118,7 +118,7 @@ def _device(device: DeviceConfig, plain: dict[str, Any], plugins: Plugins) -> di
     except PluginError:
         return plain
     if not issubclass(driver, Actuator):
-        del plain["hold_after_s"]  # which is for actuators only, and may not be said of others
+        del plain["hold_after_s"]  # it is only for actuators, and not allowed for others
     return plain
 
 

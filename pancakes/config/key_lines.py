@@ -1,4 +1,4 @@
-"""Find the line of each key of a TOML text, and whether a `--set` overrode it, for messages.
+"""Find the line of each key of a TOML text, and whether a `--set` overrode it, for error messages.
 
 The standard library's parser does not report lines.
 """
@@ -22,16 +22,17 @@ KeyPath = tuple[str | int, ...]
 """The keys that lead to a value, from the outermost; an integer is a place in a list, from 0."""
 
 MOST_EQUAL_SIGNS: Final = 16
-"""At most this many equal signs in quotes are looked for in a key."""
+"""At most this many equal signs are expected in a quoted key."""
 
 
 def split_pair(text: str) -> tuple[tuple[str, ...], str, str] | None:
     """Split `task."a.b".rate_hz = 5` at its equal sign.
 
     Returns:
-        The parts of the key, the key as it is written, and what follows the equal sign; None if no key stands first.
+        The parts of the key, the key as it is written, and what follows the equal sign; None if the text does not begin
+        with a key.
     """
-    for found in islice(re.finditer("=", text), MOST_EQUAL_SIGNS):  # a quoted key may have one, too
+    for found in islice(re.finditer("=", text), MOST_EQUAL_SIGNS):  # a quoted key may contain one
         written = text[: found.start()].strip()
         try:
             value: Any = toml_values(f"{written} = 0")
@@ -49,15 +50,15 @@ def split_pair(text: str) -> tuple[tuple[str, ...], str, str] | None:
 def lines_of_keys(text: str) -> dict[KeyPath, int]:
     """Return the line, from 1, of each key and table of a TOML text that has been parsed without an error.
 
-    This takes tomlkit, which is large and slow: call it only to report something.
+    It imports tomlkit, which is large and slow: call it only to report something.
     """
     import tomlkit
 
     try:
         document = tomlkit.parse(text)
-    except (ValueError, RecursionError):  # what only the standard library's parser reads has no lines
+    except (ValueError, RecursionError):  # text that only the standard library's parser can read has no lines
         return {}
-    if document.as_string() != text:  # a list of tables with another table in the middle of it changes its place
+    if document.as_string() != text:  # tomlkit moves a list of tables that has another table in the middle
         return {}
     lines = _Lines()
     lines.read_body(document.body, ())
@@ -73,7 +74,7 @@ class _Lines:
         self._tables: dict[KeyPath, int] = {}  # how many tables each `[[list of tables]]` has so far
 
     def read_body(self, body: Sequence[tuple[Key | None, Item]], table: KeyPath) -> int:
-        """Walk through the keys and tables of a table, with space and comments; return the line of its first key."""
+        """Walk through the keys, tables, space and comments of a table; return the line of its first key."""
         from tomlkit.items import AoT, Table
 
         first = 0
@@ -89,7 +90,7 @@ class _Lines:
                     self.of_keys.setdefault(path, self.of_keys[(*path, number)])
             elif isinstance(item, Table) and not item.is_super_table():
                 self._read_table(item, path)
-            elif isinstance(item, Table):  # it stands in the headers or dotted keys of what is in it
+            elif isinstance(item, Table):  # it appears in the headers or dotted keys of its contents
                 self.of_keys.setdefault(path, self.read_body(item.value.body, path))
             else:
                 self._line += item.trivia.indent.count("\n")
@@ -101,7 +102,7 @@ class _Lines:
 
     def _read_table(self, table: Table, path: KeyPath) -> None:
         self._line += table.trivia.indent.count("\n")
-        self.of_keys[path] = self._line  # if it stood in another's header so far, too
+        self.of_keys[path] = self._line  # also if it appeared only in another header so far
         self._line += table.trivia.trail.count("\n")
         self.read_body(table.value.body, path)
 
@@ -128,7 +129,7 @@ NAMED_TABLES: Final = ("channel", "device", "service", "task")
 
 
 class KeyPlaces:
-    """Say where a key stands, as `agent1.toml:12` or `--set agent.name=x`.
+    """Find the place of each key: `agent1.toml:12` or `--set agent.name=x`.
 
     Args:
         path: the file, as messages name it.
@@ -150,7 +151,7 @@ class KeyPlaces:
         return lines_of_keys(self._text)
 
     def override(self, key: KeyPath, text: str, value: Any) -> None:
-        """Note that `--set text` gives this key its value, before it does; what the file says below the key is gone."""
+        """Note that `--set text` is about to set this key; everything below the key in the file is replaced."""
         self._overridden.append(key)
         for known in [path for path in self._sets if path[: len(key)] == key]:
             del self._sets[known]
@@ -162,7 +163,7 @@ class KeyPlaces:
 
     def where(self, *key: str | int) -> str:
         """Return the place of a key; if it is missing, of the innermost table around it."""
-        outermost = 2 if len(key) > 1 and key[0] in self._named else 1  # another's [task.NAME] is no place for this
+        outermost = 2 if len(key) > 1 and key[0] in self._named else 1  # another [task.NAME] is not its place
         for length in range(len(key), outermost - 1, -1):
             inner = key[:length]
             if inner in self._sets:
@@ -172,7 +173,7 @@ class KeyPlaces:
         return self._path
 
     def has(self, *key: str | int) -> bool:
-        """Return whether the file or a `--set` itself has this key."""
+        """Return whether the file or a `--set` has exactly this key."""
         value: Any = self._values
         for part in key:
             try:
@@ -182,7 +183,7 @@ class KeyPlaces:
         return True
 
     def is_set(self, *key: str | int) -> bool:
-        """Return whether a key is there only because of a `--set`."""
+        """Return whether a key comes only from a `--set`."""
         return key in self._sets
 
     def fault(self, key: KeyPath, problem: str, suggestion: str = "") -> Fault:
@@ -190,7 +191,7 @@ class KeyPlaces:
         return Fault(self.where(*key), key_text(key, self._named), problem, suggestion)
 
     def in_order(self, faults: list[Fault]) -> list[Fault]:
-        """Return faults in the order of the file, those of `--set` last; where a place has several, as they are."""
+        """Return faults in the order of the file, those of `--set` last; faults at one place keep their order."""
 
         def line(fault: Fault) -> float:
             number = fault.where.removeprefix(f"{self._path}:")
@@ -207,7 +208,7 @@ def set_text(text: str) -> str:
 
 
 def _paths(value: Any, key: KeyPath) -> Iterator[KeyPath]:
-    """Yield the paths of all that is inside a plain value."""
+    """Yield the paths of all values inside a plain value."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for part, inner in items:
         yield (*key, part)

@@ -1,4 +1,4 @@
-"""Read a configuration: from a TOML file to a `Config`, or to all of its faults at once."""
+"""Read a configuration: from a TOML file to a `Config`, or report all faults at once."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def load(
     Args:
         path: the file.
         sets: overrides, each as `table.key=value`.
-        plugins: where drivers, services and tasks come from. With it, what they ask of the configuration is
-            checked too (see `check_plugins`); without it, only the format is.
-        must_load: whether it is a fault where one of these that the file names cannot be imported.
-        missing: takes the names of those that are not installed here, which are no faults then: the configuration is
-            for another machine.
+        plugins: where drivers, services and tasks come from. With it, plug-ins and their
+            settings are checked too (see `check_plugins`); without it, only the format.
+        must_load: whether it is a fault if a plug-in that the file names cannot be imported.
+        missing: takes the names of plug-ins that are not installed here, which then are not faults: the configuration
+            is for another machine.
 
     Raises:
-        ConfigError: the file cannot be read, or is not sound; it carries every fault.
+        ConfigError: the file cannot be read, or is not valid; it carries every fault.
     """
     where = fspath(path)
     return parse(text_of(where), where, sets, plugins, must_load=must_load, missing=missing)
@@ -80,11 +80,11 @@ def parse(
         where: the name of the text in messages.
         sets: overrides, each as `table.key=value`.
         plugins: where drivers, services and tasks come from; None leaves them unchecked.
-        must_load: whether it is a fault where one of these that the text names cannot be imported.
+        must_load: whether it is a fault if a plug-in that the text names cannot be imported.
         missing: see `load`.
 
     Raises:
-        ConfigError: the text is not sound; it carries every fault.
+        ConfigError: the text is not valid; it carries every fault.
     """
     tables = read_tables(text, where)
     values, places, _ = tables
@@ -101,16 +101,16 @@ def parse(
 
 
 def read_task(name: str, table: Mapping[str, Any], config: Config, plugins: Plugins) -> TaskConfig:
-    """Read the table of a task that the file of an agent does not name, as if that had it.
+    """Read the table of a task as if the file of an agent had it.
 
     Args:
         name: the task's name.
-        table: what stands in its table `[task.NAME]`.
+        table: the contents of its table `[task.NAME]`.
         config: the agent's configuration.
         plugins: where tasks and drivers come from.
 
     Raises:
-        ConfigError: the table is not sound; it carries every fault.
+        ConfigError: the table is not valid; it carries every fault.
     """
     places = KeyPlaces(name, "", {})
     reader = _ConfigReader({"task": {name: dict(table)}}, places)
@@ -124,7 +124,7 @@ def read_task(name: str, table: Mapping[str, Any], config: Config, plugins: Plug
 
 
 class _ConfigReader:
-    """Make a `Config` and collect faults. What is at fault is left at its default, so that the rest is checked."""
+    """Make a `Config` and collect faults. A faulty key gets its default, so that the rest is checked."""
 
     def __init__(self, values: dict[str, Any], places: KeyPlaces) -> None:
         self._values = values
@@ -165,7 +165,7 @@ class _ConfigReader:
         return config
 
     def task(self, name: str, config: Config) -> TaskConfig:
-        """Make one task beside those of a configuration."""
+        """Make one task in addition to those of a configuration."""
         task = self._tables("task", TaskConfig)[name]
         self._check_restart(("task", name, "restart"), task.restart)
         self._check_task(task, replace(config, tasks={**config.tasks, name: task}))
@@ -199,7 +199,7 @@ class _ConfigReader:
     def _tables(
         self, table: str, cls: type[_T], implied: Mapping[str, Mapping[str, Any]] | None = None
     ) -> dict[str, _T]:
-        """The tables `[table.NAME]` by name; `implied` has values for those that are there unasked."""
+        """Return the tables `[table.NAME]` by name; `implied` has the tables that always exist."""
         implied = implied or {}
         entries = self._values.get(table, {})
         if not isinstance(entries, dict):
@@ -227,17 +227,17 @@ class _ConfigReader:
         for problem in check_settings(cls, values):
             text, near = problem.text, problem.suggestion
             if text == "unknown key" and len(problem.path) == 1 and not near and "settings" in own:
-                text = f"unknown key; the {key[0]}'s own settings belong into its key `settings`"
+                text = f"unknown key; the {key[0]}'s own settings belong in its key `settings`"
             if text == "is missing" and len(key) == 2 and self._places.is_set(*key):
                 near = self._other_name(str(key[0]), str(key[1]))
             bad.add(problem.path[0] if problem.path else "")
             self._fault((*key, *problem.path), text, near)
-        whole = "" not in bad  # else its parts are sound, and do not fit each other
+        whole = "" not in bad  # else its parts are valid, but do not fit together
         sound = {name: value for name, value in values.items() if whole and name in own and name not in bad}
         return codecs.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)  # type: ignore[arg-type]
 
     def _other_name(self, table: str, name: str) -> str:
-        """Return the table of the file that a `--set` probably meant which has made one of its own; empty: none."""
+        """Return the table that a `--set` probably meant if it created a new one; empty: none."""
         others = {*self._values.get(table, ()), *(DEFAULT_SERVICES if table == "service" else ())} - {name}
         return suggestion(name, others)
 
@@ -248,7 +248,7 @@ class _ConfigReader:
         return not fault
 
     def _given(self, key: KeyPath) -> Any:
-        """What the file says under a key; None if it says nothing."""
+        """Return the value of a key in the file; None if it is missing."""
         value: Any = self._values
         for part in key:
             value = value.get(part) if isinstance(value, dict) else None
@@ -271,14 +271,14 @@ class _ConfigReader:
             except ValueError as error:
                 self._fault(key, str(error))
             if peer in agent.peers[:index]:
-                self._fault(key, f"{peer!r} stands in the list for the second time")
+                self._fault(key, f"{peer!r} is in the list twice")
 
     def _check_listen(self, config: Config, index: int, text: str) -> None:
         key: KeyPath = ("agent", "listen")
         if isinstance(self._given(key), list):
             key = (*key, index)
         if text in config.agent.listen[:index]:
-            self._fault(key, f"{text!r} stands in the list for the second time")
+            self._fault(key, f"{text!r} is in the list twice")
         try:
             if fault := fault_of_interface(text):
                 self._fault(key, fault)
@@ -323,10 +323,10 @@ class _ConfigReader:
                     self._fault((*key, name), "is for guarded tasks: set `guard = 3` too")
             return
         if task.service in ("device", "network", "log"):
-            self._fault((*key, "guard"), f"is for tasks that can move, and those of the {task.service} service cannot")
+            self._fault((*key, "guard"), f"is for tasks that can migrate, not for the service {task.service}")
         others = [name for name in task.guardians if name != config.agent.name]
         if len(others) != len(set(task.guardians)) or len(others) != len(task.guardians):
             self._fault((*key, "guardians"), "expected the names of other agents, each once")
         elif len(others) >= task.guard:
-            text = f"names {len(others)} agents, and besides this one there are {task.guard - 1} guardians"
+            text = f"names {len(others)} agents, but besides this one there are {task.guard - 1} guardians"
             self._fault((*key, "guardians"), text)

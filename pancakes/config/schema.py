@@ -21,7 +21,7 @@ from pancakes.util.schema import schema_of
 
 DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
 NAME: Final = r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"
-"""What a name looks like, of an agent or of a table `[task.NAME]`."""
+"""The pattern of names of agents and of tables such as `[task.NAME]`."""
 
 _SINGLE: Final = {"agent": AgentConfig, "access": AccessConfig, "clock": ClockConfig}
 _NAMED: Final = {"channel": ChannelConfig, "device": DeviceConfig, "service": ServiceConfig, "task": TaskConfig}
@@ -35,11 +35,11 @@ _PLUGINS: Final = {
 def config_schema(plugins: Plugins | None = None) -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of an agent's configuration file.
 
-    What it cannot say is checked when the file is read: whether a task's service is there, whether an address is one.
+    Some rules are checked only when the file is read: whether a task's service exists, whether an address is valid.
 
     Args:
-        plugins: with these, a driver, service or task is one of them, and its settings are described; those that cannot
-            be imported are left out.
+        plugins: with these, only their drivers, services and tasks are valid, and their settings are described; those
+            that cannot be imported are left out.
     """
     definitions: dict[str, Any] = {}
     properties: dict[str, Any] = {}
@@ -49,7 +49,7 @@ def config_schema(plugins: Plugins | None = None) -> dict[str, Any]:
         entry = _table(named, definitions)
         del entry["properties"]["name"]
         if table == "service":
-            entry["required"] = []  # the four default ones have their own name as their type
+            entry["required"] = []  # the four default services have their name as their type
         entry["required"] = [key for key in entry.get("required", ()) if key != "name"]
         if plugins is not None and table in _PLUGINS:
             _name_plugins(entry, *_PLUGINS[table], plugins)
@@ -78,7 +78,7 @@ def named_tables(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def closed(schema: Any) -> Any:
-    """Return a schema whose objects have no other keys than those that they name."""
+    """Return a schema whose objects allow only the keys that they name."""
     if isinstance(schema, list):
         return [closed(part) for part in schema]
     if not isinstance(schema, Mapping):
@@ -96,7 +96,7 @@ def _table(cls: type, definitions: dict[str, Any]) -> dict[str, Any]:
 
 
 def _name_plugins(entry: dict[str, Any], key: str, group: str, plugins: Plugins) -> None:
-    """Let an entry be of an installed type, and its settings fit that."""
+    """Require that an entry has an installed type, and settings that fit it."""
     names = plugins.names(group)
     entry["properties"][key] = {**entry["properties"][key], "enum": names}
     rules = []
@@ -105,7 +105,7 @@ def _name_plugins(entry: dict[str, Any], key: str, group: str, plugins: Plugins)
             settings = closed(schema_of(plugins.get(group, name).Settings))
         except (PluginError, TypeError, AttributeError):
             continue
-        # An `$id` of its own: its references lead to its own `$defs`, whatever other plug-ins call theirs.
+        # It needs an `$id`, so that its references lead to its own `$defs`, not to those of other plug-ins.
         settings = {"$id": f"{group}/{name}", **settings}
         rule = {"if": {"properties": {key: {"const": name}}, "required": [key]}}
         rules.append({**rule, "then": {"properties": {"settings": settings}}})

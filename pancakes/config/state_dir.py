@@ -12,10 +12,10 @@ from pancakes.util.files import at_home, user_folder
 def default_state_dir(fleet: str, name: str) -> Path:
     """Return the state directory of an agent whose configuration does not name one.
 
-    A service of the system has the one that systemd made for it (`StateDirectory=`).
+    A system service has the one that systemd made for it (`StateDirectory=`).
 
     Raises:
-        NoHome: nothing says where it is.
+        NoHome: it is not known where it would be.
     """
     of_service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     if of_service:
@@ -27,10 +27,10 @@ def default_state_dir(fleet: str, name: str) -> Path:
 def state_dir_of(config: Config) -> Path | None:
     """Return the state directory of an agent; None if its role has none.
 
-    A world or a terminal owns no task that could move, so nothing of it has to outlive the process.
+    A world or a terminal owns no task that could migrate, so it keeps nothing on disk.
 
     Raises:
-        NoHome: its configuration names none, and nothing else says where it is.
+        NoHome: it is not known where it would be.
     """
     agent = config.agent
     if agent.role != "agent":

@@ -1,6 +1,6 @@
 """The tables of a configuration file as frozen structures: `[agent]`, `[task.NAME]` and so on.
 
-`settings` stay plain mappings here; the class that they belong to checks them (`pancakes.config.check_plugins`).
+`settings` stay plain mappings here; their class checks them (`pancakes.config.check_plugins`).
 Rates are per second of mission time. The docstrings appear in the generated reference.
 """
 
@@ -27,7 +27,7 @@ SCHEMA: Final = 1
 """The number of the format that this version reads; a file states it as `schema = 1`."""
 
 DEFAULT_SERVICES: Final = ("device", "network", "log", "client")
-"""The services that every agent has, also where its file does not name them (paper §3.1)."""
+"""The services that every agent has, even if its file does not name them (paper §3.1)."""
 
 Positive = Annotated[float, Meta(gt=0, le=1e9)]
 """A number above 0. The upper end keeps out infinity."""
@@ -42,26 +42,26 @@ class AgentConfig(Struct, frozen=True):
     Attributes:
         name: the agent's name on the mesh; the first part of all addresses in it.
         listen: the addresses where other agents may connect, such as `tcp://127.0.0.1:7401` (port 0 takes a free
-            one); one need not stand in a list. On its own machine it can always be reached, at `local://NAME`, or
-            `local://FLEET/NAME` where its fleet is not `default`.
-        local_group: members of this group of the machine may connect there as well, for an agent that runs as a system
-            service; empty: the agent's own user alone.
+            one); a single one need not be a list. On its own machine it can always be reached, at `local://NAME`, or
+            `local://FLEET/NAME` if its fleet is not `default`.
+        local_group: members of this Unix group may connect too, for an agent that runs as a system service; empty: only
+            the agent's own user.
         peers: the addresses of agents to connect to, such as `tcp://192.168.1.20:7401`, or `local://NAME` on its own
             machine. Its own among them is skipped, so that a fleet can share one list.
-        links: to so many agents it keeps links, and to the others while there is something to say to them; for a fleet
-            of hundreds. A task that moves asks the agents that are linked, or the one that it is sent to. Without it,
-            it keeps a link to each agent.
+        links: how many links to agents it keeps; it links to others while there is something to send. For a fleet of
+            hundreds. A task that migrates asks only linked agents, or the one that it is sent to. Without it, the agent
+            keeps a link to every other one.
         role: `agent` (runs tasks, may be asked to take one), `environment` (a simulated world) or `client` (a
             person's tool); the last two are never asked to take a task.
         fleet: agents of different fleets refuse each other.
         state_dir: the directory for what must outlive the process; a relative one counts from the working
-            directory; empty for the agent's default place.
-        seed: where the agent's randomness starts; None draws it afresh at each start.
-        folders: a command, or a task from another agent, sets a path of a file below these folders alone, or as the
-            configuration has it; a relative one counts from the working directory.
-        birth_wait_s: a task of which this agent knows nothing, as on an empty disk, begins once all agents at the
-            addresses in `peers` have said that they know nothing of it either; after so many host seconds it begins
-            all the same, unless it is guarded. 0: no agent is asked.
+            directory; empty: the default place.
+        seed: the seed of the agent's random numbers; None: a new one at each start.
+        folders: a command, or a task from another agent, may set a path only to a file below these folders, or to the
+            value in the configuration; a relative one counts from the working directory.
+        birth_wait_s: a task that is new to this agent, as on an empty disk, begins once all agents at the addresses in
+            `peers` have reported that they do not know it either. After this time, in host seconds, it begins anyway,
+            unless it is guarded. 0: no agent is asked.
     """
 
     name: str
@@ -86,12 +86,13 @@ class AgentConfig(Struct, frozen=True):
 
 
 class AccessConfig(Struct, frozen=True):
-    """The table `[access]`: what the agent's peers may do, beside what the roster of its fleet says.
+    """The table `[access]`: what the agent's peers may do, in addition to the roster of its fleet.
 
     Attributes:
         allow: rules, each a table `[[access.allow]]`, for peers without a certificate: those on its own machine, and
-            all where it is `insecure`. None: they may do all. For peers with one the roster has the rules.
-        refuse: rights that no peer has here, whatever the rules say, such as `["end"]`.
+            all if it is `insecure`. None: they may do everything. For peers with a certificate, the roster has the
+            rules.
+        refuse: rights that no peer has here, whatever the rules are, such as `["end"]`.
     """
 
     allow: tuple[AccessRule, ...] | None = None
@@ -104,8 +105,8 @@ class ClockConfig(Struct, frozen=True):
     Attributes:
         speed: mission seconds for each second of the host.
         hold: whether the mission waits at 0 until a `begin` packet comes.
-        join_s: so long an agent waits at its start to hear the mission's time from those of `peers` that can be
-            reached, in host seconds: it goes on at that time; 0: its mission begins at 0.
+        join_s: how long an agent waits at its start for the mission time of those `peers` that can be reached, in host
+            seconds; it continues at that time. 0: its mission begins at 0.
     """
 
     speed: Positive = 1.0
@@ -117,14 +118,14 @@ class RecordConfig(RecordingSettings):
     """The table `[record]`: the settings of the recorder, which every agent has as `log/Recorder`.
 
     Attributes:
-        start: whether it records from the start; otherwise it waits until it is started.
+        start: whether it records from the start; otherwise a packet or a command starts it.
     """
 
     start: bool = True
 
 
 class ChannelConfig(Struct, frozen=True):
-    """A table `[channel.NAME]`: a channel that is there from the start, besides the core ones."""
+    """A table `[channel.NAME]`: a channel that exists from the start, besides the core ones."""
 
     name: str
 
@@ -135,14 +136,15 @@ class DeviceConfig(Struct, frozen=True):
     Attributes:
         name: the device's name on this agent.
         driver: the name of its driver, such as `sim.ir`.
-        service: the device service that looks after it.
-        rate_hz: how often it is sampled; 0: not before it is rescheduled. Drivers that speak by themselves take none.
+        service: the device service that runs it.
+        rate_hz: how often it is sampled; 0: not before it is rescheduled. Not for drivers whose hardware decides when it
+            has a reading.
         settings: plain values for the driver's `Settings`.
         restart: what the device service does when it fails.
-        hold_after_s: an actuator goes to its safe hold when no command came for so long, in mission seconds.
-        missed: when readings, or commands of an actuator, that fail are too many, so that the device fails.
-        silent_s: a sensor without a reading for so long, in mission seconds, is told as silent, and a connection that
-            it hears is dialled again; None: as its driver says.
+        hold_after_s: an actuator goes to its safe hold when no command came for this time, in mission seconds.
+        missed: how many failed readings, or commands of an actuator, make the device fail.
+        silent_s: a sensor without a reading for this time, in mission seconds, is reported as silent, and its
+            connection is dialled again if it has one; None: the driver's own value.
     """
 
     name: str
@@ -178,20 +180,20 @@ class TaskConfig(Struct, frozen=True):
     Attributes:
         name: the task's name on this agent.
         type: the name of its class, such as `encirclement.ScanTarget`.
-        service: the service that looks after it.
+        service: the service that runs it.
         start: whether it runs from the start; otherwise it waits until a packet starts it.
-        rate_hz: replaces the rate of the task's `@every`; 0: no tick before it is rescheduled; None keeps it.
+        rate_hz: replaces the rate of the task's `@every`; 0: no tick until it is rescheduled; None: unchanged.
         settings: plain values for the task's `Settings`.
         restart: what its service does when it fails.
-        durability: `each` writes the task's state before each acknowledgement, `lazy` now and then.
-        migrate: when it moves away by itself; None for never.
-        guard: how many agents, this one among them, guard it: where its agent is lost, they have another one run it
-            from its last checkpoint. 0: none does. See docs/guarded-tasks.md, as for the next four.
-        lease_s: it stands still so long after more than half of its guardians have fallen silent, and another agent
-            runs it a little later; in host seconds.
-        checkpoint_s: how often it is written down if it has changed, in host seconds.
-        guardians: agents that are to be its guardians before others.
-        takeover: `ask`: another agent runs it only once a person says so (`pancakes task take`).
+        durability: `each` writes the task's state before each acknowledgement, `lazy` from time to time.
+        migrate: when it migrates by itself; None: never.
+        guard: how many agents, including this one, guard it: if its agent is lost, they make another one run it from
+            its last checkpoint. 0: none. See docs/guarded-tasks.md, also for the next four.
+        lease_s: how long after the loss of most guardians it is paused, in host seconds; another agent runs it a little
+            later.
+        checkpoint_s: how often its state is written to disk if it has changed, in host seconds.
+        guardians: agents that become its guardians before others.
+        takeover: `ask`: another agent runs it only after `pancakes task take`.
     """
 
     name: str
@@ -211,14 +213,14 @@ class TaskConfig(Struct, frozen=True):
 
     @property
     def guard_rule(self) -> GuardRule | None:
-        """How it is guarded; None: it is not."""
+        """How it is guarded; None: not at all."""
         if not self.guard:
             return None
         return GuardRule(self.guard, self.lease_s, self.checkpoint_s, self.guardians, self.takeover)
 
 
 class Config(Struct, frozen=True):
-    """All that a configuration file says, overrides included.
+    """The contents of a configuration file, including overrides.
 
     Attributes:
         agent: the table `[agent]`.
@@ -230,7 +232,7 @@ class Config(Struct, frozen=True):
         services: services by name; the four default ones are always there and come first.
         tasks: tasks by name.
         path: where it was read from, for messages.
-        places: where each key stands, for messages.
+        places: the place of each key, for messages.
     """
 
     agent: AgentConfig

@@ -1,6 +1,6 @@
-"""Read a TOML file, with `--set` overrides, as plain values with their places; or report every line that is wrong.
+"""Read a TOML file, with `--set` overrides, as plain values with their places, or report all faulty lines.
 
-A line that cannot be read is a fault, and the rest is read all the same.
+A line that cannot be read is a fault, and the rest is still read.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ EXAMPLE = "write it as table.key=value, such as clock.speed=5"
 
 
 def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | None:
-    """Put one override into the values of a configuration.
+    """Apply one override to the values of a configuration.
 
-    A value that reads as TOML is taken as such (`5`, `true`, `["a"]`, `{ x = 1 }`), anything else as a string.
+    A value that is valid TOML is taken as TOML (`5`, `true`, `["a"]`, `{ x = 1 }`), anything else as a string.
     Parts of the key that have dots in them are quoted, as in TOML.
 
     Args:
-        text: what stood after `--set`.
+        text: the text after `--set`.
         values: the plain values of the file; changed in place.
-        places: where keys stand; learns that this one was overridden.
+        places: the places of keys; notes this override.
 
     Returns:
-        What is wrong with it, or None.
+        The fault, or None.
     """
     change = change_of(text)
     if change is None:
-        return Fault(f"--set {text}", "--set", f"is no override: {EXAMPLE}")
+        return Fault(f"--set {text}", "--set", f"is not an override: {EXAMPLE}")
     key, value = change
     table = values
     for depth, part in enumerate(key[:-1], start=1):
@@ -54,13 +54,13 @@ def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | N
 
 
 def change_of(text: str) -> tuple[tuple[str, ...], Any] | None:
-    """Read `table.key=value`; return the keys and the value, None if it is no such text."""
+    """Read `table.key=value`; return the keys and the value, or None if the text is not of this form."""
     pair = split_pair(text)
     return (pair[0], _value_of(pair[2])) if pair else None
 
 
 def _value_of(text: str) -> Any:
-    """Return the value that a person has typed: text that is TOML is taken as such, anything else as a string."""
+    """Return the value of typed text: valid TOML is taken as TOML, anything else as a string."""
     try:
         parsed = toml_values(f"value = {text}")
     except ValueError:
@@ -70,12 +70,12 @@ def _value_of(text: str) -> Any:
 
 _POSITION = r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$"
 MOST_FAULTS: Final = 100
-"""At most this many lines that cannot be read are named; a file with more is no TOML at all."""
+"""At most this many bad lines are reported; a file with more is not TOML at all."""
 AGAIN: Final = "a table for the second time"
 
 
 class Tables(NamedTuple):
-    """What TOML says, even if parts of it cannot be read.
+    """The contents of a TOML text, even if parts of it cannot be read.
 
     Attributes:
         values: its plain values; a value that cannot be read is an empty string.
@@ -88,16 +88,16 @@ class Tables(NamedTuple):
     faults: list[Fault]
 
     def with_faults(self, found: Sequence[Fault]) -> list[Fault]:
-        """Return these faults and those that were found in the values, without what only follows from these."""
+        """Return these faults and those found in the values, without those that only follow from these."""
         broken = {fault.where for fault in self.faults}
         return self.faults + [fault for fault in found if fault.where not in broken]
 
 
 def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tuple[dict[str, Any], KeyPlaces]:
-    """Read TOML that must be sound; see `read_tables`.
+    """Read TOML that must be valid; see `read_tables`.
 
     Raises:
-        ConfigError: it is not; it carries each fault.
+        ConfigError: it is not valid; it carries each fault.
     """
     values, places, faults = read_tables(text, where, named)
     if faults:
@@ -106,7 +106,7 @@ def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tup
 
 
 def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> Tables:
-    """Read TOML. A line that cannot be read is a fault, and what follows is read all the same.
+    """Read TOML. A line that cannot be read is a fault, and the lines after it are still read.
 
     Args:
         text: the TOML text.
@@ -114,7 +114,7 @@ def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> T
         named: the tables whose keys are names.
 
     Raises:
-        ConfigError: what follows depends on a line that cannot be read; it carries the faults until there.
+        ConfigError: the rest depends on a line that cannot be read; it carries the faults up to there.
     """
     lines = text.splitlines(keepends=True)
     broken: dict[int, _Broken] = {}
@@ -136,7 +136,7 @@ def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> T
             break
     mended, faults = "".join(lines), []
     if broken:
-        # Of several keys on one line the innermost. One without a table is no table itself.
+        # If a line has several keys, the innermost counts. A key without a table is not a table itself.
         keys = sorted(lines_of_keys(mended).items(), key=lambda it: len(it[0]))
         paths = {line: key_text(key, named) if len(key) > 1 else dotted(key) for key, line in keys}
         for number, line in sorted(broken.items()):
@@ -149,9 +149,9 @@ class _Broken(NamedTuple):
     """A line that cannot be read.
 
     Attributes:
-        key: what it is about, as messages name it.
+        key: its key, as messages name it.
         problem: what is wrong with it.
-        mended: the line in its place, so that the rest can be read; empty: the rest depends on it.
+        mended: a replacement for the line, so that the rest can be read; empty: the rest depends on the line.
         is_value: whether only the value of its key is wrong.
     """
 
@@ -165,10 +165,10 @@ def text_of(path: str) -> str:
     """Return the text of a file.
 
     Raises:
-        ConfigError: it is not there, or cannot be read.
+        ConfigError: it does not exist, or cannot be read.
     """
     try:
-        data = Path(path).read_bytes().removeprefix(BOM_UTF8)  # some editors put it in front, and TOML does not know it
+        data = Path(path).read_bytes().removeprefix(BOM_UTF8)  # some editors write it, and TOML does not allow it
     except FileNotFoundError:
         raise ConfigError([Fault(path, "file", "there is no such file", _neighbour(path))]) from None
     except IsADirectoryError:
@@ -184,7 +184,7 @@ def text_of(path: str) -> str:
 
 
 def _neighbour(path: str) -> str:
-    """The configuration of a similar name in the same directory."""
+    """Return a configuration with a similar name in the same directory."""
     missing = Path(path)
     try:
         near = suggestion(missing.name, [entry.name for entry in missing.parent.glob("*.toml") if entry.is_file()])
@@ -194,7 +194,7 @@ def _neighbour(path: str) -> str:
 
 
 def _broken_line(error: tomllib.TOMLDecodeError, lines: Sequence[str]) -> tuple[int, _Broken]:
-    """Return the number of the line of which TOML's parser says what is wrong, from 1, and what it is."""
+    """Return the number, from 1, of the line that TOML's parser complains about, and the fault."""
     message, number = str(error), max(1, len(lines))
     if found := re.search(_POSITION, message):
         number = int(found["line"]) if found["line"] else number
@@ -203,10 +203,10 @@ def _broken_line(error: tomllib.TOMLDecodeError, lines: Sequence[str]) -> tuple[
     end = line[len(line.rstrip("\r\n")) :] or "\n"
     if twice := re.fullmatch(r"Cannot declare \((.*)\) twice", message):
         key = key_text(tuple(re.findall(r"'([^']*)'", twice[1])))
-        # What is in it is read as another table's, of which nothing is said.
-        return number, _Broken(key, "the table stands here for the second time", f'["{number}: {AGAIN}"]{end}')
+        # Its contents are read as those of another table, and not reported.
+        return number, _Broken(key, "the table is defined twice", f'["{number}: {AGAIN}"]{end}')
     if message == "Cannot overwrite a value":
-        return number, _Broken("TOML", "a key stands here for the second time", end)
+        return number, _Broken("TOML", "a key is defined twice", end)
     problem = message[:1].lower() + message[1:]
     pair = split_pair(line)
     if pair is None:
@@ -218,30 +218,30 @@ def _broken_line(error: tomllib.TOMLDecodeError, lines: Sequence[str]) -> tuple[
 
 
 def _problem_of_value(key: str, value: str) -> str:
-    """Say what a value that is no TOML may be meant for, and how to write that; empty: nothing is known."""
+    """Return what an invalid value probably means and how to write it; empty: unknown."""
     if not any(mark in value for mark in "\"'[{"):
         value = value.partition("#")[0].strip()
     word = value.lower()
     if word in ("true", "false"):
-        return f"{value} is no TOML: write {word}"
+        return f"{value} is not TOML: write {word}"
     if word in ("yes", "no", "on", "off"):
-        return f"{value} is no TOML: write {'true' if word in ('yes', 'on') else 'false'}, or the word in quotes"
+        return f"{value} is not TOML: write {'true' if word in ('yes', 'on') else 'false'}, or the word in quotes"
     if word in ("none", "null", "nil"):
-        return f"{value} is no TOML: leave the key out"
+        return f"{value} is not TOML: leave the key out"
     if word in ("nan", "inf", "infinity"):
         return f"is not a number ({value})"
     if line := written_for(key, value):
-        return f"{value} is no TOML: write {line}"
+        return f"{value} is not TOML: write {line}"
     if re.fullmatch(r"[A-Za-z_./~*$][^\"'\[\]{},\\]*", value):
-        return f'{value} is no TOML: text stands in quotes, as in {key} = "{value}"'
+        return f'{value} is not TOML: write text in quotes, as in {key} = "{value}"'
     return ""
 
 
 def fault_of_schema(values: Mapping[str, Any]) -> str:
-    """Say what is wrong with the format that a file states, as a phrase; empty: nothing."""
+    """Return what is wrong with the format number of a file, as a phrase; empty: nothing."""
     schema = values.get("schema")
     if schema is None:
-        return f"is missing: the file states its format as schema = {SCHEMA}"
+        return f"is missing: write schema = {SCHEMA}"
     if type(schema) is not int:
         return f"expected an integer, not {schema!r}"
     return "" if schema == SCHEMA else f"the format {schema} is not known to this version, which reads {SCHEMA}"

@@ -1,6 +1,6 @@
 """Write plain values as TOML, as a person would: with comments, and tables under their own heads.
 
-Imports tomlkit, which is large: import this module only when it is needed.
+It imports tomlkit, which is large: import this module only when it is needed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from tomlkit.items import Array, InlineTable, Item, SingleKey, Table
 from pancakes.util.arrays import as_list, is_array
 
 Comment = Callable[[tuple[str, ...]], str]
-"""Returns what stands behind a key, given the keys that lead to it; empty for nothing."""
+"""Returns the comment behind a key, given the keys that lead to it; empty: none."""
 
 
 def key_text(keys: Sequence[str]) -> str:
@@ -28,7 +28,7 @@ def value_text(value: Any) -> str:
 
 
 def leaves(value: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield all values in nested tables that are no tables with something in them, with the keys that lead to them."""
+    """Yield all values in nested tables except non-empty tables, with the keys that lead to them."""
     if _is_table(value):
         for key, inner in value.items():
             yield from leaves(inner, (*keys, key))
@@ -37,11 +37,11 @@ def leaves(value: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, 
 
 
 def document_text(tables: Mapping[str, Any], comment: Comment = lambda keys: "") -> str:
-    """Return plain values as a TOML document. TOML knows no `None`: a key that has it is left out.
+    """Return plain values as a TOML document. TOML has no `None`: keys with this value are left out.
 
     Args:
         tables: the document's keys and tables.
-        comment: what is to stand behind each key.
+        comment: the comment behind each key.
     """
     document = tomlkit.document()
     _fill(document, tables, (), comment)
@@ -49,7 +49,7 @@ def document_text(tables: Mapping[str, Any], comment: Comment = lambda keys: "")
 
 
 def _fill(container: Any, values: Mapping[str, Any], keys: tuple[str, ...], comment: Comment) -> None:
-    """Put values into a table; plain ones first, because whatever follows a table's head belongs to it."""
+    """Put values into a table; plain ones first, because everything after a table's header belongs to it."""
     plain = {key: value for key, value in values.items() if value is not None and not _is_table(value)}
     for key, value in plain.items():
         item = _inline(value)
@@ -69,7 +69,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _table(values: Mapping[str, Any]) -> Table:
-    """A table that has tables alone needs no head of its own."""
+    """Make a table; one that contains only tables needs no header of its own."""
     return tomlkit.table(is_super_table=all(_is_table(value) for value in values.values()))
 
 

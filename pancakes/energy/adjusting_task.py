@@ -20,7 +20,7 @@ class AdjustingTask(Task):
     state: Any
 
     def on_stop(self) -> None:
-        if not self._actor.kernel.stopping:  # if the whole agent stops, no task is left that could take an order
+        if not self._actor.kernel.stopping:  # if the whole agent stops, no task is left to take an order
             self.restore()
 
     def publish_orders(self, orders: Sequence[Order]) -> None:

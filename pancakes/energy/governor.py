@@ -26,7 +26,7 @@ NETWORK: Final = "network"
 
 @dataclass
 class GovernorSettings:
-    """Say by which policy, and what may be turned down.
+    """The policy, and what may be turned down.
 
     Attributes:
         policy: `thresholds` or `feedback`.
@@ -72,7 +72,7 @@ class GovernorDecider(Decider):
         settings: the policy and the knobs.
         now_s: the mission time.
         effort: where to begin: what a governor before this one decided.
-        doubt: whether there was one, so that nothing is known of where the knobs stand.
+        doubt: whether another governor ran before this one, so that the values of the knobs are not known.
 
     Attributes:
         effort: what the robot may do now, from 0 to 1.
@@ -180,7 +180,7 @@ class EnergyGovernor(AdjustingTask):
 
     @dataclass
     class State:
-        """Keep what outlives a restart.
+        """The state that outlives a restart.
 
         Attributes:
             effort: what was decided last.

@@ -1,7 +1,7 @@
-"""Knobs that can be turned down, and the book of orders that turn them. Pure.
+"""Knobs that can be turned down, and the book of the orders that turn them. Pure.
 
 *Effort* says how much a robot may do: 1 is everything that it is configured for, 0 the least that its mission allows. A
-knob is the rate or a setting of a task; its range says where it stands at an effort.
+knob is the rate or a setting of a task; its range gives its value at an effort.
 
 The book keeps two promises. A value that is already in force is not ordered again; if it is in doubt because a task has
 restarted, the task is first asked for it. A refusal is reported once, and the order is repeated only for a new reason:
@@ -53,7 +53,8 @@ class Range:
 
     Attributes:
         full: where it stands at effort 1, and again when the battery has recovered.
-        least: where it stands at effort 0. For what costs less when it is larger, such as a period, it is the larger.
+        least: where it stands at effort 0. For what costs less when it is larger, such as a period, it is the larger
+            value.
         from_effort: it begins to move when the effort falls below this; above, it stands at `full`.
     """
 

@@ -85,7 +85,7 @@ LOAD_WEIGHT: Final = 0.2
 
 @dataclass
 class FeedbackSettings:
-    """Say until when the battery must last, and how that is regulated.
+    """Until when the battery must last, and how that is regulated.
 
     Attributes:
         until_s: the mission time until which it must last.
@@ -175,5 +175,5 @@ def _bounded(error: float) -> float:
 
 
 def _within(effort: float) -> float:
-    # Clamped as a whole, so that a loop that has no say does not wind up.
+    # Clamped as a whole, so that a loop that does not decide does not wind up.
     return round(min(max(effort, 0.0), 1.0), 4)

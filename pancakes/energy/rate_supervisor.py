@@ -99,7 +99,7 @@ def number_of(value: Any) -> float | None:
     """Return the value of a field as one number; None if it has none.
 
     Raises:
-        ValueError: it is no number, and no list of numbers.
+        ValueError: it is not a number, and not a list of numbers.
     """
     if value is None:
         return None
@@ -108,7 +108,7 @@ def number_of(value: Any) -> float | None:
     if isinstance(value, (list, tuple)):
         numbers = [number for item in value if (number := number_of(item)) is not None]
         return min(numbers, default=None)
-    raise ValueError(f"{value!r} is no number")
+    raise ValueError(f"{value!r} is not a number")
 
 
 class Activity:
@@ -149,7 +149,7 @@ class SupervisorDecider(Decider):
     Args:
         settings: the rules.
         now_s: the mission time.
-        doubt: whether there was a supervisor before this one, so that nothing is known of the rates that are in force.
+        doubt: whether another supervisor ran before this one, so that the rates in force are not known.
 
     Attributes:
         busy: whether something happens, by the name of the rule.

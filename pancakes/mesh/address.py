@@ -34,7 +34,7 @@ class Address(msgspec.Struct, frozen=True):
     Attributes:
         scheme: the name of the transport.
         host: a name or number; an IPv6 number without its brackets. Each number has one spelling: an IPv4 number that
-            is mapped into an IPv6 one (`::ffff:127.0.0.1`) is that IPv4 number.
+            is mapped into an IPv6 one (`::ffff:127.0.0.1`) becomes that IPv4 number.
         port: 0 to 65535; 0 asks for a free one.
         path: a path on this computer, in the place of host and port; one that does not begin with `/` is a name
             below the directory where this user's agents are found.
@@ -81,10 +81,10 @@ class Address(msgspec.Struct, frozen=True):
 
 @lru_cache(maxsize=1024)
 def parse_address(text: str) -> Address:
-    """Takes an address apart.
+    """Parse an address.
 
     Raises:
-        ValueError: it is none; the message says why, as a phrase.
+        ValueError: it is not an address; the message says why, as a phrase.
     """
     if is_local(text) and not text.startswith(f"{LOCAL}:///"):
         if named := _LOCAL_NAME.fullmatch(text):
@@ -100,7 +100,7 @@ def parse_address(text: str) -> Address:
         return Address(found["scheme"], path=found["path"])
     host = found["six"] if found["six"] is not None else found["host"]
     if not host:
-        raise ValueError(f"{text!r} has no host: write 127.0.0.1 for this computer alone, 0.0.0.0 for every interface")
+        raise ValueError(f"{text!r} has no host: write 127.0.0.1 for this computer only, 0.0.0.0 for every interface")
     if found["six"] is not None:
         host = _six(text, host)
     elif not _HOST.fullmatch(host):
@@ -115,7 +115,7 @@ def parse_address(text: str) -> Address:
 
 
 def fault_of_interface(text: str) -> str:
-    """Returns what an address of one network lacks so that it leads anywhere, as a phrase; empty: nothing.
+    """Return what a link-local address lacks, as a phrase; empty: nothing.
 
     Raises:
         ValueError: it is not an address.
@@ -127,7 +127,7 @@ def fault_of_interface(text: str) -> str:
 
 
 def spelt(text: str) -> str:
-    """Returns an address in the one spelling that it has, so that two can be compared; what is none stays as it is."""
+    """Return an address in its normal form, so that two can be compared; any other text stays as it is."""
     try:
         return str(parse_address(text))
     except ValueError:
@@ -135,10 +135,10 @@ def spelt(text: str) -> str:
 
 
 def dialled(text: str) -> str:
-    """Returns the address that `HOST:PORT` means, or an address with its transport as it is.
+    """Return the address that `HOST:PORT` means; an address with a scheme stays as it is.
 
     Raises:
-        ValueError: it is none, or none at which an agent could be reached; the message says why.
+        ValueError: it is not an address, or no agent can be reached there; the message says why.
     """
     address = text if "://" in text else f"tcp://{text}"
     if parse_address(address).any_port:
@@ -149,18 +149,18 @@ def dialled(text: str) -> str:
 
 
 def local_address(fleet: str, name: str) -> str:
-    """Returns the address at which an agent is reached on its own machine."""
+    """Return the address at which an agent is reached on its own machine."""
     return f"{LOCAL}://{name}" if fleet == DEFAULT_FLEET else f"{LOCAL}://{fleet}/{name}"
 
 
 def in_fleet(address: str, fleet: str) -> str:
-    """Returns what an address means to an agent of a fleet: `local://NAME` is a neighbour, not one of another fleet."""
+    """Return an address as an agent of a fleet means it: `local://NAME` is an agent of its own fleet."""
     name = address.removeprefix(f"{LOCAL}://")
     return local_address(fleet, name) if is_local(address) and "/" not in name else spelt(address)
 
 
 def fleet_in(address: str) -> str:
-    """Returns the fleet that `local://NAME` or `local://FLEET/NAME` names; empty: another address names none."""
+    """Return the fleet in `local://NAME` or `local://FLEET/NAME`; empty: the address has none."""
     if not is_local(address) or address.startswith(f"{LOCAL}:///"):
         return ""
     first, _, rest = address.removeprefix(f"{LOCAL}://").partition("/")
@@ -168,13 +168,13 @@ def fleet_in(address: str) -> str:
 
 
 def is_local(address: str) -> bool:
-    """Returns whether an address is only for this machine, and names no port."""
+    """Return whether an address is only for this machine, and names no port."""
     return address.startswith(f"{LOCAL}://")
 
 
 @lru_cache(maxsize=1024)
 def is_loopback(address: str) -> bool:
-    """Returns whether only this machine can reach an address, as far as can be seen."""
+    """Return whether only this machine can reach an address, as far as its text tells."""
     try:
         return parse_address(address).loopback
     except ValueError:
@@ -182,9 +182,9 @@ def is_loopback(address: str) -> bool:
 
 
 def _six(text: str, host: str) -> str:
-    """Returns the one spelling of an IPv6 number.
+    """Return the normal form of an IPv6 number.
 
-    A socket at `[::]` sees its IPv4 peers as `::ffff:10.0.0.7`, and everybody else as `10.0.0.7`.
+    A socket at `[::]` sees its IPv4 peers as `::ffff:10.0.0.7`; all other sockets see `10.0.0.7`.
     """
     from ipaddress import IPv6Address
 
@@ -205,7 +205,7 @@ def _check_four(text: str, host: str) -> None:
 
 
 class Reach(IntEnum):
-    """From how far an address can be dialled."""
+    """From how far away an address can be dialled."""
 
     USER = 0
     """By programs of the agent's user, or of one group, on its machine."""
@@ -214,19 +214,19 @@ class Reach(IntEnum):
     NETWORK = 2
     """From its network."""
     ROUTERS = 3
-    """From each network out of which a router is reached."""
+    """From any network, through routers."""
 
 
 class TransportFacts(msgspec.Struct, frozen=True):
-    """What is known of a way.
+    """What is known of connections to an address.
 
     Attributes:
-        reach: from how far it can be dialled.
-        encrypted: whether what is at neither end can read nor change what is said.
-        cost: the round trip of a small packet, beside that over TCP on one machine, which is 1. Of two ways to an agent
-            the cheaper one is named to others.
-        tells_deaths: whether the end of a connection is told within seconds, also if the other end is paused, so
-            that heartbeats may rest.
+        reach: from how far away it can be dialled.
+        encrypted: whether nobody between the ends can read or change the bytes.
+        cost: the round trip of a small packet, where TCP on one machine is 1. Of two addresses of an agent, the
+            cheaper one is named to others.
+        tells_deaths: whether the end of a connection is noticed within seconds, also if the other end is paused, so
+            that heartbeats may be rare.
     """
 
     reach: Reach
@@ -235,41 +235,41 @@ class TransportFacts(msgspec.Struct, frozen=True):
     tells_deaths: bool = False
 
     def plain(self) -> dict[str, Any]:
-        """Returns them as plain values."""
+        """Return them as plain values."""
         return {"reach": self.reach.name.lower(), "encrypted": self.encrypted, "cost": self.cost}
 
 
 ReachOf = Callable[[str], Reach]
-"""Returns from how far an address can be dialled."""
+"""Returns from how far away an address can be dialled."""
 
 
 def reach_of(address: str) -> Reach:
-    """Returns how far an address reaches of which no transport says anything else."""
+    """Return the reach of an address if its transport is not known."""
     if is_local(address):
         return Reach.USER
     return Reach.MACHINE if is_loopback(address) else Reach.NETWORK
 
 
 def reachable_from(remote: str, addresses: Iterable[str], reach: ReachOf = reach_of) -> tuple[str, ...]:
-    """Returns those addresses that can be dialled at the other end of a connection.
+    """Return the addresses that can be dialled from the other end of a connection.
 
-    That are those which reach as far as the way by which it came: what is local is for peers that came by a local way,
-    the loopback is for this machine, and an address in this network is for peers in it, not behind routers. What is
-    known within one network by the name of an interface of this machine (`fe80::1%eth0`) means nothing elsewhere.
+    These are the addresses that reach at least as far as the connection came: local addresses for peers on this machine
+    or user, loopback addresses for this machine, and addresses in this network for peers in it. An address with the
+    name of an interface of this machine (`fe80::1%eth0`) means nothing elsewhere.
 
     Args:
         remote: the address of the other end, as this one sees it.
         addresses: addresses that can be dialled here.
-        reach: says from how far an address can be dialled.
+        reach: returns from how far away an address can be dialled.
     """
     far = reach(remote)
     return tuple(it for it in addresses if reach(it) >= far and (far <= Reach.MACHINE or is_understood(it, remote)))
 
 
 def is_understood(address: str, remote: str) -> bool:
-    """Returns whether an address means on another machine what it means here.
+    """Return whether an address means the same on another machine as here.
 
-    That of the other end itself does, by which it is seen here.
+    The address of the other end itself does.
 
     Args:
         address: the address.
@@ -283,14 +283,14 @@ def is_understood(address: str, remote: str) -> bool:
 
 
 def nameable_from(remote: str, addresses: Iterable[str], reach: ReachOf) -> tuple[str, ...]:
-    """Returns those addresses that a peer may name, so that this agent dials them.
+    """Return the addresses that a peer may name, so that this agent dials them.
 
-    A peer elsewhere names nothing of this machine, and one behind routers nothing of this network. None names a path,
-    where another program may listen.
+    A peer elsewhere must not name addresses of this machine, nor one behind routers addresses of this network. No peer
+    may name a path, where another program may listen.
 
     Args:
         remote: the address of the peer, as this agent sees it.
         addresses: what it names.
-        reach: says from how far an address can be dialled.
+        reach: returns from how far away an address can be dialled.
     """
     return tuple(it for it in reachable_from(remote, addresses, reach) if not it.startswith(f"{LOCAL}:///"))

@@ -1,8 +1,8 @@
 """Admission control: limit rates, unfinished handshakes, and the places for clients. Pure.
 
 `Bucket` is a token bucket. `Handshakes` bounds how many strangers an agent talks to before it knows their
-certificates, because each handshake costs a signature. `client_to_end` chooses the client that loses its place if
-all are taken: first a client that only answers pings, then one from the machine with the most clients. Some places
+certificates, because each handshake costs a signature. `client_to_end` chooses the client that loses its place if all
+places are taken: first a client that only answers pings, then one from the machine with the most clients. Some places
 are reserved for clients on the agent's own machine.
 """
 
@@ -18,11 +18,11 @@ from pancakes.mesh.address import parse_address
 
 
 class Bucket:
-    """Let a number of events through at once, and a number in each second after that.
+    """A token bucket: let a burst of events through, and then a number each second.
 
     Args:
-        at_once: how many, at first and after a pause.
-        rate_hz: how many in a second.
+        at_once: the size of a burst.
+        rate_hz: events in a second.
         now_s: host time.
     """
 
@@ -33,7 +33,7 @@ class Bucket:
         self._filled_s = now_s
 
     def take(self, number: int, now_s: float) -> bool:
-        """Returns whether `number` more may happen now, all of them or none; they then count as happened."""
+        """Return whether `number` more events may happen now, all or none; if so, count them."""
         self._room = min(self._at_once, self._room + (now_s - self._filled_s) * self._rate_hz)
         self._filled_s = now_s
         if self._room < number:
@@ -43,7 +43,7 @@ class Bucket:
 
 
 MOST_UNFINISHED: Final = 64
-"""Of more, the oldest is given up. A handshake that is meant takes some milliseconds."""
+"""If there are more, the oldest is ended. An honest handshake takes some milliseconds."""
 RATE_HZ: Final = 200.0
 """How many handshakes may begin in a second."""
 AT_ONCE: Final = 50.0
@@ -53,7 +53,7 @@ _T = TypeVar("_T")
 
 
 class Handshakes(Generic[_T]):
-    """The handshakes of connections that came in. In the loop's thread.
+    """The handshakes of incoming connections. In the loop's thread.
 
     Args:
         now_s: host time.
@@ -64,26 +64,26 @@ class Handshakes(Generic[_T]):
         self._beginning = Bucket(AT_ONCE, RATE_HZ, now_s)
 
     def may_begin(self, now_s: float) -> bool:
-        """Returns whether one more may begin now; it then counts as begun."""
+        """Return whether one more may begin now; if so, count it."""
         return self._beginning.take(1, now_s)
 
     def begun(self, connection: _T) -> _T | None:
-        """A handshake begins; returns the connection that must be given up for it, None: none."""
+        """Add a handshake that begins; return the connection that must end for it, or None."""
         oldest = next(iter(self._unfinished)) if len(self._unfinished) >= MOST_UNFINISHED else None
         self._unfinished[connection] = None
         return oldest
 
     def over(self, connection: _T) -> None:
-        """A handshake has come to its end. A second call does nothing."""
+        """Remove a handshake that has ended. A second call does nothing."""
         self._unfinished.pop(connection, None)
 
 
 IDLE_S: Final = 10.0
-"""A client that neither asked nor was sent anything for this time (host time) gives its place to another. One that
-follows a channel asks again after half of it; one that has never asked for anything is idle at once.
+"""A client without packets either way for this time (host time) gives its place to another. One that follows a channel
+asks again after half of it; one that has never sent a request is idle at once.
 """
 KEPT_FOR_THIS_MACHINE: Final = 8
-"""How many clients on the agent's own machine find a place, however many there are elsewhere."""
+"""Places that are reserved for clients on the agent's own machine."""
 THIS_MACHINE: Final = "this machine"
 
 
@@ -92,8 +92,8 @@ class ClientPlace(msgspec.Struct, frozen=True):
 
     Attributes:
         link: its link.
-        machine: the machine that it is on, see `machine_of`.
-        quiet_s: for how long no packet went either way, in host time; infinite if it never asked for anything.
+        machine: its machine, see `machine_of`.
+        quiet_s: for how long no packet went either way, in host time; infinite if it never sent a request.
     """
 
     link: int
@@ -102,7 +102,7 @@ class ClientPlace(msgspec.Struct, frozen=True):
 
 
 def machine_of(remote: str) -> str:
-    """Returns the machine at the other end of a connection, of an address such as `tcp://10.0.0.7:40022`."""
+    """Return the machine at the other end of a connection, of an address such as `tcp://10.0.0.7:40022`."""
     try:
         there = parse_address(remote)
     except ValueError:
@@ -113,14 +113,14 @@ def machine_of(remote: str) -> str:
 
 
 def client_to_end(machine: str, places: Sequence[ClientPlace]) -> int | None:
-    """Returns the link of the client whose place a new client gets.
+    """Return the link of the client whose place a new client gets.
 
     Args:
-        machine: the machine that the new client is on.
-        places: all places, the oldest first; none is free.
+        machine: the machine of the new client.
+        places: all places, which are taken, the oldest first.
 
     Returns:
-        The link; None if all keep theirs, and the new client is refused.
+        The link; None if the new client is refused.
     """
     idle = [place for place in places if place.quiet_s >= IDLE_S]
     if idle:

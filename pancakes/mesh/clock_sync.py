@@ -18,22 +18,22 @@ from pancakes.packet import LocalTime
 from pancakes.util.timebase import Timebase
 
 MOST_DRIFT: Final = 0.1
-"""Two clocks whose rates differ by more than this are none that Pancakes can work with."""
+"""Pancakes cannot work with two clocks whose rates differ by more than this."""
 WANDER: Final = 2e-5
-"""How much the rate of a clock may change while it is looked at: by its temperature, or because it is disciplined."""
+"""How much the rate of a clock may change while it is observed: it depends on temperature, or is disciplined."""
 SHARE: Final = 0.1
-"""Ways that are longer than the shortest by no more than this share of it count about as much."""
+"""Round trips that exceed the shortest by at most this share of it count about as much."""
 STEADY_S: Final = 1e-5
-"""And by no more than this."""
+"""They also exceed it by at most this."""
 SOON_S: Final = 0.5
-"""Answers must be further apart than this to tell much about the drift."""
+"""Only answers that are further apart than this tell much about the drift."""
 MOST_KEPT: Final = 32
 LONGEST_SLOT_S: Final = 5.0
-"""Of the answers in this time at least one is kept."""
+"""At least one of the answers in this time is kept."""
 BETTER: Final = 0.5
 """An answer whose error is at most this share of the present bound is believed at once, others with the next slot."""
 SLOTS: Final = 8
-"""How many are kept of the time that has passed, if that is less than as many of the longest slots."""
+"""How many answers are kept while less time has passed than this number of the longest slots."""
 
 
 class ClockOffset(msgspec.Struct, frozen=True):
@@ -42,9 +42,9 @@ class ClockOffset(msgspec.Struct, frozen=True):
     Attributes:
         at_s: the moment of that offset, in one's own host time.
         offset_s: how far the peer's clock is ahead then, in seconds.
-        bound_s: the truth lies no further from it.
+        bound_s: the error of `offset_s` is at most this.
         drift: how many seconds the peer's clock gains in each second of one's own.
-        drift_bound: the truth lies no further from it.
+        drift_bound: the error of `drift` is at most this.
     """
 
     at_s: float
@@ -54,15 +54,15 @@ class ClockOffset(msgspec.Struct, frozen=True):
     drift_bound: float = MOST_DRIFT
 
     def offset_at(self, own_s: float) -> float:
-        """Returns how far the peer's clock is ahead at a moment of one's own host time."""
+        """Return how far the peer's clock is ahead at a moment of one's own host time."""
         return self.offset_s + self.drift * (own_s - self.at_s)
 
     def bound_at(self, own_s: float) -> float:
-        """Returns how far from the truth that may be."""
+        """Return the bound on the error of that offset."""
         return self.bound_s + self.drift_bound * abs(own_s - self.at_s)
 
     def own_s(self, peer_s: float) -> float:
-        """Returns one's own host time at a moment of the peer's."""
+        """Return one's own host time at a moment of the peer's."""
         return self.at_s + (peer_s - self.at_s - self.offset_s) / (1.0 + self.drift)
 
 
@@ -70,7 +70,7 @@ class PingAnswer(msgspec.Struct, frozen=True):
     """An answer to a ping that was kept.
 
     Attributes:
-        slot_s: since when it is the best one, in host time.
+        slot_s: the begin of its slot, in host time.
         at_s: the middle of its round trip.
         offset_s: how far the peer's clock was ahead.
         error_s: half the round trip.
@@ -83,11 +83,11 @@ class PingAnswer(msgspec.Struct, frozen=True):
 
 
 class ClockEstimate:
-    """What is believed of one peer's host clock. One thread.
+    """The estimate of one peer's host clock. For one thread.
 
     Attributes:
-        found: its offset from one's own; None: never measured.
-        kept: the answers that it rests on, the oldest first.
+        found: the estimated offset from one's own clock; None: never measured.
+        kept: the answers that it is computed from, the oldest first.
     """
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class ClockEstimate:
         self.kept: list[PingAnswer] = []
 
     def take(self, sent_s: float, peer_s: float, back_s: float) -> bool:
-        """Takes the answer to a ping.
+        """Take the answer to a ping.
 
         Args:
             sent_s: when the ping left, in one's own host time.
@@ -103,25 +103,26 @@ class ClockEstimate:
             back_s: when the answer came, in one's own.
 
         Returns:
-            Whether it goes with what was believed before. If it does not, one of the clocks was set, or stood still
-            with its machine, and only this answer is believed.
+            Whether it agrees with the estimate so far. If it does not, one of the clocks was set, or its machine was
+            paused,
+                and only this answer counts from now on.
         """
         at_s, error_s = (sent_s + back_s) / 2, (back_s - sent_s) / 2
         offset_s, found = peer_s - at_s, self.found
         fits = found is None or abs(offset_s - found.offset_at(at_s)) <= error_s + found.bound_at(at_s)
         if not fits:
             self.kept.clear()
-        # What is believed is worked out again when it can become much better, not with each of many like answers.
+        # The estimate is computed again when it can become much better, not for each of many similar answers.
         if self._keep(at_s, offset_s, error_s) or found is None or error_s < BETTER * found.bound_at(at_s):
             self.found = self._believed(at_s)
         return fits
 
     def rest(self) -> None:
-        """The link has ended: keeps what is believed, without the answers, which take a hundred times the room."""
+        """Keep only the estimate, as the link has ended. The answers take a hundred times the memory."""
         self.kept.clear()
 
     def _keep(self, at_s: float, offset_s: float, error_s: float) -> bool:
-        """Keeps the best answer of each slot of time. Returns whether a slot has begun with this one."""
+        """Keep the best answer of each slot of time. Return whether a slot has begun with this one."""
         kept = self.kept
         if kept:
             last = kept[-1]
@@ -136,11 +137,11 @@ class ClockEstimate:
         return True
 
     def _growth(self) -> float:
-        """Returns by how much an answer gets worse in each second."""
+        """Return by how much the error of an answer grows in each second."""
         return self.found.drift_bound if self.found is not None else MOST_DRIFT
 
     def _believed(self, at_s: float) -> ClockOffset:
-        """Returns what is likely among what all answers allow; the oldest are given up until they allow something."""
+        """Return the likely offset that all answers allow; the oldest are dropped until there is one."""
         while len(self.kept) > 1:
             drifts = self._allowed_drifts(at_s)
             lowest_s = max(it.offset_s - it.error_s + drifts[0] * (at_s - it.at_s) for it in self.kept)
@@ -155,7 +156,7 @@ class ClockEstimate:
         return ClockOffset(answer.at_s, answer.offset_s, answer.error_s)
 
     def _allowed_drifts(self, at_s: float) -> tuple[float, float]:
-        """Returns the least and the greatest drift that the answers allow: none, where the first is the greater."""
+        """Return the least and the greatest drift that the answers allow; if the first is greater, they allow none."""
         growth = self._growth()
         newest = min(self.kept, key=lambda it: it.error_s + growth * abs(at_s - it.at_s))
         low, high = -MOST_DRIFT, MOST_DRIFT
@@ -169,7 +170,7 @@ class ClockEstimate:
         return low, high
 
     def _likely(self, at_s: float, least: float, most: float) -> tuple[float, float]:
-        """Returns the offset at a moment and the drift: those of a line through the answers with the shortest ways."""
+        """Return the offset at a moment and the drift, by a line through the answers with the shortest round trips."""
         shortest_s = min(it.error_s for it in self.kept)
         rows = []
         for it in self.kept:
@@ -180,7 +181,7 @@ class ClockEstimate:
         offset_s = sum(row[0] * row[2] for row in rows) / weight
         spread = sum(row[0] * (row[1] - middle_s) ** 2 for row in rows)
         common = sum(row[0] * (row[1] - middle_s) * (row[2] - offset_s) for row in rows)
-        # Answers of one moment tell little of the drift but the noise of their ways; and most clocks have next to none.
+        # Answers that are close in time tell only noise about the drift, and most clocks have almost no drift.
         usual, firm = (0.0 if least <= 0.0 <= most else (least + most) / 2), weight * SOON_S * SOON_S
         drift = _within((common + firm * usual) / (spread + firm), least, most)
         return offset_s - drift * middle_s, drift
@@ -191,7 +192,7 @@ def _within(value: float, low: float, high: float) -> float:
 
 
 ROUNDING_S: Final = 1e-6
-"""A stamp that lies before the beginning of its mission by no more than this lies at it."""
+"""A stamp that lies before the beginning of its mission by at most this counts as the beginning."""
 
 
 class PeerClock(msgspec.Struct, frozen=True):
@@ -199,22 +200,22 @@ class PeerClock(msgspec.Struct, frozen=True):
 
     Attributes:
         offset: the offset of its host clock from one's own.
-        timebase: what its mission time and its time of day are, as its host clock counts.
+        timebase: its mission time and time of day, by its host clock.
     """
 
     offset: ClockOffset
     timebase: Timebase
 
     def local_time(self, stamp_s: float, own: Timebase) -> LocalTime | None:
-        """Returns when a stamp of the peer was, on one's own mission clock.
+        """Convert a stamp of the peer to one's own mission clock.
 
         Args:
             stamp_s: the peer's mission time.
-            own: what one's own mission time is.
+            own: one's own clocks.
 
         Returns:
-            None if that cannot be known: one of the two missions is held, or the stamp is that of a mission that was
-            held, or of an earlier life of the peer.
+            None if it cannot be converted: one of the two missions is held, or the stamp is from a held mission, or
+                from an earlier life of the peer.
         """
         theirs = self.timebase
         zero_s, own_zero_s = theirs.zero_s(), own.zero_s()
@@ -224,15 +225,15 @@ class PeerClock(msgspec.Struct, frozen=True):
         return LocalTime((host_s - own_zero_s) * own.speed, self.offset.bound_at(host_s) * own.speed)
 
     def mission_at(self, own_s: float) -> float | None:
-        """Returns the peer's mission time at a moment of one's own host time, in seconds; None: its mission is held."""
+        """Return the peer's mission time at a moment of one's own host time, in seconds; None: its mission is held."""
         zero_s = self.timebase.zero_s()
         return (own_s + self.offset.offset_at(own_s) - zero_s) * self.timebase.speed if zero_s is not None else None
 
     def day_ahead_s(self, own: Timebase, now_s: float) -> float | None:
-        """Returns how far the peer's time of day is ahead of one's own; None: one of the two has none.
+        """Return how far the peer's time of day is ahead of one's own; None: one of the two is not set.
 
         Args:
-            own: what one's own time of day is.
+            own: one's own clocks.
             now_s: one's own host time.
         """
         theirs_s, own_s = self.timebase.day_s, own.day_s
@@ -240,7 +241,7 @@ class PeerClock(msgspec.Struct, frozen=True):
 
 
 AGREE_S: Final = 1.0
-"""Missions that are no further apart are one, in mission seconds: agents never begin quite together."""
+"""Missions that are at most this far apart are the same, in mission seconds: agents never begin quite together."""
 
 
 class PeerMission(msgspec.Struct, frozen=True):
@@ -248,8 +249,8 @@ class PeerMission(msgspec.Struct, frozen=True):
 
     Attributes:
         peer: the peer.
-        zero_s: the host time of the agent that asks at which it was 0; negative if that was before its clock began.
-        bound_s: the truth lies no further from it, in host seconds.
+        zero_s: the asking agent's host time when the mission was 0; negative if that was before its clock began.
+        bound_s: the error of `zero_s` is at most this, in host seconds.
         speed: mission seconds for each host second.
     """
 
@@ -260,14 +261,14 @@ class PeerMission(msgspec.Struct, frozen=True):
 
 
 def mission_of_fleet(missions: Sequence[PeerMission], speed: float) -> PeerMission | None:
-    """Returns the mission to join: that of the most peers, so that no single one misleads; of two, the older.
+    """Return the mission to join: the one that most peers have, so that no single peer misleads; of two, the older.
 
     Args:
         missions: those of the peers.
-        speed: how fast the mission runs here; one that runs at another speed is another one.
+        speed: the speed of the mission here; a mission at another speed is another one.
 
     Returns:
-        Of the peers that agree, the one of which it is known best; None: there is none.
+        Of the peers that agree, the one with the smallest bound; None: no mission runs.
     """
     same = [it for it in missions if it.speed == speed]
     groups = [

@@ -42,7 +42,7 @@ _LENGTH = struct.Struct(">I")
 
 
 def frame(messages: Sequence[bytes]) -> bytes:
-    """Returns encoded messages as one or more frames, as few as the limits allow.
+    """Return encoded messages as one or more frames, as few as the limits allow.
 
     Raises:
         LocalProtocolError: a message does not fit a frame.
@@ -64,7 +64,7 @@ def frame(messages: Sequence[bytes]) -> bytes:
 
 
 def array_head(count: int) -> bytes:
-    """Returns what a msgpack array of up to 65,535 items begins with."""
+    """Return the header of a msgpack array of up to 65,535 items."""
     return bytes((0x90 | count,)) if count < 16 else b"\xdc" + count.to_bytes(2, "big")
 
 
@@ -76,26 +76,26 @@ def _one_frame(messages: Sequence[bytes], length: int, parts: list[bytes]) -> No
 
 
 class FrameReader:
-    """Cuts payloads out of the bytes of one connection, however the network cut those."""
+    """Cut the bytes of one connection into payloads, whatever pieces the network delivers."""
 
     def __init__(self) -> None:
         self._rest = b""
-        self._missing = 0  # bytes without which `_rest` has no whole frame
+        self._missing = 0  # bytes that `_rest` lacks for a whole frame
         self._chunks: list[bytes] = []
 
     def feed(self, data: bytes) -> list[memoryview]:
-        """Takes bytes that came in.
+        """Take bytes that came in.
 
         Returns:
-            The payloads that are now complete, in order: views of what was joined anyway, not copied once more.
+            The payloads that are now complete, in order: views, not copies.
 
         Raises:
-            RemoteProtocolError: a length of 0 or above the limit was announced. Nothing was kept for it; the
-                reader is of no more use.
+            RemoteProtocolError: a length of 0 or above the limit was announced. No memory was taken for it; the reader
+                cannot be used any more.
         """
         if not self._rest and len(data) > 4 and _LENGTH.unpack_from(data)[0] == len(data) - 4 <= MAX_PAYLOAD_BYTES:
             return [memoryview(data)[4:]]  # one whole frame, as most that come
-        if self._missing > len(data):  # a long frame arrives in many pieces: join them once, not each time
+        if self._missing > len(data):  # a long frame comes in many pieces: join them once, not at each piece
             self._chunks.append(data)
             self._missing -= len(data)
             return []
@@ -120,7 +120,7 @@ class FrameReader:
 
 
 MAX_DEPTH: Final = 32
-"""How deep arrays and maps may be nested, two levels round the body counted."""
+"""How deep arrays and maps may be nested, including the two levels around the body."""
 MAX_ARRAY_LENGTH: Final = 65_536
 MAX_MAP_LENGTH: Final = 4_096
 
@@ -132,16 +132,16 @@ _STRINGS: Final = frozenset((str,))
 
 
 def encodable(body: Any) -> Any:
-    """Returns a body as msgspec may encode it: plain values, which are parts of it if they can be.
+    """Return a body in a form that msgspec can encode: plain values, shared with the body where possible.
 
     Raises:
-        LocalProtocolError: a part of it does not travel; the sentence says where.
+        LocalProtocolError: a part of it cannot be encoded; the sentence says where.
     """
     return _plain(body, BODY_DEPTH, "its body")
 
 
 def _plain(value: Any, depth: int, where: str) -> Any:
-    """Turns a body into what is encoded as it stands; `where` leads to `value` in an error."""
+    """Turn a body into plain values; `where` names `value` in an error."""
     kind = type(value)
     if kind in _LEAVES:
         return value
@@ -208,7 +208,7 @@ def _check_depth(depth: int, where: str) -> None:
 
 
 def unpacked(data: bytes | memoryview | msgspec.Raw) -> Any:
-    """Takes msgpack of any form apart, within the limits of memory.
+    """Decode any msgpack, within the limits on memory.
 
     Raises:
         RemoteProtocolError: it is not msgpack, or breaks a limit.
@@ -229,10 +229,10 @@ def unpacked(data: bytes | memoryview | msgspec.Raw) -> Any:
 
 
 def received_body(kind: str, plain: Any, source: str) -> Any:
-    """Makes the body of a packet of the type `kind` from what came in; if the type is unknown it stays plain.
+    """Make the body of a packet of the type `kind` from decoded values; if the type is unknown, it stays plain.
 
     Raises:
-        RemoteProtocolError: a part of it may not be in a packet, or it does not fit its type.
+        RemoteProtocolError: a part of it is not allowed in a packet, or it does not fit its type.
     """
     if type(plain) not in _LEAVES:
         _check_received(plain, BODY_DEPTH)
@@ -250,7 +250,7 @@ def _check_received(value: Any, depth: int) -> None:
     kind = type(value)
     if kind is dict:
         if not _STRINGS.issuperset(map(type, value)):
-            raise RemoteProtocolError("a packet has a map with a key that is no string")
+            raise RemoteProtocolError("a packet has a map with a key that is not a string")
         inner = value.values()
     elif kind is list:
         inner = value
@@ -280,17 +280,17 @@ _SCALARS: Final = (
 
 @lru_cache(maxsize=4096)
 def is_closed(cls: type) -> bool:
-    """Returns whether an instance has nothing but what its class says, and all of that travels."""
+    """Return whether the class fixes all that an instance can contain, and all of that can be encoded."""
     try:
         return _is_closed(type_info(cls), ())
-    except Exception:  # its annotations say nothing
+    except Exception:  # its annotations cannot be read
         return False
 
 
 def _is_closed(info: inspect.Type, within: tuple[type, ...]) -> bool:
-    """Returns whether a value of a type has nothing but what its type says, to a depth that the type sets.
+    """Return whether a type fixes all that a value can contain, to a bounded depth.
 
-    Where a type leaves something open, a value may be nested too deep, or have an extension type in it.
+    If a type leaves something open, a value may be nested too deep, or contain an extension type.
     """
     match info:
         case inspect.Metadata(inner):
@@ -330,11 +330,11 @@ _TEXT: Final = codecs.decoder(str)
 _NUMBER: Final = codecs.decoder(float)
 _SOURCE: Final = 2
 _STAMP: Final = 4
-"""The place of the source in the array."""
+"""The index of the source in the array."""
 
 
 class _PacketRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
-    """The checks that a packet's array goes through (msgspec remembers those of a class, not those of a tuple)."""
+    """The checks of a packet's array (msgspec caches the decoder of a class, not that of a tuple)."""
 
     channel: Word
     type: Word
@@ -348,7 +348,7 @@ class _PacketRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc
 
 
 def unsendable(packet: Packet, error: Exception) -> LocalProtocolError:
-    """Returns the sentence that names a packet and says why it cannot be sent."""
+    """Return the error for a packet that cannot be sent, with the reason."""
     why = str(error) if isinstance(error, (WireError, *codecs.UNENCODABLE)) else describe(error)
     return LocalProtocolError(
         f"the packet {packet.number} of the type {packet.type!r} from {packet.source} cannot be sent: {why}"
@@ -356,10 +356,10 @@ def unsendable(packet: Packet, error: Exception) -> LocalProtocolError:
 
 
 def encode_packet(packet: Packet) -> bytes:
-    """Returns a packet that travels alone, as msgpack.
+    """Encode a packet that is not part of a run, as msgpack.
 
     Raises:
-        LocalProtocolError: a part of it cannot travel, or it is larger than a frame. The sentence names the packet.
+        LocalProtocolError: a part of it cannot be encoded, or it is larger than a frame. The sentence names the packet.
     """
     try:
         body = encodable(packet.body)
@@ -384,17 +384,17 @@ def encode_packet(packet: Packet) -> bytes:
 
 
 def encode_link_message(message: LinkMessage) -> bytes:
-    """Returns a message of the link as one message of a frame."""
+    """Encode a message of the link as one message of a frame."""
     return codecs.encode_small(message)
 
 
 def of_agent(packet: bytes, agent: str, restamped: Callable[[str, float], float]) -> bytes:
-    """Returns a packet, as `encode_packet` made it, of which the source has moved to another agent.
+    """Return an encoded packet as one from another agent, to which its source has migrated.
 
-    What is not a packet stays as it is.
+    Bytes that are not a packet are returned unchanged.
 
     Args:
-        packet: the packet.
+        packet: the packet, as `encode_packet` made it.
         agent: the agent that the source is on now.
         restamped: takes the agent that the source was on and a stamp of it; returns the stamp of the other one.
     """
@@ -410,9 +410,9 @@ def of_agent(packet: bytes, agent: str, restamped: Callable[[str, float], float]
 
 
 def rows_from_payload(payload: bytes) -> list[list[Any]]:
-    """Takes an array of packets, each of them as `encode_packet` made it, apart, within the limits of memory.
+    """Decode an array of packets, each as `encode_packet` made it, within the limits on memory.
 
-    What is in a packet is checked when it is made of its array.
+    The contents of a packet are checked later, in `packet_from_row`.
 
     Raises:
         RemoteProtocolError: it is not a msgpack array of arrays, or breaks a limit.
@@ -421,7 +421,7 @@ def rows_from_payload(payload: bytes) -> list[list[Any]]:
         raise RemoteProtocolError(f"a frame of {len(payload)} bytes is longer than {MAX_PAYLOAD_BYTES}")
     rows = unpacked(payload)
     if type(rows) is not list or not rows:
-        raise RemoteProtocolError("a frame has no array of messages")
+        raise RemoteProtocolError("a frame is not an array of messages")
     for row in rows:
         if type(row) is not list or not row or type(row[0]) not in (str, int):
             raise RemoteProtocolError("a frame has a message that is neither a packet nor the link's own")
@@ -429,7 +429,7 @@ def rows_from_payload(payload: bytes) -> list[list[Any]]:
 
 
 def packet_from_row(row: list[Any]) -> Packet:
-    """Makes a packet from the array that came in; its body becomes the registered dataclass.
+    """Make a packet from a decoded array; its body becomes an instance of the registered class.
 
     Raises:
         RemoteProtocolError: the array is not a packet, or the body does not fit its type.
@@ -443,21 +443,21 @@ def packet_from_row(row: list[Any]) -> Packet:
 
 
 LONGEST_REASON: Final = 1000
-"""Of what is wrong with a body no more characters are told: the sentence may quote what a peer made up."""
-_ROOM: Final = MAX_MESSAGE_BYTES - 3  # for a head and its rows, behind the longest header of the array of rows
+"""Longest reason given for a bad body: it may quote text that the peer made up."""
+_ROOM: Final = MAX_MESSAGE_BYTES - 3  # for a head and its rows, after the longest header of the array of rows
 
 _HEAD_LENGTH: Final = 7
 
 
 class PacketRun(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fields=True):
-    """Packets of one source to one destination, of one type on one channel and under one right, in their order.
+    """Packets with the same source, destination, type, channel and fence, in their order.
 
     Attributes:
-        channel: see `Packet`, as all but the last.
+        channel: see `Packet`.
         kind: their type.
-        source: as there.
-        destination: as there.
-        fence: as there.
+        source: see `Packet`.
+        destination: see `Packet`.
+        fence: see `Packet`.
         rows: the packets, not yet decoded.
     """
 
@@ -484,7 +484,7 @@ _SOME_ROWS: Final[_Rows] = codecs.converter(Annotated[list[_Row], msgspec.Meta(m
 
 
 class Unfit(msgspec.Struct, frozen=True):
-    """A packet came whose body does not fit its type, or has a part that no packet may have: no subscriber gets it.
+    """A received packet whose body does not fit its type or is not allowed in a packet: no subscriber gets it.
 
     Attributes:
         packet: the packet, with None for a body.
@@ -496,17 +496,17 @@ class Unfit(msgspec.Struct, frozen=True):
 
 
 class _Nobody:
-    """The class of no body."""
+    """A class that no body has."""
 
 
 # Sending ---------------------------------------------------------------------------------------------------------
 
 
 def head_of(packet: Packet) -> bytes:
-    """Returns what the runs of all packets begin with that have this channel, type, source, destination and fence.
+    """Return the head of all runs with this packet's channel, type, source, destination and fence.
 
     Raises:
-        LocalProtocolError: it cannot travel.
+        LocalProtocolError: it cannot be encoded.
     """
     words = (packet.channel, packet.type, packet.source, packet.destination)
     try:
@@ -518,24 +518,25 @@ def head_of(packet: Packet) -> bytes:
 
 
 class RowEncoder:
-    """Encodes packets as rows of the runs that begin with `head`, which all of them would have. Any thread.
+    """Encode packets as rows of runs that begin with `head`, which all these packets share. Any thread.
 
     Attributes:
-        most: how many bytes a row may have.
+        most: the largest size of a row, in bytes.
     """
 
     __slots__ = ("_known", "most")
 
     def __init__(self, head: bytes) -> None:
         self.most = _ROOM - len(head)
-        # The class of the last body, and how such bodies are encoded. One value, because other threads change it too.
+        # The class of the last body, and how its bodies are encoded: one value, because other threads change it too.
         self._known: tuple[type, bool, Callable[[Any], bytes]] = (_Nobody, True, codecs.encode)
 
     def encode(self, packet: Packet) -> bytes:
-        """Returns a packet as a row.
+        """Encode a packet as a row.
 
         Raises:
-            LocalProtocolError: a part of it cannot travel, or it is larger than a frame. The sentence names the packet.
+            LocalProtocolError: a part of it cannot be encoded, or it is larger than a frame. The error names the
+                packet.
         """
         body = packet.body
         try:
@@ -546,7 +547,7 @@ class RowEncoder:
                 body = encodable(body)
             try:
                 row = encode((packet.stamp, packet.seq, packet.cause, body))
-            except TypeError:  # a number of numpy's, say, where its class has a number
+            except TypeError:  # such as a numpy number in a field for a plain number
                 row = encode((packet.stamp, packet.seq, packet.cause, encodable(body)))
             if len(row) > self.most:
                 raise LocalProtocolError(
@@ -558,13 +559,13 @@ class RowEncoder:
 
 
 def _how_encoded(cls: type) -> tuple[type, bool, Callable[[Any], bytes]]:
-    """Returns a class, whether its instances need a look before they are encoded, and what encodes them."""
+    """Return the class, whether its instances must be checked before they are encoded, and their encoder."""
     is_open = not is_closed(cls)
     return cls, is_open, codecs.encode_small if not is_open and is_small(cls) else codecs.encode
 
 
 def run_of(head: bytes, rows: Sequence[bytes]) -> bytes:
-    """Returns a run of up to 65,535 rows as one message of a frame."""
+    """Return a run of up to 65,535 rows as one message of a frame."""
     return b"".join((head, array_head(len(rows)), *rows))
 
 
@@ -572,7 +573,7 @@ def run_of(head: bytes, rows: Sequence[bytes]) -> bytes:
 
 
 def messages_from_payload(payload: bytes | memoryview) -> list[PacketRun | LinkMessage]:
-    """Takes a frame's payload apart; what is in a run is decoded by `packets_of`.
+    """Decode a frame's payload; the packets in a run are decoded by `packets_of`.
 
     Raises:
         RemoteProtocolError: it is not an array of messages, or a message is malformed.
@@ -584,9 +585,9 @@ def messages_from_payload(payload: bytes | memoryview) -> list[PacketRun | LinkM
 
 
 def foreign_version(payload: bytes | memoryview, own: int) -> object:
-    """Returns the version in the hello of a payload if that is not ours; None in any other case.
+    """Return the version in the hello of a payload if it is not ours; None in any other case.
 
-    The hello of another version may have any form behind its version.
+    After the version, the hello of another version may have any form.
     """
     try:
         messages = unpacked(payload)
@@ -599,7 +600,7 @@ def foreign_version(payload: bytes | memoryview, own: int) -> object:
 
 
 def packets_of(run: PacketRun) -> tuple[list[Packet], Sequence[Unfit]]:
-    """Returns the packets of a run, whose bodies become the registered class, and those whose bodies do not fit it.
+    """Decode the packets of a run. Return those whose bodies fit their registered class, and the unfit ones.
 
     Raises:
         RemoteProtocolError: they are malformed.
@@ -609,7 +610,7 @@ def packets_of(run: PacketRun) -> tuple[list[Packet], Sequence[Unfit]]:
     decoder = _DECODERS[cls] if cls in _DECODERS else _decoder(cls)
     try:
         rows = decoder(run.rows) if decoder is not None else _checked_rows(run)
-    except Exception:  # also of a registered class, which may run code of its own in __post_init__
+    except Exception:  # also from a registered class, which may run its own code in __post_init__
         return _one_by_one(run)
     return [
         Packet(channel, kind, source, destination, stamp, seq, body, cause, fence) for stamp, seq, cause, body in rows
@@ -617,14 +618,14 @@ def packets_of(run: PacketRun) -> tuple[list[Packet], Sequence[Unfit]]:
 
 
 def _checked_rows(run: PacketRun) -> list[_Row]:
-    """Decodes rows whose bodies may contain anything: with a look at each part of them."""
+    """Decode rows whose bodies may contain anything: each part is checked."""
     rows = _SOME_ROWS(unpacked(run.rows))
     kind, source = run.kind, run.source
     return [(stamp, seq, cause, received_body(kind, body, source)) for stamp, seq, cause, body in rows]
 
 
 def _one_by_one(run: PacketRun) -> tuple[list[Packet], list[Unfit]]:
-    """Decodes rows of which one at least has something wrong with it."""
+    """Decode rows one at a time, because at least one of them is bad."""
     kind, source = run.kind, run.source
     try:
         rows = _RAW_ROWS(run.rows)
@@ -642,13 +643,13 @@ def _one_by_one(run: PacketRun) -> tuple[list[Packet], list[Unfit]]:
 
 
 def _reason(error: RemoteProtocolError, kind: str, source: str) -> str:
-    """Returns a sentence that names the packets whose body has this fault."""
+    """Return a sentence that names the packets with this faulty body."""
     text = str(error)[:LONGEST_REASON]
     return text if text.endswith(f"(from {source})") else f"a packet of the type {kind!r} from {source}: {text}"
 
 
 def _decoder(cls: type | None) -> _Rows | None:
-    """Returns what decodes rows with a body of this class in one go; None if their bodies must be looked at."""
+    """Return the decoder of rows with bodies of this class; None if their bodies must be checked part by part."""
     if cls is None:
         return None
     made: _Rows | None = None

@@ -24,31 +24,31 @@ from pancakes.kernel.mailbox import LONGEST_S
 from pancakes.util.clock import Clock
 
 BUSY_POLL_S: Final = 0.0005
-"""How long the thread stays awake for the next packet, if the configuration does not say otherwise.
+"""How long the thread stays awake for the next packet, unless the configuration sets another time.
 
-A round trip over TLS on a slow board must still fit in.
+It must be longer than a round trip over TLS on a slow board.
 """
 STREAK: Final = 8
-"""How many waits in a row have to end that soon before it does. Two packets that come together, as those of two agents
-that tick at the same time, are no dialogue.
+"""How many waits in a row must end that soon before the thread stays awake. Two packets that come together, such as
+those of two agents that tick at the same time, are not a dialogue.
 """
 
 give_way: Final[Callable[[], object] | None] = getattr(os, "sched_yield", None)
 
 Ready = list[tuple[int, int]]
-"""The numbers of sockets' files, each with what it is ready for."""
+"""File descriptors of sockets, each with the events that it is ready for."""
 
 
 class BusyPoll:
-    """Waits until sockets are ready.
+    """Wait until sockets are ready.
 
-    It gives way to any other process that wants the core, so that agents that share cores cost each other nothing.
-    If the system has no way to yield, it always sleeps.
+    It yields to any other process that wants the core, so agents that share cores cost each other nothing. If the
+    system has no way to yield, it always sleeps.
 
     Args:
         poll: waits for sockets, for a number of seconds or, with None, for ever.
         now: the host clock.
-        busy_poll_s: how long it stays awake; 0: it always sleeps. May be changed.
+        busy_poll_s: how long it stays awake; 0: it always sleeps. May be changed later.
     """
 
     def __init__(self, poll: Callable[[float | None], Ready], now: Callable[[], float], busy_poll_s: float) -> None:
@@ -58,7 +58,7 @@ class BusyPoll:
         self._streak = 0
 
     def wait(self, until_s: float | None) -> Ready:
-        """Returns the sockets that are ready, none if none is until then (host time; None: for ever)."""
+        """Return the sockets that are ready, none if none is ready by `until_s` (host time; None: no limit)."""
         now, poll, busy_poll_s = self._now, self._poll, self.busy_poll_s
         began_s = now_s = now()
         if self._streak >= STREAK and give_way is not None:
@@ -80,16 +80,16 @@ READ: Final = selectors.EVENT_READ
 WRITE: Final = selectors.EVENT_WRITE
 
 READING_S: Final = 0.0002
-"""After this much reading, the components that got packets have their turns before more is read: what was just
-decoded is then still in the processor's cache, and little waits in mailboxes. Measured with eight agents that send as
-fast as they can to one: 2.1 µs of its processor time a packet, where reading them all first took 2.9.
+"""After this much reading, the actors that got packets have their turns before more is read: the decoded packets are
+then still in the processor's cache, and little waits in mailboxes. Measured with eight agents that send to one as
+fast as they can: 2.1 µs of its processor time for each packet, instead of 2.9 if all are read first.
 """
 
 _LOG = logging.getLogger("pancakes.mesh")
 
 
 class TimerHandle:
-    """A call that was put off."""
+    """A call that was scheduled for later."""
 
     __slots__ = ("function",)
 
@@ -97,7 +97,7 @@ class TimerHandle:
         self.function = function
 
     def cancel(self) -> None:
-        """Makes sure that the call does not happen, if it has not begun. From any thread."""
+        """Prevent the call, if it has not begun. From any thread."""
         self.function = None
 
 
@@ -117,8 +117,8 @@ class Loop:
         self.now = self._now = clock.now
         self._selector = selectors.DefaultSelector()
         self.busy_poll = BusyPoll(self._poll, clock.now, 0.0)
-        self._watched: dict[int, Callable[[int], None]] = {}  # by the numbers of the sockets' files
-        self._forgotten: dict[int, None] = {}  # since the sockets were asked for that are served now
+        self._watched: dict[int, Callable[[int], None]] = {}  # by file descriptor
+        self._forgotten: dict[int, None] = {}  # those forgotten since the last poll
         self._lock = threading.Lock()
         self._timers: list[tuple[float, int, TimerHandle]] = []
         self._count = 0
@@ -136,14 +136,14 @@ class Loop:
         self._thread.start()
 
     def lend(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
-        """Lets the loop's thread give turns as a guest from now on; see `Transport.lend_thread`."""
+        """Let the loop's thread run turns as a guest from now on; see `Transport.lend_thread`."""
         self._make_guest = make_guest
         self.busy_poll.busy_poll_s = busy_poll_s
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> TimerHandle:
-        """Runs `function` in the loop's thread in `delay_s` seconds, or in turn if that is 0. From any thread.
+        """Run `function` in the loop's thread in `delay_s` seconds; 0: as soon as it is idle. From any thread.
 
-        After `stop` nothing is run any more.
+        After `stop` nothing is run.
         """
         with self._lock:
             if self.stopping:
@@ -154,14 +154,14 @@ class Loop:
         return timer
 
     def _put(self, due_s: float, function: Callable[[], None]) -> TimerHandle:
-        """Puts a function among those that wait for their time. Under the lock."""
+        """Add a function to the timers. Under the lock."""
         timer = TimerHandle(function)
-        self._count += 1  # of two that are due at one time the first goes first
+        self._count += 1  # of two that are due at the same time, the first added runs first
         heapq.heappush(self._timers, (due_s, self._count, timer))
         return timer
 
     def watch(self, sock: socket.socket, events: int, function: Callable[[int], None]) -> None:
-        """Calls `function` with the events (READ, WRITE) that `sock` is ready for. In the loop's thread.
+        """Call `function` with the events (READ, WRITE) that `sock` is ready for. In the loop's thread.
 
         A socket whose connection has failed or ended is ready for both.
         """
@@ -176,25 +176,25 @@ class Loop:
         return [(key.fd, events) for key, events in self._selector.select(timeout_s)]
 
     def forget(self, sock: socket.socket) -> None:
-        """Watches `sock` no longer. To be called before it is closed, in the loop's thread."""
+        """Stop watching `sock`. Call it before closing the socket, in the loop's thread."""
         number = sock.fileno()
         if self._watched.pop(number, None) is not None:
             self._selector.unregister(number)
             self._forgotten[number] = None
 
     def is_here(self) -> bool:
-        """Returns whether the caller runs in the loop's thread."""
+        """Return whether the caller runs in the loop's thread."""
         return threading.current_thread() is self._thread
 
     def stop(self, last: Callable[[], None]) -> None:
-        """Runs what is due, then `last`, and ends the thread; waits for that, unless called in the thread itself."""
+        """Run what is due, then `last`, and end the thread. Wait for that, unless called in the thread itself."""
         with self._lock:
             if not self.stopping:
                 self.stopping = True
                 self._put(self._now(), lambda: self._end(last))
                 self._wake()
         if not self.is_here():
-            # Not yet for the thread: a turn may hold it, and another one then ends in its place.
+            # The thread itself is not waited for yet: a turn may hold it, and then another thread ends in its place.
             self._over.wait()
             self._thread.join()
 
@@ -224,12 +224,12 @@ class Loop:
                 self._over.set()
 
     def _serve(self) -> bool:
-        """Does all work that is due, until the end or until another thread takes over; returns whether one does."""
+        """Do all work that is due, until the end or until another thread takes over; return whether one does."""
         guest: Guest | None = None
         timers, now, wait = self._timers, self._now, self.busy_poll.wait
         while not self._ended:
             self._forgotten.clear()
-            # Without the lock: only this thread takes timers out, and a thread that puts in an earlier one wakes it.
+            # Without the lock: only this thread removes timers, and a thread that adds an earlier one wakes it.
             ready = wait(timers[0][0] if timers else None)
             if guest is None and self._make_guest is not None:
                 guest = self._make_guest(self._take_over)
@@ -243,14 +243,14 @@ class Loop:
         return False
 
     def _serve_sockets(self, ready: list[tuple[int, int]], guest: Guest | None) -> None:
-        """Serves sockets that are ready; as a guest, gives the turns of the components that got packets."""
+        """Serve sockets that are ready; as a guest, run the turns of the actors that got packets."""
         now, watched, forgotten = self._now, self._watched, self._forgotten
         last_s = now()
         left = len(ready)
         try:
             for number, events in ready:
                 left -= 1
-                if number not in forgotten:  # by one before it; another socket may have its number by now
+                if number not in forgotten:  # by an earlier handler; another socket may have its descriptor by now
                     try:
                         watched[number](events)
                     except Exception:  # as in `_guard`
@@ -262,15 +262,15 @@ class Loop:
                     continue
                 guest.work(now_s + GUEST_S)
                 if not guest.stays:
-                    return  # the thread that has taken over finds the others ready as well
+                    return  # the thread that took over finds the others ready too
                 last_s = now()
         finally:
             if guest is not None:
                 self._guard(guest.leave)
 
     def _take_over(self) -> None:
-        """A turn holds the loop's thread: lets another one be the loop's. From any thread."""
-        with self._lock:  # what another thread puts off meanwhile is either seen by the new thread or wakes it
+        """Start another thread for the loop, because a turn holds this one. From any thread."""
+        with self._lock:  # a timer that is added meanwhile is seen by the new thread, or wakes it
             self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
         self._thread.start()
 
@@ -285,5 +285,5 @@ class Loop:
     def _guard(self, function: Callable[[], None]) -> None:
         try:
             function()
-        except Exception:  # a fault in one handler must not silence all the others
+        except Exception:  # a fault in one handler must not stop all the others
             _LOG.exception("a handler of the network failed")

@@ -17,24 +17,24 @@ from pancakes.mesh.transport import Transport
 ADDRESSES: Final = 64
 """Most addresses in one message to a new link."""
 BEACON_ADDRESSES: Final = 8
-"""How many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
-every agent the square of the fleet, for what all agents know: a new link gets them all.
+"""How many addresses are in a beacon; in a larger fleet each beacon names the next ones. If each beacon had all of
+them, each agent would pay for the square of the fleet to tell what all agents know: a new link gets them all.
 """
 TO_ONE: Final = 32
 """How many agents are in a beacon to one peer: of a thousand, each agent hears of each within half a minute."""
 
 MOST_CHOSEN: Final = 1024
-"""How many choices of an address are remembered."""
+"""How many choices of an address are cached."""
 
 _EVERYWHERE: Final = (LOCAL, "tcp")
-"""Each agent dials these; other schemes only agents that are linked by them, or listen at them."""
+"""Every agent can dial these; other schemes only agents that have a link or listen with them."""
 
 
 class Says(Protocol):
-    """Sends gossip over a link."""
+    """Send gossip over a link."""
 
     def __call__(self, session: Session, message: Gossip) -> None:
-        """Tells a peer of others."""
+        """Tell a peer of others."""
 
 
 class Gossiper:
@@ -43,24 +43,24 @@ class Gossiper:
     Args:
         role: the role of this agent.
         links: its links.
-        say: sends what it tells.
-        transport: knows the ways to addresses.
-        few: knows all agents, if this one keeps only a few links; None: it tells of those that are linked.
+        say: sends gossip.
+        transport: knows the facts of addresses.
+        few: knows all agents, if this one keeps only a few links; None: only linked agents are named.
     """
 
     def __init__(self, role: Role, links: Links, say: Says, transport: Transport, few: FewLinks | None) -> None:
-        # A client that looks at two agents must not make neighbours of them: it belongs to neither.
+        # A client with links to two agents must not make them neighbours.
         self._tells = role != "client"
         self._links = links
         self._say = say
         self._transport = transport
         self._few = few
         self._beacons = 0
-        # Beacons name the same agents to the same peers all the time.
+        # Beacons name the same agents to the same peers again and again.
         self._address_for = lru_cache(MOST_CHOSEN)(self._choose)
 
     def beacon(self, own: Hello, peers: Peers, now_s: float) -> None:
-        """Tells all peers of this agent and some others; or one peer, in turn, of many."""
+        """Tell all peers of this agent and some others; or one peer, by turns, of many."""
         hearers = list(self._links)
         if self._few is not None:
             others = self._few.some(TO_ONE, now_s)
@@ -75,21 +75,21 @@ class Gossiper:
         self._links.announced(sum([self._tell(session, agents) for session in hearers]))
 
     def on_link_up(self, session: Session, peers: Peers, now_s: float) -> None:
-        """Tells a new peer of all agents, and the others of it, unless it is known."""
+        """Tell a new peer of all agents, and all others of the peer, unless they know it."""
         hello, is_news = session.hello, peers.is_news(session.number)
         if self._few is None:
             agents = peers.gossip()
-        else:  # a link that comes and goes is no reason to tell everything again
+        else:  # a link that comes and goes does not need everything again
             agents = self._few.fresh(now_s) if is_news else self._few.some(TO_ONE, now_s)
         for first in range(0, len(agents), ADDRESSES):
             self._tell(session, agents[first : first + ADDRESSES])
-        # Of an address that peers have named they know, and the newcomer hears of all others and dials them.
+        # If peers have named its address, they know the newcomer already; it hears of all others and dials them.
         if hello is not None and hello.listen and hello.role != "client" and is_news:
             for other in self._links:
                 self._tell(other, [(hello.name, hello.listen, 0.0)])
 
     def _tell(self, session: Session, agents: Iterable[Sighting]) -> bool:
-        """Tells a peer of agents other than itself, as far as it can dial them; returns whether there were any."""
+        """Tell a peer of other agents that it can dial; return whether there were any."""
         if not self._tells or session.hello is None:
             return False
         remote, own = session.remote, session.hello.listen
@@ -103,7 +103,7 @@ class Gossiper:
         return bool(named)
 
     def _choose(self, remote: str, own: tuple[str, ...], listen: tuple[str, ...]) -> str:
-        """Returns the cheapest address of an agent that a peer can dial, the first of equal ones.
+        """Return the cheapest address of an agent that a peer can dial, the first of equal ones.
 
         Args:
             remote: the address of the peer.

@@ -4,7 +4,7 @@
 
 The side that dialled says hello first. The other side tells a stranger nothing about itself: it answers with its own
 hello only after it has accepted that one. A refusal or a goodbye before any hello only ends the attempt, because any
-program may listen there.
+program may be listening there.
 
 Two agents may have several connections for a moment: both dialled, or one came back before the other noticed that it
 had gone. The agent with the lower name chooses. It sends `Welcome` on the connection that stays, and only then do
@@ -46,13 +46,13 @@ from pancakes.mesh.messages import (
 from pancakes.packet import Packet
 
 PATIENCE: Final = 1.2
-"""How much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
+"""How much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before a heartbeat."""
 PACE: Final = 1.5
 """The factor by which the pause between the first pings grows."""
 MOST_UNANSWERED: Final = 8
-"""An answer to an older ping says nothing about the link of today."""
+"""An answer to an older ping says nothing about the link now."""
 RESTED: Final = 40
-"""How much rarer heartbeats are if the transport reports the deaths of peers."""
+"""The factor by which heartbeats are rarer if the transport reports the deaths of peers."""
 _RTT_WEIGHT: Final = 1 / 8  # of a new measurement in the average, as in TCP (RFC 6298)
 
 
@@ -61,14 +61,15 @@ class LinkTimes(msgspec.Struct, frozen=True):
 
     Attributes:
         hello_s: how long a peer may take for its hello.
-        heartbeat_s: a ping is sent when nothing else was for so long.
-        missed: after this many heartbeats without a byte the peer is gone: after `heartbeat_s * missed`, 2.0 s.
-        measure_s: a busy link sends a ping that often all the same, to measure the round trip and the peer's clock.
-        first_s: the first of these goes once the link is up, the next one so much later, the others ever later.
-        stuck_s: a peer that takes none of the bytes that wait for it for so long is closed.
+        heartbeat_s: a ping is sent after this time without other bytes.
+        missed: after this many heartbeats without a byte the peer counts as gone: after `heartbeat_s * missed`, 2.0 s.
+        measure_s: even a busy link sends a ping this often, to measure the round trip and the peer's clock.
+        first_s: the first ping is sent once the link is up, the second this much later, the others at growing
+            intervals.
+        stuck_s: the link ends if the peer takes none of the waiting bytes for this time.
         hold_s: how long a connection dialled by the higher name waits for our own dial to the same agent.
-        retry_first_s: an address is dialled again after a random time up to this,
-        retry_longest_s: which doubles with each failure up to this.
+        retry_first_s: an address is dialled again after a random time up to this, which doubles with each failure.
+        retry_longest_s: the largest bound of that time.
     """
 
     hello_s: float = 2.0
@@ -83,17 +84,17 @@ class LinkTimes(msgspec.Struct, frozen=True):
 
     @property
     def gone_s(self) -> float:
-        """How long a peer may be silent."""
+        """How long a peer may be silent before it counts as gone."""
         return self.heartbeat_s * self.missed
 
     def rested(self) -> LinkTimes:
-        """Returns the times of a link whose transport tells deaths: heartbeats are a second look, and seldom."""
+        """Return the times for a transport that reports deaths: heartbeats are rare."""
         heartbeat_s = self.heartbeat_s * RESTED
         return msgspec.structs.replace(self, heartbeat_s=heartbeat_s, measure_s=max(self.measure_s, heartbeat_s))
 
 
 class LinkState(Enum):
-    """The state of a link; see the module's text."""
+    """The state of a link; see the module's docstring."""
 
     GREETING = "greeting"
     MET = "met"
@@ -108,7 +109,7 @@ class SendMessage(msgspec.Struct, frozen=True):
 
 
 class Greeted(msgspec.Struct, frozen=True):
-    """The peer said its hello; call `Link.answer`, then `Link.admit` (the lower name, once), or else `Link.refuse`."""
+    """The peer said hello; call `Link.answer`, then `Link.admit` (the lower name, once), or else `Link.refuse`."""
 
     hello: Hello
 
@@ -118,11 +119,11 @@ class Up(msgspec.Struct, frozen=True):
 
 
 class PacketsReceived(msgspec.Struct, frozen=True):
-    """Packets came in, in this order: of one channel, type, source and destination.
+    """Packets came in, in this order: with one channel, type, source and destination.
 
     Attributes:
         packets: the packets.
-        size: how many bytes they took, the head of their run not counted.
+        size: their size in bytes, without the head of their run.
     """
 
     packets: list[Packet]
@@ -134,7 +135,7 @@ class Measured(msgspec.Struct, frozen=True):
 
     Attributes:
         sent_s: when it was sent, in host time.
-        peer_s: when the peer answered it, in the peer's.
+        peer_s: when the peer answered it, in the peer's host time.
         back_s: when the answer came, in host time.
     """
 
@@ -144,21 +145,21 @@ class Measured(msgspec.Struct, frozen=True):
 
 
 class Heard(msgspec.Struct, frozen=True):
-    """The peer tells something about the fleet: agents, its clocks, or its roster."""
+    """The peer sent news of the fleet: agents, its clocks, or its roster."""
 
     message: LinkNews
 
 
 class Over(msgspec.Struct, frozen=True):
-    """The link has ended: close the connection once what was to be sent is sent. Always the last action.
+    """The link has ended: close the connection once everything is sent. Always the last action.
 
     Attributes:
         reason: a sentence for people.
-        refused: the peer's refusal of us, if that was the end, and the peer had said hello.
-        refusing: our refusal of the peer, likewise.
-        goodbye: the peer's goodbye, likewise.
+        refused: the peer's refusal of us, if that ended it and the peer had said hello.
+        refusing: our refusal of the peer, if that ended it.
+        goodbye: the peer's goodbye, if that ended it.
         broken: whether the peer broke the protocol.
-        turned_away: whether the other side refused us and had not said hello.
+        turned_away: whether the other side refused us before it said hello.
     """
 
     reason: str
@@ -176,7 +177,7 @@ class Link:
     """One link.
 
     Args:
-        own: what we say about ourselves.
+        own: our own hello.
         times: its times.
         now_s: host time at which the connection was opened.
         answers: whether the other side dialled, so that it says hello first.
@@ -185,8 +186,8 @@ class Link:
         state: its state.
         peer: what the peer said about itself, once it has.
         rtt_s: smoothed round trip time, once measured.
-        sent_s: when something was last sent, which makes a heartbeat needless; set by each thread that sends packets.
-        pace_s: so long after a ping the next one is sent, also if the link is busy; it grows up to `measure_s`.
+        sent_s: when something was last sent, so that no heartbeat is needed; set by each thread that sends packets.
+        pace_s: how long after a ping the next one is sent, also if the link is busy; it grows to `measure_s`.
     """
 
     def __init__(self, own: Hello, times: LinkTimes, now_s: float, answers: bool = False) -> None:
@@ -197,7 +198,7 @@ class Link:
         self._own = own
         self._times = times
         self._answers = answers
-        self._quiet_s = times.heartbeat_s  # how long this side is silent before it sends a ping
+        self._quiet_s = times.heartbeat_s  # after this silence of ours a ping is sent
         self._opened_s = now_s
         self._heard_s = now_s
         self.sent_s = now_s
@@ -213,7 +214,7 @@ class Link:
         return [] if self._answers else [self._send(self._own, now_s)]
 
     def due_s(self) -> float:
-        """Returns the host time at which `tick` has something to do, if nothing comes in before."""
+        """Return the host time at which `tick` has something to do, unless bytes come in earlier."""
         if self.state is LinkState.OVER:
             return float("inf")
         if self.state is LinkState.GREETING:
@@ -224,17 +225,17 @@ class Link:
         return self.pace_s if self.state is LinkState.UP else self._times.measure_s
 
     def _set_quiet(self) -> None:
-        """Decides how long this side is silent before it sends a ping.
+        """Set after how long a silence of ours a ping is sent.
 
-        Of two silent agents the one with the lower name comes first, and the other's answer is its sign of life: half
-        as many heartbeats.
+        Of two silent agents, the one with the lower name pings first, and the other's answer is its sign of life:
+        half as many heartbeats.
         """
         # A side that waits for the other's pings measures nothing: the round trip must be known first.
         patient = self.peer is not None and self.rtt_s is not None and self._own.name > self.peer.name
         self._quiet_s = self._times.heartbeat_s * (PATIENCE if patient else 1.0)
 
     def tick(self, now_s: float) -> list[Action]:
-        """Does what the time asks for: a heartbeat, or the end of a silent link."""
+        """Do what is due: send a heartbeat, or end a silent link."""
         if self.state is LinkState.OVER:
             return []
         end_s = self._end_s()
@@ -244,11 +245,11 @@ class Link:
                 return self._over(self._silence())
             self._excused_s = now_s
             if not is_late:
-                # Perhaps this thread had to wait since it last read: it must read again first.
+                # Perhaps this thread was delayed since it last read: it must read again first.
                 return []
-            # We are late ourselves, for want of processor time, and so perhaps is what the peer has sent.
+            # We are late for lack of processor time, and perhaps the peer's bytes are, too.
             self._patient_until_s = now_s + self._times.heartbeat_s
-        if self.state is LinkState.GREETING:  # a heartbeat would tell a stranger what listens here
+        if self.state is LinkState.GREETING:  # a heartbeat would reveal to a stranger what listens here
             return []
         quiet = now_s >= self.sent_s + self._quiet_s
         if quiet or now_s >= self._pinged_s + self._measure_s():
@@ -263,7 +264,7 @@ class Link:
         return []
 
     def receive(self, data: bytes, now_s: float) -> list[Action]:
-        """Takes bytes that came in. If they break the protocol, the last action is `Over`."""
+        """Take bytes that came in. If they break the protocol, the last action is `Over`."""
         if self.state is LinkState.OVER:
             return []
         self._heard_s = now_s  # any byte counts as life
@@ -279,47 +280,47 @@ class Link:
         return actions
 
     def answer(self, now_s: float) -> list[Action]:
-        """Says hello, after `Greeted`, if the other side has dialled and its hello is accepted."""
+        """Say hello, after `Greeted`, if the other side dialled and its hello is accepted."""
         if self.state is not LinkState.MET or not self._answers:
             return []
         self._answers = False
         return [self._send(self._own, now_s)]
 
     def admit(self, now_s: float) -> list[Action]:
-        """Makes this the link that stays. Only the lower name does so, after `Greeted`."""
+        """Make this the link that stays. Only the lower name does so, after `Greeted`."""
         if self.state is not LinkState.MET:
             return []
         return [self._send(Welcome(), now_s), self._up(now_s)]
 
     def refuse(self, code: Refusal, reason: str, now_s: float, told: str = "") -> list[Action]:
-        """Tells the peer why it is not wanted, and ends the link.
+        """Tell the peer why it is refused, and end the link.
 
         Args:
             code: why, for programs.
             reason: why, for people here.
             now_s: host time.
-            told: the reason for a stranger, which must tell nothing of this agent; empty: `reason`.
+            told: the reason that the peer gets if it is a stranger, without facts on this agent; empty: `reason`.
         """
         if self.state is LinkState.OVER:
             return []
         return [self._send(RefuseLink(code, (told or reason)[:1000]), now_s), *self._over(reason, refusing=code)]
 
     def leave(self, goodbye: Goodbye, now_s: float) -> list[Action]:
-        """Says goodbye, and ends the link."""
+        """Say goodbye, and end the link."""
         if self.state is LinkState.OVER:
             return []
         return [self._send(goodbye, now_s), *self._over("this agent said goodbye")]
 
     def rest(self, goodbye: Goodbye, now_s: float) -> list[Action]:
-        """Says goodbye as the last message, and still reads what the peer sends before it gets that."""
+        """Say goodbye as the last message, and still read what the peer sent before it got that."""
         return [self._send(goodbye, now_s)]
 
     def hurry(self) -> None:
-        """Has the next pings follow each other as the first ones did: nothing is known of the peer's clock any more."""
+        """Send the next pings as fast as the first ones: nothing is known of the peer's clock any more."""
         self.pace_s = self._times.first_s
 
     def tell(self, message: LinkNews, now_s: float) -> list[Action]:
-        """Tells the peer something about the fleet, if the link is up."""
+        """Send the peer news of the fleet, if the link is up."""
         return [self._send(message, now_s)] if self.state is LinkState.UP else []
 
     def _up(self, now_s: float) -> Up:
@@ -331,7 +332,7 @@ class Link:
         return self.peer.name if self.peer is not None else "the other side"
 
     def _end_s(self) -> float:
-        """Returns when the link ends if nothing comes in."""
+        """Return when the link ends if nothing comes in."""
         end_s = self._heard_s + self._times.gone_s
         if self.state is LinkState.GREETING:
             end_s = self._opened_s + self._times.hello_s
@@ -340,11 +341,11 @@ class Link:
         return max(end_s, self._patient_until_s)
 
     def _no_welcome_s(self) -> float:
-        # The lower name may have to find out first that an older link has died.
+        # The agent with the lower name may first have to notice that an older link has died.
         return self._opened_s + self._times.hello_s + self._times.gone_s
 
     def _silence(self) -> str:
-        """Returns why the link ends if nothing comes in."""
+        """Return why the link ends if nothing comes in."""
         times = self._times
         if self.state is LinkState.GREETING:
             return f"no hello came within {times.hello_s:g} s"
@@ -453,7 +454,7 @@ class Link:
     def _pong(self, token: int, at_s: float, now_s: float) -> list[Action]:
         pinged_s = self._unanswered.pop(token, None)
         if pinged_s is None:
-            return []  # an old one: too late to say anything about the link of today
+            return []  # an old one, which says nothing about the link now
         measured_s = now_s - pinged_s
         if self.rtt_s is None:
             self.rtt_s = measured_s

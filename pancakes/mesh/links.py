@@ -1,4 +1,4 @@
-"""The links of an agent that are up: the table of them, what the log says about them, and a timer that can be set.
+"""The links of an agent that are up: their table, their log lines, and a timer that can be set again.
 
 The transport's thread changes the table; all threads read it. `LinkLog` logs a refusal again only if its reason has
 changed, and logs clients at level debug, because they come and go all the time.
@@ -20,12 +20,11 @@ from pancakes.mesh.transport import UNSAID, Scheduled, Transport
 
 
 class Links:
-    """The sessions that are up, and what was sent over all that ever were.
+    """The sessions that are up, and the counters of all links since the start.
 
     Args:
-        change: takes the sessions over which packets go from now on, as `Sending.change`: before other threads find a
-            link that is up, and after they no longer find one. So there is a way for what they send to a peer that they
-            find.
+        change: takes the sessions for packets from now on, as `Sending.change` does: called before other threads can
+            find a new link, and after they can no longer find an old one. So a link that they find can always be used.
     """
 
     def __init__(self, change: Callable[[Mapping[str, Session], tuple[Session, ...]], None]) -> None:
@@ -34,17 +33,17 @@ class Links:
         self._said: dict[str, Hello] = {}
         self._counters = PeerCounters()
         self._lock = threading.Lock()
-        self._mission_packets = 0  # over links that have ended, and announcements
+        self._mission_packets = 0  # over ended links, and announcements
 
     def __iter__(self) -> Iterator[Session]:
-        """The sessions that are up, by the names of their peers."""
+        """Iterate over the sessions that are up, by the names of their peers."""
         return iter(_by_name(self._up))
 
     def __len__(self) -> int:
         return len(self._up)
 
     def add(self, session: Session, hello: Hello) -> None:
-        """A link to the agent that said `hello` is up."""
+        """Add a link that is up, to the agent that said `hello`."""
         session.on_link_up(hello, self._counters.of(hello.name, self._up))
         up = {**self._up, hello.name: session}
         self._change(up, _neighbours(up))
@@ -52,7 +51,7 @@ class Links:
         self._said = dict(sorted({**self._said, hello.name: hello}.items()))
 
     def remove(self, session: Session) -> None:
-        """A link has ended."""
+        """Remove a link that has ended."""
         session.is_up = False
         with self._lock:
             self._mission_packets += session.counted
@@ -63,34 +62,34 @@ class Links:
             self._counters.forget(session.peer)  # clients come under ever new names
 
     def by_name(self) -> dict[str, Session]:
-        """Returns the sessions that are up, by the names of their peers. Not to be changed."""
+        """Return the sessions that are up, by the names of their peers. Not to be changed."""
         return self._up
 
     def neighbours(self) -> tuple[Session, ...]:
-        """Returns the sessions of the peers in the role `agent`, by name."""
+        """Return the sessions of the peers in the role `agent`, by name."""
         return _neighbours(self._up)
 
     def connected(self) -> Mapping[str, Hello]:
-        """Returns what all peers said about themselves, by name, in the order of their names."""
+        """Return what all peers said about themselves, by name, in the order of their names."""
         return self._said
 
     def rtt_s(self, peer: str) -> float | None:
-        """Returns the smoothed round trip time to a peer, or None if there is none yet."""
+        """Return the smoothed round trip time to a peer, or None if there is none yet."""
         session = self._up.get(peer)
         return session.link.rtt_s if session is not None and session.link is not None else None
 
     def announced(self, peers: int) -> None:
-        """An announcement went to this many peers."""
+        """Count an announcement to this many peers."""
         with self._lock:
             self._mission_packets += peers
 
     def mission_packets_sent(self) -> int:
-        """Returns how many mission packets went out; see `Mesh.mission_packets_sent`."""
+        """Return how many mission packets went out; see `Mesh.mission_packets_sent`."""
         with self._lock:
             return self._mission_packets + sum(session.counted for session in self)
 
     def describe(self) -> list[dict[str, Any]]:
-        """Returns the state of the links as plain values."""
+        """Return the state of the links as plain values."""
         return [session.describe() for session in self]
 
 
@@ -103,54 +102,53 @@ def _neighbours(up: Mapping[str, Session]) -> tuple[Session, ...]:
 
 
 DROPS_REPORTED_EVERY_S: Final = 5.0
-"""The log names a slow peer, or one that speaks for another, at most that often, in seconds of host time."""
+"""How often at most the log names a slow peer, or one that speaks for another, in seconds of host time."""
 _AGAIN_S: Final = 60.0
-"""So often, in host time, it names the same reason again for which a place gets no link."""
+"""How often it repeats the reason why an address gets no link, in host time."""
 _MOST_PLACES: Final = 256
 _NEWS: Final = ("version", "fleet", "name", "full", "protocol")
 
 
 class LinkLog:
-    """Says what happens to links.
+    """Say what happens to links.
 
     Args:
         say: takes (level, text).
-        static: the addresses of the configuration, which a person counts on.
+        static: the configured addresses, whose failures are warnings.
     """
 
     def __init__(self, say: Callable[[str, str], None], static: Sequence[str]) -> None:
         self._say = say
         self._static = static
-        # The last that was told, when that was, and how many were not told of since; by the place that it is about, and
-        # by how loud that was.
+        # The last logged reason, when it was logged, and how many were left out since; by place and level.
         self._last_reason: dict[tuple[str, str], tuple[str, float, int]] = {}
 
     def on_link_up(self, session: Session, hello: Hello) -> None:
-        """A link is up."""
+        """Log that a link is up."""
         level = "debug" if hello.role == "client" else "info"
         self._say(level, f"{hello.name} ({hello.role}, {session.remote}) is connected")
 
     def on_link_ended(self, session: Session, over: Over) -> None:
-        """A link that was up has ended."""
+        """Log that a link that was up has ended."""
         is_client = session.role == "client"
         why = over.refused or over.refusing
-        # A client gives its place up to another as often as one comes: nothing to warn of each time.
+        # A client that gives its place to another is usual, and not worth a warning each time.
         is_usual = why is None or (is_client and over.refusing == "full")
         level = "warning" if over.broken or not is_usual else "debug" if is_client else "info"
         self._say(level, f"the link to {session.peer} has ended: {over.reason}")
 
     def not_made(self, session: Session, over: Over, now_s: float) -> None:
-        """A connection did not become a link.
+        """Log that a connection did not become a link.
 
-        Of an address that is dialled, each new reason is told. Of the connections that come in from one place, one is
-        told of each 5 s, and one each minute while the reason stays the same; it says how many were not.
+        Each new reason is logged for a dialled address. Of the connections that come in from one place, one is logged
+        each 5 s, or each minute while the reason stays the same, with the number of those left out.
         """
         why = over.refused or over.refusing or ""
         place = session.address or (f"a connection from {_place(session.remote)}" if session.remote else "a connection")
         text = f"no link over {place}: {over.reason}"
-        # That one of two links goes is usual.
+        # One of two links to a peer always ends.
         quiet = "info" if session.address in self._static and not why else "debug"
-        # Its transport will have nothing to do with it.
+        # Its transport refuses it.
         stranger = not session.address and session.link is None and UNSAID not in over.reason
         level = "warning" if over.broken or over.turned_away or stranger or why in _NEWS else quiet
         if len(self._last_reason) > _MOST_PLACES:
@@ -165,13 +163,13 @@ class LinkLog:
         self._say(level, f"{text} (and {untold} others, that were not told of)" if untold else text)
 
     def given_up(self, agent: str, packets: int) -> None:
-        """No link to an agent came to stand for which packets were waiting."""
+        """Log that packets are lost because no link to their agent was made."""
         if packets:
             lost = f"{packets} packets for {agent} are" if packets > 1 else f"a packet for {agent} is"
             self._say("warning", f"{lost} lost: no link to it could be made")
 
     def drops(self, session: Session, now_s: float) -> None:
-        """Names a peer that lost packets since it was last named."""
+        """Log a peer that has lost packets since it was last logged."""
         dropped = sum(session.counters.dropped.values())
         if dropped > session.reported_drops and now_s - session.reported_s >= DROPS_REPORTED_EVERY_S:
             lost = ", ".join(f"{count} on {channel}" for channel, count in sorted(session.counters.dropped.items()))
@@ -179,14 +177,14 @@ class LinkLog:
             session.reported_drops, session.reported_s = dropped, now_s
 
     def false_source(self, session: Session, fault: str, number: int, now_s: float) -> None:
-        """Packets came that their peer may not send: `number` more."""
+        """Log that a peer sent `number` more packets that it may not send."""
         session.refused += number
         if now_s - session.refused_said_s >= DROPS_REPORTED_EVERY_S:
             self._say("warning", f"{fault}; packets refused so far: {session.refused}")
             session.refused_said_s = now_s
 
     def attempt(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Calls a callback of the mesh's user; its failure is logged, and must not cost a link."""
+        """Call a callback of the mesh's user. If it raises, log that: it must not cost a link."""
         try:
             function(*arguments)
         except Exception as error:  # whatever it is, it belongs in the log
@@ -196,18 +194,18 @@ class LinkLog:
 
 
 def _place(remote: str) -> str:
-    """Returns where a connection comes from, without the port or the process, which may be another each time."""
+    """Return where a connection comes from, without the port or the process, which may differ each time."""
     return "this machine" if is_local(remote) else remote.rpartition(":")[0]
 
 
 class Alarm:
-    """Calls a function when it is due. In the transport's thread.
+    """Call a function when it is due. In the transport's thread.
 
     Args:
         transport: in whose thread the function is called.
         now: the host clock.
         function: what is called.
-        slack_s: so much later it is called than it is due, so that what is due soon after need not be waited for again.
+        slack_s: how much later than due it is called, so that one call serves what is due soon after.
 
     Attributes:
         due_s: the host time for which it is set; infinity: it is not.
@@ -224,7 +222,7 @@ class Alarm:
         self._timer: Scheduled | None = None
 
     def set(self, due_s: float) -> None:
-        """Sets it for this time instead of any other; infinity: it is not to ring."""
+        """Set it for this time instead of any other; infinity: clear it."""
         if due_s == self.due_s:
             return
         if self._timer is not None:

@@ -34,23 +34,23 @@ _SUFFIX: Final = ".sock"
 _LONGEST_PATH: Final = 100
 """The path of a Unix socket has 107 bytes on Linux, 103 elsewhere."""
 _TRIES: Final = 5
-"""The last agent of a fleet may take the fleet's directory away just when another one is about to listen there."""
+"""The last agent of a fleet may take the fleet's directory away while another one is about to listen there."""
 _SO_PEERGROUPS: Final = 59
-"""The groups of the process at the other end; Python does not name it."""
+"""`SO_PEERGROUPS`: the groups of the process at the other end. Python has no name for it."""
 _CREDENTIALS: Final = struct.Struct("3i")  # process, user, group
 _GROUPS_BYTES: Final = 1024
-"""Python asks for no more; they are 256 groups."""
+"""The largest buffer that Python accepts: 256 groups."""
 
 
 class LocalTransport(StreamTransport):
     """Connections between processes of one user, or of one group, on one machine."""
 
     class Settings(StreamTransport.Settings):
-        """How it connects.
+        """The settings of local connections.
 
         Attributes:
             group: members of this group may connect as well; `[agent] local_group` says which. Empty: only its user.
-            directory: where the directory `local` with the sockets is; empty: in the runtime directory.
+            directory: the parent of the directory `local` with the sockets; empty: the runtime directory.
         """
 
         group: str = ""
@@ -59,7 +59,7 @@ class LocalTransport(StreamTransport):
     def __init__(self, loop: Loop, settings: Settings, keys: Keys | None = None) -> None:
         super().__init__(loop, settings, keys)
         self._group = settings.group
-        # The directory of a person's session is gone after a logout, and there again after the next login.
+        # A logout removes the directory of a person's session, and the next login makes it again.
         self._base = Path(settings.directory) if settings.directory else runtime_dir()
 
     @classmethod
@@ -99,10 +99,10 @@ class LocalTransport(StreamTransport):
         return [(socket.AF_UNIX, self._path(address))]
 
     def _path(self, address: str) -> Path:
-        """Returns the socket that an address of this transport names.
+        """Return the path of the socket that an address of this transport names.
 
         Raises:
-            ValueError: it is none.
+            ValueError: it is not such an address.
         """
         parts = parse_address(address)
         if parts.scheme != LOCAL:
@@ -113,7 +113,7 @@ class LocalTransport(StreamTransport):
         return self._base / DIRECTORY / f"{name}{_SUFFIX}"
 
     def _directories(self, path: Path) -> list[Path]:
-        """Returns the directories on the way to a socket that are Pancakes' own, the outermost first."""
+        """Return the directories on the way to a socket that are Pancakes' own, the outermost first."""
         found = [it for it in reversed(path.parents) if it.is_relative_to(self._base)]
         return found or [path.parent]
 
@@ -152,7 +152,7 @@ class LocalTransport(StreamTransport):
 
 @contextlib.contextmanager
 def _short(path: Path) -> Iterator[str]:
-    """Gives a path by which the operating system takes a socket: through its open directory if it is too long."""
+    """Yield a path short enough for the operating system: through the open directory if necessary."""
     if len(os.fsencode(path)) <= _LONGEST_PATH:
         yield str(path)
         return
@@ -165,7 +165,7 @@ def _short(path: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def _alone_in(directory: Path) -> Iterator[None]:
-    """Keeps other agents from listening in a directory meanwhile, which takes them no longer than it takes us."""
+    """Keep other agents from listening in a directory meanwhile; they wait for a moment."""
     handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -175,7 +175,7 @@ def _alone_in(directory: Path) -> Iterator[None]:
 
 
 def _clear_away(path: Path, short: str) -> None:
-    """Removes the socket of an agent that has died.
+    """Remove the socket of an agent that has died.
 
     Raises:
         PancakesError: a running agent has it, or it is not a socket.
@@ -197,7 +197,7 @@ def _clear_away(path: Path, short: str) -> None:
 
 
 def _remove(path: Path, made: os.stat_result) -> None:
-    """Takes a socket away that is closed, unless another agent has put its own there, and the fleet's directory."""
+    """Remove a closed socket, unless another agent has put its own there, and the fleet's directory if empty."""
     with contextlib.suppress(OSError):
         if is_at(path, made):
             path.unlink()
@@ -206,7 +206,7 @@ def _remove(path: Path, made: os.stat_result) -> None:
 
 
 def _peer(sock: socket.socket) -> tuple[int, int, int]:
-    """Returns process, user and group at the other end.
+    """Return process, user and group at the other end.
 
     Raises:
         OSError: the system does not say.

@@ -19,23 +19,23 @@ from pancakes.mesh.address import LOCAL, is_local, is_loopback, parse_address
 from pancakes.mesh.transport import Connection, ConnectionHandler, Scheduled, Transport
 
 _FIRST_FREE_PORT: Final = 49_152
-_TRICKLE_S: Final = 0.05  # of sending go into one portion, if the rate is limited
+_TRICKLE_S: Final = 0.05  # the length of one portion of sending, if the rate is limited
 _DIAL_TIMEOUT_S: Final = 5.0  # after which a dial into a partition fails
 
 
 class CallAt(Protocol):
-    """Runs a function at a point in virtual time; what is due at the same time runs in the order of the calls."""
+    """Run a function at a point in virtual time; what is due at the same time runs in the order of the calls."""
 
     def __call__(self, time_s: float, function: Callable[[], None]) -> Scheduled: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How well two agents hear each other.
+    """The quality of the network between two agents.
 
     Attributes:
         latency_s: how long a byte travels.
-        jitter_s: how much longer it may travel, at most; drawn again for each send. The order is kept.
+        jitter_s: how much longer it may travel, at most; drawn for each send. The order is kept.
         bytes_per_s: how fast bytes leave a connection.
     """
 
@@ -46,7 +46,7 @@ class Quality:
 
 @dataclass(slots=True)
 class _Partition:
-    """Agents of `one` side and of the `other` do not hear each other, from one point in time to another."""
+    """Agents of `one` side and of the `other` cannot reach each other, from one point in time to another."""
 
     one: frozenset[str]
     other: frozenset[str] | None
@@ -61,13 +61,13 @@ class _Partition:
 
 
 class MemoryNetwork:
-    """The air between the agents of a simulation.
+    """The network between the agents of a simulation.
 
     Args:
         call_at: the virtual scheduler.
         now: the virtual clock.
         source: random numbers for the jitter.
-        quality: how well agents hear each other if nothing else is said.
+        quality: the quality between agents that have no other one.
 
     Attributes:
         pipes: the connections that exist, in the order in which they were made.
@@ -88,21 +88,21 @@ class MemoryNetwork:
         self._next_port = _FIRST_FREE_PORT
 
     def transport(self, agent: str, due_s: Callable[[float], float] | None = None) -> MemoryTransport:
-        """Returns a transport for an agent; faults are told by its name.
+        """Return a transport for an agent; faults refer to it by name.
 
         Args:
             agent: its name.
             due_s: returns the virtual time at which so many seconds of the agent's clock will have passed; None: it
-                has the virtual clock.
+                uses the virtual clock.
         """
         return MemoryTransport(self, agent, due_s or (lambda delay_s: self.now() + delay_s))
 
     def set_quality(self, a: str, b: str, quality: Quality) -> None:
-        """Sets how well two agents hear each other, both ways, for all that is sent from now on."""
+        """Set the quality between two agents, both ways, for all that is sent from now on."""
         self.qualities[(a, b)] = self.qualities[(b, a)] = quality
 
     def exempt(self, address: str) -> None:
-        """Connections to `address` take part in no fault and no delay but the default (a hardware bus)."""
+        """Exempt connections to `address` from faults and from all delays but the default (a hardware bus)."""
         self._exempt[address] = None
 
     def partition(
@@ -113,17 +113,17 @@ class MemoryNetwork:
         until_s: float = math.inf,
         at_once: bool = False,
     ) -> None:
-        """Lets two groups of agents not hear each other for a while.
+        """Cut the network between two groups of agents for a while.
 
-        What is sent in that time is lost, and with it the connection that it was sent on; dials fail.
+        Bytes that are sent in that time are lost, and so is their connection; dials fail.
 
         Args:
             one: names of agents.
-            other: names of the agents that they do not hear; all that are not in `one` if it is None.
+            other: names of the agents in the other group; None: all that are not in `one`.
             from_s: virtual time at which it begins; None: at once.
             until_s: virtual time at which it heals.
-            at_once: whether both ends of each connection see it break when it begins. Otherwise they have only
-                the silence to tell them.
+            at_once: whether both ends of each connection see it break when it begins. Otherwise they notice only the
+                silence.
         """
         begin_s = self.now() if from_s is None else from_s
         cut = _Partition(frozenset(one), None if other is None else frozenset(other), begin_s, until_s)
@@ -140,34 +140,34 @@ class MemoryNetwork:
             self.call_at(begin_s, begin)
 
     def heal(self) -> None:
-        """Ends all partitions, those to come too."""
+        """End all partitions, also future ones."""
         self.partitions.clear()
 
     def break_links(self, a: str, b: str, at_once: bool = True) -> None:
-        """Breaks all connections between two agents; what was on its way is lost. They may dial again.
+        """Break all connections between two agents; bytes on their way are lost. They may dial again.
 
         Args:
             a: name of an agent.
             b: name of the other.
-            at_once: whether both ends are told; otherwise they have only the silence to tell them.
+            at_once: whether both ends see it break; otherwise they notice only the silence.
         """
         for pipe in list(self.pipes):
             if not pipe.exempt and pipe.agents in ((a, b), (b, a)):
                 pipe.break_off(f"the link between {a} and {b} was broken", at_once)
 
     def parted(self, a: str, b: str) -> bool:
-        """Returns whether two agents do not hear each other now."""
+        """Return whether two agents are separated by a partition now."""
         now_s = self.now()
         return any(cut.parts(a, b, now_s) for cut in self.partitions)
 
     # For the transports
 
     def quality(self, a: str, b: str) -> Quality:
-        """Returns how well two agents hear each other."""
+        """Return the quality between two agents."""
         return self.qualities.get((a, b), self.default)
 
     def travel_s(self, quality: Quality) -> float:
-        """Draws how long something travels."""
+        """Draw how long bytes travel."""
         if quality.jitter_s > 0:
             return quality.latency_s + self._random.uniform(0.0, quality.jitter_s)
         return quality.latency_s
@@ -217,19 +217,19 @@ class MemoryNetwork:
         self.call_at(self.now() + travel_s, arrive)
 
     def stop_listening(self, owner: MemoryTransport, address: str = "") -> None:
-        """Frees an address of a transport, or all of them."""
+        """Free one address of a transport, or all of them."""
         for found in [it for it, (other, _) in self._listeners.items() if other is owner and address in ("", it)]:
             del self._listeners[found]
 
     def forget(self, owner: MemoryTransport) -> None:
-        """Ends all connections of a transport."""
+        """End all connections of a transport."""
         for pipe in list(self.pipes):
             for end in pipe.ends:
                 if end.owner is owner:
                     end.close("the transport was closed")
 
     def ended(self, pipe: _Pipe) -> None:
-        """Both ends of a pipe are closed."""
+        """Remove a pipe whose ends are both closed."""
         self.pipes.pop(pipe, None)
 
 
@@ -257,7 +257,7 @@ class MemoryTransport(Transport):
         return self._network.call_at(self._due_s(delay_s), lambda: None if self._closed else function())
 
     def close(self) -> None:
-        """Frees its addresses, and closes all that is open once what is due now has run, as real sockets are."""
+        """Free the addresses, and close all connections after what is due now, as with real sockets."""
         self._network.stop_listening(self)
         self._network.call_at(self._network.now(), self._close)
 
@@ -272,7 +272,7 @@ class MemoryTransport(Transport):
 
 
 class _Pipe:
-    """A connection as the network sees it: both of its ends."""
+    """A connection with both of its ends."""
 
     def __init__(
         self, network: MemoryNetwork, owners: tuple[MemoryTransport, MemoryTransport], exempt: bool, address: str
@@ -280,7 +280,7 @@ class _Pipe:
         self.network = network
         self.agents = (owners[0].agent, owners[1].agent)
         self.exempt = exempt
-        self.cut = False  # nothing gets through any more
+        self.cut = False  # nothing gets through from now on
         self.ends = (_End(self, owners[0], address), _End(self, owners[1], _dialler(owners[0].agent, address)))
         self.ends[0].other, self.ends[1].other = self.ends[1], self.ends[0]
 
@@ -289,7 +289,7 @@ class _Pipe:
         return network.default if self.exempt else network.qualities.get(self.agents, network.default)
 
     def is_cut(self) -> bool:
-        """Whether what is sent now is lost: then all that follows is, as in a stream."""
+        """Whether bytes that are sent now are lost: then all that follow are lost too, as in a stream."""
         if self.network.partitions and not self.cut and not self.exempt:
             self.cut = self.network.parted(*self.agents)
         return self.cut
@@ -302,7 +302,7 @@ class _Pipe:
 
 
 def _dialler(agent: str, address: str) -> str:
-    """Returns the address of the agent that dialled `address`, as the one that it reached sees it."""
+    """Return the address of the agent that dialled `address`, as seen at the other end."""
     if is_local(address):
         return f"{LOCAL}://{agent}"
     return "tcp://127.0.0.1:0" if is_loopback(address) else f"tcp://{agent}:0"
@@ -322,12 +322,12 @@ class _End(Connection):
         self._closing = False
         self.closed = False
         self._unsent = 0
-        self._free_s = 0.0  # when the bytes before have left
-        self._arrival_s = 0.0  # of what was sent last
-        self.coming: list[bytes] = []  # the parts that come in at one time are handed over at once, as a stream may
+        self._free_s = 0.0  # when the earlier bytes have left
+        self._arrival_s = 0.0  # of the bytes that were sent last
+        self.coming: list[bytes] = []  # parts that arrive at the same time are delivered together, as in a stream
         self.coming_s = -1.0
-        self.on_the_way: deque[list[bytes]] = deque()  # the order is kept, so what was sent first arrives next
-        self.arrive = self._arrived  # bound once, not for each
+        self.on_the_way: deque[list[bytes]] = deque()  # in order of sending, which is that of arrival
+        self.arrive = self._arrived  # bound once, not for each send
 
     def begin(self, handler: ConnectionHandler) -> None:
         self._handler = handler
@@ -340,7 +340,7 @@ class _End(Connection):
         if quality.bytes_per_s == math.inf:
             self._send_part(data, network.now(), quality)
             return self._unsent
-        # A slow stream trickles: the other side hears something all the time, not everything at the end.
+        # A slow stream trickles: the other side gets bytes all the time, not all of them at the end.
         part_bytes = max(1, int(quality.bytes_per_s * _TRICKLE_S))
         self._unsent += len(data)
         for start in range(0, len(data), part_bytes):
@@ -370,20 +370,20 @@ class _End(Connection):
         if self._closing:
             return
         self.finish_later(reason or "this side closed the connection")
-        # The other end sees it behind all that was sent before.
+        # The other end sees it after all that was sent before.
         arrival_s = max(self._arrival_s, self._network.now() + self._network.travel_s(self._pipe.quality()))
         if not self._pipe.is_cut():
             self._network.call_at(arrival_s, self.other.hang_up)
 
     def finish_later(self, reason: str) -> None:
-        """Closes this end; its handler is told in its own turn."""
+        """Close this end. The handler is called later, not from here."""
         self._closing = True
         self._network.call_at(self._network.now(), lambda: self._finish(reason))
 
     def _arrived(self) -> None:
         parts = self.on_the_way.popleft()
         if parts is self.coming:
-            self.coming_s = -1.0  # what is sent from now on comes later, even if at the same time
+            self.coming_s = -1.0  # bytes that are sent from now on come later, even if at the same time
         if self._closing or self._pipe.is_cut():
             return
         if self._handler is not None:

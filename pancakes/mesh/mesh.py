@@ -53,14 +53,14 @@ if TYPE_CHECKING:
 def why_lost(
     packet: Packet, own: str, sleeps: bool, asleep: Mapping[str, float], there: Sequence[str]
 ) -> PancakesError:
-    """Returns why a packet cannot go to its agent.
+    """Return the error for a packet that cannot go to its agent.
 
     Args:
         packet: the packet.
         own: the name of this agent.
         sleeps: whether its network sleeps.
         asleep: the peers that sleep, and for how many more seconds.
-        there: the peers that are linked.
+        there: the linked peers.
     """
     name = agent_of(packet.destination)
     what = f"the packet {packet.type!r} of {packet.source}"
@@ -75,13 +75,13 @@ def why_lost(
 
 
 MAX_HANDSHAKES: Final = 256
-"""Most incoming connections that are not links yet. One more replaces the oldest that has not said hello."""
+"""Most incoming connections that are not links yet. A further one replaces the oldest without a hello."""
 
 
 def handshake_to_end(sessions: Iterable[Session]) -> Session | None:
-    """Returns the connection that has to go for a new one, because it is the least likely to become a link.
+    """Return the connection that must end to make room for a new one: the least likely to become a link.
 
-    It is the oldest that has not said hello, or else the oldest of all. None: there is room.
+    It is the oldest that has not said hello, or else the oldest of all. None: there is room already.
 
     Args:
         sessions: all connections, the oldest first.
@@ -94,43 +94,44 @@ def handshake_to_end(sessions: Iterable[Session]) -> Session | None:
 
 
 DRAINED_S: Final = 5.0
-"""A link that drains is closed after this time, if the peer does not close it."""
+"""A draining link is closed after this time, if the peer does not close it."""
 TOGETHER: Final = 0.1
-"""Links are looked after this share of a heartbeat late, so that one wake-up of the thread serves many of them."""
+"""Links are checked up to this share of a heartbeat late, so that one wake-up of the thread serves many."""
 
 
 class Mesh:
     """The links of one agent.
 
-    All callbacks run in the transport's thread and must not block. `send`, `announce`, `learn`,
-    `redial`, `sleep`, `wake`, `stop` and everything that only asks may be called from any thread.
+    All callbacks run in the transport's thread and must not block. `send`, `announce`, `learn`, `redial`, `sleep`,
+    `wake`, `stop` and all methods that only return something may be called from any thread.
 
     Args:
         identity: name, journal, fleet and role of this agent.
         transport: how bytes travel.
         listen: addresses to listen at, the best first; none for a client.
         peers: addresses that are always dialled.
-        source: random numbers, for the spread of retries.
+        source: random numbers, which spread the retries.
         host_clock: the clock of hand-shakes and heartbeats.
         on_packets: takes (peer's name, packets, their bytes on the wire): all of one channel, type, source and
             destination, in their order.
-        on_unfit: takes (peer's name, packet, reason) of a packet that does not fit its type, or asks for too much.
+        on_unfit: takes (peer's name, packet, reason) for a packet that does not fit its type or exceeds a limit of
+            requests.
         on_peer_up: takes the peer's hello when a link is up.
-        on_peer_down: takes (name, reason, seconds it sleeps): None if it does not sleep on purpose, infinity
-            if it did not say for how long.
+        on_peer_down: takes (name, reason, seconds it sleeps): None if it does not sleep on purpose, infinity if it
+            gave no time.
         on_log: takes (level, text).
         defer: runs a function at the end of the calling actor's turn, in the same thread and even if the turn
             fails, or at once outside of one; so several packets of a turn leave with one system call.
-        gate: is asked about what is sent under a right.
+        gate: decides whether packets of guarded tasks may still leave.
         times: the times of links and membership.
-        access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
-        keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
-        timebase: returns what its mission time and time of day are; None: it is a terminal, which tells none.
-        links: the number of links that it keeps; it makes others while it has something to send. None: links to all.
+        access: the rights of its peers; None: it is a terminal, which takes packets of any source on any channel.
+        keys: the certificate of this agent or person, and the authorities that it trusts; None: no keys.
+        timebase: returns its mission time and time of day; None: it is a terminal, which sends none.
+        links: the number of links that it keeps; others are made while there is something to send. None: links to all.
 
     Attributes:
         clocks: the clocks of its peers.
-        near_only: why only this machine reaches it at addresses that were to reach further, each a clause.
+        near_only: for each address that only this machine reaches against intention, the reason as a clause.
     """
 
     def __init__(
@@ -167,7 +168,7 @@ class Mesh:
         self._own = identity.hello()
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
-        self._draining: dict[int, Session] = {}  # ended here, and still read until the peer acknowledges the goodbye
+        self._draining: dict[int, Session] = {}  # ended here, still read until the peer acknowledges the goodbye
         self._sending = Sending(self._lost, defer, self.seek)
         self._links = Links(self._sending.change)
         self._log = LinkLog(on_log, peers)
@@ -189,7 +190,7 @@ class Mesh:
         return self._own.listen
 
     def start(self) -> None:
-        """Listens, and begins to dial.
+        """Listen, and begin to dial.
 
         Raises:
             PancakesError: it cannot listen at one of its addresses; the sentence says why.
@@ -202,25 +203,25 @@ class Mesh:
         self._post(self._begin)
 
     def send(self, packet: Packet, retry: bool = False) -> int:
-        """Sends a packet to the agent in its destination, or to all neighbours if that is `*`.
+        """Send a packet to the agent in its destination; `*`: to all neighbours.
 
         Args:
             packet: what to send.
-            retry: whether it was sent before, so that it does not count as a mission packet again.
+            retry: whether it was sent before; it then does not count as a mission packet again.
 
         Returns:
-            To how many peers it was given. To neighbours that are too slow for it (destination `*`) it is not
-            given; that is counted and logged.
+            To how many peers it was given. Neighbours that are too slow for it (destination `*`) do not get it; that is
+                counted and logged.
 
         Raises:
-            LocalProtocolError: it cannot travel, or is too large.
+            LocalProtocolError: it cannot be encoded, or is too large.
             PeerLost: the agent is not connected; the sentence says whether it sleeps.
             PeerBusy: the agent is connected but too slow, and the channel may not lose packets.
         """
         return self._sending.send(packet, retry)
 
     def seek(self, agent: str) -> bool:
-        """Has a link made to an agent that is known and not linked; returns whether one is being made."""
+        """Have a link made to an agent that is known but not linked; return whether one is being made."""
         peers = self._peers
         if peers is None or self._state != "running" or not peers.knows(agent) or agent in peers.asleep(self._now()):
             return False
@@ -228,30 +229,30 @@ class Mesh:
         return True
 
     def announce(self) -> None:
-        """Tells peers the agents that are known here: the beacon of discovery. A mission packet to each."""
+        """Send each peer the beacon of discovery: which agents are known here. It counts as a mission packet."""
         self._post(self._beacon)
 
     def mission_changed(self) -> None:
-        """Tells all peers that the mission of this agent has begun."""
+        """Tell all peers that the mission of this agent has begun."""
         self._post(self.clocks.on_mission_changed)
 
     def learn(self, addresses: Sequence[str]) -> None:
-        """Dials these addresses as well, as if a peer had named them."""
+        """Dial these addresses as well, as if a peer had named them."""
         self._post(self._learn, tuple(addresses))
 
     def redial(self) -> None:
-        """Dials all known addresses now at which no agent is connected, instead of when their next attempt is due."""
+        """Dial all known addresses without a connected agent now, instead of at their next attempt."""
         self._post(self._redial)
 
     def sleep(self, for_s: float | None = None) -> None:
-        """Says goodbye for `for_s` seconds of host time (None: for a time unknown), and closes all links.
+        """Say goodbye for `for_s` seconds of host time (None: for an unknown time), and close all links.
 
-        An agent that dials in the meantime gets the same goodbye. It lasts until `wake`.
+        An agent that dials meanwhile gets the same goodbye. The sleep lasts until `wake`.
         """
         self._post(self._sleep, for_s)
 
     def wake(self) -> None:
-        """Dials again after `sleep`."""
+        """Dial again after `sleep`."""
         self._post(self._wake)
 
     def reload_keys(self, dry_run: bool = False) -> bool:
@@ -264,27 +265,27 @@ class Mesh:
         return self._trust.roster_fault
 
     def stop(self) -> None:
-        """Says goodbye for good, and closes all links. Close the transport afterwards."""
+        """Say goodbye for good, and close all links. Close the transport afterwards."""
         self._post(self._stop)
 
     def neighbours(self) -> list[str]:
-        """Returns the names of the connected peers in the role `agent`, sorted."""
+        """Return the names of the connected peers in the role `agent`, sorted."""
         return [session.peer for session in self._links.neighbours()]
 
     def connected(self) -> Mapping[str, Hello]:
-        """Returns what all connected peers said about themselves, by name, in the order of their names."""
+        """Return what all connected peers said about themselves, by name, in the order of their names."""
         return self._links.connected()
 
     def rtt_s(self, peer: str) -> float | None:
-        """Returns the smoothed round trip time to a peer, or None if there is none yet."""
+        """Return the smoothed round trip time to a peer, or None if it is not known yet."""
         return self._links.rtt_s(peer)
 
     def mission_packets_sent(self) -> int:
-        """Returns how many packets and announcements went out, one for each peer; no heartbeats, no retries."""
+        """Return how many packets and announcements went out, one for each peer; no heartbeats, no retries."""
         return self._links.mission_packets_sent()
 
     def describe(self) -> dict[str, Any]:
-        """Returns the state of the mesh as plain values, for the command line."""
+        """Return the state of the mesh as plain values, for the command line."""
         now_s = self._now()
         asleep = self._peers.asleep(now_s) if self._peers is not None else {}
         return {
@@ -303,7 +304,7 @@ class Mesh:
         }
 
     def links(self) -> list[dict[str, Any]]:
-        """Returns the state of the links that stand, by the names of the peers. Any thread."""
+        """Return the state of the links that are up, by the names of their peers. Any thread."""
         facts, clock = self._transport.facts, self.clocks.describe
         return [{**row, **facts(row["remote"]).plain(), "clock": clock(row["name"])} for row in self._links.describe()]
 
@@ -312,12 +313,12 @@ class Mesh:
         return self._peers.book.are_awaited() if self._peers is not None else bool(self._static)
 
     def _lost(self, packet: Packet) -> PancakesError:
-        """Returns why a packet cannot go to its agent."""
+        """Return the error for a packet that cannot go to its agent."""
         asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
         return why_lost(packet, self.identity.name, self._state == "asleep", asleep, [it.peer for it in self._links])
 
     def _post(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Runs a function in the transport's thread."""
+        """Run a function in the transport's thread."""
         self._transport.call_later(0.0, partial(function, *arguments))
 
     # In the transport's thread from here on
@@ -327,7 +328,7 @@ class Mesh:
             return
         times, ways = self._times, (self._transport.may_be_named, self._transport.reach)
         self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, *ways, self._few)
-        self._state = "running"  # from now on `describe` has all that is known
+        self._state = "running"  # from now on `describe` is complete
         self._trust.begin()
         self._run_peers()
 
@@ -338,7 +339,7 @@ class Mesh:
     def _seek(self, agent: str) -> None:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.seek(agent, self._now()))
-        else:  # it went to sleep just now
+        else:  # it has just gone to sleep
             self._log.given_up(agent, self._sending.give_up(agent))
 
     def _redial(self) -> None:
@@ -397,7 +398,7 @@ class Mesh:
 
     def session_opened(self, session: Session) -> None:
         """See `Owner`."""
-        if session.number not in self._sessions:  # given up while it was being dialled
+        if session.number not in self._sessions:  # ended while it was being dialled
             session.end("it is no longer wanted")
             return
         now_s = self._now()
@@ -419,7 +420,7 @@ class Mesh:
             return
         was_up = session.is_up
         actions = session.link.receive(data, now_s)
-        # If all sessions are up, as most of the time, there is none that this link could make needless.
+        # If all sessions are up, as most of the time, this link cannot make another one needless.
         if was_up and self._peers is not None and len(self._sessions) > len(self._links):
             rivals = self._peers.on_bytes(session.number)
             if rivals:
@@ -433,10 +434,10 @@ class Mesh:
         self._end_draining(session, reason)
 
     def _act(self, session: Session, actions: Sequence[Action]) -> None:
-        """Carries out what a link asks for."""
+        """Execute the actions of a link."""
         for action in actions:
             if session.number not in self._sessions or self._peers is None:
-                return  # an action before ended it
+                return  # an earlier action ended it
             if isinstance(action, PacketsReceived):
                 self._deliver(session, action)
             elif isinstance(action, SendMessage):
@@ -456,7 +457,7 @@ class Mesh:
                 self._over(session, action)
 
     def _deliver(self, session: Session, came: PacketsReceived) -> None:
-        """Passes on packets, which have one head, if the peer may send them."""
+        """Pass on packets with one head, if the peer may send them."""
         first, number = came.packets[0], len(came.packets)
         session.counters.packets_in += number
         if not self._may_send(session, first, number):
@@ -468,25 +469,25 @@ class Mesh:
             self._log.attempt(self._on_packets, session.peer, came.packets, came.size)
 
     def _deliver_unfit(self, session: Session, came: Unfit) -> None:
-        """Passes on a packet whose body does not fit its type."""
+        """Pass on a packet whose body does not fit its type."""
         session.counters.packets_in += 1
         if self._may_send(session, came.packet, 1):
             self._log.attempt(self._on_unfit, session.peer, came.packet, came.reason)
 
     def _may_send(self, session: Session, first: Packet, number: int) -> bool:
-        """Returns whether the peer may send packets of this head; otherwise they are dropped, and logged."""
+        """Return whether the peer may send packets with this head; if not, count and log them."""
         if not (fault := self._trust.fault_of_packet(session, first)):
             return True
         self._log.false_source(session, fault, number, self._now())
         return False
 
     def _end_draining(self, session: Session, reason: str) -> None:
-        """Closes the connection of a link that drains; any other is left open."""
+        """Close the connection of a draining link; leave any other open."""
         if self._draining.pop(session.number, None) is not None:
             session.end(reason)
 
     def _on_news(self, session: Session, news: LinkNews, peers: Peers) -> None:
-        """Takes what a peer tells about the fleet."""
+        """Take news of the fleet from a peer."""
         if isinstance(news, Gossip):
             self._carry_out(peers.on_gossip(news.agents, self._now(), session.peer, session.remote))
         elif isinstance(news, Timebase):
@@ -511,7 +512,7 @@ class Mesh:
         self._watch(session)  # from now on it sends heartbeats
 
     def _refuse(self, session: Session, code: Refusal, reason: str, told: str = "") -> None:
-        """Ends a link, if it has not ended, and tells the peer why; `told`: see `Link.refuse`."""
+        """End a link, if it has not ended, and tell the peer why; `told`: see `Link.refuse`."""
         if session.link is None:
             self._over(session, Over(reason))
         elif session.number in self._sessions:
@@ -553,7 +554,7 @@ class Mesh:
             self._carry_out(decisions)
 
     def _carry_out(self, decisions: Sequence[Decision]) -> None:
-        """Carries out what membership asks for."""
+        """Execute the decisions of membership."""
         for decision in decisions:
             if isinstance(decision, Dial):
                 session = Session(self, decision.link, decision.address, self._now, self._gate)
@@ -578,7 +579,7 @@ class Mesh:
         self._arm()
 
     def _arm(self) -> None:
-        """Sees to it that `_run_peers` runs when membership has something to do."""
+        """Set the alarm for `_run_peers` to when membership has something to do."""
         due_s = self._peers.due_s() if self._peers is not None and self._state == "running" else math.inf
         self._peers_alarm.set(due_s)
 
@@ -591,14 +592,14 @@ class Mesh:
             self._act(session, session.link.tell(message, self._now()))
 
     def _watch(self, session: Session) -> None:
-        """Makes sure that a link is looked after when its next heartbeat or time-out is due."""
+        """Set the alarm so that a link is checked when its next heartbeat or time-out is due."""
         if session.link is not None and session.number in self._sessions:
             session.due_s = session.link.due_s()
             if session.due_s < self._links_alarm.due_s:
                 self._links_alarm.set(session.due_s)
 
     def _tick_links(self) -> None:
-        self._links_alarm.due_s = -math.inf  # not to be set for each link
+        self._links_alarm.due_s = -math.inf  # so that it is not set for each link
         now_s = self._now()
         try:
             for session in list(self._sessions.values()):
@@ -608,13 +609,13 @@ class Mesh:
             self._links_alarm.set(min([session.due_s for session in self._sessions.values()], default=math.inf))
 
     def _tick_link(self, session: Session, now_s: float) -> None:
-        """Sends a heartbeat that is due, and ends a link whose peer takes no more bytes."""
+        """Send a heartbeat that is due, and end a link whose peer takes no more bytes."""
         link = session.link
         if link is None or session.number not in self._sessions:
             return
         if session.is_up:
             if session.stuck_s(now_s) >= (limit_s := self._times.stuck_s):
-                self._over(session, Over(f"{session.peer} took nothing for {limit_s:g} s of what waits for it"))
+                self._over(session, Over(f"{session.peer} took none of the waiting bytes for {limit_s:g} s"))
                 return
             session.quiet_s(now_s)
             if session.counters.dropped:

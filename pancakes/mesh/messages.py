@@ -24,40 +24,40 @@ HELLO_NUMBER: Final = 1
 """First element of a `Hello`; the version follows it in every version of the protocol, past and to come."""
 
 Role = Literal["agent", "environment", "client"]
-"""`agent` may host tasks; `environment` is a simulated world, never asked to; `client` is a terminal, never counted."""
+"""`agent` may host tasks; `environment` is a simulated world, and never does; `client` is a terminal, not an agent."""
 
 Refusal = Literal["version", "fleet", "name", "self", "old", "duplicate", "full", "protocol"]
-"""Why a link was refused, for programs; the sentence beside it is for people.
+"""Why a link was refused, for programs. A sentence for people goes with it.
 
-`version`, `fleet`: other than ours. `name`: taken by another agent. `self`: we dialled ourselves. `old`: a later
-boot of that agent is connected. `duplicate`: another connection to that agent stays. `full`: no room for more
-peers. `protocol`: the peer broke the protocol.
+`version`, `fleet`: different from ours. `name`: another agent has it. `self`: we dialled ourselves. `old`: a later boot
+of that agent is connected. `duplicate`: another connection to that agent stays. `full`: no room for more peers.
+`protocol`: the peer broke the protocol.
 """
 
 MOST_LISTEN: Final = 8
 """Most addresses at which one agent listens."""
 
 Name = Annotated[str, msgspec.Meta(max_length=256)]
-"""Of an agent or a fleet; `fault_of_hello` checks its letters."""
+"""The name of an agent or a fleet; `fault_of_hello` checks its characters."""
 Address = Annotated[str, msgspec.Meta(max_length=256)]
 Sentence = Annotated[str, msgspec.Meta(max_length=1000)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
-"""On a clock, in seconds."""
+"""A time on a clock, in seconds."""
 
 
 class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
-    """The first message on a link, from both sides, first from the one that dialled: what its sender is.
+    """The first message on a link, from both sides, first from the one that dialled: who the sender is.
 
     Attributes:
         version: version of the wire protocol.
         fleet: agents of different fleets do not talk.
         name: the agent's name, the first part of all its addresses.
         role: what it may be asked for.
-        journal: UUID of its journal; two agents of one name are told apart by it.
+        journal: UUID of its journal; it distinguishes two agents of one name.
         boot: how often that journal was opened; a higher one is a later life of the same agent.
         listen: the addresses at which the receiver can dial it, the best first.
-        life: drawn again at each opening of the journal: of one boot there are two where the journal was copied.
+        life: drawn at each opening of the journal: if the journal was copied, one boot has two lives.
     """
 
     version: int
@@ -71,13 +71,13 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
 
 
 def fault_of_hello(hello: Hello) -> str:
-    """Returns why a hello cannot be taken, as a sentence; empty if it can."""
+    """Return why a hello is not valid, as a sentence; empty if it is."""
     fault = fault_of_name(hello.name, client=hello.role == "client") or fault_of_name(hello.fleet)
     return fault or next(filter(None, map(fault_of_address, hello.listen)), "")
 
 
 def fault_of_address(address: str) -> str:
-    """Returns why something cannot be an address at which an agent listens, as a sentence; empty if it can."""
+    """Return why a text is not an address at which an agent can listen, as a sentence; empty if it is."""
     try:
         parse_address(address)
     except ValueError:
@@ -86,7 +86,7 @@ def fault_of_address(address: str) -> str:
 
 
 class Welcome(msgspec.Struct, frozen=True, array_like=True, tag=2):
-    """Sent by the lower name, on one connection to a peer at a time: this is the one that stays."""
+    """Sent by the agent with the lower name, on one connection at a time: the one that stays."""
 
 
 class RefuseLink(msgspec.Struct, frozen=True, array_like=True, tag=3):
@@ -106,8 +106,8 @@ class Pong(msgspec.Struct, frozen=True, array_like=True, tag=5):
     """The answer to a ping.
 
     Attributes:
-        token: the ping's.
-        at_s: when it was answered, in the sender's host time. It comes and is answered at one moment, which stands for
+        at_s: when it was answered, in the sender's host time. A ping is answered the moment it comes, so this is both
+            the second and the third of NTP's four times.
             the second and third of NTP's four.
     """
 
@@ -119,10 +119,10 @@ class Goodbye(msgspec.Struct, frozen=True, array_like=True, tag=6):
     """The last message of an agent that leaves on purpose.
 
     Attributes:
-        why: it will `sleep` (and is not to be counted as dead), or it will `stop`; or it goes on, and the link alone
-            will `rest`, because it is one too many and not used.
-        for_s: how long it sleeps, in seconds of host time; None if it does not know. Of a link that rests: so long
-            it is not dialled again unless there is something to say.
+        why: it will `sleep` (and does not count as dead), or it will `stop`; or only the link will `rest`, because it
+            is surplus and not used.
+        for_s: how long it sleeps, in seconds of host time; None: unknown. Of a link that rests: for how long it is not
+            dialled again unless there is something to send.
     """
 
     why: Literal["sleep", "stop", "rest"]
@@ -130,12 +130,12 @@ class Goodbye(msgspec.Struct, frozen=True, array_like=True, tag=6):
 
 
 class AgentSeen(msgspec.Struct, frozen=True, array_like=True):
-    """An agent that the sender of gossip knows of.
+    """An agent that the sender of gossip knows.
 
     Attributes:
         name: the agent's name.
         address: where the receiver can dial it.
-        age_s: how long ago it was there, in seconds of host time; 0: the sender is connected to it.
+        age_s: how long ago it was last connected, in seconds of host time; 0: the sender is connected to it.
     """
 
     name: Name
@@ -150,13 +150,13 @@ class Gossip(msgspec.Struct, frozen=True, array_like=True, tag=7):
 
 
 def fault_of_gossip(gossip: Gossip) -> str:
-    """Returns why gossip cannot be taken, as a sentence; empty if it can."""
+    """Return why gossip is not valid, as a sentence; empty if it is."""
     faults = (fault_of_name(it.name) or fault_of_address(it.address) for it in gossip.agents)
     return next(filter(None, faults), "")
 
 
 class RosterNumber(msgspec.Struct, frozen=True, array_like=True, tag=8):
-    """Which roster the sender knows (`pancakes.security.roster`); one that knows a higher one gives it.
+    """The number of the sender's roster (`pancakes.security.roster`); a peer with a higher one sends its own.
 
     Attributes:
         number: its number; 0: none.
@@ -166,22 +166,22 @@ class RosterNumber(msgspec.Struct, frozen=True, array_like=True, tag=8):
 
 
 class RosterText(msgspec.Struct, frozen=True, array_like=True, tag=9):
-    """A roster, as its authority has signed it."""
+    """A roster, as its authority signed it."""
 
     text: Annotated[bytes, msgspec.Meta(max_length=128 * 1024)]
 
 
 LinkNews = Gossip | RosterNumber | RosterText | Timebase
-"""What a peer is told about the fleet and about its sender, once the link is up."""
+"""News of the fleet and of the sender, once the link is up."""
 
 LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | LinkNews
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """What an agent is, for its links; see `Hello` for the attributes.
+    """The identity of an agent, for its links; see `Hello` for the attributes.
 
     Attributes:
-        copy: which copy of its journal it has; empty: the original. Its hello does not tell that.
+        copy: which copy of its journal it has; empty: the original. Not part of the hello.
     """
 
     name: str
@@ -193,10 +193,10 @@ class Identity(msgspec.Struct, frozen=True):
     copy: str = ""
 
     def hello(self, listen: Sequence[str] = ()) -> Hello:
-        """Returns the hello of this agent, which can be dialled at the addresses of `listen`.
+        """Return the hello of this agent, which listens at the addresses in `listen`.
 
         Raises:
-            LocalProtocolError: a part is not what it must be, such as a name with a slash.
+            LocalProtocolError: a part is not valid, such as a name with a slash.
         """
         row = [
             HELLO_NUMBER,

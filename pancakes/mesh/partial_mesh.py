@@ -17,33 +17,33 @@ import msgspec
 MOST_KNOWN: Final = 4096
 """At most this many agents are known, ..."""
 MOST_OF_PEER: Final = 1024
-"""... and this many that only one peer has named, and to which there was no link."""
+"""... and this many that only one peer has named, and that never had a link."""
 FRESH_S: Final = 120.0
-"""An agent of which nothing was heard for this time is named to no peer, and is not dialled unasked."""
+"""An agent that was not heard of for this time is not named to peers, and is dialled only if needed."""
 FORGOTTEN_S: Final = 600.0
 """It is forgotten after this time."""
 LOOK_S: Final = 3.0
 """How often the number of links is checked."""
 SOON_S: Final = 0.2
-"""If links are missing and nothing more was known, it is looked so soon after an agent was heard of: peers tell of
-many at once, and the links are drawn from all of them."""
+"""If links are missing and no further agent was known, links are checked this soon after an agent was heard of: peers
+name many at once, and the links are drawn from all of them."""
 LATE_S: Final = 2.0
-"""A link that takes longer to be made counts as missing at the next look: the agent may be dead, and another one is
-drawn as well."""
+"""A link that takes longer to be made counts as missing at the next check: the agent may be dead, so another one is
+drawn too."""
 MADE_S: Final = 10.0
 """How long a link may take to be made; packets for the agent wait that long."""
 AVOIDED_S: Final = 60.0
-"""An agent to which no link could be made is not dialled unasked for this time."""
+"""An agent to which no link could be made is dialled only if needed for this time."""
 MANY: Final = 2
-"""Links end if there are so many times more than are to be kept: else the other agent has too few, and makes one to
-a third, which has too many then."""
+"""Links end if there are this many times more than should be kept. If fewer ended, the other agent would have too few,
+and make one to a third, which would then have too many."""
 REST_S: Final = 30.0
-"""Surplus links end if no packet has gone over them for this time."""
+"""Surplus links end if they carried no packet for this time."""
 WALK_S: Final = 300.0
-"""How often a link to another agent is made unasked, so that two halves of a fleet that were parted meet again."""
+"""How often a link to a further agent is made, so that two halves of a parted fleet meet again."""
 
 Sighting = tuple[str, tuple[str, ...], float]
-"""An agent to tell others of: its name, the addresses at which it can be dialled, and how long ago it was there."""
+"""An agent to name to others: its name, its addresses, and how long ago it was connected."""
 
 
 class MakeLink(msgspec.Struct, frozen=True):
@@ -54,13 +54,13 @@ class MakeLink(msgspec.Struct, frozen=True):
 
 
 class EndLink(msgspec.Struct, frozen=True):
-    """End the link to an agent, as it is one too many and not used."""
+    """End the link to an agent: it is surplus and not used."""
 
     name: str
 
 
 class DropWaiting(msgspec.Struct, frozen=True):
-    """No link to an agent came to stand: what waits for it is lost."""
+    """Drop what waits for an agent: no link to it was made."""
 
     name: str
     listen: tuple[str, ...]
@@ -73,8 +73,8 @@ class LinkUse(msgspec.Struct, frozen=True):
     """How a link is used.
 
     Attributes:
-        may_end: whether it is this agent's to end: it has dialled it, and not because the configuration says so.
-        quiet_s: for how long no packet has gone over it.
+        may_end: whether this agent may end it: it dialled it, and not because the configuration names the address.
+        quiet_s: for how long it carried no packet.
     """
 
     may_end: bool
@@ -84,15 +84,15 @@ class LinkUse(msgspec.Struct, frozen=True):
 class _HeardOf(msgspec.Struct):
     listen: tuple[str, ...]
     heard_s: float
-    by: str = ""  # the peer that told of it first; empty: it is linked, or was
+    by: str = ""  # the peer that named it first; empty: it is or was linked
 
 
 class FewLinks:
-    """Decides which links there are.
+    """Decide which links to make and to end.
 
     Args:
         most: how many links to agents it keeps, if there are that many agents.
-        source: random numbers, which draw the agents: so that all links of a fleet together join all of it.
+        source: random numbers, which choose the agents, so that the links of all agents connect the whole fleet.
         now_s: host time.
     """
 
@@ -102,26 +102,26 @@ class FewLinks:
         self._known: dict[str, _HeardOf] = {}
         self._wanted: dict[str, float] = {}  # the agents to which links are being made, and until when
         self._avoided: dict[str, float] = {}  # the agents that are not dialled unasked, and until when
-        self._told_by: Counter[str] = Counter()  # of how many of those that are known each peer has told
+        self._told_by: Counter[str] = Counter()  # how many of the known agents each peer has named
         self._to_tell: list[str] = []
         self._forgets_s = now_s + FORGOTTEN_S / 10
         self._walks_s = now_s + source.uniform(0.0, WALK_S)
-        self._lacks = True  # links are missing, and there was no agent left to make one to
+        self._lacks = True  # links are missing, and no agent is left to link to
         self.due_s = now_s
 
     def describe(self) -> dict[str, int]:
-        """Returns how many links it keeps, and how many agents it knows. Any thread."""
+        """Return how many links it keeps and how many agents it knows. Any thread."""
         return {"links": self._most, "known": len(self._known)}
 
     def on_sighting(self, name: str, listen: Sequence[str], age_s: float, now_s: float, by: str = "") -> None:
-        """An agent was heard of.
+        """Note that an agent was heard of.
 
         Args:
             name: the agent.
             listen: the addresses at which it can be dialled here.
-            age_s: how long ago it was there; 0: it is linked to this agent, or says so itself.
+            age_s: how long ago it was connected; 0: it is linked to this agent, or named itself.
             now_s: host time.
-            by: the peer that tells of it; empty: it is linked to this agent.
+            by: the peer that named it; empty: it is linked to this agent.
         """
         known, heard_s = self._known.get(name), now_s - age_s
         if known is not None and known.heard_s >= heard_s:
@@ -135,20 +135,20 @@ class FewLinks:
                 self.due_s = min(self.due_s, now_s + SOON_S)
 
     def knows(self, name: str) -> bool:
-        """Returns whether it knows where an agent can be dialled. Any thread."""
+        """Return whether it knows where an agent can be dialled. Any thread."""
         return name in self._known
 
     def wants(self, name: str) -> bool:
-        """Returns whether it has a link to an agent made."""
+        """Return whether a link to an agent is being made."""
         return name in self._wanted
 
     def fresh(self, now_s: float) -> list[Sighting]:
-        """Returns all agents to tell others of, by name."""
+        """Return all agents to name to others, by name."""
         ages = ((name, it.listen, max(0.0, now_s - it.heard_s)) for name, it in sorted(self._known.items()))
         return [row for row in ages if row[2] < FRESH_S]
 
     def some(self, count: int, now_s: float) -> list[Sighting]:
-        """Returns the next of all agents to tell others of, at most so many; each comes in its turn."""
+        """Return the next agents to name to others, at most `count`; all take turns."""
         if not self._to_tell:
             self._to_tell = list(self._known)
         names, self._to_tell = self._to_tell[-count:], self._to_tell[:-count]
@@ -156,17 +156,17 @@ class FewLinks:
         return [(name, it.listen, now_s - it.heard_s) for name, it in found if now_s - it.heard_s < FRESH_S]
 
     def seek(self, name: str, now_s: float) -> list[FewDecision]:
-        """There is something for an agent to which there may be no link."""
-        if name not in self._known:  # it was forgotten just now
+        """Note that there is something to send to an agent; return the decision to link to it, if any."""
+        if name not in self._known:  # it has just been forgotten
             return [DropWaiting(name, ())]
         return [self._make(name, now_s)] if name not in self._wanted else []
 
     def on_link_up(self, name: str) -> None:
-        """A link to an agent is up. If it ends soon, another one is made for what comes then."""
+        """Note that a link to an agent is up. If it ends soon, another one is made when needed."""
         self._wanted.pop(name, None)
 
     def tick(self, now_s: float, linked: Mapping[str, LinkUse]) -> list[FewDecision]:
-        """Looks at all links.
+        """Check all links; return what to make and to end.
 
         Args:
             now_s: host time.

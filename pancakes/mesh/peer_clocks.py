@@ -1,7 +1,7 @@
 """Keep the clocks of all peers of an agent, and tell each peer the clocks of this one.
 
-It runs in the transport's thread; `clock_of`, `describe` and `missions` may be called from any thread. What is known
-of a peer outlasts its link. The estimates themselves are in `pancakes.mesh.clock_sync`.
+It runs in the transport's thread; `clock_of`, `describe` and `missions` may be called from any thread. What is known of
+a peer outlives its link. The estimates themselves are in `pancakes.mesh.clock_sync`.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from pancakes.mesh.session import Session
 from pancakes.util.timebase import Timebase
 
 DAY_STEP_S: Final = 0.01
-"""A time of day that was set by less is not told again."""
+"""A change of the time of day by less than this is not sent."""
 MOST_REMEMBERED: Final = 512
-"""At most this many peers' clocks are known, also of peers whose links have ended."""
+"""At most this many peers' clocks are kept, including those of peers whose links have ended."""
 
 
 class _PeerKnown(msgspec.Struct):
     """What is known of one peer.
 
     Attributes:
-        life: its journal and boot: another life has another mission, and may have another clock.
+        life: its journal and boot: another life has another mission and perhaps another clock.
         estimate: of its host clock.
-        timebase: what it told last; None: nothing yet.
+        timebase: its last message about its clocks; None: none yet.
     """
 
     life: tuple[str, int, str]
@@ -38,13 +38,13 @@ class _PeerKnown(msgspec.Struct):
 
 
 class PeerClocks:
-    """The clocks of one agent's peers. In the transport's thread, but for what is said to be for any.
+    """The clocks of one agent's peers. In the transport's thread, except methods marked "any thread".
 
-    What is known of a peer outlasts its link, and gets worse with time; of one that comes back in the same life it is
-    known at once.
+    What is known of a peer outlives its link, and gets less precise with time. If the peer comes back in the same life,
+    it is used again at once.
 
     Args:
-        own: returns what the agent's own mission time and time of day are; None: this is a terminal, which has none.
+        own: returns the agent's own mission time and time of day; None: this is a terminal, which has none.
         now: the host clock.
         links: the links of the agent.
         tell: sends a message over a link.
@@ -65,11 +65,11 @@ class PeerClocks:
         self._clocks: dict[str, PeerClock] = {}
 
     def clock_of(self, peer: str) -> PeerClock | None:
-        """Returns what is known of a peer's clocks; None: nothing. Any thread."""
+        """Return what is known of a peer's clocks; None: nothing. Any thread."""
         return self._clocks.get(peer)
 
     def describe(self, peer: str) -> dict[str, Any] | None:
-        """Returns how a peer's clocks stand to one's own, as plain values; None: nothing is known. Any thread."""
+        """Compare a peer's clocks with one's own, as plain values; None: nothing is known. Any thread."""
         clock, own, now_s = self._clocks.get(peer), self._own, self._now()
         if clock is None or own is None:
             return None
@@ -88,9 +88,9 @@ class PeerClocks:
         }
 
     def missions(self, may_say: Callable[[str], bool]) -> tuple[tuple[PeerMission, ...], bool]:
-        """Returns the missions that run on linked agents that may say so, and whether of one it is not known yet.
+        """Return the missions of the linked agents that may tell theirs, and whether one is not known yet.
 
-        Any thread. Terminals have no mission of the fleet's.
+        Any thread. Terminals do not take part in the mission.
         """
         found, unknown, now_s = [], False, self._now()
         for session in self._links:
@@ -105,7 +105,7 @@ class PeerClocks:
         return tuple(found), unknown
 
     def on_link_up(self, session: Session) -> None:
-        """A link is up."""
+        """Note that a link is up."""
         hello = session.hello
         assert hello is not None
         life = (hello.journal, hello.boot, hello.life)
@@ -119,21 +119,21 @@ class PeerClocks:
         self._tell_own(session)
 
     def on_link_ended(self, session: Session) -> None:
-        """A link has ended."""
-        if session.role == "client":  # they come under ever new names
+        """Note that a link has ended."""
+        if session.role == "client":  # each has a new name
             self._forget(session.peer)
         elif (known := self._known.get(session.peer)) is not None:
             known.estimate.rest()
 
     def on_mission_changed(self) -> None:
-        """The agent's own mission has begun."""
+        """Tell all peers that the agent's own mission has begun."""
         for session in self._links:
             self._tell_own(session)
 
     def on_answer(self, session: Session, what: Measured | Timebase) -> None:
-        """A peer has answered a ping, or tells of its clocks."""
+        """Take a peer's answer to a ping, or its message about its clocks."""
         known = self._known.get(session.peer)
-        if known is None or not session.is_up:  # before the link is up it is not known whose clock that is
+        if known is None or not session.is_up:  # before the link is up, its owner is not known
             return
         if isinstance(what, Timebase):
             known.timebase = what
@@ -145,7 +145,7 @@ class PeerClocks:
             self._clocks[session.peer] = PeerClock(known.estimate.found, known.timebase)
 
     def _tell_own(self, session: Session) -> None:
-        """Tells a peer this agent's clocks, if it does not know their present values."""
+        """Send a peer this agent's clocks, unless it has their present values."""
         if self._own is None:
             return
         own, told = self._own(), session.told_timebase

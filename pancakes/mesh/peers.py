@@ -34,7 +34,7 @@ class Dial(msgspec.Struct, frozen=True):
 
 
 class Admit(msgspec.Struct, frozen=True):
-    """`link` is the one that stays: say so to the peer."""
+    """Tell the peer that `link` is the one that stays."""
 
     link: int
 
@@ -48,7 +48,7 @@ class TurnDown(msgspec.Struct, frozen=True):
 
 
 class Rest(msgspec.Struct, frozen=True):
-    """End `link`, which is up: the agent stays, and may be dialled again when there is something to send."""
+    """End `link`, which is up. The agent is not gone: it is dialled again when there is something to send."""
 
     link: int
 
@@ -61,7 +61,7 @@ MAX_LEARNT: Final = 512
 MOST_OF_PEER: Final = 16
 """Most addresses that one peer has named and at which no agent is connected."""
 FORGET_AFTER: Final = 20
-"""A learnt address is forgotten after this many failures in a row; the longest wait is reached at the eighth."""
+"""A learnt address is forgotten after this many failures in a row; the longest wait comes at the eighth."""
 
 RESTS_S: Final = 600.0
 """A static address whose agent has ended a surplus link is dialled again after this time."""
@@ -73,21 +73,21 @@ class KnownAddress(msgspec.Struct):
     static: bool
     due_s: float
     name: str = ""  # of the agent that was last met there
-    link: int | None = None  # of the dial under way, until a peer said hello there, or it failed
+    link: int | None = None  # of the dial that is in progress, until a peer says hello there or it fails
     failures: int = 0
-    ours: bool = False  # it is this agent's own
-    refused: str = ""  # why the agent there will not have us, in its words
-    rests: bool = False  # the link to its agent has ended as one too many
-    by: str = ""  # the peer that named it; empty: the configuration, or a person
+    ours: bool = False  # whether it is this agent's own
+    refused: str = ""  # why the agent there refuses us, in its words
+    rests: bool = False  # whether the link to its agent has ended as surplus
+    by: str = ""  # the peer that named it; empty: the configuration or a person
 
 
 class AddressBook:
     """The addresses that an agent knows.
 
     Args:
-        own: the addresses at which it listens itself, which are none to dial.
+        own: the addresses at which it listens itself, which are not dialled.
         static: addresses that are always dialled.
-        source: random numbers for the spread of retries.
+        source: random numbers, which spread the retries.
         times: the times of membership.
         now_s: host time.
         is_up: returns whether the agent of a name is connected.
@@ -110,7 +110,7 @@ class AddressBook:
         self._is_up = is_up
         self._may_be_named = may_be_named
         self._known = {address: KnownAddress(True, now_s) for address in static if address not in own}
-        self._learnt = 0  # of those that are known
+        self._learnt = 0  # the number of learnt addresses
 
     def __contains__(self, address: str) -> bool:
         """Whether an address is known."""
@@ -121,15 +121,15 @@ class AddressBook:
         return self._known[address]
 
     def get(self, address: str) -> KnownAddress | None:
-        """Returns what is known of an address; None: nothing."""
+        """Return what is known of an address; None: nothing."""
         return self._known.get(address)
 
     def items(self) -> ItemsView[str, KnownAddress]:
-        """Returns all addresses, and what is known of each."""
+        """Return all addresses, and what is known of each."""
         return self._known.items()
 
     def describe(self) -> list[dict[str, Any]]:
-        """Returns each address with what is known of it, as plain values. Any thread."""
+        """Return each address with what is known of it, as plain values. Any thread."""
         return [
             {
                 "address": address,
@@ -144,18 +144,18 @@ class AddressBook:
         ]
 
     def are_awaited(self) -> bool:
-        """Returns whether a static address has no agent yet, and no dial to it has failed. Any thread."""
+        """Return whether a static address has no agent yet, and no dial to it has failed. Any thread."""
         known = list(self._known.values())
         return any(it.static and not (it.ours or it.failures or it.refused or self._is_up(it.name)) for it in known)
 
     def learn(self, address: str, now_s: float, name: str = "", by: str = "") -> bool:
-        """Writes an address down that a peer has named; returns whether it is a new one.
+        """Add an address that a peer named; return whether it is new.
 
         Args:
             address: the address.
             now_s: host time.
-            name: the agent that listens there, if it has said so itself.
-            by: the peer that named it; empty: a person did.
+            name: the agent that listens there, if the agent itself said so.
+            by: the peer that named it; empty: a person.
         """
         it = self._known.get(address)
         is_new = it is None
@@ -166,17 +166,17 @@ class AddressBook:
                 return False
             it = self._known[address] = KnownAddress(False, now_s, by=by)
             self._learnt += 1
-        if not it.static:  # whose name is that of the agent that we have met there
+        if not it.static:  # a static one has the name of the agent that was met there
             it.name = name or it.name
         return is_new
 
     def failed(self, address: str, now_s: float, hopeless: bool) -> None:
-        """A dial has failed.
+        """Note that a dial has failed.
 
         Args:
             address: what was dialled.
             now_s: host time.
-            hopeless: whether the next one would fail as well, as far as can be known.
+            hopeless: whether the next one would probably fail as well.
         """
         it = self._known[address]
         it.failures += 1
@@ -189,7 +189,7 @@ class AddressBook:
             self.retry(it, now_s)
 
     def forget(self, address: str) -> None:
-        """Forgets a learnt address, once it is not being dialled."""
+        """Forget a learnt address, once it is not being dialled."""
         it = self._known.get(address)
         if it is None or it.static:
             return
@@ -200,7 +200,7 @@ class AddressBook:
             self._learnt -= 1
 
     def rest(self, address: str, now_s: float) -> None:
-        """The agent there is not to be dialled for a while: forgets an address that was learnt."""
+        """Do not dial the agent there for a while; a learnt address is forgotten."""
         it = self._known[address]
         if it.static:
             it.failures, it.due_s, it.rests = 0, now_s + RESTS_S, True
@@ -208,27 +208,27 @@ class AddressBook:
             self.forget(address)
 
     def retry(self, it: KnownAddress, now_s: float) -> None:
-        """Puts the next dial off by a random time with a doubling bound: full jitter."""
+        """Delay the next dial by a random time with a doubling bound: full jitter."""
         doublings = min(max(it.failures - 1, 0), 30)
         bound_s = min(self._times.retry_first_s * 2**doublings, self._times.retry_longest_s)
         it.due_s = now_s + self._random.uniform(0.0, bound_s)
 
     def make_due(self, address: str, now_s: float) -> None:
-        """Makes an address due now, if it is known."""
+        """Make an address due now, if it is known."""
         if (it := self._known.get(address)) is not None:
             it.due_s = min(it.due_s, now_s)
 
     def all_due(self, now_s: float) -> None:
-        """Makes all addresses due now."""
+        """Make all addresses due now."""
         for it in self._known.values():
             it.failures, it.due_s = 0, now_s
 
     def is_wanted(self, it: KnownAddress) -> bool:
-        """Returns whether an address should be dialled when it is due."""
+        """Return whether an address should be dialled when it is due."""
         return it.link is None and not self._is_up(it.name) and it.due_s != math.inf
 
     def _unmet(self, peer: str) -> int:
-        """Returns at how many addresses that a peer has named no agent is connected."""
+        """Return how many addresses that a peer named have no connected agent."""
         return sum(it.by == peer and not self._is_up(it.name) for it in self._known.values())
 
 
@@ -237,22 +237,22 @@ MAX_AGENTS: Final = 256
 MAX_CLIENTS: Final = 64
 """Most clients connected to one agent; see `pancakes.mesh.admission` for the next one."""
 QUIET_S: Final = 5.0
-"""An agent that keeps only a few links gives the place of one that is unused for this time to a newcomer."""
+"""An agent with few links gives the place of a link that is unused for this time to a newcomer."""
 MOST_DIALS: Final = 8
 """How many learnt addresses are dialled at a time."""
 
 
 class _Candidate(msgspec.Struct):
-    """A connection whose peer has said its hello; it is up or waits."""
+    """A connection whose peer has said hello; it is up or waits."""
 
     link: int
     hello: Hello
-    address: str  # that we dialled, or empty
-    machine: str  # the machine that it is on
-    is_news: bool  # no peer had named an address at which it listens
+    address: str  # the address that we dialled, or empty
+    machine: str  # the machine of the peer
+    is_news: bool  # whether no peer had named one of its addresses
     up_s: float | None = None
     until_s: float = math.inf  # when waiting for our own dial ends
-    rests: bool = False  # we end it, as it is one too many
+    rests: bool = False  # we are ending it as surplus
 
 
 class Peers:
@@ -264,11 +264,11 @@ class Peers:
         source: random numbers for the spread of retries.
         times: the times of membership.
         now_s: host time.
-        quiet_s: takes a link and the host time, and returns for how long no packet has gone over it either way;
-            infinite for a client that never sent one.
+        quiet_s: takes a link and the host time, and returns for how long the link carried no packet; infinite for a
+            client that never sent one.
         may_be_named: returns whether a peer may name an address.
-        reach: returns from how far an address can be dialled.
-        few: decides which links there are; None: there is one to each agent.
+        reach: returns from how far away an address can be dialled.
+        few: decides which links to make; None: one to each agent.
 
     Attributes:
         book: the addresses that are known. Any thread may read it.
@@ -292,50 +292,50 @@ class Peers:
         self._few = few
         self._times = times
         self._quiet_s = quiet_s
-        self._dials: dict[int, str] = {}  # the addresses of dials under way
-        self._met_at: dict[str, int] = {}  # of the candidates that we dialled
+        self._dials: dict[int, str] = {}  # the addresses that are being dialled
+        self._met_at: dict[str, int] = {}  # the addresses of the candidates that we dialled
         self._candidates: dict[int, _Candidate] = {}
         self._up: dict[str, _Candidate] = {}
         static = tuple(map(spelt, static))
         self.book = AddressBook(own.listen, static, source, times, now_s, self._up.__contains__, may_be_named)
         self._asleep: dict[str, float] = {}
         self._last_link = 0
-        self._self_dials = 0  # connections from this agent to itself, as seen from the end that was dialled
+        self._self_dials = 0  # connections from this agent to itself, counted at the dialled end
 
     def new_link(self) -> int:
-        """Returns a number for a connection that came in."""
+        """Return a number for an incoming connection."""
         self._last_link += 1
         return self._last_link
 
     def connected(self) -> list[Hello]:
-        """Returns what the connected peers said about themselves, by name."""
+        """Return what the connected peers said about themselves, by name."""
         return [self._up[name].hello for name in sorted(self._up)]
 
     def asleep(self, now_s: float) -> dict[str, float]:
-        """Returns the peers that said they sleep, and for how many more seconds (infinity: they did not say).
+        """Return the sleeping peers, and for how many more seconds each sleeps (infinity: it gave no time).
 
-        May be called from any thread, as may `describe`.
+        Any thread may call it, and `describe` too.
         """
         return {name: until_s - now_s for name, until_s in sorted(self._asleep.items()) if until_s > now_s}
 
     def gossip(self) -> list[Sighting]:
-        """Returns the connected agents to tell others of; never clients."""
+        """Return the connected agents to name to others; never clients."""
         return [(it.hello.name, it.hello.listen, 0.0) for it in self._linked() if it.hello.listen]
 
     def _linked(self) -> list[_Candidate]:
-        """Returns the links to others than clients, by name."""
+        """Return the links to all peers except clients, by name."""
         return [it for _, it in sorted(self._up.items()) if it.hello.role != "client"]
 
     def _unused_s(self, it: _Candidate, now_s: float) -> float:
-        """Returns for how long no packet has gone over a link, at most since it came up."""
+        """Return for how long a link carried no packet, at most since it came up."""
         return min(self._quiet_s(it.link, now_s), now_s - it.up_s if it.up_s is not None else 0.0)
 
     def knows(self, name: str) -> bool:
-        """Returns whether an agent can be dialled to which there may be no link now. Any thread."""
+        """Return whether an agent can be dialled if it has no link. Any thread."""
         return self._few is not None and self._few.knows(name)
 
     def seek(self, name: str, now_s: float) -> list[Decision]:
-        """Dials an agent that something waits for, if there is no link to it."""
+        """Dial an agent for which something waits, if there is no link to it."""
         if self._few is None or name in self._up:
             return []
         return self._carry_out(self._few.seek(name, now_s), now_s)
@@ -366,7 +366,7 @@ class Peers:
         return self._carry_out(few.tick(now_s, linked), now_s)
 
     def due_s(self) -> float:
-        """Returns the host time at which `tick` has something to do."""
+        """Return the host time at which `tick` has something to do."""
         few_s = self._few.due_s if self._few is not None else math.inf
         busy = self._learnt_dials() >= MOST_DIALS
         wanted = [it for address, it in self.book.items() if it.link is None and self._wanted(address, it)]
@@ -377,7 +377,7 @@ class Peers:
         return min((*dials, *waits, few_s))
 
     def tick(self, now_s: float) -> list[Decision]:
-        """Dials what is due, and admits what has waited long enough for a dial of our own."""
+        """Dial what is due, and admit connections that waited long enough for a dial of our own."""
         few = self._few
         decisions = self._look_at_few(few, now_s) if few is not None and now_s >= few.due_s else self._dial(now_s)
         for candidate in list(self._candidates.values()):
@@ -398,11 +398,11 @@ class Peers:
         return decisions
 
     def on_hello(self, link: int, hello: Hello, remote: str, now_s: float) -> list[Decision]:
-        """A peer has said its hello.
+        """Take the hello of a peer.
 
         Args:
             link: the connection.
-            hello: what it said.
+            hello: the hello.
             remote: address of the other end of the connection, to stand in for a wildcard in `hello.listen`.
             now_s: host time.
         """
@@ -417,7 +417,7 @@ class Peers:
             self.book[address].name = name
         listen = tuple(filter(None, (reachable(it, remote) for it in hello.listen)))
         machine = machine_of(remote)
-        if machine != THIS_MACHINE:  # what listens here on all interfaces, others find at the address that they see
+        if machine != THIS_MACHINE:  # others find what listens here on all interfaces at the address that they see
             hello = replace(hello, listen=listen)
         named = nameable_from(remote, listen, self._reach) if hello.role != "client" else ()
         learnt = [self.book.learn(it, now_s, name, name) for it in named]
@@ -448,7 +448,7 @@ class Peers:
         return decisions
 
     def on_bytes(self, link: int) -> list[Decision]:
-        """Bytes came in on a link that is up, so newer connections to the same peer are not needed."""
+        """Note bytes on a link that is up: newer connections to the same peer are not needed."""
         mine = self._candidates.get(link)
         if mine is None or mine.up_s is None or len(self._candidates) == len(self._up):
             return []
@@ -459,7 +459,7 @@ class Peers:
         ]
 
     def on_link_up(self, link: int, now_s: float) -> list[Decision]:
-        """A link is up on both sides, or will be when the peer has our welcome. Older ones to that peer end."""
+        """Note that a link is up, or will be when the peer has our welcome. Older links to that peer end."""
         candidate = self._candidates[link]
         name = candidate.hello.name
         known = self._up.get(name)
@@ -489,13 +489,13 @@ class Peers:
         broken: bool = False,
         refusal: str = "",
     ) -> list[Decision]:
-        """A connection has ended, or never came to stand.
+        """Note that a connection has ended, or was never opened.
 
         Args:
             link: the connection.
             now_s: host time.
             refused: why it was refused, by either side.
-            goodbye: what the peer said, if it left on purpose.
+            goodbye: the peer's goodbye, if it left on purpose.
             broken: whether it broke the protocol.
             refusal: the peer's sentence, if the peer refused.
         """
@@ -516,11 +516,11 @@ class Peers:
         if was_up:
             del self._up[name]
         if goodbye is not None and name in self._up:
-            goodbye = None  # another agent says so, under the name of one that is here
+            goodbye = None  # another agent said it, under the name of a connected one
         if goodbye is not None and goodbye.why == "sleep":
             self._asleep.pop(name, None)
             self._asleep[name] = now_s + (math.inf if goodbye.for_s is None else goodbye.for_s)
-            if len(self._asleep) > MAX_LEARNT:  # some of them never wake
+            if len(self._asleep) > MAX_LEARNT:  # some never wake
                 del self._asleep[next(iter(self._asleep))]
         rests = candidate.rests or (goodbye is not None and goodbye.why == "rest")
         for address, it in list(self.book.items()):
@@ -548,7 +548,7 @@ class Peers:
         return []
 
     def on_gossip(self, agents: Sequence[AgentSeen], now_s: float, peer: str, remote: str) -> list[Decision]:
-        """A peer has named agents.
+        """Take the gossip of a peer.
 
         Args:
             agents: the agents.
@@ -559,7 +559,7 @@ class Peers:
         named: list[str] = []
         for seen in agents:
             there = reachable(seen.address, remote)
-            # Beacons name what is known already, from each peer and all the time.
+            # Beacons mostly name known agents, and come from each peer all the time.
             if self._few is None and there in self.book:
                 continue
             if there and nameable_from(remote, (there,), self._reach) and seen.name != self._own.name:
@@ -569,12 +569,12 @@ class Peers:
         return self.on_addresses(named, now_s, peer) if self._few is None else []
 
     def on_addresses(self, addresses: Sequence[str], now_s: float, peer: str = "") -> list[Decision]:
-        """Addresses of agents were named.
+        """Take addresses of agents.
 
         Args:
             addresses: the addresses.
             now_s: host time.
-            peer: the peer that did; empty: a person.
+            peer: the peer that named them; empty: a person.
         """
         addresses = [spelt(address) for address in addresses]
         unknown = [address for address in addresses if address not in self.book]
@@ -582,19 +582,19 @@ class Peers:
         return self.tick(now_s) if new else []
 
     def is_news(self, link: int) -> bool:
-        """Returns whether no peer had named the address of this one: others may not know it either."""
+        """Return whether no peer had named the address of this peer: then others may not know it either."""
         return self._candidates[link].is_news
 
     def redial(self, now_s: float) -> None:
-        """Makes all addresses due now (this agent woke up)."""
+        """Make all addresses due now, because this agent woke up."""
         self.book.all_due(now_s)
 
     def _wanted(self, address: str, it: KnownAddress) -> bool:
-        # The peer at that address has yet to tell whether the link stays, or when to dial again.
+        # The peer at that address must still tell whether the link stays, or when to dial again.
         return self.book.is_wanted(it) and address not in self._met_at
 
     def _learnt_dials(self) -> int:
-        """Returns how many addresses are dialled now that peers have named."""
+        """Return how many learnt addresses are being dialled."""
         return sum(bool(self.book[address].by) for address in self._dials.values())
 
     def _dialling(self, listen: Sequence[str]) -> bool:
@@ -603,18 +603,18 @@ class Peers:
 
     def _namesake(self, link: int, hello: Hello, address: str, now_s: float) -> list[Decision]:
         own, is_own = self._own, hello.journal == self._own.journal
-        if not address:  # the end that was dialled
+        if not address:  # the dialled end
             self._self_dials += is_own
             return [self._self_dial(link) if is_own else TurnDown(link, "name", _taken(own.name))]
         self._freed(address, now_s)
         it = self.book[address]
         it.due_s = now_s + self._times.retry_longest_s
-        if not is_own:  # the agent that dials is the newcomer, and waits to be told
+        if not is_own:  # the agent that dials is the newcomer, and is refused by the other end
             it.refused = _taken(own.name)
             return []
         if self._self_dials == 0:
-            # No connection of ours has come in here: a program there repeats what it is told.
-            it.refused = f"what listens there repeats what {own.name} says"
+            # None of our connections came in here, so a program there repeats what it is sent.
+            it.refused = f"the program there repeats what {own.name} sends"
             return [TurnDown(link, "name", it.refused)]
         self._self_dials -= 1
         it.ours, it.refused = True, ""
@@ -624,21 +624,22 @@ class Peers:
         return TurnDown(link, "self", f"{self._own.name} dialled itself")
 
     def _full(self, hello: Hello) -> str:
-        """Returns why there is no room for one more peer; empty: there is room."""
+        """Return why there is no room for another peer; empty: there is room."""
         clients = sum(candidate.hello.role == "client" for candidate in self._up.values())
         if hello.role == "client":
             reason = f"{self._own.name} is full: it has {clients} clients, and all of them are in use"
             return reason if clients >= MAX_CLIENTS else ""
         agents = len(self._up) - clients + 1
-        # A terminal looks at all agents of a fleet of hundreds.
+        # A terminal may link to all agents of a fleet of hundreds.
         most = MAX_LEARNT if self._own.role == "client" else MAX_AGENTS
         return f"{self._own.name} is full: it is in a mesh of {agents} already" if agents >= most else ""
 
     def _make_room(self, newcomer: _Candidate, now_s: float) -> list[Decision]:
-        """Ends the link of a client that gives its place to a new one; none if no client does.
+        """End the link of a client that gives its place to a new one, if any.
 
-        If only a few links are kept, a new agent gets the place of the least used link to an agent: of an unused
-        one, or of any if there is something here for the newcomer.
+        If only a few links are kept, a new agent gets the place of the least used link to an agent: of an unused one,
+            or of
+        any link if there is something to send to the newcomer.
         """
         if newcomer.hello.role != "client":
             unused = max(self._linked(), key=lambda it: self._unused_s(it, now_s), default=None)
@@ -660,36 +661,36 @@ class Peers:
         return [TurnDown(link, "full", reason)]
 
     def _admit_if_free(self, candidate: _Candidate) -> list[Decision]:
-        """Admits a connection, unless its peer has one; then it waits until that has died or shown life."""
+        """Admit a connection, unless its peer has one: then it waits until that one is dead or shows life."""
         known = self._up.get(candidate.hello.name)
         if known is None or known.hello.boot < candidate.hello.boot:
             return [Admit(candidate.link)]
-        if candidate.address:  # we dialled while we had a link: needless
+        if candidate.address:  # we dialled although we had a link
             reason = f"{self._own.name} has another link to {candidate.hello.name}, which stays"
             return [TurnDown(candidate.link, "duplicate", reason)]
         return []
 
     def _freed(self, address: str, now_s: float) -> None:
-        """Our dial to `address` is decided: what waited for it is seen to at the next tick, which is due now."""
+        """Note that our dial to `address` is decided: the next tick, due now, handles what waited for it."""
         for candidate in self._candidates.values():
             if address and candidate.until_s < math.inf and address in candidate.hello.listen:
                 candidate.until_s = now_s
 
 
 def is_namesake(link: int, decisions: Sequence[Decision]) -> bool:
-    """Returns whether a connection is refused for the name of its peer, which then learns nothing of this agent."""
+    """Return whether a connection is refused for its peer's name: the peer then learns nothing of this agent."""
     return any(isinstance(it, TurnDown) and (it.link, it.code) == (link, "name") for it in decisions)
 
 
 def reachable(listen: str, remote: str) -> str:
-    """Returns the address at which an agent can be dialled, in its one spelling; empty if there is none.
+    """Return the address at which an agent can be dialled, in normal form; empty if there is none.
 
-    Of one that listens on all interfaces it is the one that we see. So it is where it listens at an address of one
-    network: the name of the interface that leads there is another one on each machine.
+    For an agent that listens on all interfaces it is the address that we see. The same holds for link-local addresses:
+    the name of the interface that leads there differs on each machine.
 
     Args:
         listen: where it listens.
-        remote: the address of the peer that says so, which is itself or on the same machine.
+        remote: the address of the peer that named it, which is the agent itself or on the same machine.
     """
     try:
         there = parse_address(listen)
@@ -705,10 +706,10 @@ def reachable(listen: str, remote: str) -> str:
         host = "127.0.0.1" if is_local(remote) else seen.host
     elif seen.loopback:
         host = there.host
-    else:  # of another one than it is seen at, it is not known which interface leads there from here
+    else:  # it is seen at another address, and the interface that leads there from here is not known
         host = seen.host if there.host.partition("%")[0] == seen.host.partition("%")[0] else ""
     return str(replace(there, host=host)) if host else ""
 
 
 def _taken(name: str) -> str:
-    return f"the name {name} is already borne by another agent: give one of the two another name"
+    return f"the name {name} is already taken by another agent: give one of the two another name"

@@ -1,6 +1,6 @@
 """The send path: from a publisher to the sessions of the peers that a packet is for. Any thread.
 
-What packets of one channel, type, source and destination have in common is looked up once (`Way`). What a turn
+What packets with one channel, type, source and destination have in common is looked up once (`Way`). What a turn
 publishes is joined without a lock, and leaves with one system call for each peer at the end of the turn. Packets for
 an agent to which a link is still being made wait here.
 """
@@ -20,25 +20,25 @@ from pancakes.mesh.session import BATCH_BYTES, Message, PeerBusy, Session, Train
 from pancakes.packet import LOG, NEIGHBOURS, Fence, Packet, agent_of
 
 MOST_WAYS: Final = 4096
-"""How many are remembered; a task that makes up one destination after the other must not fill the memory."""
+"""How many ways are cached: a task that uses ever new destinations must not fill the memory."""
 MOST_WAITING_BYTES: Final = 256 * 1024
-"""How much may wait for an agent to which a link is being made, ..."""
+"""How many bytes may wait for an agent while a link to it is made, ..."""
 MOST_WAITED_FOR: Final = 64
-"""... and for how many agents at a time."""
+"""... and for how many agents at the same time."""
 
 Key = tuple[str, str, str, str]
 Defer = Callable[[Callable[[], None]], None]
 
 
 class Way(msgspec.Struct, frozen=True, eq=False):
-    """Where packets of one channel, type, source, destination and fence go, until other links are up.
+    """Where packets with one channel, type, source, destination and fence go, until the links change.
 
     Attributes:
         channel: the channel.
         fence: the fence.
-        right: the same, if what is sent needs it: lines of a task on `log` do not.
-        place: the name of the one agent, or `NEIGHBOURS`: ways of different places do not get in each other's way.
-        head: what their runs begin with.
+        right: the same if the packets need it: lines of a task on `log` do not.
+        place: the name of the agent, or `NEIGHBOURS`; ways of different places are independent.
+        head: the head of their runs.
         sessions: the peers.
         encoder: encodes the packets.
     """
@@ -53,7 +53,7 @@ class Way(msgspec.Struct, frozen=True, eq=False):
 
 
 class _Turn:
-    """What a thread has published and not yet sent.
+    """The packets that a thread has published and not yet sent.
 
     Args:
         defer: see `Mesh`.
@@ -62,15 +62,15 @@ class _Turn:
     def __init__(self, defer: Defer) -> None:
         self._defer = defer
         self._size = 0
-        # In the order in which the first packet of each was published.
+        # In the order of the first packet of each.
         self._trains: list[Train] = []
-        # The train of each place that the next packet may join: nothing else went there since.
+        # The train of each place that the next packet may join: nothing else was published to that place since.
         self._last: dict[str, tuple[Way, Train]] = {}
 
     def add(self, way: Way, row: bytes, retry: bool) -> None:
-        """Takes an encoded packet."""
+        """Take an encoded packet."""
         size = self._size + len(row)
-        if size > BATCH_BYTES and self._trains:  # a turn must not pile up what could be on its way
+        if size > BATCH_BYTES and self._trains:  # a long turn must not hold back what could be on its way
             self.flush()
             size = len(row)
         self._size = size
@@ -83,8 +83,8 @@ class _Turn:
             self._begin(way, row, retry)
 
     def _begin(self, way: Way, row: bytes, retry: bool) -> None:
-        """Begins another train."""
-        # What goes to all neighbours and what goes to one of them must not overtake each other.
+        """Begin another train."""
+        # Packets to all neighbours and packets to one of them must not overtake each other.
         if way.place == NEIGHBOURS:
             self._last.clear()
         else:
@@ -96,7 +96,7 @@ class _Turn:
             self._defer(self.flush)
 
     def flush(self) -> None:
-        """Sends all of it."""
+        """Send all of it."""
         trains, self._trains, self._size = self._trains, [], 0
         self._last.clear()
         if len(trains) == 1:
@@ -112,7 +112,7 @@ class _Turn:
 
 
 class _Waiting(msgspec.Struct):
-    """What waits for an agent to which a link is being made: the arguments of `Session.offer`, in their order."""
+    """The packets that wait for an agent while a link to it is made: arguments of `Session.offer`, in order."""
 
     packets: list[tuple[str, tuple[str, str, str], Message]] = []
     size: int = 0
@@ -126,12 +126,12 @@ class _Local(threading.local):
 
 
 class Sending:
-    """Sends packets. From any thread.
+    """Send packets. From any thread.
 
     Args:
-        lost: returns the error for a packet to an agent to which no link is up.
+        lost: returns the error for a packet to an agent without a link.
         defer: see `Mesh`.
-        seek: has a link made to an agent, and returns whether one is being made.
+        seek: begins to link to an agent; returns whether a link is being made.
     """
 
     def __init__(self, lost: Callable[[Packet], PancakesError], defer: Defer, seek: Callable[[str], bool]) -> None:
@@ -140,14 +140,14 @@ class Sending:
         self._waiting: dict[str, _Waiting] = {}
         self._links: Mapping[str, Session] = {}
         self._neighbours: tuple[Session, ...] = ()
-        # So that no way is made of links that are being replaced. What a gate holds back is told on `log`, which may be
-        # sent by the thread that has it.
+        # Held so that no way is made of links that are being replaced. A gate that holds packets back logs that, and
+        # the thread with this lock may send the line.
         self._lock = threading.RLock()
         self._ways: dict[Key, Way] = {}
         self._local = _Local(defer)
 
     def change(self, links: Mapping[str, Session], neighbours: tuple[Session, ...]) -> None:
-        """Other links are up from now on.
+        """Replace the links.
 
         Args:
             links: the sessions that are up, by name.
@@ -155,7 +155,7 @@ class Sending:
         """
         with self._lock:
             while there := self._waiting.keys() & links.keys():
-                for agent in there:  # before all that is published from now on
+                for agent in there:  # before packets that are published from now on
                     for channel, key, message in self._waiting.pop(agent).packets:
                         with suppress(PeerBusy):
                             links[agent].offer(channel, key, message)
@@ -164,7 +164,7 @@ class Sending:
             self._ways = {}
 
     def give_up(self, agent: str) -> int:
-        """No link to an agent came to stand; returns how many packets were waiting for it, which are lost."""
+        """Drop the packets that wait for an agent, because no link to it was made; return how many."""
         with self._lock:
             waiting = self._waiting.pop(agent, None)
         return len(waiting.packets) if waiting is not None else 0
@@ -186,7 +186,7 @@ class Sending:
         return len(way.sessions)
 
     def _offer(self, way: Way, packet: Packet, message: Message) -> int:
-        """Gives a packet to peers of which one at least is slow, behind what this thread has published before."""
+        """Give a packet to peers of which at least one is slow, after what this thread published earlier."""
         self._local.turn.flush()
         key = (packet.source, packet.type, packet.destination)
         given = 0
@@ -201,7 +201,7 @@ class Sending:
         return given
 
     def _new_way(self, key: Key, packet: Packet, retry: bool) -> Way | None:
-        """Returns where a packet goes; None: it waits for a link."""
+        """Return the way of a packet; None: the packet waits for a link."""
         place, head = agent_of(packet.destination), head_of(packet)
         right = packet.fence if packet.channel != LOG else None
         with self._lock:
@@ -217,10 +217,10 @@ class Sending:
         raise self._lost(packet)
 
     def _waits(self, packet: Packet, agent: str, head: bytes, right: Fence | None, retry: bool) -> bool:
-        """Has a packet wait until there is a link to its agent; returns False if none is being made.
+        """Make a packet wait until its agent has a link; return False if no link is being made.
 
         Raises:
-            PeerBusy: too much waits already.
+            PeerBusy: too many bytes wait already.
         """
         waiting = self._waiting.get(agent)
         if waiting is None:
@@ -229,7 +229,7 @@ class Sending:
             waiting = self._waiting[agent] = _Waiting()
         row = RowEncoder(head).encode(packet)
         if waiting.size + len(row) > MOST_WAITING_BYTES:
-            raise PeerBusy(f"{waiting.size} bytes wait for the link to {agent} already, which is being made")
+            raise PeerBusy(f"{waiting.size} bytes already wait for the link to {agent}, which is being made")
         waiting.size += len(row)
         key = (packet.source, packet.type, packet.destination)
         waiting.packets.append((packet.channel, key, Message(row, not retry, head, right)))

@@ -1,8 +1,8 @@
-"""One connection of the mesh and its send queue: where a link's messages meet a transport.
+"""One connection of the mesh and its send queue: between the link's messages and a transport.
 
 Packets may be sent from any thread; everything else happens in the transport's thread. As long as a link is not
-congested, messages leave in the order in which they were sent. If the peer or the network does not keep up, they wait
-in a bounded queue for each channel:
+congested, messages leave in the order in which they were sent. If the peer or the network does not keep up, packets
+wait in a bounded queue for each channel:
 
 * `sysctrl` and `network` (migration) go first; the other channels take turns;
 * `system` keeps only the newest packet of each (source, type, destination);
@@ -34,11 +34,11 @@ from pancakes.util.timebase import Timebase
 
 
 class Gate(NamedTuple):
-    """Is asked about packets of guarded tasks, in the sender's thread, right before the system call.
+    """Decides about packets of guarded tasks, in the sender's thread, right before the system call.
 
     Attributes:
-        may_leave: returns whether what is sent under a right may leave now.
-        held_back: takes a right that has ended, and how many packets under it were given up.
+        may_leave: returns whether packets with this fence may leave now.
+        held_back: takes a fence that is no longer valid, and how many of its packets were dropped.
     """
 
     may_leave: Callable[[Fence], bool] = lambda fence: True
@@ -46,7 +46,7 @@ class Gate(NamedTuple):
 
 
 OPEN: Final = Gate()
-"""Lets everything leave."""
+"""A gate that lets everything leave."""
 
 
 MAX_PACKETS: Final = 1024
@@ -54,34 +54,34 @@ MAX_PACKETS: Final = 1024
 MAX_BYTES: Final = 4 * 1024 * 1024
 """Most bytes of a channel that wait for a peer. One packet may always wait."""
 MIGRATION_BYTES: Final = 40 * 1024 * 1024
-"""The same of `network`: the pieces of two of the largest snapshots, or of one that is sent again, and some more."""
+"""Most bytes of `network` that wait: two of the largest snapshots, or one that is sent again, and some more."""
 MOST_GONE: Final = 1024
-"""How many peers that have gone are still known by what went over the links with them."""
+"""How many disconnected peers keep their counters."""
 FIRST: Final = (SYSCTRL, NETWORK)
 """Channels that are served before all others."""
 
-# Two links with one peer may drop something at once: the one that has just ended, and its successor.
+# Two links with one peer may drop packets at the same time: the one that just ended, and its successor.
 _DROPS: Final = threading.Lock()
 
 Key = tuple[str, str, str]
 
 
 class PeerBusy(MailboxFull):
-    """The window of a (peer, channel) is full: the packet went to no peer, and the publisher may try again."""
+    """The window of a peer's channel is full: the packet went to no peer, and the publisher may try again."""
 
 
 class Counters(msgspec.Struct):
-    """What went over the links with one peer since this agent was started."""
+    """The traffic with one peer since this agent was started, over all links."""
 
     packets_out: int = 0
     bytes_out: int = 0
     packets_in: int = 0
     bytes_in: int = 0
     dropped: dict[str, int] = msgspec.field(default_factory=dict)
-    """Packets for this peer that were given up, for each channel."""
+    """Dropped packets for this peer, by channel."""
 
     def drop(self, channel: str, packets: int = 1) -> None:
-        """Counts packets that were given up. From any thread."""
+        """Count dropped packets. From any thread."""
         with _DROPS:
             self.dropped[channel] = self.dropped.get(channel, 0) + packets
 
@@ -90,17 +90,17 @@ class PeerCounters:
     """The counters of all peers. A peer that comes back keeps its own, unless too many others have come and gone."""
 
     def __init__(self) -> None:
-        self._of: dict[str, Counters] = {}  # in the order in which they came, the last at the end
+        self._of: dict[str, Counters] = {}  # in the order in which they connected, the latest at the end
 
     def __contains__(self, name: str) -> bool:
         return name in self._of
 
     def of(self, name: str, up: Collection[str]) -> Counters:
-        """Returns the counters of a peer.
+        """Return the counters of a peer.
 
         Args:
-            name: the peer, which comes now.
-            up: those that are connected; they are not forgotten.
+            name: the peer, which connects now.
+            up: the connected peers, which are not forgotten.
         """
         counters = self._of[name] = self._of.pop(name) if name in self._of else Counters()
         if len(self._of) > MOST_GONE + len(up) + 1:
@@ -108,18 +108,18 @@ class PeerCounters:
         return counters
 
     def forget(self, name: str) -> None:
-        """A peer has gone for good."""
+        """Forget a peer that does not come back."""
         self._of.pop(name, None)
 
 
 class Message(msgspec.Struct):
-    """An encoded packet that waits.
+    """An encoded packet in a queue.
 
     Attributes:
         data: the packet as a row of a run.
         counts: whether it is a mission packet (a retry is not).
-        head: what a run of such packets begins with.
-        fence: the right under which it is sent; None: it needs none.
+        head: the head of its run.
+        fence: the fence that it needs to leave; None: none.
     """
 
     data: bytes
@@ -141,7 +141,7 @@ class _ChannelBuffer:
         return len(self._waiting)
 
     def put(self, key: Key, message: Message, counters: Counters, peer: str) -> None:
-        """Adds a packet; `counters` counts what falls out for it.
+        """Add a packet; `counters` counts what is dropped for it.
 
         Raises:
             PeerBusy: there is no room, and nothing may be dropped.
@@ -155,7 +155,7 @@ class _ChannelBuffer:
             self._append(message)
 
     def pop(self) -> Message:
-        """Takes out what goes next."""
+        """Remove and return the next packet."""
         message = self._waiting.popleft()
         self.bytes -= len(message.data)
         return message
@@ -170,7 +170,7 @@ class _ChannelBuffer:
             counters.drop(self.channel)
 
     def _full(self, more_bytes: int) -> bool:
-        """Whether `more_bytes` are too many (with 0: whether there are too many already)."""
+        """Return whether `more_bytes` would be too many (0: whether there are too many already)."""
         count = len(self) + (more_bytes > 0)
         return count > MAX_PACKETS or (count > 1 and self.bytes + more_bytes > self._max_bytes)
 
@@ -178,14 +178,14 @@ class _ChannelBuffer:
 class _NewestBuffer(_ChannelBuffer):
     """The queue of `system`: the newest of each (source, type, destination).
 
-    Sources take turns, and in its turn a source sends all that waits of it. So neither does a source that publishes
-    all the time starve, because its place is always the last, nor does one type of it overtake another.
+    Sources take turns, and a turn sends all that waits of a source. So a source that publishes all the time does not
+    starve, because its place is always the last, and its types do not overtake each other.
     """
 
     def __init__(self, channel: str) -> None:
         super().__init__(channel)
         self._sources: OrderedDict[str, dict[tuple[str, str], Message]] = OrderedDict()
-        self._count = 0  # of those that are not on the point of leaving, in `_waiting`
+        self._count = 0  # of the packets in `_waiting` that are not about to leave
 
     def __len__(self) -> int:
         return len(self._waiting) + self._count
@@ -198,7 +198,7 @@ class _NewestBuffer(_ChannelBuffer):
             self.bytes -= len(older.data)
             self._count -= 1
             counters.drop(self.channel)
-        mine[what[0], what[1]] = message  # behind what this source has published since the older one
+        mine[what[0], what[1]] = message  # after what this source has published since the older one
         self.bytes += len(message.data)
         self._count += 1
         self._make_room(counters)
@@ -212,14 +212,14 @@ class _NewestBuffer(_ChannelBuffer):
 
 
 class SendBuffer:
-    """All that waits for one peer.
+    """All queues for one peer.
 
     Args:
         peer: its name, for errors.
         counters: where drops are counted.
 
     Attributes:
-        held_back: the rights of packets that were given up because their right had ended, until that is logged.
+        held_back: the fences of packets that were dropped because they were no longer valid, until that is logged.
     """
 
     def __init__(self, peer: str, counters: Counters) -> None:
@@ -227,10 +227,10 @@ class SendBuffer:
         self.counters = counters
         self.held_back: list[Fence] = []
         self._lanes: dict[str, _ChannelBuffer] = {channel: _ChannelBuffer(channel) for channel in FIRST}
-        self._turns: deque[_ChannelBuffer] = deque()  # the lanes that have something, except the first ones
+        self._turns: deque[_ChannelBuffer] = deque()  # the queues with packets, except those served first
 
     def put(self, channel: str, key: Key, message: Message) -> None:
-        """Adds a packet.
+        """Add a packet.
 
         Args:
             channel: its channel.
@@ -249,11 +249,11 @@ class SendBuffer:
             self._turns.append(lane)
 
     def take(self, limit_bytes: int, may_leave: Callable[[Fence], bool] = lambda fence: True) -> list[Message]:
-        """Takes what is sent next, at least one message if any waits that may be sent.
+        """Take what is sent next: at least one message, if any may be sent.
 
         Args:
-            limit_bytes: after this many bytes no other is taken.
-            may_leave: returns whether what is sent under a right may be sent now; what may not is given up.
+            limit_bytes: after this many bytes no further message is taken.
+            may_leave: returns whether packets with a fence may leave now; those that may not are dropped.
         """
         messages: list[Message] = []
         size = 0
@@ -283,31 +283,31 @@ class SendBuffer:
         return lane.channel, message
 
     def waiting(self) -> dict[str, int]:
-        """Returns how many packets wait on each channel where any do."""
+        """Return how many packets wait, by channel; channels with none are left out."""
         return {channel: len(lane) for channel, lane in sorted(self._lanes.items()) if lane}
 
 
 BATCH_BYTES: Final = 16 * 1024
-"""How much is handed to a connection at a time when the link is busy. What is urgent waits for no more than that (or
-one packet, if that is larger); much smaller, and the system calls would cost more than the packets.
+"""How many bytes are passed to a busy connection at a time. An urgent packet waits for no more than that (or one
+packet, if that is larger). With much less, the system calls would cost more than the packets.
 """
 MOST_UNSENT_BYTES: Final = 512 * 1024
-"""If more waits in the connection, the link sends no messages of its own: a peer that sends pings all the time
-and takes next to nothing of the answers must not fill the memory.
+"""If more bytes wait in the connection, the link sends no messages of its own: a peer that keeps sending pings and
+reads almost none of the answers must not fill the memory.
 """
 
 
 class Train(msgspec.Struct, gc=False):
-    """Packets that one turn of a task has for a peer, or for several: of one type, channel, source and destination.
+    """Packets of one turn for one or several peers, with one type, channel, source and destination.
 
     Attributes:
         channel: their channel.
-        head: what their run begins with.
+        head: the head of their run.
         sessions: the peers.
         rows: the encoded packets.
-        retries: how many of them are not mission packets, because they were sent before.
-        fence: the right under which they are sent; None: they need none.
-        run: all of them as one message, made when it is first sent.
+        retries: how many were sent before, and so are not counted as mission packets.
+        fence: the fence that they need to leave; None: none.
+        run: all of them as one message, made when it is first needed.
     """
 
     channel: str
@@ -319,14 +319,14 @@ class Train(msgspec.Struct, gc=False):
     run: bytes = b""
 
     def message(self) -> bytes:
-        """Returns it as one message of a frame. It must not grow after that."""
+        """Return the packets as one message of a frame. The train must not grow after that."""
         if not self.run:
             self.run = run_of(self.head, self.rows)
         return self.run
 
 
 class Unwanted(ConnectionHandler):
-    """The handler of a connection to an agent that takes none: it only begins, or ends."""
+    """The handler of connections to an agent that accepts none."""
 
     def opened(self, connection: Connection) -> None:
         """See `ConnectionHandler`."""
@@ -340,16 +340,16 @@ class Unwanted(ConnectionHandler):
 
 
 class Owner(Protocol):
-    """What a session tells the mesh."""
+    """What a session reports to the mesh."""
 
     def session_opened(self, session: Session) -> None:
-        """Its connection is open."""
+        """The connection of a session is open."""
 
     def session_received(self, session: Session, data: bytes) -> None:
         """Bytes came in."""
 
     def session_closed(self, session: Session, reason: str) -> None:
-        """Its connection is gone."""
+        """The connection of a session is gone."""
 
 
 class Session(ConnectionHandler):
@@ -360,12 +360,12 @@ class Session(ConnectionHandler):
         number: the link's number in `Peers`.
         address: what was dialled; empty if the connection came in.
         now: the host clock.
-        gate: is asked about what is sent under a right.
+        gate: decides about packets with a fence.
 
     Attributes:
         counted: how many mission packets were sent.
-        certified: what the peer's certificate says, also once the link has ended, because what came over it may still
-            wait to be looked at; None: the connection has none.
+        certified: what the peer's certificate says; None: the connection has none. It is kept after the link has ended,
+            because packets that came over it may still wait.
     """
 
     def __init__(self, owner: Owner, number: int, address: str, now: Callable[[], float], gate: Gate = OPEN) -> None:
@@ -376,15 +376,15 @@ class Session(ConnectionHandler):
         self.peer = ""
         self.hello: Hello | None = None
         self.is_up = False
-        self.due_s = float("inf")  # when the link has something to do, or before that
+        self.due_s = float("inf")  # when the link has something to do, or earlier
         self.counters = Counters()
         self.congested = False
         self.counted = 0
         self.reported_drops = 0
         self.reported_s = float("-inf")
         self.told_timebase: Timebase | None = None  # what the peer knows of the clocks of this agent
-        self.asked: Bucket | None = None  # how often the peer asked this agent for something lately
-        self.refused = 0  # packets that the peer may not send
+        self.asked: Bucket | None = None  # the rate of the peer's requests
+        self.refused = 0  # packets that came and that the peer may not send
         self.refused_said_s = float("-inf")
         self._owner = owner
         self._now = now
@@ -395,12 +395,12 @@ class Session(ConnectionHandler):
         self._outbox = SendBuffer("", self.counters)
         self._closed = False
         self._written = 0
-        self._taken = (0, 0.0)  # how much the peer had taken when it last took something, and when that was seen
-        self._used = (0, 0, 0.0)  # how many packets had come in and gone out when that was last more, and when that was
+        self._taken = (0, 0.0)  # bytes that the peer had taken when it last took some, and when that was noticed
+        self._used = (0, 0, 0.0)  # packets in and out at the last change, and when that was noticed
 
     @property
     def remote(self) -> str:
-        """Address of the other end, for messages to people."""
+        """The address of the other end, for messages to people."""
         return self._remote
 
     @property
@@ -409,7 +409,7 @@ class Session(ConnectionHandler):
         return self.hello.role if self.hello is not None else ""
 
     def describe(self) -> dict[str, Any]:
-        """Returns the state of the link as plain values. From any thread."""
+        """Return the state of the link as plain values. From any thread."""
         counters, hello = self.counters, self.hello
         return {
             "name": self.peer,
@@ -430,7 +430,7 @@ class Session(ConnectionHandler):
         }
 
     def on_link_up(self, hello: Hello, counters: Counters) -> None:
-        """The link to the agent that said `hello` is up: from now on packets may be offered."""
+        """Mark the link to the agent that said `hello` as up: from now on packets may be offered."""
         self.hello, self.peer = hello, hello.name
         with self._lock:
             counters.bytes_in += self.counters.bytes_in
@@ -462,7 +462,7 @@ class Session(ConnectionHandler):
         return frame([encode_link_message(RefuseLink("name", fault[:1000]))])
 
     def drained(self) -> None:
-        """The connection took all it was given: give it more."""
+        """Give the connection more, as it has taken everything so far."""
         with self._lock:
             self._pump()
         self._tell_held_back()
@@ -476,25 +476,26 @@ class Session(ConnectionHandler):
     # Sending
 
     def send_link(self, message: bytes) -> None:
-        """Sends a message of the link itself, before all that waits in the outbox.
+        """Send a message of the link itself, before all packets in the queues.
 
-        To a peer that takes next to nothing it is not sent; what the peer gets meanwhile is sign of life enough.
+        It is not sent to a peer that reads almost nothing: the bytes in the connection are sign of life enough.
         """
         with self._lock:
             if self._unsent() <= MOST_UNSENT_BYTES:
                 self._write(frame([message]))
 
     def send(self, trains: Sequence[Train]) -> None:
-        """Sends what one turn has for this peer, at once. From any thread.
+        """Send the packets of one turn for this peer at once. From any thread.
 
-        A thread that finds `congested` set must `offer` instead; what it published before goes before what waits.
+        If `congested` is set, call `offer` instead; what this thread published earlier goes before what waits.
         """
         with self._lock:
             if self._closed:
                 for train in trains:
                     self.counters.drop(train.channel, len(train.rows))
                 return
-            # As near to the system call as can be: a process may have been stopped since the packets were published.
+            # As close to the system call as possible: the process may have been stopped since the packets were
+            # published.
             going = [train for train in trains if train.fence is None or self._gate.may_leave(train.fence)]
             packets = retries = 0
             for train in going:
@@ -507,10 +508,10 @@ class Session(ConnectionHandler):
             self._hold_back([train for train in trains if not any(train is other for other in going)])
 
     def offer(self, channel: str, key: Key, message: Message) -> None:
-        """Takes a packet, to be sent when there is room. From any thread.
+        """Queue a packet, to be sent when there is room. From any thread.
 
         Raises:
-            PeerBusy: the peer is slow, and the channel's window full.
+            PeerBusy: the peer is slow, and the channel's window is full.
         """
         with self._lock:
             if self._closed:
@@ -529,18 +530,18 @@ class Session(ConnectionHandler):
         self._tell_held_back()
 
     def end(self, reason: str) -> None:
-        """Closes the connection once what it was given is sent."""
+        """Close the connection once everything in it is sent."""
         with self._lock:
             self._closed = True
             for channel, packets in self._outbox.waiting().items():
                 self.counters.drop(channel, packets)
-            # They know each other; so they would stay until garbage is collected, which is seldom.
+            # They refer to each other, so they would stay in memory until the next garbage collection, which is rare.
             connection, self._connection = self._connection, None
         if connection is not None:
             connection.close(reason)
 
     def stuck_s(self, now_s: float) -> float:
-        """Returns for how long the peer has taken none of the bytes that wait for it."""
+        """Return for how long the peer has taken none of the waiting bytes."""
         if not self._unsent():  # nearly always, and then it needs no lock
             self._taken = (self._written, now_s)
             return 0.0
@@ -552,7 +553,7 @@ class Session(ConnectionHandler):
         return now_s - self._taken[1]
 
     def quiet_s(self, now_s: float) -> float:
-        """Returns for how long no packet has gone either way, as far as that was looked at.
+        """Return for how long no packet has gone either way, as of the last check.
 
         Infinite for a client that never sent one.
         """
@@ -562,12 +563,12 @@ class Session(ConnectionHandler):
         return now_s - self._used[2] if self.counters.packets_in or self.role != "client" else math.inf
 
     def waiting(self) -> dict[str, int]:
-        """Returns how many packets wait for this peer, on each channel where any do. From any thread."""
+        """Return how many packets wait for this peer, by channel. From any thread."""
         with self._lock:
             return self._outbox.waiting()
 
     def _pump(self) -> None:
-        self.congested = True  # keeps the order: what is offered now goes behind what waits
+        self.congested = True  # keeps the order: packets that are offered now go after those that wait
         while True:
             messages = self._outbox.take(BATCH_BYTES, self._gate.may_leave)
             if not messages:
@@ -584,13 +585,13 @@ class Session(ConnectionHandler):
             self._gate.held_back(train.fence, len(train.rows))
 
     def _tell_held_back(self) -> None:
-        """Tells of what was given up in the outbox. Not under the lock: a line for `log` may come by here."""
+        """Report packets that were dropped in the queues. Not under the lock: the log line may come through here."""
         held_back = self._outbox.held_back
         while held_back:
             self._gate.held_back(held_back.pop(), 1)
 
     def _write(self, data: bytes, packets: int = 0, counted: int = 0) -> None:
-        """Writes frames. Under the lock."""
+        """Write frames. Under the lock."""
         if self._connection is None:
             return
         if self._connection.send(data):
@@ -611,7 +612,7 @@ def _comes_after(train: Train) -> bool:
 
 
 def _in_runs(messages: Sequence[Message]) -> list[bytes]:
-    """Joins packets that follow each other and have the same head."""
+    """Join packets that follow each other and have the same head."""
     joined: list[bytes] = []
     rows: list[bytes] = []
     size = 0

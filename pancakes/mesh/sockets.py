@@ -5,8 +5,8 @@
 as Debian writes the machine's own name into /etc/hosts as 127.0.1.1.
 
 An urgent packet overtakes what waits in an agent, but not what a kernel has already. By itself Linux takes megabytes,
-which a reply then waits behind. `bound_buffers` limits that to about a quarter of a megabyte on short ways. A machine
-that loses its power ends no connection, so `keep_alive` has the kernel ask.
+and a reply then waits behind them. `bound_buffers` limits that to about a quarter of a megabyte on short ways. A
+machine that loses its power ends no connection, so `keep_alive` makes the kernel probe.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ from pancakes.mesh.address import parse_address
 from pancakes.util.clock import MonotonicClock
 
 PACE_S: Final = 0.25
-"""How long after one address the next is tried, if there is no answer yet."""
+"""How long after one address the next one is tried, if there is no answer yet."""
 
 Place = tuple[socket.AddressFamily, Any]
-"""Where a socket may be bound or connected, as the operating system has it."""
+"""Where a socket may be bound or connected, in the form of the operating system."""
 
 
 def by_turns(places: Sequence[Place]) -> list[Place]:
-    """Returns places in the order in which they are tried: the families by turns, that of the first one first."""
+    """Return places in the order of trying: address families by turns, beginning with that of the first place."""
     first = [place for place in places if place[0] == places[0][0]]
     rest = [place for place in places if place[0] != places[0][0]]
     return [place for pair in zip_longest(first, rest) for place in pair if place is not None]
 
 
 def pace_s(count: int, within_s: float) -> float:
-    """Returns how long after one place the next is tried, so that the last has half of the time at least."""
+    """Return the pause between two places, so that the last one has at least half of the time."""
     return min(PACE_S, within_s / (2 * max(1, count)))
 
 
 def connect(host: str, port: int, within_s: float) -> socket.socket:
-    """Connects to a host. Blocks, at most for the look-up of its name and `within_s`.
+    """Connect to a host. Blocks, at most for the look-up of its name and `within_s`.
 
     Args:
         host: a name or a number.
@@ -53,10 +53,10 @@ def connect(host: str, port: int, within_s: float) -> socket.socket:
         within_s: how long it may take, for all addresses of the name together.
 
     Returns:
-        The socket; what is done with it has the time limit `within_s` too, as with `socket.create_connection`.
+        The socket; its operations have the time limit `within_s` too, as with `socket.create_connection`.
 
     Raises:
-        OSError: the name leads nowhere, or none of its addresses answers.
+        OSError: the name cannot be resolved, or none of its addresses answers.
     """
     found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     places = by_turns([(family, place) for family, _, _, _, place in found])
@@ -75,7 +75,7 @@ def connect(host: str, port: int, within_s: float) -> socket.socket:
                     family, place = places.pop(0)
                     try:
                         sock = socket.socket(family, socket.SOCK_STREAM)
-                    except OSError as error:  # this machine does not know the family
+                    except OSError as error:  # this machine does not support the family
                         failure = error
                         continue
                     tries[sock] = None
@@ -109,16 +109,16 @@ def _failed(sock: socket.socket, code: int) -> OSError:
 
 LOOK_UP_S: Final = 2.0
 _FIRST_FREE: Final = 1024
-"""Ports below are only for those whom the operating system lets."""
+"""Lower ports are for privileged users only."""
 _Place = tuple[socket.AddressFamily, Any]
 ADVICE: Final = "write tcp://0.0.0.0:PORT for every interface, or the number that others reach this machine at"
 
 
 def why_near_only(asked: str, found: str) -> str:
-    """Returns why only this machine reaches an agent that was to be reached from others, as a clause; empty: others do.
+    """Return why other machines do not reach an agent that should be reachable, as a clause; empty: they do.
 
     Args:
-        asked: the address at which it was to listen.
+        asked: the configured address.
         found: the address at which it listens.
     """
     try:
@@ -131,7 +131,7 @@ def why_near_only(asked: str, found: str) -> str:
 
 
 def would_be_near_only(asked: str) -> str:
-    """Returns the same of an address at which nothing listens yet; empty also if its name cannot be looked up soon."""
+    """Return the same for an address at which nothing listens yet; also empty if its name is not resolved soon."""
     try:
         wanted = parse_address(asked)
     except ValueError:
@@ -146,10 +146,10 @@ def would_be_near_only(asked: str) -> str:
 
 
 def why_not_here(asked: str) -> str:
-    """Returns why this machine lets no agent listen at an address of TCP, as a phrase; empty: it may.
+    """Return why no agent can listen at a TCP address on this machine, as a phrase; empty: one can.
 
-    Nothing listens meanwhile, and a port in use is no reason: this agent itself may run. Empty also if its name cannot
-    be looked up soon.
+    It does not listen there, and a port in use is not a reason: this agent itself may be running. Also empty if its
+    name is not resolved soon.
     """
     wanted = parse_address(asked)
     if wanted.scheme != "tcp":
@@ -157,7 +157,7 @@ def why_not_here(asked: str) -> str:
     found, why = _look_up(wanted.host, wanted.port if wanted.port < _FIRST_FREE else 0)
     if not found:
         return why
-    # As TCP chooses: of a name's addresses the first that others reach.
+    # As the TCP transport chooses: the first of a name's addresses that others reach.
     family, place = min(found, key=lambda it: str(it[1][0]).startswith("127.") or it[1][0] == "::1")
     try:
         with socket.socket(family, socket.SOCK_STREAM) as sock:
@@ -170,7 +170,7 @@ def why_not_here(asked: str) -> str:
 
 
 def _look_up(name: str, port: int) -> tuple[list[_Place], str]:
-    """Returns the places of a name, and why it has none; neither if that is not known soon."""
+    """Return the places of a name, or why it has none; neither if that is not known soon."""
     found: list[_Place] = []
     reasons: list[str] = []
 
@@ -188,20 +188,20 @@ def _look_up(name: str, port: int) -> tuple[list[_Place], str]:
 
 
 NOT_SENT_BYTES: Final = 128 * 1024
-"""How much may wait for the network at the sender; beyond that its socket counts as full."""
+"""How many bytes may wait for the network at the sender; with more, its socket counts as full."""
 RECEIVE_BYTES: Final = 256 * 1024
-"""How much may wait for the reader, or somewhat more: the kernel counts with overhead."""
+"""How many bytes may wait for the reader, approximately: the kernel counts overhead too."""
 SHORT_S: Final = 0.001
-"""A round trip at which that is enough for 64 MB/s. Over a longer way the kernel finds the right size by itself."""
+"""The round trip at which that is enough for 64 MB/s. For a longer one the kernel finds the right size."""
 
 _ROUND_TRIP: Final = struct.Struct("68xI")  # tcpi_rtt of Linux's tcp_info, in microseconds
 
 
 def bound_buffers(sock: socket.socket) -> None:
-    """Bounds the buffers of a new connection; does nothing if the system cannot."""
+    """Bound the buffers of a new connection, if the system can."""
     if not hasattr(socket, "TCP_NOTSENT_LOWAT") or not hasattr(socket, "TCP_INFO"):
         return
-    with contextlib.suppress(OSError):  # it may be gone already, which its next use shows
+    with contextlib.suppress(OSError):  # it may have ended already, which its next use shows
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, NOT_SENT_BYTES)
         (round_trip_us,) = _ROUND_TRIP.unpack(sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _ROUND_TRIP.size))
         if round_trip_us <= SHORT_S * 1e6:
@@ -209,14 +209,14 @@ def bound_buffers(sock: socket.socket) -> None:
 
 
 IDLE_S: Final = 5
-"""After this time without a byte the kernel asks the other side, and then as often."""
+"""After this time without a byte the kernel probes the other side, and again at this interval."""
 TRIES: Final = 3
 
 
 def keep_alive(sock: socket.socket) -> None:
-    """Has a TCP connection break when the other side is gone."""
+    """Make a TCP connection break when the other side is gone."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    # Not every system has these; its own times hold then.
+    # Not every system has these options; otherwise its own times apply.
     for option, value in (("TCP_KEEPIDLE", IDLE_S), ("TCP_KEEPINTVL", IDLE_S), ("TCP_KEEPCNT", TRIES)):
         if hasattr(socket, option):
             sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)

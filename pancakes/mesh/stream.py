@@ -39,7 +39,7 @@ class Disposable(ABC):
 
     @abstractmethod
     def dispose(self, reason: str) -> None:
-        """Ends it at once. In the loop's thread."""
+        """End it at once. In the loop's thread."""
 
 
 class ConnectionOwner(Protocol):
@@ -119,11 +119,11 @@ class KeptConnection(Connection, Disposable):
             self._handler.closed(reason)
 
     def _break_off(self, reason: str) -> None:
-        """Ends it from any thread, the lock being held."""
+        """End it from any thread, the lock being held."""
         self._owner.loop.call_later(0.0, lambda: self.dispose(f"the connection to {self.remote} broke: {reason}"))
 
     def _begin_close(self, reason: str) -> None:
-        """Sends what waits, then says that no more comes, and waits until the other side has taken it.
+        """Send what waits, then says that no more comes, and waits until the other side has taken it.
 
         What is given up with unread bytes in it breaks the connection, and the other side may then never see the last
         words.
@@ -138,13 +138,13 @@ class KeptConnection(Connection, Disposable):
         self.dispose(reason)
 
     def _half_close(self) -> None:
-        """Says that no more comes, once nothing waits."""
+        """Say that no more comes, once nothing waits."""
         with self._lock:
             if not self._waiting:
                 self._shut()
 
     def _end(self) -> str:
-        """Returns how a connection has ended that the other side has closed."""
+        """Return how a connection has ended that the other side has closed."""
         return "the other side closed the connection"
 
     def _take(self, data: memoryview) -> None:
@@ -156,23 +156,23 @@ class KeptConnection(Connection, Disposable):
 
     @abstractmethod
     def _listen(self) -> None:
-        """Begins to take what comes in: calls `_take`, and `dispose` with `_end()` once no more comes."""
+        """Begin to take what comes in: calls `_take`, and `dispose` with `_end()` once no more comes."""
 
     @abstractmethod
     def _put(self, data: bytes) -> int:
-        """Sends bytes, or puts them behind those that wait; returns how many wait. Under the lock."""
+        """Send bytes, or puts them behind those that wait; returns how many wait. Under the lock."""
 
     @abstractmethod
     def _shut(self) -> None:
-        """Tells the other side that no more comes. Under the lock."""
+        """Tell the other side that no more comes. Under the lock."""
 
     @abstractmethod
     def _release(self) -> None:
-        """Gives up what carries the bytes. Under the lock."""
+        """Give up what carries the bytes. Under the lock."""
 
 
 def why(error: OSError | int) -> str:
-    """Returns what the operating system says of a failure, as a phrase."""
+    """Return what the operating system says of a failure, as a phrase."""
     number = error if isinstance(error, int) else error.errno
     text = os.strerror(number) if number is not None else str(error)
     return text[:1].lower() + text[1:]
@@ -208,7 +208,7 @@ class StreamConnection(KeptConnection):
         self._owner.loop.watch(self._sock, READ, self._ready)
 
     def _put(self, data: bytes) -> int:
-        """Gives bytes to the kernel, or puts them behind those that wait for it. Under the lock."""
+        """Give bytes to the kernel, or puts them behind those that wait for it. Under the lock."""
         if self._waiting:
             self._waiting.append(memoryview(data))
             self._unsent += len(data)
@@ -248,7 +248,7 @@ class StreamConnection(KeptConnection):
         self._read()
 
     def _read(self) -> bool:
-        """Takes what has come in; returns whether there may be more."""
+        """Take what has come in; returns whether there may be more."""
         buffer = self._owner.read_buffer
         try:
             count = self._sock.recv_into(buffer)
@@ -381,7 +381,7 @@ class StreamTransport(SchemeTransport):
 
     @abstractmethod
     def bind(self, address: str) -> Bound:
-        """Makes a socket that takes connections at an address.
+        """Make a socket that takes connections at an address.
 
         Raises:
             ValueError: it is none of this transport; the phrase says why.
@@ -390,7 +390,7 @@ class StreamTransport(SchemeTransport):
 
     @abstractmethod
     def places(self, address: str, look_up: bool) -> list[Place]:
-        """Returns where an address leads, the best place first.
+        """Return where an address leads, the best place first.
 
         Args:
             address: what to dial.
@@ -404,7 +404,7 @@ class StreamTransport(SchemeTransport):
 
     @abstractmethod
     def remote(self, sock: socket.socket, place: Any) -> str:
-        """Returns an address for the other end of a connection that came in from `place`."""
+        """Return an address for the other end of a connection that came in from `place`."""
 
     @abstractmethod
     def prepare(self, sock: socket.socket, dialled: str) -> str:
@@ -418,11 +418,11 @@ class StreamTransport(SchemeTransport):
     def connection(
         self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
     ) -> StreamConnection:
-        """Makes the connection of an open socket."""
+        """Make the connection of an open socket."""
         return StreamConnection(self, sock, remote, handler)
 
     def connect(self, sock: socket.socket, place: Any) -> None:
-        """Connects a socket that does not block.
+        """Connect a socket that does not block.
 
         Raises:
             OSError: as `socket.connect`.
@@ -431,7 +431,7 @@ class StreamTransport(SchemeTransport):
 
 
 class _Listener(Disposable):
-    """Takes connections at an address, with a new socket if others do not find the last one any more."""
+    """Take connections at an address, with a new socket if others do not find the last one any more."""
 
     def __init__(
         self, transport: StreamTransport, address: str, bound: Bound, accept: Callable[[], ConnectionHandler]
@@ -449,7 +449,7 @@ class _Listener(Disposable):
             self._transport.loop.call_later(LOOK_S, self._look)
 
     def end(self) -> None:
-        """Takes no more connections; its place is free at once. Any thread."""
+        """Take no more connections; its place is free at once. Any thread."""
         self._ended = True
         # Only the loop may close its socket; one that was shut down is in nobody's way.
         with contextlib.suppress(OSError):
@@ -497,7 +497,7 @@ class _Listener(Disposable):
 
 
 class _Connecting(Disposable):
-    """Opens a connection: finds out where a name leads, then tries its places side by side."""
+    """Open a connection: finds out where a name leads, then tries its places side by side."""
 
     def __init__(self, transport: StreamTransport, address: str, handler: ConnectionHandler) -> None:
         self._transport = transport
@@ -562,12 +562,12 @@ class _Connecting(Disposable):
         sock.close()
 
     def _later(self, left: int) -> None:
-        """Tries the next place, unless a failure has had it tried meanwhile."""
+        """Try the next place, unless a failure has had it tried meanwhile."""
         if self in self._transport.open and len(self._places) == left:
             self._try()
 
     def _try(self) -> None:
-        """Tries one more place, beside those that have not answered yet."""
+        """Try one more place, beside those that have not answered yet."""
         family, place = self._places.pop(0)
         if left := len(self._places):
             self._timers.append(self._transport.loop.call_later(self._pace_s, lambda: self._later(left)))

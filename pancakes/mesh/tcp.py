@@ -107,7 +107,7 @@ class TcpTransport(StreamTransport):
 
 
 def needs_keys(address: str, name: str = "NAME") -> str:
-    """Returns why there is no connection over TCP, as a sentence.
+    """Return why there is no connection over TCP, as a sentence.
 
     Args:
         address: the address.
@@ -117,7 +117,7 @@ def needs_keys(address: str, name: str = "NAME") -> str:
 
 
 def _address(place: Any) -> str:
-    """Returns the address of a place.
+    """Return the address of a place.
 
     What is known within one network only bears the interface that leads there: without, it could not be dialled.
     """

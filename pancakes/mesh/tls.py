@@ -47,7 +47,7 @@ _VERIFY: Final = {
 
 
 def sentence_of(error: ssl.SSLError) -> str:
-    """Returns why a connection cannot be, as a clause."""
+    """Return why a connection cannot be, as a clause."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return _VERIFY.get(error.verify_code, f"its certificate is not believed: {error.verify_message}")
     return _REASONS.get(error.reason or "", f"TLS failed: {(error.reason or str(error)).replace('_', ' ').lower()}")
@@ -108,7 +108,7 @@ class TlsLayer(KeptConnection):
             self._late.cancel()
 
     def _seal(self, data: bytes) -> bytes:
-        """Returns bytes as they travel. Under the lock."""
+        """Return bytes as they travel. Under the lock."""
         self._count(len(data))
         if len(data) <= RECORD_BYTES:
             self._tls.write(data)
@@ -126,7 +126,7 @@ class TlsLayer(KeptConnection):
             self._break_off(f"it has carried {MOST_BYTES} bytes, and begins anew with new keys")
 
     def _flush(self) -> None:
-        """Sends what OpenSSL itself has to say. Under the lock."""
+        """Send what OpenSSL itself has to say. Under the lock."""
         if self._out.pending:
             self._put(self._out.read())
 
@@ -151,7 +151,7 @@ class TlsLayer(KeptConnection):
             self._handler.opened(self)
 
     def _look(self) -> str:
-        """Reads the certificate of the other end; returns why that is not believed, as a clause."""
+        """Read the certificate of the other end; returns why that is not believed, as a clause."""
         try:
             found = certificate_shown(self._tls)
         except ValueError as error:
@@ -177,7 +177,7 @@ class TlsLayer(KeptConnection):
             self.dispose(ended)
 
     def _opened_bytes(self, sealed: memoryview) -> tuple[bytes, str]:
-        """Returns what came in, decrypted, and why the connection has ended; empty: it has not."""
+        """Return what came in, decrypted, and why the connection has ended; empty: it has not."""
         parts: list[bytes] = []
         ended = ""
         with self._lock:

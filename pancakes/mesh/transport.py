@@ -43,7 +43,7 @@ class Connection(ABC):
 
     @abstractmethod
     def send(self, data: bytes) -> int:
-        """Sends `data`, at once if that needs no waiting, else as soon as there is room. Never blocks.
+        """Send `data`, at once if that needs no waiting, else as soon as there is room. Never blocks.
 
         Returns:
             As `unsent`.
@@ -51,11 +51,11 @@ class Connection(ABC):
 
     @abstractmethod
     def unsent(self) -> int:
-        """Returns how many bytes still wait for room."""
+        """Return how many bytes still wait for room."""
 
     @abstractmethod
     def close(self, reason: str = "") -> None:
-        """Closes the connection; `reason` goes to this side's handler. A second call does nothing."""
+        """Close the connection; `reason` goes to this side's handler. A second call does nothing."""
 
 
 class ConnectionHandler(Protocol):
@@ -78,7 +78,7 @@ class ConnectionHandler(Protocol):
         ...
 
     def last_words(self, fault: str) -> bytes:
-        """Returns the last message to a peer whose certificate is of the fleet, and is not believed all the same.
+        """Return the last message to a peer whose certificate is of the fleet, and is not believed all the same.
 
         Args:
             fault: why, as a clause. The connection ends without having been `opened`.
@@ -97,7 +97,7 @@ class Scheduled(Protocol):
     """A call that is due later."""
 
     def cancel(self) -> None:
-        """Makes sure that the call does not happen, if it has not begun."""
+        """Make sure that the call does not happen, if it has not begun."""
         ...
 
 
@@ -133,7 +133,7 @@ class SchemeTransport(ABC):
 
     @classmethod
     def facts(cls, address: str, keyed: bool) -> TransportFacts:
-        """Returns what is known of the way to an address of this scheme.
+        """Return what is known of the way to an address of this scheme.
 
         Args:
             address: the address.
@@ -147,7 +147,7 @@ class SchemeTransport(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Closes all that is open, and tells the handlers. In the loop's thread."""
+        """Close all that is open, and tells the handlers. In the loop's thread."""
 
 
 class Transport(ABC):
@@ -155,7 +155,7 @@ class Transport(ABC):
 
     @abstractmethod
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
-        """Takes connections at `address` (`tcp://127.0.0.1:7401`; port 0 takes a free one).
+        """Take connections at `address` (`tcp://127.0.0.1:7401`; port 0 takes a free one).
 
         Args:
             address: where to listen; for the parts of an address see `pancakes.mesh.address`.
@@ -170,7 +170,7 @@ class Transport(ABC):
 
     @abstractmethod
     def stop_listening(self, address: str) -> None:
-        """Takes no more connections at `address`, which is free once this returns; open connections stay.
+        """Take no more connections at `address`, which is free once this returns; open connections stay.
 
         Args:
             address: what `listen` returned. Nothing happens if nothing listens there.
@@ -178,26 +178,26 @@ class Transport(ABC):
 
     @abstractmethod
     def dial(self, address: str, handler: ConnectionHandler) -> None:
-        """Opens a connection to `address`. Failure comes as `handler.closed(reason)`."""
+        """Open a connection to `address`. Failure comes as `handler.closed(reason)`."""
 
     def may_be_named(self, address: str) -> bool:
-        """Returns whether a peer may name an address: it can be dialled, and no name must be looked up for that."""
+        """Return whether a peer may name an address: it can be dialled, and no name must be looked up for that."""
         return True
 
     def facts(self, address: str) -> TransportFacts:
-        """Returns what is known of the way to an address; of one whose scheme is unknown here, what it looks like."""
+        """Return what is known of the way to an address; of one whose scheme is unknown here, what it looks like."""
         return TransportFacts(reach_of(address))
 
     def reach(self, address: str) -> Reach:
-        """Returns from how far an address can be dialled."""
+        """Return from how far an address can be dialled."""
         return self.facts(address).reach
 
     @abstractmethod
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
-        """Runs `function` in the transport's thread in `delay_s` seconds of host time. From any thread."""
+        """Run `function` in the transport's thread in `delay_s` seconds of host time. From any thread."""
 
     def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
-        """Lets the transport's thread give turns to the actors that it has brought something.
+        """Let the transport's thread give turns to the actors that it has brought something.
 
         Without a thread of its own there is nothing to lend.
 
@@ -209,7 +209,7 @@ class Transport(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Closes all that is open, tells the handlers, and ends the transport's thread."""
+        """Close all that is open, tells the handlers, and ends the transport's thread."""
 
 
 class SocketTransport(Transport):
@@ -283,7 +283,7 @@ class SocketTransport(Transport):
             made.close()
 
     def _of(self, address: str) -> SchemeTransport:
-        """Returns the transport that an address names.
+        """Return the transport that an address names.
 
         Raises:
             PluginError: no distribution offers it, or it cannot be made.
@@ -302,7 +302,7 @@ class SocketTransport(Transport):
 
 
 def facts_of(address: str, keyed: bool, plugins: Plugins) -> TransportFacts:
-    """Returns what is known of the way to an address; of one whose scheme is unknown here, what it looks like.
+    """Return what is known of the way to an address; of one whose scheme is unknown here, what it looks like.
 
     Args:
         address: the address.

@@ -120,12 +120,12 @@ class Trust:
     # What peers may send
 
     def fault_of_hello(self, session: Session, hello: Hello) -> str:
-        """Returns in what a hello is not as the certificate of its sender says, as a sentence; empty: in nothing."""
+        """Return in what a hello is not as the certificate of its sender says, as a sentence; empty: in nothing."""
         shown = session.certified
         return fault_of_bearer(shown, hello.name, hello.role, hello.fleet) if shown is not None else ""
 
     def fault_of_packet(self, session: Session, packet: Packet) -> str:
-        """Returns why the peer may not send packets with this head, as a sentence; empty: it may."""
+        """Return why the peer may not send packets with this head, as a sentence; empty: it may."""
         access = self._access
         if access is None:
             return ""
@@ -134,7 +134,7 @@ class Trust:
         )
 
     def asks_too_much(self, session: Session, first: Packet, number: int) -> str:
-        """Returns why what the peer asks for is refused, as a sentence; empty: it asks for nothing, or not too often.
+        """Return why what the peer asks for is refused, as a sentence; empty: it asks for nothing, or not too often.
 
         Args:
             session: the link that the packets came over.
@@ -171,7 +171,7 @@ class Trust:
             self._tell(session, RosterText(keys.roster_text))
 
     def _check_roster(self, keys: Keys, session: Session, text: bytes) -> None:
-        """Checks the signature of a roster, in a separate process."""
+        """Check the signature of a roster, in a separate process."""
         try:
             _, roster = read_signed(text)
         except ValueError as error:
@@ -225,7 +225,7 @@ class Trust:
             self._call_later(LOOK_S, self._look_at_roster)
 
     def _keep_again(self, keys: Keys) -> None:
-        """Tries again to write the roster in force to disk."""
+        """Try again to write the roster in force to disk."""
         text = keys.roster_text
 
         def again() -> None:
@@ -250,7 +250,7 @@ class Trust:
     # A new key
 
     def reload_keys(self, dry_run: bool = False) -> bool:
-        """Takes the key that is on disk now; returns whether it is a new one. Any thread.
+        """Take the key that is on disk now; returns whether it is a new one. Any thread.
 
         Args:
             dry_run: whether to look for it only.
@@ -288,7 +288,7 @@ class Trust:
 
 
 def can_check() -> bool:
-    """Returns whether the library is installed that checks the signature of a roster."""
+    """Return whether the library is installed that checks the signature of a roster."""
     try:
         return importlib.util.find_spec("cryptography") is not None
     except (ImportError, ValueError):
@@ -296,7 +296,7 @@ def can_check() -> bool:
 
 
 def keep(keys: Keys, text: bytes) -> tuple[str, int]:
-    """Checks the signature of a roster, and keeps it beside the keys. Waits for a process, so it needs a thread.
+    """Check the signature of a roster, and keeps it beside the keys. Waits for a process, so it needs a thread.
 
     Returns:
         What is wrong, as a sentence (empty: nothing, it is kept), and the exit code of `check_roster`.

@@ -15,7 +15,7 @@ from pancakes.security.roster import AccessRule, Bearer, Right, Roster, allows
 
 
 def fault_of_source(own_role: str, peer: str, role: str, packet: Packet) -> str:
-    """Returns why a peer may not send packets of the source of this one, as a sentence; empty if it may.
+    """Return why a peer may not send packets of the source of this one, as a sentence; empty if it may.
 
     The packets of an agent come only over the link to that agent. But on `system`, and on channels that are no core
     channels, a client replays what others once said (`pancakes replay`), and follows what others say to its peer.
@@ -33,7 +33,7 @@ def fault_of_source(own_role: str, peer: str, role: str, packet: Packet) -> str:
 
 
 def may_be_replayed(channel: str) -> bool:
-    """Returns whether a terminal may send what others said on this channel."""
+    """Return whether a terminal may send what others said on this channel."""
     return channel == SYSTEM or channel not in CORE_CHANNELS
 
 
@@ -45,17 +45,17 @@ _AMONG_ITSELF: Final = ("migration.", "guard.", "post.", "task.")
 
 
 def right_of(body: object) -> Right:
-    """Returns the right that a control packet needs."""
+    """Return the right that a control packet needs."""
     return "look" if getattr(body, "dry_run", False) else CONTROLS[type(body)]
 
 
 def asks(packet: Packet) -> bool:
-    """Returns whether a packet asks an agent for something."""
+    """Return whether a packet asks an agent for something."""
     return packet.channel == SYSCTRL and packet.type in _ASKING
 
 
 def needs(packet: Packet) -> tuple[Right, tuple[str, ...]] | None:
-    """Returns the right that a packet of a peer needs to be let in, and what for; None: none here.
+    """Return the right that a packet of a peer needs to be let in, and what for; None: none here.
 
     A control packet is checked later, when its target is known; so is a hand-off, and a letter to a task.
     """
@@ -100,7 +100,7 @@ class Access:
         """Takes a peer; returns what it is, and whether a certificate says so; None: it has no link."""
 
     def fault(self, peer: str, right: Right, *on: str) -> str:
-        """Returns why a peer may not do something, as a sentence; empty: it may. Any thread.
+        """Return why a peer may not do something, as a sentence; empty: it may. Any thread.
 
         Args:
             peer: the name of the peer; the agent itself may do all.
@@ -117,7 +117,7 @@ class Access:
         return f"{self._agent} has no link to {peer} any more, so it is not known what {peer} may do"
 
     def fault_of_packet(self, who: Bearer, certified: bool, peer: str, packet: Packet) -> str:
-        """Returns why a packet is not let in, as a sentence; empty: it is. In the transport's thread.
+        """Return why a packet is not let in, as a sentence; empty: it is. In the transport's thread.
 
         Args:
             who: the peer.

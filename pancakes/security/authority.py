@@ -102,7 +102,7 @@ class Authority:
 
     @classmethod
     def founded(cls, fleet: str, folder: Path, password: bytes | None = None) -> Authority:
-        """Founds a fleet: makes its key, its first rules and its first roster.
+        """Found a fleet: makes its key, its first rules and its first roster.
 
         Raises:
             PancakesError: the folder has an authority already.
@@ -137,7 +137,7 @@ class Authority:
         return self._register.entries
 
     def check_new(self, name: str) -> None:
-        """Checks that a name is free.
+        """Check that a name is free.
 
         Raises:
             PancakesError: it is taken.
@@ -153,7 +153,7 @@ class Authority:
         came_from: str = "",
         days: float | None = None,
     ) -> KeyFiles:
-        """Certifies a key, and registers that; returns the contents of its folder, without the private key."""
+        """Certify a key, and registers that; returns the contents of its folder, without the private key."""
         given = self.certify(key, role, name, groups, days)
         entry = Entry(name, role, tuple(groups), given.serial, wall_ns() / 1e9, given.ends_s, came_from)
         self._keep(replace(self._register, entries=(*self._register.entries, entry)))
@@ -163,12 +163,12 @@ class Authority:
     def enrol_with_key(
         self, role: CertifiedRole, name: str, groups: Sequence[str] = (), days: float | None = None
     ) -> KeyFiles:
-        """Makes a key and certifies it; returns the contents of its folder."""
+        """Make a key and certifies it; returns the contents of its folder."""
         key = new_key()
         return self.enrol(key.public_key(), role, name, groups, days=days)._replace(key=pem_of_key(key))
 
     def latest(self, who: str) -> Entry:
-        """Returns the newest certificate of a bearer that is believed; `who` is `NAME` or `ROLE/NAME`.
+        """Return the newest certificate of a bearer that is believed; `who` is `NAME` or `ROLE/NAME`.
 
         Raises:
             PancakesError: there is none.
@@ -176,7 +176,7 @@ class Authority:
         return self._register.latest(who, self.fleet)
 
     def revoke(self, who: str, why: str, force: bool = False) -> list[Entry]:
-        """Revokes all certificates of a bearer, and signs that.
+        """Revoke all certificates of a bearer, and signs that.
 
         Raises:
             PancakesError: there is none, or the roster cannot be signed.
@@ -188,7 +188,7 @@ class Authority:
         return gone
 
     def allow(self, rule: AccessRule, force: bool = False) -> Roster:
-        """Adds a rule, and signs that.
+        """Add a rule, and signs that.
 
         Raises:
             PancakesError: the rules are not sound, or the roster cannot be signed.
@@ -197,7 +197,7 @@ class Authority:
         return self.sign(force)
 
     def sign(self, force: bool = False, register: Register | None = None) -> Roster:
-        """Signs a new roster.
+        """Sign a new roster.
 
         Args:
             force: whether agents must believe it whatever its date.
@@ -235,7 +235,7 @@ class Authority:
         groups: Sequence[str] = (),
         days: float | None = None,
     ) -> Issued:
-        """Returns a certificate of a key.
+        """Return a certificate of a key.
 
         Args:
             public_key: the key.
@@ -277,7 +277,7 @@ class Authority:
         return Issued(pem, f"{serial:0{digits}X}", None if days is None else end.timestamp())
 
     def signed(self, roster: Roster) -> bytes:
-        """Returns a roster as it travels, signed.
+        """Return a roster as it travels, signed.
 
         Raises:
             PancakesError: it is too large.
@@ -294,7 +294,7 @@ class Authority:
 
 
 def is_locked(directory: Path) -> bool:
-    """Returns whether the key of the authority in a directory needs a password.
+    """Return whether the key of the authority in a directory needs a password.
 
     Raises:
         PancakesError: there is none.
@@ -306,7 +306,7 @@ def is_locked(directory: Path) -> bool:
 
 
 def signed_by(authorities: Path, signed: SignedRoster) -> bool:
-    """Returns whether a roster was signed by the authority of a fleet, or by one of two.
+    """Return whether a roster was signed by the authority of a fleet, or by one of two.
 
     Args:
         authorities: the file with their certificates.
@@ -334,12 +334,12 @@ def signed_by(authorities: Path, signed: SignedRoster) -> bool:
 
 
 def new_key() -> ec.EllipticCurvePrivateKey:
-    """Makes a private key: P-256, which secure elements and TPMs have too."""
+    """Make a private key: P-256, which secure elements and TPMs have too."""
     return ec.generate_private_key(ec.SECP256R1())
 
 
 def pem_of_key(key: ec.EllipticCurvePrivateKey, password: bytes | None = None) -> bytes:
-    """Returns a private key as PEM, locked with a password if there is one."""
+    """Return a private key as PEM, locked with a password if there is one."""
     lock = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
     return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, lock)
 

@@ -26,7 +26,7 @@ class UnkeptRoster(PancakesError):
 
 
 def check(folder: Path, text: bytes) -> None:
-    """Keeps a roster in a folder with keys.
+    """Keep a roster in a folder with keys.
 
     Raises:
         FalseRoster: it is none, or was not signed by the authority of the folder's fleet.

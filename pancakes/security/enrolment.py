@@ -73,7 +73,7 @@ class JoinCode(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> JoinCode:
-        """Reads a code.
+        """Read a code.
 
         Raises:
             PancakesError: it is none.
@@ -92,7 +92,7 @@ class JoinCode(NamedTuple):
 
 
 class Desk:
-    """Waits on the operator's machine for one newcomer.
+    """Wait on the operator's machine for one newcomer.
 
     Args:
         host: the address of this machine, as the newcomer reaches it.
@@ -141,7 +141,7 @@ class Desk:
         self.code = JoinCode(host, self._sock.getsockname()[1], pin, secrets.token_bytes(_SECRET_BYTES))
 
     def serve(self, certify: Certify) -> str:
-        """Waits for the newcomer, then closes.
+        """Wait for the newcomer, then closes.
 
         Args:
             certify: see `Certify`.
@@ -181,7 +181,7 @@ class Desk:
     def _answer(
         self, secret: bytes, request: x509.CertificateSigningRequest, place: str, certify: Certify
     ) -> dict[str, str]:
-        """Returns what a newcomer is told. One at a time: the code is good once."""
+        """Return what a newcomer is told. One at a time: the code is good once."""
         with self._lock:
             if self._came_from or self._tries >= TRIES or not hmac.compare_digest(secret, self.code.secret):
                 self._tries += 1
@@ -198,7 +198,7 @@ class Desk:
 
 
 def join(text: str) -> KeyFiles:
-    """Joins a fleet, on the machine of the newcomer.
+    """Join a fleet, on the machine of the newcomer.
 
     Args:
         text: the code.
@@ -241,7 +241,7 @@ def join(text: str) -> KeyFiles:
 
 
 def own_address() -> str:
-    """Returns the address at which other machines reach this one, as far as it knows."""
+    """Return the address at which other machines reach this one, as far as it knows."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # sends nothing: it asks the kernel which way a packet would go

@@ -53,7 +53,7 @@ class KeyFiles(NamedTuple):
     key: bytes = b""
 
     def write(self, folder: Path) -> None:
-        """Writes a folder with keys; the key last, so that it is never beside an older fleet's certificate.
+        """Write a folder with keys; the key last, so that it is never beside an older fleet's certificate.
 
         A later roster that is there stays: what it revokes is not to be believed again.
 
@@ -70,7 +70,7 @@ class KeyFiles(NamedTuple):
             raise PancakesError(f"the keys cannot be written to {folder}: {why}") from None
 
     def as_text(self) -> dict[str, str]:
-        """Returns what travels to the machine that has the key."""
+        """Return what travels to the machine that has the key."""
         return {
             name: value.decode() if isinstance(value, bytes) else value
             for name, value in self._asdict().items()
@@ -79,7 +79,7 @@ class KeyFiles(NamedTuple):
 
     @classmethod
     def of_text(cls, text: dict[str, Any], key: bytes) -> KeyFiles:
-        """Returns what has travelled, with the key that has not.
+        """Return what has travelled, with the key that has not.
 
         Raises:
             KeyError, AttributeError: a part is missing, or is not text.
@@ -89,7 +89,7 @@ class KeyFiles(NamedTuple):
 
 
 def number_of(path: Path) -> int:
-    """Returns the number of the roster in a file; 0 if there is none that can be read."""
+    """Return the number of the roster in a file; 0 if there is none that can be read."""
     try:
         return _number(read_plain(path))
     except OSError:
@@ -129,7 +129,7 @@ _OF_SERVICES: Final = Path("/etc/pancakes/keys")
 
 
 def folder_of_agent(fleet: str, name: str) -> Path:
-    """Returns where the keys of an agent belong, for this user.
+    """Return where the keys of an agent belong, for this user.
 
     Raises:
         NoHome: nothing says where.
@@ -139,7 +139,7 @@ def folder_of_agent(fleet: str, name: str) -> Path:
 
 
 def keys_of_agent(fleet: str, name: str) -> Path | None:
-    """Returns the folder with the keys of an agent, of this user or else of the machine; None if it has none."""
+    """Return the folder with the keys of an agent, of this user or else of the machine; None if it has none."""
     places = [_OF_SERVICES / fleet / name]
     with suppress(NoHome):  # then this user has none
         places.insert(0, folder_of_agent(fleet, name))
@@ -147,7 +147,7 @@ def keys_of_agent(fleet: str, name: str) -> Path | None:
 
 
 def fleets() -> Path:
-    """Returns the directory of this person's fleets: own keys, and the authorities of those that were founded here.
+    """Return the directory of this person's fleets: own keys, and the authorities of those that were founded here.
 
     Raises:
         NoHome: nothing says where it is.
@@ -156,7 +156,7 @@ def fleets() -> Path:
 
 
 def folder_of_person(fleet: str) -> Path:
-    """Returns where this person's own keys for a fleet belong.
+    """Return where this person's own keys for a fleet belong.
 
     Raises:
         NoHome: nothing says where.
@@ -165,7 +165,7 @@ def folder_of_person(fleet: str) -> Path:
 
 
 def keys_of_person(fleet: str) -> Path | None:
-    """Returns the folder with this person's own keys for a fleet; None if there are none."""
+    """Return the folder with this person's own keys for a fleet; None if there are none."""
     try:
         own = folder_of_person(fleet)
     except NoHome:
@@ -174,7 +174,7 @@ def keys_of_person(fleet: str) -> Path | None:
 
 
 def fleets_of_person() -> list[str]:
-    """Returns the fleets for which this person has keys, by name."""
+    """Return the fleets for which this person has keys, by name."""
     try:
         return sorted(it.name for it in fleets().iterdir() if keys_of_person(it.name))
     except (OSError, NoHome):
@@ -182,7 +182,7 @@ def fleets_of_person() -> list[str]:
 
 
 def rosters_here() -> dict[str, int]:
-    """Returns the number of the last roster that this person's folders have of each fleet."""
+    """Return the number of the last roster that this person's folders have of each fleet."""
     try:
         folders = sorted(it for it in fleets().iterdir() if it.is_dir())
     except (OSError, NoHome):
@@ -236,11 +236,11 @@ class Register(msgspec.Struct, frozen=True):
     signed_s: float = 0.0
 
     def of(self, who: str) -> list[Entry]:
-        """Returns the certificates of a bearer that are believed; `who` is `NAME` or `ROLE/NAME`."""
+        """Return the certificates of a bearer that are believed; `who` is `NAME` or `ROLE/NAME`."""
         return [it for it in self.entries if not it.revoked and who in (it.name, it.who)]
 
     def check_new(self, name: str, fleet: str) -> None:
-        """Checks that a name is free in a fleet.
+        """Check that a name is free in a fleet.
 
         Raises:
             PancakesError: it is taken.
@@ -252,7 +252,7 @@ class Register(msgspec.Struct, frozen=True):
             )
 
     def latest(self, who: str, fleet: str) -> Entry:
-        """Returns the newest certificate of a bearer that is believed; `who` is `NAME` or `ROLE/NAME`.
+        """Return the newest certificate of a bearer that is believed; `who` is `NAME` or `ROLE/NAME`.
 
         Raises:
             PancakesError: there is none.
@@ -268,7 +268,7 @@ _DECODE: Final = codecs.json_decoder(Register)
 
 
 def read_register(folder: Path) -> Register:
-    """Reads the register of a fleet; empty if there is none.
+    """Read the register of a fleet; empty if there is none.
 
     Raises:
         PancakesError: it cannot be read.
@@ -285,7 +285,7 @@ def read_register(folder: Path) -> Register:
 
 
 def write_register(folder: Path, register: Register) -> None:
-    """Writes the register of a fleet."""
+    """Write the register of a fleet."""
     write_private(folder / REGISTER, msgspec.json.format(_ENCODE(register)))
 
 
@@ -305,7 +305,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_rules(folder: Path) -> tuple[AccessRule, ...]:
-    """Reads the rules of a fleet.
+    """Read the rules of a fleet.
 
     Raises:
         PancakesError: the file cannot be read, or is not sound.
@@ -324,12 +324,12 @@ def read_rules(folder: Path) -> tuple[AccessRule, ...]:
 
 
 def begin_rules(folder: Path) -> None:
-    """Writes the rules of a new fleet."""
+    """Write the rules of a new fleet."""
     write_private(folder / RULES, (_HEAD + "".join(map(_text, DEFAULT))).encode())
 
 
 def add_rule(folder: Path, rule: AccessRule) -> None:
-    """Adds a rule at the end of the file; what a person wrote there stays.
+    """Add a rule at the end of the file; what a person wrote there stays.
 
     Raises:
         PancakesError: the file cannot be read, or is not sound.

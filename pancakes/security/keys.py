@@ -52,7 +52,7 @@ class Keys:
         self.roster, self.roster_text = _kept(folder / ROSTER)
 
     def _look(self) -> tuple[int, ...]:
-        """Returns what changes when other files are put there.
+        """Return what changes when other files are put there.
 
         Raises:
             PancakesError: the key is not there, or others can read it.
@@ -62,7 +62,7 @@ class Keys:
         return tuple(number for it in found for number in (it.st_ino, it.st_mtime_ns))
 
     def reload(self, dry_run: bool = False) -> bool:
-        """Takes the key that lies there now; returns whether it is a new one.
+        """Take the key that lies there now; returns whether it is a new one.
 
         Args:
             dry_run: whether it is only looked for.
@@ -86,15 +86,15 @@ class Keys:
         return True
 
     def fault_of(self, shown: Certified) -> str:
-        """Returns why the bearer of a certificate of the authority is not believed, as a clause; empty: it is."""
+        """Return why the bearer of a certificate of the authority is not believed, as a clause; empty: it is."""
         return fault_of_certified(shown, self.own.fleet, self.roster, wall_ns() / 1e9)
 
     def fault_of_roster(self, new: Roster) -> str:
-        """Returns why a roster is not to be taken, as a sentence; empty: it is, if it was signed."""
+        """Return why a roster is not to be taken, as a sentence; empty: it is, if it was signed."""
         return fault_of_news(new, self.roster, self.own.fleet, wall_ns() / 1e9)
 
     def learn(self, roster: Roster, text: bytes) -> bool:
-        """Takes a roster whose signature has been checked; returns whether it is news."""
+        """Take a roster whose signature has been checked; returns whether it is news."""
         if self.fault_of_roster(roster):
             return False
         self.roster, self.roster_text = roster, text
@@ -102,7 +102,7 @@ class Keys:
 
 
 def _kept(path: Path) -> tuple[Roster | None, bytes]:
-    """Returns the roster beside the keys. It was checked before it came there, and is believed like them."""
+    """Return the roster beside the keys. It was checked before it came there, and is believed like them."""
     try:
         text = read_plain(path)
         return read_signed(text)[1], text
@@ -115,7 +115,7 @@ def _kept(path: Path) -> tuple[Roster | None, bytes]:
 
 
 def certificate_shown(side: ssl.SSLObject) -> Certified:
-    """Returns what the certificate says that the other side has shown.
+    """Return what the certificate says that the other side has shown.
 
     Raises:
         ValueError: it is none of a fleet; the message says why, as a clause.
@@ -148,7 +148,7 @@ def _context(protocol: int, folder: Path) -> ssl.SSLContext:
 
 
 def _shown_to_itself(listening: ssl.SSLContext, folder: Path) -> ssl.SSLObject:
-    """Returns the listening side of a handshake with itself: Python reads no certificate but one that it was shown.
+    """Return the listening side of a handshake with itself: Python reads no certificate but one that it was shown.
 
     Raises:
         ssl.SSLError: the key would not be believed.
@@ -171,7 +171,7 @@ def _shown_to_itself(listening: ssl.SSLContext, folder: Path) -> ssl.SSLObject:
 
 
 def check_private(path: Path) -> None:
-    """Checks that no other user can read a private key.
+    """Check that no other user can read a private key.
 
     Raises:
         PancakesError: another user can, or it is not there; the sentence says what to do.

@@ -60,7 +60,7 @@ class Certified(msgspec.Struct, frozen=True):
 
 
 def certified(certificate: Mapping[str, Any], ends_s: float) -> Certified:
-    """Reads a certificate whose signature has been checked.
+    """Read a certificate whose signature has been checked.
 
     Args:
         certificate: what `ssl` says of it (`SSLObject.getpeercert`).
@@ -82,7 +82,7 @@ def certified(certificate: Mapping[str, Any], ends_s: float) -> Certified:
 
 
 def fault_of_bearer(it: Certified, name: str, role: str, fleet: str) -> str:
-    """Returns in what an agent or a person is not as its certificate says, as a sentence; empty: in nothing.
+    """Return in what an agent or a person is not as its certificate says, as a sentence; empty: in nothing.
 
     Args:
         it: what the certificate says.
@@ -100,7 +100,7 @@ def fault_of_bearer(it: Certified, name: str, role: str, fleet: str) -> str:
 
 
 def fault_of_end(it: Certified, time_s: float) -> str:
-    """Returns whether a certificate has ended by a time, as a clause; empty: it has not."""
+    """Return whether a certificate has ended by a time, as a clause; empty: it has not."""
     late_s = time_s - it.ends_s
     if late_s <= SLACK_S:
         return ""
@@ -134,7 +134,7 @@ class Bearer(NamedTuple):
 
 
 class AccessRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Allows something. The order of rules never matters.
+    """Allow something. The order of rules never matters.
 
     Attributes:
         who: `role:ROLE`, `group:GROUP`, or a pattern of names (`*` for any letters, `?` for one).
@@ -159,7 +159,7 @@ DEFAULT: Final = (
 
 
 def allows(rules: Iterable[AccessRule], who: Bearer, right: Right, on: Iterable[str], at: str) -> bool:
-    """Returns whether a rule lets a bearer do something.
+    """Return whether a rule lets a bearer do something.
 
     Args:
         rules: the rules.
@@ -257,12 +257,12 @@ _ROSTER: Final = codecs.json_decoder(Roster)
 
 
 def signed_bytes(payload: str) -> bytes:
-    """Returns what is signed of a roster."""
+    """Return what is signed of a roster."""
     return _BEFORE + payload.encode()
 
 
 def read_signed(text: bytes) -> tuple[SignedRoster, Roster]:
-    """Reads a roster. Its signature is not checked.
+    """Read a roster. Its signature is not checked.
 
     Raises:
         ValueError: it is none; the message says why, as a phrase.
@@ -277,7 +277,7 @@ def read_signed(text: bytes) -> tuple[SignedRoster, Roster]:
 
 
 def fault_of_news(new: Roster, last: Roster | None, fleet: str, now_s: float) -> str:
-    """Returns why a roster is not taken in the place of the last one, as a sentence; empty: it is.
+    """Return why a roster is not taken in the place of the last one, as a sentence; empty: it is.
 
     Args:
         new: the roster; its signature has been checked, or will be.
@@ -300,7 +300,7 @@ def fault_of_news(new: Roster, last: Roster | None, fleet: str, now_s: float) ->
 
 
 def fault_of_certified(it: Certified, fleet: str, roster: Roster | None, now_s: float) -> str:
-    """Returns why the bearer of a certificate of the authority is not believed, as a clause; empty: it is.
+    """Return why the bearer of a certificate of the authority is not believed, as a clause; empty: it is.
 
     A clock may be late, but never later than the last roster was signed.
 

@@ -38,7 +38,7 @@ class _ArrayRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=
 
 
 def _of_numpy(name: str) -> Any:
-    """Returns a class of numpy; an empty tuple where there can be no instance of it yet, as nothing has imported numpy.
+    """Return a class of numpy; an empty tuple where there can be no instance of it yet, as nothing has imported numpy.
 
     While another thread imports numpy for the first time, the module is there and has no classes.
     """
@@ -46,17 +46,17 @@ def _of_numpy(name: str) -> Any:
 
 
 def is_array(value: Any) -> bool:
-    """Returns whether a value is a numpy array."""
+    """Return whether a value is a numpy array."""
     return isinstance(value, _of_numpy("ndarray"))
 
 
 def is_number(value: Any) -> bool:
-    """Returns whether a value is one of numpy's own numbers or booleans, such as what `array.sum()` returns."""
+    """Return whether a value is one of numpy's own numbers or booleans, such as what `array.sum()` returns."""
     return isinstance(value, _of_numpy("generic")) and value.dtype.kind in "biuf"
 
 
 def is_number_type(kind: type) -> bool:
-    """Returns whether a type is that of one of numpy's own numbers, such as `numpy.float64`."""
+    """Return whether a type is that of one of numpy's own numbers, such as `numpy.float64`."""
     return issubclass(kind, _of_numpy("generic"))
 
 
@@ -64,7 +64,7 @@ def is_number_type(kind: type) -> bool:
 
 
 def extension_from_array(array: Any, where: str) -> msgspec.msgpack.Ext:
-    """Returns an array as msgpack has it.
+    """Return an array as msgpack has it.
 
     Args:
         array: the array.
@@ -80,7 +80,7 @@ def extension_from_array(array: Any, where: str) -> msgspec.msgpack.Ext:
 
 
 def array_from_extension(code: int, data: bytes | memoryview) -> Any:
-    """Makes a read-only numpy array; its memory is the bytes that it came in.
+    """Make a read-only numpy array; its memory is the bytes that it came in.
 
     Raises:
         RemoteProtocolError: the bytes are no array of numbers or booleans.
@@ -105,7 +105,7 @@ def array_from_extension(code: int, data: bytes | memoryview) -> Any:
 
 
 def saved_array(value: Any) -> msgspec.msgpack.Ext:
-    """Returns an array in what a task carries as msgpack has it: msgspec's `enc_hook`.
+    """Return an array in what a task carries as msgpack has it: msgspec's `enc_hook`.
 
     Raises:
         TypeError: it is no array, or one of anything but numbers and booleans.
@@ -117,7 +117,7 @@ def saved_array(value: Any) -> msgspec.msgpack.Ext:
 
 
 def check_items(array: Any) -> None:
-    """Refuses an array that cannot be saved.
+    """Refuse an array that cannot be saved.
 
     Raises:
         TypeError: it contains anything but numbers and booleans.
@@ -130,7 +130,7 @@ def check_items(array: Any) -> None:
 
 
 def unaliased(kind: Any) -> Any:
-    """Returns a type with what an alias stands for in the alias's place: from numpy 2.5 on, `NDArray` is one."""
+    """Return a type with what an alias stands for in the alias's place: from numpy 2.5 on, `NDArray` is one."""
     while True:
         alias = kind if isinstance(kind, _ALIAS) else get_origin(kind)
         if not isinstance(alias, _ALIAS):
@@ -139,14 +139,14 @@ def unaliased(kind: Any) -> Any:
 
 
 def is_array_type(kind: Any) -> bool:
-    """Returns whether a field's type is `numpy.ndarray`, with or without the type of its items."""
+    """Return whether a field's type is `numpy.ndarray`, with or without the type of its items."""
     kind = unaliased(kind)
     array = _of_numpy("ndarray")
     return array != () and (kind is array or get_origin(kind) is array)
 
 
 def fault_of_array_type(kind: Any) -> str:
-    """Says what is wrong with the type of an array that is to be saved; empty: nothing."""
+    """Say what is wrong with the type of an array that is to be saved; empty: nothing."""
     wanted = _dtype_of(kind)
     if wanted is None or isinstance(wanted, type) or _DTYPE.match(wanted.str):
         return ""
@@ -154,7 +154,7 @@ def fault_of_array_type(kind: Any) -> str:
 
 
 def array_of(kind: Any, value: Any) -> Any:
-    """Makes a new array for a field of settings or state: msgspec's `dec_hook`.
+    """Make a new array for a field of settings or state: msgspec's `dec_hook`.
 
     An array keeps its dtype and shape. A list becomes an array of the type that the field names; where it names none,
     of float64, or of booleans where all items are.
@@ -245,7 +245,7 @@ def _kinds_in(value: Any) -> Iterator[type]:
 
 
 def as_list(array: Any) -> Any:
-    """Returns an array, or one of numpy's numbers, as lists of numbers; a complex number is the list of its two parts.
+    """Return an array, or one of numpy's numbers, as lists of numbers; a complex number is the list of its two parts.
 
     Raises:
         TypeError: it is no array.
@@ -260,7 +260,7 @@ def as_list(array: Any) -> Any:
 
 
 def without_arrays(value: Any) -> Any:
-    """Returns a plain value with lists in place of arrays, however deep in mappings and lists; all else as it is."""
+    """Return a plain value with lists in place of arrays, however deep in mappings and lists; all else as it is."""
     if is_array(value) or is_number(value):
         return as_list(value)
     if isinstance(value, Mapping):
@@ -271,7 +271,7 @@ def without_arrays(value: Any) -> Any:
 
 
 def alike(one: Any, other: Any) -> bool:
-    """Returns whether two plain values are equal; arrays are where their dtype, shape and bytes are."""
+    """Return whether two plain values are equal; arrays are where their dtype, shape and bytes are."""
     if is_array(one) or is_array(other):
         if not (is_array(one) and is_array(other)):
             return False

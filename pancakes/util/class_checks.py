@@ -25,7 +25,7 @@ from pancakes.errors import ClassError
 
 
 def place_of_function(function: Callable[..., Any]) -> str:
-    """Returns the file and line of a function's `def`; its module where it has none, as what is built into Python."""
+    """Return the file and line of a function's `def`; its module where it has none, as what is built into Python."""
     code = getattr(function, "__code__", None)
     if code is None:
         return str(getattr(function, "__module__", None) or "a module")
@@ -38,7 +38,7 @@ def place_of_function(function: Callable[..., Any]) -> str:
 
 
 def place_of_field(cls: type, field: str = "") -> str:
-    """Returns the file and line of a field of a class, or of the class; its module where there is no text of it."""
+    """Return the file and line of a field of a class, or of the class; its module where there is no text of it."""
     for owner in cls.__mro__ if field else (cls,):
         if field and field not in inspect.get_annotations(owner):
             continue
@@ -51,7 +51,7 @@ def place_of_field(cls: type, field: str = "") -> str:
 
 
 def _line_of(field: str, lines: list[str]) -> int:
-    """Returns in which line of a class's text, from 0, a field is declared; 0 where none is found."""
+    """Return in which line of a class's text, from 0, a field is declared; 0 where none is found."""
     try:
         (defined,) = ast.parse(textwrap.dedent("".join(lines))).body
     except (SyntaxError, ValueError):
@@ -73,29 +73,29 @@ MADE_AS: Final = "_made_as"
 
 
 def is_own(cls: type) -> bool:
-    """Returns whether a class is Pancakes' own."""
+    """Return whether a class is Pancakes' own."""
     return f"{cls.__module__}.".startswith(_OWN)
 
 
 def parts_of(cls: type) -> list[type]:
-    """Returns a class, and what is mixed into it that was not judged when it was made."""
+    """Return a class, and what is mixed into it that was not judged when it was made."""
     own = [it for it in cls.__mro__ if is_own(it)]
     mixed_in = [it for it in cls.__mro__[1:] if not hasattr(it, MADE_AS)]
     return [cls, *(it for it in mixed_in if not any(issubclass(mine, it) for mine in own))]
 
 
 def owner_of(cls: type, name: str) -> type | None:
-    """Returns the class that a class has an attribute from; None: it has none of this name."""
+    """Return the class that a class has an attribute from; None: it has none of this name."""
     return next((it for it in cls.__mro__ if name in vars(it)), None)
 
 
 def is_judged(cls: type) -> bool:
-    """Returns whether a class needs no judgement: the tests judge Pancakes' own, which takes a sixth of a start."""
+    """Return whether a class needs no judgement: the tests judge Pancakes' own, which takes a sixth of a start."""
     return is_own(cls)
 
 
 def given_in(cls: type) -> Iterator[tuple[type, str, Any]]:
-    """Yields what the author of a class gives it: in which class it stands, its name, and what it is.
+    """Yield what the author of a class gives it: in which class it stands, its name, and what it is.
 
     For a class of Pancakes' own it yields nothing; see `is_judged`.
     """
@@ -111,7 +111,7 @@ _STARRED: Final = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
 
 def check_called(function: Any, given: Sequence[str], caller: str, write: str) -> None:
-    """Refuses what cannot be called as it will be.
+    """Refuse what cannot be called as it will be.
 
     Args:
         function: a function, or whatever else can be called.
@@ -135,7 +135,7 @@ def check_called(function: Any, given: Sequence[str], caller: str, write: str) -
 
 
 def check_runs(function: Any, write: str) -> None:
-    """Refuses a function that does nothing when it is called, because the caller would have to await or iterate it.
+    """Refuse a function that does nothing when it is called, because the caller would have to await or iterate it.
 
     Args:
         function: what is called.
@@ -156,7 +156,7 @@ def check_runs(function: Any, write: str) -> None:
 
 
 def check_overrides(cls: type) -> None:
-    """Refuses methods of a class that stand in for a method of Pancakes, and cannot be called as that one is.
+    """Refuse methods of a class that stand in for a method of Pancakes, and cannot be called as that one is.
 
     Those that are mixed into it are judged as well.
 
@@ -173,7 +173,7 @@ def check_overrides(cls: type) -> None:
 
 
 def definition_of(original: Any, name: str = "") -> str:
-    """Returns the `def` of a method, as a person would write it in its place."""
+    """Return the `def` of a method, as a person would write it in its place."""
     function = getattr(original, "__func__", original)
     parameters = ", ".join(map(str, _bare(function))) if callable(function) else "self"
     mark = f"@{type(original).__name__} " if isinstance(original, (classmethod, staticmethod)) else ""
@@ -226,7 +226,7 @@ def _plain_count(function: Any) -> int | None:
 
 
 def takes(function: Callable[..., Any], count: int, named: Collection[str] = ()) -> bool:
-    """Returns whether a function can be called with so many arguments and those names."""
+    """Return whether a function can be called with so many arguments and those names."""
     if not named and _plain_count(function) == count:
         return True  # nearly all; a signature takes 10 µs
     try:
@@ -261,14 +261,14 @@ PERIOD: Final = "__period__"
 
 
 def marks_of(function: Any) -> str:
-    """Returns which of the two stands at a function, as a person would write it; empty: none does."""
+    """Return which of the two stands at a function, as a person would write it; empty: none does."""
     if hasattr(function, PERIOD):
         return "@every"
     return "@on" if hasattr(function, SUBSCRIPTIONS) else ""
 
 
 def check_marks(cls: type, reacts: str = "") -> None:
-    """Refuses a class with `@on` or `@every` where it would do nothing, or would have a hook called a second time.
+    """Refuse a class with `@on` or `@every` where it would do nothing, or would have a hook called a second time.
 
     Args:
         cls: the class.
@@ -318,7 +318,7 @@ _HOLD_FUNCTIONS: Final = (
 
 
 def check_own_names(cls: type, base: type, hooks: Collection[str], kept: Collection[str] = ()) -> None:
-    """Refuses a class that gives a name of Pancakes to something of its own.
+    """Refuse a class that gives a name of Pancakes to something of its own.
 
     Args:
         cls: the class that is made.
@@ -443,7 +443,7 @@ class Made(NamedTuple):
 
 
 def check_made(cls: type) -> None:
-    """Refuses a class that cannot be called as Pancakes calls it.
+    """Refuse a class that cannot be called as Pancakes calls it.
 
     Raises:
         ClassError: says so, with the file and line.
@@ -470,7 +470,7 @@ def check_made(cls: type) -> None:
 
 
 def check_loaded(cls: Any) -> None:
-    """Refuses a class that came to be unfit after it was made, by a decorator, or that is only half of one.
+    """Refuse a class that came to be unfit after it was made, by a decorator, or that is only half of one.
 
     Args:
         cls: what was loaded; all but a class of a user that Pancakes makes is passed over.
@@ -492,7 +492,7 @@ def check_loaded(cls: Any) -> None:
 
 
 def check_instance(cls: Any, instance: object) -> None:
-    """Refuses what came of a class whose `__init__` did not go on to that of Pancakes.
+    """Refuse what came of a class whose `__init__` did not go on to that of Pancakes.
 
     Args:
         cls: what was called; all but a class that Pancakes makes is passed over.

@@ -16,7 +16,7 @@ class Clock(Protocol):
     """Something that knows the time, in seconds from an origin of its own."""
 
     def now(self) -> float:
-        """Returns the time in seconds. Never goes back."""
+        """Return the time in seconds. Never goes back."""
         ...
 
 
@@ -33,7 +33,7 @@ READ_S: Final = 0.0005
 
 
 def day_s(host: Clock) -> float | None:
-    """Returns the time of day at 0 of the host clock, in seconds since 1970 (UTC); None: it was never set."""
+    """Return the time of day at 0 of the host clock, in seconds since 1970 (UTC); None: it was never set."""
     best: tuple[float, float] | None = None
     for _ in range(4):
         before_s = host.now()
@@ -48,13 +48,13 @@ def day_s(host: Clock) -> float | None:
 
 
 def utc_text(utc_s: float) -> str:
-    """Returns a time of day for people, as `2026-03-01 12:00:00.250`."""
+    """Return a time of day for people, as `2026-03-01 12:00:00.250`."""
     moment = time.gmtime(math.floor(utc_s))
     return f"{time.strftime('%Y-%m-%d %H:%M:%S', moment)}.{int(utc_s % 1.0 * 1000):03d}"
 
 
 def wall_ns() -> int:
-    """Returns the time of day in nanoseconds since 1970: only for what people and other machines shall compare."""
+    """Return the time of day in nanoseconds since 1970: only for what people and other machines shall compare."""
     return time.time_ns()
 
 
@@ -72,7 +72,7 @@ class VirtualClock:
         return self.now_s
 
     def advance_to(self, time_s: float) -> None:
-        """Moves the clock forward to `time_s`.
+        """Move the clock forward to `time_s`.
 
         Raises:
             ValueError: `time_s` lies in the past.
@@ -104,7 +104,7 @@ class SkewedClock:
         return self.ahead_s + self._true.now_s * self.rate
 
     def true_s(self, time_s: float) -> float:
-        """Returns the first virtual time at which this clock has reached `time_s`."""
+        """Return the first virtual time at which this clock has reached `time_s`."""
         found_s = (time_s - self.ahead_s) / self.rate
         # By rounding it may be less: a timer would come a hair too early, again and again.
         while self.ahead_s + found_s * self.rate < time_s:
@@ -112,7 +112,7 @@ class SkewedClock:
         return found_s
 
     def due_s(self, delay_s: float) -> float:
-        """Returns the virtual time at which `delay_s` seconds of this clock will have passed."""
+        """Return the virtual time at which `delay_s` seconds of this clock will have passed."""
         return self.true_s(self.now() + delay_s)
 
 
@@ -150,12 +150,12 @@ class MissionClock:
         return elapsed_s * self.speed if elapsed_s > 0.0 else 0.0
 
     def begin(self, in_s: float = 0.0) -> None:
-        """Lets the mission start in `in_s` seconds of host time. A mission that runs is left alone."""
+        """Let the mission start in `in_s` seconds of host time. A mission that runs is left alone."""
         if self.held:
             self._origin_s = self._host_now() + in_s
 
     def join(self, zero_s: float) -> None:
-        """Lets the mission go on as it has in other agents. A mission that runs is left alone: it never jumps.
+        """Let the mission go on as it has in other agents. A mission that runs is left alone: it never jumps.
 
         Args:
             zero_s: the host time at which their mission time was 0; it may be negative.
@@ -165,5 +165,5 @@ class MissionClock:
             self._origin_s = zero_s
 
     def host_time(self, mission_s: float) -> float:
-        """Returns the host time at which the mission reaches `mission_s`; infinity while it is held."""
+        """Return the host time at which the mission reaches `mission_s`; infinity while it is held."""
         return self._origin_s + mission_s / self.speed

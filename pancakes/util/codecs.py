@@ -26,7 +26,7 @@ from msgspec import inspect
 
 
 def plain_of(text: bytes | str) -> Any:
-    """Returns what JSON says, as plain values.
+    """Return what JSON says, as plain values.
 
     Raises:
         ValueError: it is no JSON, is nested thousands deep, or has a number of thousands of digits.
@@ -44,7 +44,7 @@ MALFORMED: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
 
 
 def why_malformed(error: Exception) -> str:
-    """Returns what is wrong with the bytes, to stand in a sentence behind what they should have been."""
+    """Return what is wrong with the bytes, to stand in a sentence behind what they should have been."""
     return "it is nested too deep" if isinstance(error, RecursionError) else str(error)
 
 
@@ -69,7 +69,7 @@ LONG_BYTES: Final = 256 * 1024
 
 
 def sha256(data: bytes) -> bytes:
-    """Returns the digest, 32 bytes."""
+    """Return the digest, 32 bytes."""
     if len(data) < LONG_BYTES:
         digest: bytes = _own_sha256(data).digest()
         return digest
@@ -99,7 +99,7 @@ def decoder(kind: Any, extension: Callable[[int, memoryview], Any] | None = None
 
 
 def decoder(kind: Any, extension: Callable[[int, memoryview], Any] | None = None) -> Callable[[Any], Any]:
-    """Returns what makes an instance of a type of msgpack; to be kept, because making it takes long. Any thread.
+    """Return what makes an instance of a type of msgpack; to be kept, because making it takes long. Any thread.
 
     Args:
         kind: the type.
@@ -121,7 +121,7 @@ def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]: ...
 
 
 def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]:
-    """Returns what makes an instance of a type of JSON; see `decoder`.
+    """Return what makes an instance of a type of JSON; see `decoder`.
 
     It raises what `pancakes.util.codecs` says.
     """
@@ -149,7 +149,7 @@ def convert(value: Any, kind: Any, hook: Callable[[Any, Any], Any] | None = None
 
 
 def convert(value: Any, kind: Any, hook: Callable[[Any, Any], Any] | None = None) -> Any:
-    """Makes an instance of a type of plain values. Any thread.
+    """Make an instance of a type of plain values. Any thread.
 
     Args:
         value: the plain values.
@@ -167,13 +167,13 @@ def convert(value: Any, kind: Any, hook: Callable[[Any, Any], Any] | None = None
 
 
 def converter(kind: Any) -> Callable[[Any], Any]:
-    """Returns `convert` for a type that is not a class and is met often: it is looked at now, and never again."""
+    """Return `convert` for a type that is not a class and is met often: it is looked at now, and never again."""
     _build(kind)
     return partial(msgspec.convert, type=kind)
 
 
 def type_info(kind: Any) -> inspect.Type:
-    """Returns what msgspec knows of a type; see `convert` for the errors."""
+    """Return what msgspec knows of a type; see `convert` for the errors."""
     with _LOCK:
         return inspect.type_info(kind)
 
@@ -181,7 +181,7 @@ def type_info(kind: Any) -> inspect.Type:
 def schema_components(
     cls: type, ref_template: str, hook: Callable[[type], dict[str, Any]] | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Returns the JSON Schema of a class, and those of the classes in it, see `msgspec.json.schema_components`."""
+    """Return the JSON Schema of a class, and those of the classes in it, see `msgspec.json.schema_components`."""
     with _LOCK:
         (schema,), components = msgspec.json.schema_components((cls,), schema_hook=hook, ref_template=ref_template)
     return schema, components
@@ -219,7 +219,7 @@ encode_small: Final = _MSGPACK.encode
 
 
 def encode(value: Any) -> bytes:
-    """Encodes a value as msgpack. Any thread.
+    """Encode a value as msgpack. Any thread.
 
     Raises:
         UNENCODABLE: it cannot be encoded; a MemoryError says in its sentence that there is no memory for it.
@@ -233,12 +233,12 @@ def encode(value: Any) -> bytes:
 
 
 def encoder(hook: Callable[[Any], Any]) -> Callable[[Any], bytes]:
-    """Returns what encodes a value as msgpack; the hook makes values that msgspec knows of those that it does not."""
+    """Return what encodes a value as msgpack; the hook makes values that msgspec knows of those that it does not."""
     return partial(_grown, msgspec.msgpack.Encoder(enc_hook=hook).encode_into)
 
 
 def unencodable_in(value: Any, encode: Callable[[Any], bytes]) -> tuple[str | int, ...]:
-    """Returns where in plain values the first one is that cannot be encoded; empty: no part of it alone is at fault."""
+    """Return where in plain values the first one is that cannot be encoded; empty: no part of it alone is at fault."""
     if not isinstance(value, (Mapping, list, tuple)):
         return ()
     parts = value.items() if isinstance(value, Mapping) else enumerate(value)
@@ -251,7 +251,7 @@ def unencodable_in(value: Any, encode: Callable[[Any], bytes]) -> tuple[str | in
 
 
 def json_encoder(hook: Callable[[Any], Any] | None = None) -> Callable[[Any], bytes]:
-    """Returns what encodes a value as JSON; the hook makes plain values of what msgspec does not know."""
+    """Return what encodes a value as JSON; the hook makes plain values of what msgspec does not know."""
     return partial(_grown, msgspec.json.Encoder(enc_hook=hook).encode_into)
 
 

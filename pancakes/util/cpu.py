@@ -13,7 +13,7 @@ _YARDSTICK_LOOPS: Final = 10_000
 
 
 def processor_times() -> tuple[float, float]:
-    """Returns how long all processors have been busy, and how long they have been at all, in seconds."""
+    """Return how long all processors have been busy, and how long they have been at all, in seconds."""
     import psutil
 
     times = psutil.cpu_times()
@@ -23,13 +23,13 @@ def processor_times() -> tuple[float, float]:
 
 
 def processor_count() -> int:
-    """Returns how many processors this process may use."""
+    """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @lru_cache(maxsize=1)
 def host_id() -> str:
-    """Returns a name for this computer since its start: all processes on it get the same."""
+    """Return a name for this computer since its start: all processes on it get the same."""
     try:
         return _BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
@@ -39,7 +39,7 @@ def host_id() -> str:
 
 
 def yardstick_s() -> float:
-    """Returns the processor time of a fixed piece of Python, about 0.5 ms: how fast this processor is now."""
+    """Return the processor time of a fixed piece of Python, about 0.5 ms: how fast this processor is now."""
     begun_s = thread_time()
     total = 0
     for number in range(_YARDSTICK_LOOPS):

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def docstring_of(thing: type | Callable[..., Any]) -> str:
-    """Returns the docstring of a class or function, without its indent; empty if it has none of its own."""
+    """Return the docstring of a class or function, without its indent; empty if it has none of its own."""
     doc = vars(thing).get("__doc__") if isinstance(thing, type) else thing.__doc__
     if isinstance(thing, type) and doc and doc.startswith(f"{thing.__name__}("):
         doc = ""  # what @dataclass writes if there is none

@@ -30,7 +30,7 @@ class Distribution(NamedTuple):
     read: Callable[[str], str | None]
 
     def header(self, key: str) -> str:
-        """Returns a value of the header of its metadata, such as `Name`.
+        """Return a value of the header of its metadata, such as `Name`.
 
         Raises:
             ValueError: it is not there.
@@ -45,7 +45,7 @@ class Distribution(NamedTuple):
 
 
 def distributions() -> Iterator[Distribution]:
-    """Yields all distributions, in the order of `sys.path`; one may come twice."""
+    """Yield all distributions, in the order of `sys.path`; one may come twice."""
     if not _are_all_in_directories():
         from importlib import metadata  # see above
 
@@ -91,7 +91,7 @@ class EntryPoint(NamedTuple):
 
 
 def points_in(text: str) -> Iterator[EntryPoint]:
-    """Yields the entry points that the text of an `entry_points.txt` states.
+    """Yield the entry points that the text of an `entry_points.txt` states.
 
     Raises:
         ValueError: a line is none.
@@ -108,6 +108,6 @@ def points_in(text: str) -> Iterator[EntryPoint]:
 
 
 def load(place: str) -> Any:
-    """Imports what an entry point names; that may raise anything."""
+    """Import what an entry point names; that may raise anything."""
     module, _, path = place.partition("[")[0].partition(":")  # extras stand in brackets
     return reduce(getattr, filter(None, path.strip().split(".")), import_module(module.strip()))

@@ -30,7 +30,7 @@ class NoHome(NoPath):
 
 
 def at_home(path: str, user: str = "") -> str:
-    """Returns a path in which `~` and `~user` at its beginning stand for a home folder, as a shell has it.
+    """Return a path in which `~` and `~user` at its beginning stand for a home folder, as a shell has it.
 
     Args:
         path: the path.
@@ -57,7 +57,7 @@ def at_home(path: str, user: str = "") -> str:
 
 
 def user_folder(variable: str, below_home: str, what_for: str, instead: str = "") -> Path:
-    """Returns the folder that a variable of the environment names, else one below the home of this user.
+    """Return the folder that a variable of the environment names, else one below the home of this user.
 
     Args:
         variable: its name, such as `XDG_STATE_HOME`.
@@ -85,7 +85,7 @@ _OTHERS: Final = ((stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"), (stat.
 
 
 def check_plain(path: str | os.PathLike[str]) -> None:
-    """Refuses what is no file; one that is not there may be made.
+    """Refuse what is no file; one that is not there may be made.
 
     Raises:
         OSError: it is a pipe, a socket or a disk, or cannot be looked at.
@@ -100,7 +100,7 @@ def check_plain(path: str | os.PathLike[str]) -> None:
 
 
 def read_plain(path: Path) -> bytes:
-    """Returns what is in a file.
+    """Return what is in a file.
 
     Raises:
         OSError: it is none, or cannot be read.
@@ -110,7 +110,7 @@ def read_plain(path: Path) -> bytes:
 
 
 def is_still_at(handle: int, path: str | os.PathLike[str]) -> bool:
-    """Returns whether an open file is the one that lies at a path now."""
+    """Return whether an open file is the one that lies at a path now."""
     own = os.fstat(handle)
     try:
         there = os.stat(path)
@@ -133,7 +133,7 @@ class FileMark:
         self._changed = False
 
     def changed(self) -> bool:
-        """Returns whether it says something else by now, or is gone."""
+        """Return whether it says something else by now, or is gone."""
         if self._digest is None:
             return False
         status = self._look()

@@ -129,11 +129,11 @@ class Plugins:
         self._broken: dict[tuple[str, str], str] = {}
 
     def names(self, group: str) -> list[str]:
-        """Returns the names of all plug-ins of a group, sorted."""
+        """Return the names of all plug-ins of a group, sorted."""
         return sorted(self._offers(group))
 
     def get(self, group: str, name: str) -> Any:
-        """Returns a plug-in, imported at the first call.
+        """Return a plug-in, imported at the first call.
 
         Raises:
             UnknownPlugin: no distribution offers it.
@@ -154,12 +154,12 @@ class Plugins:
         return self._loaded[key]
 
     def at_hand(self, group: str, name: str) -> bool:
-        """Returns whether `get` answers without an import: it was asked before, or there is nothing to import."""
+        """Return whether `get` answers without an import: it was asked before, or there is nothing to import."""
         key = (group, name)
         return key in self._loaded or key in self._broken or key in self._extra or name not in self._offers(group)
 
     def offered(self, group: str) -> list[Offered]:
-        """Returns all entry points of a group, by name; also those that are offered twice. Imports nothing."""
+        """Return all entry points of a group, by name; also those that are offered twice. Imports nothing."""
         return [
             Offered(name, offer.value, offer.version)
             for name, offers in sorted(self._offers(group).items())
@@ -167,7 +167,7 @@ class Plugins:
         ]
 
     def version(self, group: str, name: str) -> Version:
-        """Returns the distribution that offers a plug-in, and its version. Imports nothing.
+        """Return the distribution that offers a plug-in, and its version. Imports nothing.
 
         Raises:
             UnknownPlugin: no distribution offers it.
@@ -176,12 +176,12 @@ class Plugins:
         return self._find(group, name).version
 
     def brings_tasks(self) -> dict[str, str]:
-        """Returns the version of each distribution that offers task types. Imports nothing."""
+        """Return the version of each distribution that offers task types. Imports nothing."""
         offers = (offer for several in self._offers("pancakes.tasks").values() for offer in several)
         return dict(sorted({offer.version for offer in offers if offer.version.distribution}))
 
     def load_packets(self) -> list[PluginError]:
-        """Imports all that registers body types of packets.
+        """Import all that registers body types of packets.
 
         Returns:
             The plug-ins that failed; the others are registered.
@@ -195,12 +195,12 @@ class Plugins:
         return failed
 
     def unreadable(self) -> list[PluginError]:
-        """Returns a sentence for each distribution whose entry points cannot be read."""
+        """Return a sentence for each distribution whose entry points cannot be read."""
         self._offers("pancakes.tasks")  # which reads all of them
         return list(self._unreadable)
 
     def problems(self) -> list[PluginError]:
-        """Returns what has failed so far: distributions that cannot be read, plug-ins that cannot be loaded."""
+        """Return what has failed so far: distributions that cannot be read, plug-ins that cannot be loaded."""
         return [*self._unreadable, *(PluginError(text) for text in self._broken.values())]
 
     def _offers(self, group: str) -> _Offers:
@@ -214,7 +214,7 @@ class Plugins:
         return offers
 
     def _find(self, group: str, name: str) -> _Offer:
-        """Returns the one offer of a name."""
+        """Return the one offer of a name."""
         offers = self._offers(group)
         if name not in offers:
             raise _unknown(group, name, list(offers))
@@ -248,7 +248,7 @@ def _source(offer: _Offer) -> str:
 
 
 def to_install(group: str, name: str, known: Collection[str]) -> str:
-    """Returns the command that brings a plug-in whose distribution is not installed; empty: none is known.
+    """Return the command that brings a plug-in whose distribution is not installed; empty: none is known.
 
     Args:
         group: its group.
@@ -300,7 +300,7 @@ MOST_LINES: Final = 4
 
 
 def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:
-    """Reads what all installed distributions offer to us."""
+    """Read what all installed distributions offer to us."""
     groups: dict[str, _Offers] = {group: {} for group in GROUPS}
     unreadable = []
     seen = []

@@ -85,7 +85,7 @@ class Registration:
         self._handle: int | None = self._write()
 
     def renew(self) -> bool:
-        """Writes the entry again where it is gone: the directory of a person's session ends with the session.
+        """Write the entry again where it is gone: the directory of a person's session ends with the session.
 
         Returns:
             Whether it was gone, and is there again.
@@ -101,7 +101,7 @@ class Registration:
         return True
 
     def remove(self) -> None:
-        """Takes the entry away. A second call does nothing."""
+        """Take the entry away. A second call does nothing."""
         if self._handle is None:
             return
         with contextlib.suppress(OSError):
@@ -110,7 +110,7 @@ class Registration:
         self._handle = None
 
     def _write(self) -> int:
-        """Writes the entry: a reader finds all of it, or nothing. Returns the file, open and locked."""
+        """Write the entry: a reader finds all of it, or nothing. Returns the file, open and locked."""
         directory = self._path.parent
         try:
             make_directory(directory, self._group)
@@ -131,7 +131,7 @@ class Registration:
 
 
 def runtime_dir() -> Path:
-    """Returns where the entries are: a directory of the user's own."""
+    """Return where the entries are: a directory of the user's own."""
     named = os.environ.get(VARIABLE)
     if named:
         return Path(named)
@@ -156,7 +156,7 @@ class Found(msgspec.Struct, frozen=True):
 
 
 def why_none(fleet: str) -> str:
-    """Returns a sentence to say where no agent of a fleet runs on this machine, with the fleets that do.
+    """Return a sentence to say where no agent of a fleet runs on this machine, with the fleets that do.
 
     Args:
         fleet: the fleet; empty: any.
@@ -171,7 +171,7 @@ def why_none(fleet: str) -> str:
 
 
 def other_fleets(fleet: str) -> list[str]:
-    """Returns the other fleets of which agents run on this machine.
+    """Return the other fleets of which agents run on this machine.
 
     Raises:
         PancakesError: see `entries`.
@@ -180,7 +180,7 @@ def other_fleets(fleet: str) -> list[str]:
 
 
 def entries() -> list[RunningAgent]:
-    """Returns the agents that run on this machine, by name; what the dead left behind is cleared away.
+    """Return the agents that run on this machine, by name; what the dead left behind is cleared away.
 
     What else lies there is passed over, with a warning on standard error, once in a process.
 
@@ -199,7 +199,7 @@ def _warn(sentence: str) -> None:
 
 
 def look() -> Found:
-    """Looks at all that lies in the runtime directory, and clears away what the dead left behind.
+    """Look at all that lies in the runtime directory, and clears away what the dead left behind.
 
     Raises:
         PancakesError: the directory cannot be used; the sentence says why.
@@ -226,7 +226,7 @@ def look() -> Found:
 
 
 def make_directory(directory: Path, group: str = "") -> None:
-    """Makes a directory in which no other user can put anything, if there is none yet.
+    """Make a directory in which no other user can put anything, if there is none yet.
 
     Args:
         directory: the directory; those above it are made as well.
@@ -243,7 +243,7 @@ def make_directory(directory: Path, group: str = "") -> None:
 
 
 def is_at(path: Path, made: os.stat_result) -> bool:
-    """Returns whether what was made at a path is still there."""
+    """Return whether what was made at a path is still there."""
     try:
         there = os.lstat(path)
     except OSError:
@@ -252,7 +252,7 @@ def is_at(path: Path, made: os.stat_result) -> bool:
 
 
 def open_to(path: int | Path, group: str, mode: int) -> None:
-    """Opens a file, or an open one, to a group.
+    """Open a file, or an open one, to a group.
 
     Raises:
         PancakesError: there is no such group; the sentence says so.
@@ -270,7 +270,7 @@ def open_to(path: int | Path, group: str, mode: int) -> None:
 
 
 def usable(directory: Path, named: bool = False) -> None:
-    """Checks that no other user can put an entry there, which would lead our commands to that user's programs.
+    """Check that no other user can put an entry there, which would lead our commands to that user's programs.
 
     A directory of another user is used only if a person has named it: the agents that run as a system service are
     there, and a person of their group looks for them there.
@@ -297,7 +297,7 @@ def usable(directory: Path, named: bool = False) -> None:
 
 
 def _read(path: Path, found: Found) -> None:
-    """Looks at one entry. Whatever it is, this neither waits for it nor reads more of it than an entry has.
+    """Look at one entry. Whatever it is, this neither waits for it nor reads more of it than an entry has.
 
     Raises:
         OSError: it cannot be opened.
@@ -335,7 +335,7 @@ def _read(path: Path, found: Found) -> None:
 
 
 def _oddity(status: os.stat_result, owner: int) -> str:
-    """Returns what is odd about a thing that should be an entry, as a phrase; empty: nothing."""
+    """Return what is odd about a thing that should be an entry, as a phrase; empty: nothing."""
     kind = stat.S_IFMT(status.st_mode)
     if kind != stat.S_IFREG:
         return _KINDS.get(kind, "no file")
@@ -347,7 +347,7 @@ def _oddity(status: os.stat_result, owner: int) -> str:
 
 
 def is_locked(file: int | BinaryIO) -> bool:
-    """Returns whether another process has the lock on a file."""
+    """Return whether another process has the lock on a file."""
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -14,7 +14,7 @@ _REF: Final = "#/$defs/{name}"
 
 
 def schema_of(cls: type) -> dict[str, Any]:
-    """Returns the JSON Schema (draft 2020-12) of a dataclass, such as the `Settings` of a task.
+    """Return the JSON Schema (draft 2020-12) of a dataclass, such as the `Settings` of a task.
 
     A field's `description` is what the class's docstring says of it under `Attributes:`. What its fields refer to is
     under `$defs`.
@@ -45,12 +45,12 @@ def _array(kind: type) -> dict[str, Any]:
 
 
 def summary_of(cls: type) -> str:
-    """Returns the first sentence of a class's docstring; empty if it has none of its own."""
+    """Return the first sentence of a class's docstring; empty if it has none of its own."""
     return " ".join(docstring_of(cls).split("\n\n")[0].split())
 
 
 def field_notes(cls: type) -> dict[str, str]:
-    """Returns what the docstrings of a class and its bases say of its fields, by name."""
+    """Return what the docstrings of a class and its bases say of its fields, by name."""
     from docstring_parser import DocstringStyle, parse
 
     notes: dict[str, str] = {}
@@ -73,7 +73,7 @@ def _describe(component: dict[str, Any], cls: type) -> None:
 
 
 def dataclasses_of(cls: type) -> dict[str, type]:
-    """Returns the dataclasses that a dataclass is made of, itself first, by the names that msgspec gives them."""
+    """Return the dataclasses that a dataclass is made of, itself first, by the names that msgspec gives them."""
     found: dict[str, type] = {}
     ahead = [cls]
     while ahead:
@@ -87,7 +87,7 @@ def dataclasses_of(cls: type) -> dict[str, type]:
 
 
 def _dataclasses_in(info: Any, top: bool = False) -> list[type]:
-    """Returns the dataclasses right inside a type that msgspec has looked at."""
+    """Return the dataclasses right inside a type that msgspec has looked at."""
     if isinstance(info, (msgspec.inspect.DataclassType, msgspec.inspect.StructType)) and not top:
         return [info.cls]
     inside: list[type] = []

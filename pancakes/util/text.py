@@ -21,7 +21,7 @@ _OF_CLIENT: Final = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
 
 
 def fault_of_name(name: str, client: bool = False) -> str:
-    """Returns why something is no name, as a sentence that shows it safely; empty if it is one.
+    """Return why something is no name, as a sentence that shows it safely; empty if it is one.
 
     Args:
         name: the name.
@@ -38,7 +38,7 @@ def fault_of_name(name: str, client: bool = False) -> str:
 
 
 def nearest_name(text: str) -> str:
-    """Returns what a person may have meant by something that is not a name; empty if that cannot be said."""
+    """Return what a person may have meant by something that is not a name; empty if that cannot be said."""
     near = re.sub(r"[^A-Za-z0-9_-]+", "_", text.lstrip(".-"))[:LONGEST]
     return near if re.fullmatch(NAME, near) else ""
 
@@ -70,7 +70,7 @@ SAME_AS: Final = {
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """Returns the known word that is nearest to `word`, or an empty string if none is near.
+    """Return the known word that is nearest to `word`, or an empty string if none is near.
 
     Upper and lower case are one. `ScanTarget` also finds `encirclement.ScanTarget`: leaving out what stands before the
     last dot is the commonest mistake with the names of plug-ins. A word with a dot is near another if both of its parts
@@ -102,7 +102,7 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def _parted(word: str) -> tuple[str, str]:
-    """Returns what stands before the last dot or slash of a word, and what stands behind it."""
+    """Return what stands before the last dot or slash of a word, and what stands behind it."""
     at = max(word.rfind("."), word.rfind("/"))
     return word[: max(at, 0)], word[at + 1 :]
 
@@ -112,7 +112,7 @@ def _near(word: str, known: Iterable[str], alike: float = 0.6) -> str:
 
 
 def _all_near(word: str, known: Iterable[str], alike: float) -> list[str]:
-    """Returns the words that are near, the nearest first.
+    """Return the words that are near, the nearest first.
 
     Args:
         word: the word.
@@ -126,7 +126,7 @@ def _all_near(word: str, known: Iterable[str], alike: float) -> list[str]:
 
 
 def _is_mistyped(word: str, other: str) -> bool:
-    """Returns whether a few slips of the fingers lead from one word to the other, or one of them was cut short.
+    """Return whether a few slips of the fingers lead from one word to the other, or one of them was cut short.
 
     Common letters are not enough: `always` has four of its six in `lazy`, and means the opposite.
     """
@@ -137,7 +137,7 @@ def _is_mistyped(word: str, other: str) -> bool:
 
 
 def _slips(word: str, other: str) -> int:
-    """Returns how many letters are to be put in, left out, changed or swapped with the next one."""
+    """Return how many letters are to be put in, left out, changed or swapped with the next one."""
     before: list[int] = []
     row = list(range(len(other) + 1))
     for i, letter in enumerate(word):
@@ -151,7 +151,7 @@ def _slips(word: str, other: str) -> int:
 
 
 def did_you_mean(word: str, known: Iterable[str], otherwise: str = "") -> str:
-    """Returns the end of a sentence that refuses a word: `, did you mean 'x'?`; `otherwise` if no word is near."""
+    """Return the end of a sentence that refuses a word: `, did you mean 'x'?`; `otherwise` if no word is near."""
     near = suggestion(word, known)
     return f", did you mean {near!r}?" if near else otherwise
 
@@ -204,7 +204,7 @@ _NUMBER: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(
 
 
 def number_in(text: str) -> float:
-    """Returns the number in a text that a device, a program or a person has written.
+    """Return the number in a text that a device, a program or a person has written.
 
     Raises:
         ValueError: it is none; nor is `1_0`, which is 10 in Python only.
@@ -222,7 +222,7 @@ def whole_number_in(text: str) -> int:
 
 
 def written_for(key: str, text: str) -> str:
-    """Returns what to write for a key in place of a number in text, such as `rate_hz = 2`; empty: nothing is known.
+    """Return what to write for a key in place of a number in text, such as `rate_hz = 2`; empty: nothing is known.
 
     Args:
         key: the key, which takes a number.
@@ -246,7 +246,7 @@ def written_for(key: str, text: str) -> str:
 
 
 def key_for(word: str, text: str, keys: Iterable[str]) -> str:
-    """Returns what to write in place of an unknown key with such a value, such as `rate_hz = 2`; empty: nothing.
+    """Return what to write in place of an unknown key with such a value, such as `rate_hz = 2`; empty: nothing.
 
     Args:
         word: the unknown key.
@@ -273,15 +273,15 @@ _HIDDEN: Final = re.compile(
 
 
 def printable(text: str) -> str:
-    """Returns text as it may be shown: with control characters escaped, all but new lines and tabs."""
+    """Return text as it may be shown: with control characters escaped, all but new lines and tabs."""
     return text if text.isprintable() else _HIDDEN.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def printable_line(text: str) -> str:
-    """Returns text as it may stand in a log: as `printable`, and lines after the first look like no entry."""
+    """Return text as it may stand in a log: as `printable`, and lines after the first look like no entry."""
     return printable(text).replace("\n", "\n    ")
 
 
 def printable_data(text: str) -> str:
-    """Returns JSON, or TOML, that means the same and may be shown: what `printable` escapes is written as both do."""
+    """Return JSON, or TOML, that means the same and may be shown: what `printable` escapes is written as both do."""
     return text if text.isprintable() else _HIDDEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)

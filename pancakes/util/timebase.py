@@ -11,7 +11,7 @@ Moment = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
 
 
 class Timebase(msgspec.Struct, frozen=True, array_like=True, tag=10):
-    """Tells what the sender's mission time and time of day are, as its host clock counts: at first and after changes.
+    """Tell what the sender's mission time and time of day are, as its host clock counts: at first and after changes.
 
     Agents send it to each other as it is: the tag is its number among the messages of a link.
 
@@ -28,5 +28,5 @@ class Timebase(msgspec.Struct, frozen=True, array_like=True, tag=10):
     day_s: Moment | None = None
 
     def zero_s(self) -> float | None:
-        """Returns the host time at which the mission time was, or would have been, 0; None: the mission is held."""
+        """Return the host time at which the mission time was, or would have been, 0; None: the mission is held."""
         return None if self.began_s is None else self.began_s - self.start_s / self.speed

@@ -36,7 +36,7 @@ class TomlBoundsError(ValueError):
 
 
 def toml_values(text: str) -> dict[str, Any]:
-    """Returns what TOML says, as plain values.
+    """Return what TOML says, as plain values.
 
     Raises:
         tomllib.TOMLDecodeError: it is no TOML.
@@ -63,7 +63,7 @@ def toml_values(text: str) -> dict[str, Any]:
 
 
 def _key_beyond(values: dict[str, Any]) -> str:
-    """Returns the key of an integer that could not even be shown; empty: there is none."""
+    """Return the key of an integer that could not even be shown; empty: there is none."""
     left: list[tuple[str, Any]] = list(values.items())
     while left:
         key, value = left.pop()

@@ -24,7 +24,7 @@ from pancakes.testing import Fleet, assert_published, config_of, no_thread_left,
 
 
 class Chatty(Task):
-    """Says a random number ten times a second, to everybody."""
+    """Say a random number ten times a second, to everybody."""
 
     @dataclass
     class Settings:
@@ -170,7 +170,7 @@ def test_of_two_agents_of_one_name_the_newcomer_says_so_and_runs_on_without_link
         said: list[str] = []
         newcomer.kernel.stream.tap("log", lambda packet: said.append(str(packet.body)))
         fleet.run_for(15.0)
-        assert any("the name a is already borne by another agent" in line for line in said)
+        assert any("the name a is already taken by another agent" in line for line in said)
         assert newcomer.fatal == "" and newcomer.mesh.neighbours() == []
         assert fleet.agents["a"].agent.fatal == "" and fleet.agents["a"].agent.mesh.neighbours() == ["b"]
         other.close()

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("counting")
 
 
 def run(coroutine: Coroutine[Any, Any, None]) -> None:
-    """Runs a coroutine in an event loop of its own, which says where it was blocked for long."""
+    """Run a coroutine in an event loop of its own, which says where it was blocked for long."""
     asyncio.run(asyncio.wait_for(coroutine, PATIENCE_S))
 
 

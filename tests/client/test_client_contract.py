@@ -153,7 +153,7 @@ def test_a_function_that_fails_ends_with_a_sentence(client: Any, said: list[str]
     subscriber = client.subscribe("a/system", Count, callback=fail)
     assert client.wait(lambda: bool(said), PATIENCE_S)
     (sentence,) = said
-    assert sentence.startswith("a/system: the callback failed, and is not called any more: ValueError")
+    assert sentence.startswith("a/system: the callback failed, and is not called again: ValueError")
     assert "no good" in sentence and "test_client_contract.py" in sentence
     assert subscriber.failure == sentence
     with pytest.raises(PancakesError, match="no good"):
@@ -251,7 +251,7 @@ NONSENSE: list[tuple[Any, str]] = [
     (lambda client: client.publish("a/system", {"text": "x"}), "builtins.dict is no packet type"),
     (lambda client: client.publish("a/system", WRONG_WORD), "Word cannot be sent: .*Expected `str`, got `int`"),
     (lambda client: client.request("a", WRONG_STOP), "Stop cannot be sent: .*Expected `str`, got `int`"),
-    (lambda client: client.publish("a/system", Word("x"), to="a/b/c/d"), "'a/b/c/d' is no service or task of a"),
+    (lambda client: client.publish("a/system", Word("x"), to="a/b/c/d"), "'a/b/c/d' is not a service or task of a"),
     (lambda client: client.publish("a/sysctrl", Stop("Counting")), "Stop is a control packet.*client.request"),
     (lambda client: client.configure("Counting", {}), "'Counting' names no task: write it as AGENT/TASK"),
     (lambda client: client.configure("a/Countink", {}), "no task or service 'Countink', did you mean 'Counting'"),
@@ -328,7 +328,7 @@ def test_where_it_is_not_known_whether_all_has_arrived_the_end_of_with_says_so(
             stack.enter_context(counting.frozen(counting.b))
     (sentence,) = said
     assert sentence == (
-        "whether the last packets that were published have arrived is not known:"
+        "it is not known whether the last published packets have arrived:"
         " b did not answer: nothing came within 0.5 s"
     )
 

@@ -48,7 +48,7 @@ def test_a_destination_is_on_the_agent(to: str, address: str):
 
 @pytest.mark.parametrize("to", ["*", "task:a/Count", "client/", "b/client/Count/x"])
 def test_what_is_no_destination_on_the_agent_is_refused(to: str):
-    with pytest.raises(PancakesError, match="is no service or task of a: write it as SERVICE/TASK"):
+    with pytest.raises(PancakesError, match="is not a service or task of a: write it as SERVICE/TASK"):
         destination_on("a", to)
 
 

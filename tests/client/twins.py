@@ -26,7 +26,7 @@ class LoopThread:
         self._thread.start()
 
     def call(self, function: Callable[..., Any], *arguments: Any, **others: Any) -> Any:
-        """Calls a function in the event loop; returns its result once it is there."""
+        """Call a function in the event loop; returns its result once it is there."""
         if threading.current_thread() is self._thread:
             return function(*arguments, **others)
 
@@ -38,7 +38,7 @@ class LoopThread:
         return SubscriberTwin(self, result) if isinstance(result, AsyncSubscriber) else result
 
     def close(self) -> None:
-        """Ends it."""
+        """End it."""
         self.call(self._loop.shutdown_default_executor)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(PATIENCE_S)
@@ -96,7 +96,7 @@ class SubscriberTwin:
 
 @contextmanager
 def in_an_event_loop(*arguments: Any, **others: Any) -> Iterator[Any]:
-    """Makes an `AsyncClient`, and blocks where it is awaited."""
+    """Make an `AsyncClient`, and blocks where it is awaited."""
     loop = LoopThread()
     try:
         client = loop.call(AsyncClient, *arguments, **others)

@@ -46,7 +46,7 @@ restart = { policy = "permanent", at_most = "three" }
 
 def test_an_empty_file_lacks_the_schema_and_the_name():
     assert faults("") == [
-        "a.toml: schema: is missing: the file states its format as schema = 1",
+        "a.toml: schema: is missing: write schema = 1",
         "a.toml: [agent] name: is missing",
     ]
 
@@ -85,7 +85,7 @@ def test_unknown_config_keys_at_any_depth():
                 [
                     (
                         "a.toml:5: [service.network] discovery_hz: unknown key;"
-                        " the service's own settings belong into its key `settings`"
+                        " the service's own settings belong in its key `settings`"
                     )
                 ],
             ),
@@ -228,7 +228,7 @@ class TestAddresses:
         assert faults(text) == [
             "a.toml:6: [agent] peers[1]: '127.0.0.1:7401' is no address: write it as tcp://host:port",
             "a.toml:7: [agent] peers[2]: 'tcp://10.0.0.1:0' has the port 0, at which no agent can be reached",
-            "a.toml:8: [agent] peers[3]: 'tcp://10.0.0.1:7401' stands in the list for the second time",
+            "a.toml:8: [agent] peers[3]: 'tcp://10.0.0.1:7401' is in the list twice",
         ]
 
     def test_an_address_of_one_network_needs_its_interface(self):
@@ -302,7 +302,7 @@ class TestMigrationRules:
 
 
 class TestSyntax:
-    """A line that is no TOML hides nothing that does not depend on it."""
+    """A line that is not TOML hides nothing that does not depend on it."""
 
     @pytest.mark.parametrize(
         ("text", "expected"),
@@ -320,14 +320,14 @@ class TestSyntax:
         ("line", "expected"),
         [
             ("x = \n", "[clock] x: invalid value"),
-            ("[task.X]\n\n[task.X]\nfoo = 1\n", "[task.X]: the table stands here for the second time"),
-            ("speed = 2\nspeed = 3\n", "TOML: a key stands here for the second time"),
-            ("x = True\n", "[clock] x: True is no TOML: write true"),
-            ("x = yes  # it is\n", "[clock] x: yes is no TOML: write true, or the word in quotes"),
-            ("x = None\n", "[clock] x: None is no TOML: leave the key out"),
+            ("[task.X]\n\n[task.X]\nfoo = 1\n", "[task.X]: the table is defined twice"),
+            ("speed = 2\nspeed = 3\n", "TOML: a key is defined twice"),
+            ("x = True\n", "[clock] x: True is not TOML: write true"),
+            ("x = yes  # it is\n", "[clock] x: yes is not TOML: write true, or the word in quotes"),
+            ("x = None\n", "[clock] x: None is not TOML: leave the key out"),
             ("x = NaN\n", "[clock] x: is not a number (NaN)"),
-            ("period_s = 500ms\n", "[clock] period_s: 500ms is no TOML: write period_s = 0.5"),
-            ("x = tcp://a:1\n", '[clock] x: tcp://a:1 is no TOML: text stands in quotes, as in x = "tcp://a:1"'),
+            ("period_s = 500ms\n", "[clock] period_s: 500ms is not TOML: write period_s = 0.5"),
+            ("x = tcp://a:1\n", '[clock] x: tcp://a:1 is not TOML: write text in quotes, as in x = "tcp://a:1"'),
             ('x = "a\n', "[clock] x: illegal character '\\n'"),
         ],
     )
@@ -360,11 +360,11 @@ period = "0.5 s"
         assert faults(text) == [
             "a.toml:4: [agent] rolle: unknown key, did you mean 'role'?",
             "a.toml:6: [clock] speed: expected newline or end of document after a statement",
-            "a.toml:7: [clock] hold: True is no TOML: write true",
-            'a.toml:9: [device.load] driver: host.load is no TOML: text stands in quotes, as in driver = "host.load"',
-            "a.toml:10: [device.load] rate_hz: 2 Hz is no TOML: write rate_hz = 2",
+            "a.toml:7: [clock] hold: True is not TOML: write true",
+            'a.toml:9: [device.load] driver: host.load is not TOML: write text in quotes, as in driver = "host.load"',
+            "a.toml:10: [device.load] rate_hz: 2 Hz is not TOML: write rate_hz = 2",
             "a.toml:13: [task.X] rate_hz: expected a number or nothing, got a string: write rate_hz = 2",
             "a.toml:14: [task.X] settings: invalid value",
-            "a.toml:15: [task.X]: the table stands here for the second time",
+            "a.toml:15: [task.X]: the table is defined twice",
             "a.toml:19: [task.Y] period: unknown key, did you mean 'rate_hz = 2'?",
         ]

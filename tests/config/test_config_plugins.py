@@ -186,7 +186,7 @@ def test_the_service_of_a_device_must_be_there_and_be_one_for_devices():
     )
     assert faults(text) == [
         "a.toml:11: [device.other] service: there is no service 'sensor', did you mean 'sensors'?",
-        "a.toml:14: [device.wheels] service: 'client' is no service for devices",
+        "a.toml:14: [device.wheels] service: 'client' is not a service for devices",
     ]
 
 
@@ -303,21 +303,21 @@ class TestDevices:
     def test_only_an_actuator_has_a_hold(self):
         text = DEVICES + "hold_after_s = 1\n"
         assert faults(text) == [
-            "a.toml:8: [device.compass] hold_after_s: is for actuators, and 'test.compass' is none",
+            "a.toml:8: [device.compass] hold_after_s: is for actuators, and 'test.compass' is not one",
         ]
 
     def test_a_plugin_of_the_wrong_kind_is_its_authors_mistake(self):
         text = '[device.a]\ndriver = "test.untyped"\n[device.b]\ndriver = "test.function"\n'
         assert faults(text + '[task.t]\ntype = "test.Service"\n') == [
             (
-                "a.toml:5: [device.a] driver: 'test.untyped' does not say the type of its device:"
+                "a.toml:5: [device.a] driver: 'test.untyped' does not define the type of its device:"
                 " a defect of its distribution"
             ),
             (
-                "a.toml:7: [device.b] driver: 'test.function' is no driver but builtin_function_or_method len:"
+                "a.toml:7: [device.b] driver: 'test.function' is not a driver but builtin_function_or_method len:"
                 " a defect of its distribution"
             ),
-            ("a.toml:9: [task.t] type: 'test.Service' is no task but the class Service: a defect of its distribution"),
+            ("a.toml:9: [task.t] type: 'test.Service' is not a task but the class Service: a defect of its distribution"),
         ]
 
 

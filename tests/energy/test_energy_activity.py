@@ -45,7 +45,7 @@ def test_a_field_is_read_as_one_number(value, number):
 
 
 def test_a_text_is_no_number():
-    with pytest.raises(ValueError, match="'left' is no number"):
+    with pytest.raises(ValueError, match="'left' is not a number"):
         number_of("left")
 
 

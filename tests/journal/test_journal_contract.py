@@ -25,7 +25,7 @@ class Disk(Protocol):
     def write(self, name: str, data: bytes) -> None: ...
 
     def copy(self) -> Disk:
-        """Returns a copy, as a backup makes one that takes a file at a time."""
+        """Return a copy, as a backup makes one that takes a file at a time."""
 
 
 class DirectoryDisk:
@@ -116,7 +116,7 @@ def test_a_journal_keeps_its_id_and_counts_its_boots(disk: Disk) -> None:
 
 
 def opened(disk: Disk, life: str) -> tuple[str, bool]:
-    """Opens a journal, and returns which copy it is, and whether it has just become one."""
+    """Open a journal, and returns which copy it is, and whether it has just become one."""
     journal = disk.open(life)
     journal.close()
     return journal.copy, journal.copied

@@ -33,7 +33,7 @@ def fill():
 
 @pytest.fixture
 def small_disk(tmp_path: Path):
-    """Runs a program that has a disk of 6 MiB; it gets its path."""
+    """Run a program that has a disk of 6 MiB; it gets its path."""
     if shutil.which("unshare") is None or subprocess.run([*ENTER, "true"], capture_output=True).returncode:
         pytest.skip("this machine lets no user make a name space with a file system of its own")
 

@@ -26,7 +26,7 @@ def entry(key: str, data: bytes | str) -> JournalEntry:
 
 
 def after_a_crash(journal: FileJournal, damage: Callable[[bytes], bytes] = lambda data: data) -> FileJournal:
-    """Opens a copy of what a journal that is open has on disk, and damages its write-ahead file before."""
+    """Open a copy of what a journal that is open has on disk, and damages its write-ahead file before."""
     copy = journal.directory.with_name(f"copy{len(list(journal.directory.parent.iterdir()))}")
     shutil.copytree(journal.directory, copy)
     ahead = copy / WRITE_AHEAD

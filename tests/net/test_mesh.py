@@ -433,7 +433,7 @@ def test_a_peer_that_takes_nothing_is_closed(tcp_rig):
     tcp_rig.until(lambda: b.packets)
     tcp_rig.until(lambda: a.downs)
     gate.set()
-    assert a.downs == [("stuck", "stuck took nothing for 0.3 s of what waits for it", None)]
+    assert a.downs == [("stuck", "stuck took none of the waiting bytes for 0.3 s", None)]
     assert a.knows("b")
 
 

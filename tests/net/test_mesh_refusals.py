@@ -181,7 +181,7 @@ def test_what_bears_the_name_of_another_is_told_nothing(rig, agent, name):
     rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello(name, journal="another journal"))
     rig.until(lambda: ear.closed_for)
-    assert b"is already borne by another agent" in ear.data
+    assert b"is already taken by another agent" in ear.data
     assert a.mesh.identity.journal.encode() not in ear.data
 
 

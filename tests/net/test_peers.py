@@ -239,7 +239,7 @@ def test_an_address_at_which_a_program_repeats_our_hello_is_not_ours():
     it = peers("tcp://squatter:1")
     (dial,) = it.tick(0.0)
     (turned,) = it.on_hello(dial.link, hello("m"), "tcp://squatter:1", 0.0)
-    assert (turned.code, turned.reason) == ("name", "what listens there repeats what m says")
+    assert (turned.code, turned.reason) == ("name", "the program there repeats what m sends")
     it.on_link_over(dial.link, 0.0, refused="name")
     (known,) = it.book.describe()
     assert (known["address"], known["refused"]) == ("tcp://squatter:1", turned.reason)
@@ -250,7 +250,7 @@ def test_a_newcomer_that_finds_its_name_taken_waits_to_be_told():
     it = peers("tcp://rival:1")
     (dial,) = it.tick(0.0)
     assert it.on_hello(dial.link, hello("m", journal="another journal"), "tcp://rival:1", 0.0) == []
-    assert "the name m is already borne by another agent" in it.book.describe()[0]["refused"]
+    assert "the name m is already taken by another agent" in it.book.describe()[0]["refused"]
 
 
 def test_who_says_that_it_listens_at_a_static_address_keeps_nobody_from_dialling_it():

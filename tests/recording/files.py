@@ -33,7 +33,7 @@ def read(path):
 
 
 def made_files(monkeypatch):
-    """Returns the files that recordings make from now on, as they are open."""
+    """Return the files that recordings make from now on, as they are open."""
     made = []
     real = Path.open
 

@@ -117,7 +117,7 @@ def test_any_mcap_reader_finds_topics_schemas_and_times(tmp_path):
 
 
 class Odd(str):
-    """Fails where it is made a string."""
+    """Fail where it is made a string."""
 
     def __str__(self) -> str:
         raise KeyError("odd")
@@ -210,7 +210,7 @@ def test_a_repair_on_a_full_disk_leaves_the_file_as_it_was_and_can_be_done_later
     before = path.read_bytes()
 
     class Filling(Writer):
-        """Writes into a disk that is full for a moment."""
+        """Write into a disk that is full for a moment."""
 
         written_bytes = 0
 
@@ -349,7 +349,7 @@ def test_the_files_of_several_agents_are_one_recording_in_the_order_of_time(tmp_
 
 
 def filled(parts, count):
-    """Writes until the parts end or `count` packets are in; returns why they ended."""
+    """Write until the parts end or `count` packets are in; returns why they ended."""
     reason = ""
     for number in range(count):
         parts.write(pose(number))

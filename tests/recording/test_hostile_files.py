@@ -29,7 +29,7 @@ ROW = {
 
 
 def zeros(pack, size):
-    """Returns so many zeros, packed a piece at a time."""
+    """Return so many zeros, packed a piece at a time."""
     return pack(bytes(1 << 20) for _ in range(size >> 20))
 
 

@@ -12,7 +12,7 @@ from pancakes.testing import Fleet
 
 
 class Sense(Task):
-    """Says ten times a second what it reads."""
+    """Say ten times a second what it reads."""
 
     @every(hz=10)
     def read(self, tick):

@@ -41,7 +41,7 @@ class Anything:
 
 
 class Way(Enum):
-    """Goes as its value."""
+    """Go as its value."""
 
     LEFT = "left"
 

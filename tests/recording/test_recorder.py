@@ -27,7 +27,7 @@ RECORDER = "log/Recorder"
 
 
 class Count(Task):
-    """Counts its ticks, and answers poses."""
+    """Count its ticks, and answers poses."""
 
     @dataclass
     class Settings:
@@ -56,7 +56,7 @@ class Picture:
 
 
 class Talk(Task):
-    """Tells the neighbours."""
+    """Tell the neighbours."""
 
     @every(hz=2)
     def tell(self, tick):
@@ -355,7 +355,7 @@ def test_a_pose_that_is_none_costs_a_warning_and_not_the_recording(fleet, tmp_pa
 
 @pytest.fixture
 def kill(fleet, monkeypatch):
-    """Ends an agent as a kill does, and closes the file that was being written as the operating system does."""
+    """End an agent as a kill does, and closes the file that was being written as the operating system does."""
     made = made_files(monkeypatch)
 
     def ended(name):

@@ -52,7 +52,7 @@ PUBLISHED = {
 
 
 def check(schema, path=""):
-    """Reads a schema as strictly as Foxglove's parser: what this does not understand costs a viewer the topic."""
+    """Read a schema as strictly as Foxglove's parser: what this does not understand costs a viewer the topic."""
     assert schema["type"] == "object", path
     for name, field in schema["properties"].items():
         there = f"{path}.{name}"
@@ -66,7 +66,7 @@ def check(schema, path=""):
 
 
 def fits(value, wanted, path=""):
-    """Says whether a value is of a published form."""
+    """Say whether a value is of a published form."""
     if isinstance(wanted, dict):
         assert set(value) >= set(wanted), path
         for name, part in wanted.items():
@@ -79,7 +79,7 @@ def fits(value, wanted, path=""):
 
 
 def describes(schema, wanted, path=""):
-    """Says whether a schema describes a published form."""
+    """Say whether a schema describes a published form."""
     if isinstance(wanted, list):
         assert schema["type"] == "array", path
         describes(schema["items"], wanted[0], path)

@@ -98,7 +98,7 @@ def test_commands_and_packets_without_the_right_are_dropped(fleet):
 
 
 def without_host(fleet):
-    """Returns an agent with a task, and a neighbour that takes no tasks of its type."""
+    """Return an agent with a task, and a neighbour that takes no tasks of its type."""
     a = fleet.start("a", tasks={"Count": Count})
     takes_others = '[[access.allow]]\nwho = ["a"]\nmay = ["host"]\non = ["other.*"]\n'
     b = fleet.start("b", allowed('["look", "write", "publish"]') + takes_others)

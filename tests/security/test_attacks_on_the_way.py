@@ -20,7 +20,7 @@ PATIENCE_S = 20.0
 
 
 class Between:
-    """Passes on what two agents say to each other, and keeps what the one that dials says.
+    """Pass on what two agents say to each other, and keeps what the one that dials says.
 
     Args:
         address: where the other one listens.

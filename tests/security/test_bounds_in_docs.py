@@ -12,7 +12,7 @@ ROWS = [line for line in TABLE.splitlines() if NAMED.search(line)]
 
 
 def defined(module: str, name: str) -> str:
-    """Returns what a module says that a constant is."""
+    """Return what a module says that a constant is."""
     said = re.compile(rf"^{name}(?:: Final)? = (.+)$", re.MULTILINE)
     found = [match[1] for path in (ROOT / "pancakes").rglob(f"{module}.py") if (match := said.search(path.read_text()))]
     assert len(found) == 1, f"{module}.{name} is defined {len(found)} times"

@@ -123,7 +123,7 @@ def check_one_joins(rounds):
 
 
 def given_to_many(crowd: int) -> int:
-    """Returns how many certificates a desk gives out to so many that come at once."""
+    """Return how many certificates a desk gives out to so many that come at once."""
     desk, ready, given = Desk("127.0.0.1", 0, PATIENCE_S), threading.Barrier(crowd), []
 
     def certify(key: Any, place: str) -> Any:
@@ -241,27 +241,27 @@ def test_what_the_operators_machine_answers_is_no_traceback(waiting, answer, sen
 
 
 def asked(code: JoinCode, request: dict[str, str]) -> Any:
-    """Returns what a desk answers to a request."""
+    """Return what a desk answers to a request."""
     with link_to(code) as tls:
         tls.sendall(json.dumps(request).encode() + b"\n")
         return json.loads(tls.makefile("rb").readline())
 
 
 def link_to(code: JoinCode) -> ssl.SSLSocket:
-    """Returns a link over which nothing has been said."""
+    """Return a link over which nothing has been said."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     return context.wrap_socket(socket.create_connection((code.host, code.port), PATIENCE_S))
 
 
 def request_of(key: Any) -> str:
-    """Returns what a newcomer with this key asks to be signed."""
+    """Return what a newcomer with this key asks to be signed."""
     request = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([])).sign(key, hashes.SHA256())
     return request.public_bytes(serialization.Encoding.PEM).decode()
 
 
 def shown_by_another() -> tuple[ssl.SSLContext, bytes]:
-    """Returns the context of a machine that is no desk, and the pin of the certificate that it shows."""
+    """Return the context of a machine that is no desk, and the pin of the certificate that it shows."""
     key, name = new_key(), x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "another")])
     now = datetime.datetime.now(datetime.UTC)
     made = (
@@ -319,7 +319,7 @@ def test_to_a_machine_in_between_the_secret_is_not_said(waiting):
 
 
 def _first_words(waiting: socket.socket, context: ssl.SSLContext) -> bytes:
-    """Returns what a newcomer says to a machine that only listens."""
+    """Return what a newcomer says to a machine that only listens."""
     link, _ = waiting.accept()
     link.settimeout(PATIENCE_S)
     try:

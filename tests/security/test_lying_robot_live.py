@@ -73,7 +73,7 @@ class Count(Task):
 
 
 class Sink(Task):
-    """Remembers what it was sent."""
+    """Remember what it was sent."""
 
     @dataclass
     class State:
@@ -157,7 +157,7 @@ class Robots:
         return {agent for _, agent in ACTS}
 
     def goes_on(self, for_s: float = 2.5 * LEASE_S) -> bool:
-        """Returns whether the task acts on for so long, on its agent, without a pause."""
+        """Return whether the task acts on for so long, on its agent, without a pause."""
         began_s = time.monotonic()
         until(lambda: ACTS and ACTS[-1][0] > began_s + for_s, "it acts no more")
         return self.acted() == {"a"} and not self.a.events("permit_lost")

@@ -23,7 +23,7 @@ def motion(disc):
 
 
 def a_way(disc, seed, go):
-    """Gives a disc a new command now and then, and lets it go on by some steps."""
+    """Give a disc a new command now and then, and lets it go on by some steps."""
     source = random.Random(seed)
     for _ in range(200):
         if source.random() < 0.5:

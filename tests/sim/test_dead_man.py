@@ -20,7 +20,7 @@ WORLD = {
 
 
 class Driving(Task):
-    """Drives straight on, with ten commands a second."""
+    """Drive straight on, with ten commands a second."""
 
     requires = ("motors",)
 
@@ -40,7 +40,7 @@ def fleet():
 
 
 def speeds(fleet, for_s):
-    """Returns how fast the robot was, each time that the world said so."""
+    """Return how fast the robot was, each time that the world said so."""
     seen: list[Any] = []
 
     def see(packet):

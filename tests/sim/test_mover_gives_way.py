@@ -12,7 +12,7 @@ HALF_WIDTH_M, HALF_HEIGHT_M = 2.5, 2.0
 
 
 def walk(settings, seed, robots_at, duration_s, sensor_radius_m=0.06):
-    """Yields (time, x, y, robots) of a mover among robots that are blind.
+    """Yield (time, x, y, robots) of a mover among robots that are blind.
 
     `robots_at` returns (x, y, vx, vy) of each robot at a time.
     """

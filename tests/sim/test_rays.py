@@ -40,7 +40,7 @@ def pymunk_ranges(disc, others, ring, rays, max_range_m):
 
 
 def check_ring(kind, seed):
-    """Checks a ring of sensors of each of thirty robots, which stand where the seed puts them."""
+    """Check a ring of sensors of each of thirty robots, which stand where the seed puts them."""
     source = random.Random(seed)
     arena = Arena(2 * HALF_M[0], 2 * HALF_M[1])
     places: list[tuple[float, float]] = []

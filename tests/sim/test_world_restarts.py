@@ -24,7 +24,7 @@ LINE = "tcp://127.0.0.1:7421"
 @packet_type("test.break")
 @dataclass(frozen=True)
 class Break:
-    """Fails the task that takes it."""
+    """Fail the task that takes it."""
 
 
 class _Breakable(Task):
@@ -54,7 +54,7 @@ NODES = {
 
 
 class Driving(Task):
-    """Drives as it is told, at 10 Hz."""
+    """Drive as it is told, at 10 Hz."""
 
     requires = ("motors",)
     says = Twist(0.1, 0.0)
@@ -125,7 +125,7 @@ def test_a_command_with_nan_moves_nothing_and_hurts_no_world(fleet):
 
 
 class Liar(ConnectionHandler):
-    """Speaks on the hardware bus, and says what no drive says."""
+    """Speak on the hardware bus, and says what no drive says."""
 
     def __init__(self):
         self.said = b""

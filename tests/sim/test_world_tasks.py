@@ -35,7 +35,7 @@ CONTENTS = {
 
 
 class Watcher(Task):
-    """Notes what is published on the world's agent."""
+    """Note what is published on the world's agent."""
 
     def on_start(self):
         self.states, self.stamps, self.poses, self.events = [], [], [], []

@@ -82,7 +82,7 @@ class Fleet:
             self.simulation.agents[from_].publish(SYSTEM, Order(self.given[task]), to=f"task:{birth}/{task}")
 
     def stranger_of(self, name: str) -> str:
-        """Returns an agent to which another one has no link."""
+        """Return an agent to which another one has no link."""
         met = self.simulation.agents[name].agent.mesh.connected()
         return next(other for other in reversed(self.names) if other != name and other not in met)
 
@@ -102,7 +102,7 @@ class Fleet:
 
 
 def live_through(agents: int) -> None:
-    """Runs a fleet of so many agents: tasks migrate, letters follow, agents die, and each task runs once."""
+    """Run a fleet of so many agents: tasks migrate, letters follow, agents die, and each task runs once."""
     with Simulation() as simulation:
         fleet = Fleet(simulation, agents)
         simulation.step(10.0)

@@ -23,7 +23,7 @@ def environment(no_leaks):
 
 
 def towards(goal: np.ndarray) -> np.ndarray:
-    """Returns wheel speeds that turn to the goal, and drive to it."""
+    """Return wheel speeds that turn to the goal, and drive to it."""
     bearing = np.arctan2(goal[1], goal[0])
     speed, turn = 0.25 * max(0.0, np.cos(bearing)), 0.1 * np.clip(bearing, -1.0, 1.0)
     return np.array([speed - turn, speed + turn], np.float32)

@@ -68,7 +68,7 @@ def hearts(no_leaks):
 
 
 def course(simulation: Simulation, seed: int, looks: int = 1) -> list[object]:
-    """Runs ten seconds of a demo; returns what the world and the agents were then."""
+    """Run ten seconds of a demo; returns what the world and the agents were then."""
     simulation.reset(seed)
     for _ in range(looks):
         simulation.step(10.0 / looks)

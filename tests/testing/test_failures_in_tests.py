@@ -11,14 +11,14 @@ from pancakes.testing import AgentHandle, Fleet, threaded_agent
 
 
 class Weak(Service):
-    """Fails once it has started."""
+    """Fail once it has started."""
 
     def on_start(self) -> None:
         self.call(fail)
 
 
 class Clumsy(Task):
-    """Fails at each tick."""
+    """Fail at each tick."""
 
     @every(hz=10)
     def tick(self, tick: object) -> None:

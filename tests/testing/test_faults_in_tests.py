@@ -13,7 +13,7 @@ from pancakes.testing import Fleet, assert_published
 
 
 class Count(Task):
-    """Counts aloud, once a second, from 1."""
+    """Count aloud, once a second, from 1."""
 
     @every(hz=1)
     def count(self, tick):
@@ -30,7 +30,7 @@ def pair(fleet: Fleet):
 
 
 def count(fleet: Fleet, name: str = "counter", for_s: float = 20.5) -> list[float]:
-    """Lets a third agent count, and returns what `b` heard of it."""
+    """Let a third agent count, and returns what `b` heard of it."""
     fleet.start(name, tasks={"Count": Count})
     fleet.connect()
     fleet.agents["b"].probe.forget()

@@ -40,7 +40,7 @@ class Skips(Judges):
 
 @pytest.fixture
 def pytest_of(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch):
-    """Runs pytest in a process of its own on tests that use the tasks above."""
+    """Run pytest in a process of its own on tests that use the tasks above."""
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
 
     def run(source: str, *options: str) -> pytest.RunResult:

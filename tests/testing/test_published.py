@@ -76,7 +76,7 @@ def test_it_says_so_where_nobody_said_anything(virtual_agent, probe):
 
 
 class Opens(Task):
-    """Opens a channel of its own, speaks there at once, and later again."""
+    """Open a channel of its own, speaks there at once, and later again."""
 
     def on_start(self):
         self.open_channel("camera")

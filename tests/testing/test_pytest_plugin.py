@@ -128,7 +128,7 @@ def test_that_ends_what_was_left():
 
 @pytest.fixture
 def pytest_of(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch):
-    """Runs pytest in a process of its own, with every warning an error."""
+    """Run pytest in a process of its own, with every warning an error."""
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
 
     def run(source: str, *options: str) -> pytest.RunResult:

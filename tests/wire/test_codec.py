@@ -254,7 +254,7 @@ def test_bad_frames_break_the_protocol():
             (body({1: 2}), "msgpack"),
             (body([0] * (MAX_ARRAY_LENGTH + 1)), "max_array_len"),
             (body({str(number): 0 for number in range(MAX_MAP_LENGTH + 1)}), "max_map_len"),
-            (body({b"k": 2}), "key that is no string"),
+            (body({b"k": 2}), "key that is not a string"),
             (body(msgpack.ExtType(2, b"abc")), "not ours: 2"),
             (body(EPOCH), "not ours: -1"),
             (body([EPOCH]), "not ours: -1"),

@@ -6,6 +6,6 @@ import math
 
 
 def wrap(angle_rad: float) -> float:
-    """Returns the same direction, in (-pi, pi]."""
+    """Return the same direction, in (-pi, pi]."""
     wrapped = math.remainder(angle_rad, 2.0 * math.pi)
     return math.pi if wrapped == -math.pi else wrapped

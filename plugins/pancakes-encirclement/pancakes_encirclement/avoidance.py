@@ -50,14 +50,14 @@ class Avoidance:
 
 
 def blocked(points: Sequence[Point], bearing_rad: float, keep_m: float, reach_m: float) -> bool:
-    """Returns whether something lies within `keep_m` of the way in a direction, up to `reach_m` from here."""
+    """Return whether something lies within `keep_m` of the way in a direction, up to `reach_m` from here."""
     return any(abs(wrap(bearing_rad - middle)) < half for middle, half in _sectors(points, keep_m, reach_m))
 
 
 def free_bearing(
     points: Sequence[Point], wanted_rad: float, keep_m: float, reach_m: float, side: int = 0
 ) -> float | None:
-    """Returns the free bearing that is nearest to the wanted one.
+    """Return the free bearing that is nearest to the wanted one.
 
     Args:
         points: what the robot sees, in the frame of its body.
@@ -87,7 +87,7 @@ def free_bearing(
 
 
 def room_ahead(points: Sequence[Point], keep_m: float) -> float:
-    """Returns how far a body may drive straight on until its centre is within `keep_m` of a point.
+    """Return how far a body may drive straight on until its centre is within `keep_m` of a point.
 
     Returns:
         A distance in metres; 0 where a point ahead is as near already, infinity where the way is free.
@@ -100,7 +100,7 @@ def room_ahead(points: Sequence[Point], keep_m: float) -> float:
 
 
 def _sectors(points: Sequence[Point], keep_m: float, reach_m: float) -> list[tuple[float, float]]:
-    """Returns the bearings that are shut, each as (middle, half of its width)."""
+    """Return the bearings that are shut, each as (middle, half of its width)."""
     sectors = []
     for x, y in points:
         distance = math.hypot(x, y)

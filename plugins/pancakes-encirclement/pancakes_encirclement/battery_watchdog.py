@@ -18,7 +18,7 @@ CHARGED_ABOVE = 0.02
 
 
 class BatteryWatchdog(Task):
-    """Slows other tasks down, by control packets, when the battery falls below a level. Event: `saving_power`."""
+    """Slow other tasks down, by control packets, when the battery falls below a level. Event: `saving_power`."""
 
     requires = ("battery",)
 
@@ -52,7 +52,7 @@ class BatteryWatchdog(Task):
 
     @on(SYSTEM, Battery, keep="latest")
     def measured(self, packet: Packet) -> None:
-        """Takes a reading of the battery."""
+        """Take a reading of the battery."""
         level = packet.body.level
         if self.state.saving:
             self.state.saving = level < self.settings.below + CHARGED_ABOVE
@@ -65,7 +65,7 @@ class BatteryWatchdog(Task):
 
     @on(SYSCTRL, Reply, addressed=True)
     def answered(self, packet: Packet) -> None:
-        """Says what could not be slowed down, and why."""
+        """Say what could not be slowed down, and why."""
         target = self._asked.pop(packet.cause[1], None) if packet.cause is not None else None
         if target is not None and not packet.body.ok:
             self.log("warning", f"{target} was not slowed down: {packet.body.reason}")

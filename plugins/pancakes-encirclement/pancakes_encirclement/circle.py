@@ -17,7 +17,7 @@ Point = tuple[float, float]
 def curvature(
     position_m: Point, heading_rad: float, centre_m: Point, radius_m: float, alpha_per_m: float = 4.0
 ) -> float:
-    """Returns the curvature to drive with, in 1/m, positive to the left.
+    """Return the curvature to drive with, in 1/m, positive to the left.
 
     With r = position - centre and R the radius:
 
@@ -52,7 +52,7 @@ def curvature(
 def spaced_speed(
     gap_behind_rad: float | None, robots: int, radius_m: float, speed_mps: float, gain_per_s: float = 1.0
 ) -> float:
-    """Returns the speed at which robots on one circle come to stand evenly apart.
+    """Return the speed at which robots on one circle come to stand evenly apart.
 
         v = clip(v_max + k (2 pi R / n - R gap), -v_max, v_max)
 
@@ -74,7 +74,7 @@ def spaced_speed(
 
 
 def gap_behind(position_m: Point, centre_m: Point, others_m: Iterable[Point]) -> float | None:
-    """Returns the angle from a robot to the next one counter-clockwise around the centre, in [0, 2 pi).
+    """Return the angle from a robot to the next one counter-clockwise around the centre, in [0, 2 pi).
 
     Returns:
         None where there is no other robot.

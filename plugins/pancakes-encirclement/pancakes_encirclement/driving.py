@@ -40,17 +40,17 @@ class DrivingTask(Task):
 
     @on(SYSTEM, Infrared, keep="latest")
     def infrared_seen(self, packet: Packet) -> None:
-        """Takes a sweep of the infrared ring."""
+        """Take a sweep of the infrared ring."""
         self._sweep(packet.body)
 
     @on(SYSTEM, Sonar, keep="latest")
     def sonar_seen(self, packet: Packet) -> None:
-        """Takes a sweep of the sonar ring."""
+        """Take a sweep of the sonar ring."""
         self._sweep(packet.body)
 
     def _sweep(self, ring: Infrared | Sonar) -> None:
         self.steering.sweep(ring.bearings_rad, ring.ranges_m, ring.max_range_m, self.now())
 
     def is_own(self, packet: Packet) -> bool:
-        """Returns whether a packet was published on this robot."""
+        """Return whether a packet was published on this robot."""
         return agent_of(packet.source) == self.agent

@@ -53,14 +53,14 @@ class Endurance:
     drains: Sequence[Drain]
 
     def mean_power_w(self) -> dict[str, float]:
-        """Returns the mean power while it lasted, by kind."""
+        """Return the mean power while it lasted, by kind."""
         until = [drain for drain in self.drains if drain.t_s <= self.lasted_s]
         if not until or until[-1].t_s <= 0.0:
             return dict.fromkeys(KINDS, 0.0)
         return {kind: until[-1].energy_j[kind] / until[-1].t_s for kind in KINDS}
 
     def powers_w(self, over_s: float) -> list[tuple[float, float]]:
-        """Returns (time, mean power of the last `over_s`), while it lasted."""
+        """Return (time, mean power of the last `over_s`), while it lasted."""
         points = []
         start = 0
         for drain in self.drains:
@@ -74,7 +74,7 @@ class Endurance:
 
 
 def read_endurance(run: Run) -> Endurance:
-    """Reads it from what a mission left behind.
+    """Read it from what a mission left behind.
 
     Raises:
         PancakesError: its files or its configurations cannot be read.
@@ -115,14 +115,14 @@ def _off_circle(pairs: Sequence[tuple[Row, Row]], radius_m: float) -> list[tuple
 
 
 def _laps(pairs: Sequence[tuple[Row, Row]]) -> float:
-    """Returns how often a robot went round, clockwise."""
+    """Return how often a robot went round, clockwise."""
     bearings = [math.atan2(robot.y_m - target.y_m, robot.x_m - target.x_m) for robot, target in pairs]
     turned_rad = sum(math.remainder(later - earlier, math.tau) for earlier, later in pairwise(bearings))
     return -turned_rad / math.tau
 
 
 def share_of(values: Sequence[float], share: float) -> float:
-    """Returns the value that the given share of values does not exceed."""
+    """Return the value that the given share of values does not exceed."""
     ordered = sorted(values)
     return ordered[min(math.ceil(share * len(ordered)), len(ordered)) - 1]
 

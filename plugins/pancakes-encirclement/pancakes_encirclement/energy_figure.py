@@ -42,7 +42,7 @@ _OVER_S: Final = 15.0
 
 
 def draw_energy(out: Path, runs: Mapping[str, Run], summary: Mapping[str, Any]) -> None:
-    """Draws the comparison.
+    """Draw the comparison.
 
     Args:
         out: `energy.png` is written to this folder.
@@ -88,7 +88,7 @@ def draw_energy(out: Path, runs: Mapping[str, Run], summary: Mapping[str, Any]) 
 
 
 def _battery(axes: Axes, measured: Mapping[str, Endurance], variants: Mapping[str, Any]) -> None:
-    """Draws how full each battery was, and when it was empty."""
+    """Draw how full each battery was, and when it was empty."""
     for index, (name, run) in enumerate(measured.items()):
         points = [(t_s, 100.0 * level) for t_s, level in run.levels if t_s <= run.lasted_s]
         lasted = f"{run.lasted_s:.0f} s" if run.empty else f"over {run.lasted_s:.0f} s"
@@ -114,7 +114,7 @@ def _battery(axes: Axes, measured: Mapping[str, Endurance], variants: Mapping[st
 
 
 def _power(axes: Axes, measured: Mapping[str, Endurance]) -> None:
-    """Draws what was taken from each battery."""
+    """Draw what was taken from each battery."""
     for index, run in enumerate(measured.values()):
         axes.plot(*_columns(run.powers_w(_OVER_S)), color=COLOURS[index], ls=_LINES[index], lw=1.0)
     axes.set_title(f"(b) power, mean of {_OVER_S:g} s", loc="left")
@@ -123,7 +123,7 @@ def _power(axes: Axes, measured: Mapping[str, Endurance]) -> None:
 
 
 def _circle(axes: Axes, measured: Mapping[str, Endurance]) -> None:
-    """Draws how far from the circle round the target the robot was."""
+    """Draw how far from the circle round the target the robot was."""
     for index, run in enumerate(measured.values()):
         points = [(t_s, 100.0 * off) for t_s, off in run.off_m]
         axes.plot(*_columns(points), color=COLOURS[index], lw=0.35, alpha=0.35)
@@ -134,7 +134,7 @@ def _circle(axes: Axes, measured: Mapping[str, Endurance]) -> None:
 
 
 def _budget(axes: Axes, variants: Mapping[str, Any]) -> None:
-    """Draws what each battery was emptied by."""
+    """Draw what each battery was emptied by."""
     places = range(len(variants))
     lefts = [0.0 for _ in variants]
     for kind in KINDS:
@@ -153,7 +153,7 @@ def _budget(axes: Axes, variants: Mapping[str, Any]) -> None:
 
 
 def _spread(axes: Axes, measured: Mapping[str, Endurance]) -> None:
-    """Draws for how much of the time the robot was within each distance from the circle."""
+    """Draw for how much of the time the robot was within each distance from the circle."""
     for index, run in enumerate(measured.values()):
         ordered = sorted(100.0 * off for _, off in run.off_m)
         shares = [100.0 * (place + 1) / len(ordered) for place in range(len(ordered))]
@@ -167,7 +167,7 @@ def _spread(axes: Axes, measured: Mapping[str, Endurance]) -> None:
 
 
 def _averaged(points: Sequence[tuple[float, float]], over_s: float) -> list[tuple[float, float]]:
-    """Returns the mean of what lies within half of `over_s` before and after each point, once in a second."""
+    """Return the mean of what lies within half of `over_s` before and after each point, once in a second."""
     averaged = []
     first = last = 0
     next_s = points[0][0] if points else 0.0

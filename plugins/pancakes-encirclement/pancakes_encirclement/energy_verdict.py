@@ -36,7 +36,7 @@ class EnergyLimits:
 
 
 def judge_mission(run: Run) -> dict[str, Any]:
-    """Judges one mission by itself: it must not break off, and nothing may be run into.
+    """Judge one mission by itself: it must not break off, and nothing may be run into.
 
     Raises:
         PancakesError: its files or its configurations cannot be read.
@@ -71,7 +71,7 @@ def judge_mission(run: Run) -> dict[str, Any]:
 
 
 def _feedback(run: Run) -> dict[str, Any]:
-    """Returns the governor's policy, and what it is told to reach; empty where none runs."""
+    """Return the governor's policy, and what it is told to reach; empty where none runs."""
     for config in run.configs.values():
         for task in config["tasks"].values():
             if task["type"] == GOVERNOR and task["start"]:
@@ -92,7 +92,7 @@ def judge_energy(
     summaries: Mapping[str, Mapping[str, Any]],
     limits: EnergyLimits = EnergyLimits(),
 ) -> dict[str, Any]:
-    """Compares the governed missions with the plain one.
+    """Compare the governed missions with the plain one.
 
     Args:
         out: the folder with all results.
@@ -150,7 +150,7 @@ def _reasons(summary: Mapping[str, Any], compared: Mapping[str, Any], limits: En
 
 
 def table(variants: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Returns the comparison as lines for a terminal."""
+    """Return the comparison as lines for a terminal."""
     heads = ("lasted", "longer", "off the circle", "95 %", "a lap", "mean power", "orders")
     lines = [" " * 12 + "".join(f"{head:>{width}}" for head, width in zip(heads, _WIDTHS, strict=True))]
     for name, row in variants.items():

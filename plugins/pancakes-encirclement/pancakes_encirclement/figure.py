@@ -40,7 +40,7 @@ _HAND_OVER_S = 40.0
 
 
 def draw_encirclement(run: Run, summary: Mapping[str, Any]) -> None:
-    """Draws a mission in which `ScanTarget` was handed over: before, at and after that.
+    """Draw a mission in which `ScanTarget` was handed over: before, at and after that.
 
     Args:
         run: the mission; `paths.png` is written to its folder.
@@ -60,7 +60,7 @@ def draw_encirclement(run: Run, summary: Mapping[str, Any]) -> None:
 
 
 def draw_intruder(run: Run, summary: Mapping[str, Any]) -> None:
-    """Draws a mission in which the circle follows an intruder; see `draw_encirclement`."""
+    """Draw a mission in which the circle follows an intruder; see `draw_encirclement`."""
     end_s = run.ended_s
     start_s = summary["holders"][0]["start_s"] if summary["holders"] else 0.0
     third_s = (end_s - start_s) / 3.0
@@ -73,7 +73,7 @@ def draw_intruder(run: Run, summary: Mapping[str, Any]) -> None:
 
 
 def draw_rescue(run: Run, summary: Mapping[str, Any]) -> None:
-    """Draws a mission in which the robot that circles is killed, and comes back; see `draw_encirclement`."""
+    """Draw a mission in which the robot that circles is killed, and comes back; see `draw_encirclement`."""
     end_s, old = run.ended_s, summary["lost"]
     lost_s = min(summary["lost_s"] if summary["lost_s"] is not None else end_s, end_s)
     returned_s = min(summary["returned_s"] if summary["returned_s"] is not None else end_s, end_s)
@@ -136,7 +136,7 @@ def _map(
     to_s: float,
     follows: bool,
 ) -> None:
-    """Draws the paths of all bodies in a part of the mission."""
+    """Draw the paths of all bodies in a part of the mission."""
     from matplotlib.patches import Circle
 
     axes.set_aspect("equal")
@@ -161,7 +161,7 @@ def _map(
 
 
 def _path(axes: Axes, path: Sequence[Row], from_s: float, to_s: float, index: int) -> None:
-    """Draws a robot's way: its home, its line with directions, and where it is at the end."""
+    """Draw a robot's way: its home, its line with directions, and where it is at the end."""
     colour, marker = COLOURS[index % len(COLOURS)], _MARKERS[index % len(_MARKERS)]
     axes.plot(path[0].x_m, path[0].y_m, "+", ms=8, mew=1.2, color=colour, zorder=2)
     part = _between(path, from_s, to_s)
@@ -218,7 +218,7 @@ def _legend(scenario: Scenario, follows: bool, killed: bool) -> tuple[list[Any],
 def _lanes(
     record: Record, configs: Mapping[str, Any], end_s: float
 ) -> list[tuple[str, str, list[tuple[float, float]]]]:
-    """Returns (agent, task, spans) for each task of this distribution that ran on an agent."""
+    """Return (agent, task, spans) for each task of this distribution that ran on an agent."""
     names = [
         name
         for config in configs.values()
@@ -242,7 +242,7 @@ def _gantt(
     panels: Sequence[tuple[str, float, float]],
     end_s: float,
 ) -> None:
-    """Draws which agent ran which task, and when."""
+    """Draw which agent ran which task, and when."""
     for place, (agent, task, spans) in enumerate(lanes):
         known = agent in scenario.robots
         colour = COLOURS[scenario.robots.index(agent) % len(COLOURS)] if known else "#777777"
@@ -275,7 +275,7 @@ def _loss(gantt: Axes, maps: Sequence[Axes], summary: Mapping[str, Any], record:
 
 
 def _distances(axes: Axes, record: Record, scenario: Scenario, summary: Mapping[str, Any]) -> None:
-    """Draws how far from the sensor node the robots were, and the radius of the circle."""
+    """Draw how far from the sensor node the robots were, and the radius of the circle."""
     circle = summary["circle"]
     for index, robot in enumerate(scenario.robots):
         rows = record.paths.get(robot, ()) if circle["x_m"] is not None else ()
@@ -287,7 +287,7 @@ def _distances(axes: Axes, record: Record, scenario: Scenario, summary: Mapping[
 
 
 def _batteries(axes: Axes, record: Record, scenario: Scenario) -> None:
-    """Draws the robots' batteries, as a share of their range, and the levels at which something happens."""
+    """Draw the robots' batteries, as a share of their range, and the levels at which something happens."""
     for index, robot in enumerate(scenario.robots):
         full_v, empty_v = scenario.battery_v.get(robot, (1.0, 0.0))
         rows = [row for row in record.paths.get(robot, ()) if row.battery_v is not None]

@@ -18,7 +18,7 @@ LEAVE_FACTOR = 3.0
 
 
 class GoHome(DrivingTask):
-    """Drives to the robot's home and holds it there. Event: `parked`."""
+    """Drive to the robot's home and holds it there. Event: `parked`."""
 
     @dataclass
     class Settings(DrivingTask.Settings):
@@ -40,7 +40,7 @@ class GoHome(DrivingTask):
 
     @on(SYSTEM, Pose, keep="latest")
     def steer(self, packet: Packet) -> None:
-        """Drives on, from where the robot is now."""
+        """Drive on, from where the robot is now."""
         if not self.is_own(packet):
             return
         pose: Pose = packet.body

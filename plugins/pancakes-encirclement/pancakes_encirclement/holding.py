@@ -15,12 +15,12 @@ _CLOCKS_AGREE_S = 0.05
 
 
 def driven(path: Sequence[Row], task: str) -> list[Row]:
-    """Returns the rows in which the wheels of a robot followed a task."""
+    """Return the rows in which the wheels of a robot followed a task."""
     return [row for row in path if row.driven_by == task]
 
 
 def gap_s(paths: Mapping[str, list[Row]], task: str, old: str, new: str) -> float | None:
-    """Returns the time from the old holder's last motor command that the wheels followed to the new one's first.
+    """Return the time from the old holder's last motor command that the wheels followed to the new one's first.
 
     Returns:
         Seconds, to the precision of the trajectory's rows; None where one of them never drove.
@@ -32,7 +32,7 @@ def gap_s(paths: Mapping[str, list[Row]], task: str, old: str, new: str) -> floa
 
 
 def overlap_s(paths: Mapping[str, list[Row]], robots: Sequence[str], task: str, held: Sequence[Holder]) -> float:
-    """Returns for how long two agents ran a task at once: as their wheels show it, or as they said, the longer."""
+    """Return for how long two agents ran a task at once: as their wheels show it, or as they said, the longer."""
     count: dict[float, int] = {}
     for robot in robots:
         for row in driven(paths.get(robot, ()), task):
@@ -59,7 +59,7 @@ class RadiusError:
 def radius_error(
     path: Sequence[Row], centre_m: tuple[float, float], radius_m: float, arrived_share: float, settling_s: float
 ) -> RadiusError | None:
-    """Returns how far from a circle a robot drove.
+    """Return how far from a circle a robot drove.
 
     Args:
         path: where it was, while it held the task.

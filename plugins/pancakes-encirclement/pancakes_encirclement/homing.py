@@ -26,7 +26,7 @@ class Homing:
     gain_per_s: Positive = 1.0
 
     def towards(self, bearing_rad: float, distance_m: float) -> Twist:
-        """Returns the twist that brings a robot to a goal.
+        """Return the twist that brings a robot to a goal.
 
         Args:
             bearing_rad: direction of the goal in the frame of the body, in (-pi, pi].

@@ -35,7 +35,7 @@ class IntruderLimits:
 
 
 def judge_intruder(run: Run, limits: IntruderLimits = IntruderLimits()) -> dict[str, Any]:
-    """Judges the mission in which motion starts `ScanTarget` on an idle robot, and the intruder walks on.
+    """Judge the mission in which motion starts `ScanTarget` on an idle robot, and the intruder walks on.
 
     Args:
         run: the mission; it left `trajectory.csv` and `events.jsonl`.
@@ -51,7 +51,7 @@ def judge_intruder(run: Run, limits: IntruderLimits = IntruderLimits()) -> dict[
 
 
 def judge(record: Record, scenario: Scenario, run: Run, limits: IntruderLimits) -> dict[str, Any]:
-    """Judges what has been read; see `judge_intruder`."""
+    """Judge what has been read; see `judge_intruder`."""
     held = holders(record, scenario.scan, run.ended_s)
     detected_s = first_time(record, "motion_detected")
     robot = held[0].agent if held else scenario.first
@@ -82,7 +82,7 @@ def judge(record: Record, scenario: Scenario, run: Run, limits: IntruderLimits) 
 def _following(
     record: Record, scenario: Scenario, robot: str, centres: list[tuple[float, tuple[float, float]]], from_s: float
 ) -> dict[str, Any]:
-    """Compares the robot, and the centre that it had at each moment, with where the intruder really was."""
+    """Compare the robot, and the centre that it had at each moment, with where the intruder really was."""
     walk = {row.t_s: (row.x_m, row.y_m) for mover in scenario.movers[:1] for row in record.paths.get(mover, ())}
     errors, offsets = [], []
     index = 0

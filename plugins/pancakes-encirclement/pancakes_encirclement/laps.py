@@ -12,13 +12,13 @@ ON_CIRCLE_SHARE = 0.1
 
 
 def on_circle(position_m: Point, centre_m: Point, radius_m: float) -> bool:
-    """Returns whether a place is on a circle, to within `ON_CIRCLE_SHARE` of its radius."""
+    """Return whether a place is on a circle, to within `ON_CIRCLE_SHARE` of its radius."""
     distance = math.hypot(position_m[0] - centre_m[0], position_m[1] - centre_m[1])
     return abs(distance - radius_m) <= ON_CIRCLE_SHARE * radius_m
 
 
 class Laps:
-    """Sums the angle that a robot sweeps round a centre, clockwise, in revolutions.
+    """Sum the angle that a robot sweeps round a centre, clockwise, in revolutions.
 
     The way back is taken off again, but never from a revolution that is complete: poses have noise, and a robot that
     stands still at the end of a revolution completes it once.
@@ -42,7 +42,7 @@ class Laps:
         self._bearing_rad = None
 
     def passed(self, position_m: Point, centre_m: Point) -> bool:
-        """Takes a position.
+        """Take a position.
 
         Returns:
             Whether it completes a revolution, for the first time.

@@ -34,7 +34,7 @@ class _Echo:
 
 
 class LocalMap:
-    """Echoes of the last seconds, forgotten when they grow old or when a beam passes through where they were.
+    """Echo of the last seconds, forgotten when they grow old or when a beam passes through where they were.
 
     Args:
         body_radius_m: radius of the robot's body, on whose edge the sensors sit.
@@ -51,7 +51,7 @@ class LocalMap:
     def sweep(
         self, pose: Pose, bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float, now_s: float
     ) -> None:
-        """Takes one sweep of a ring of sensors, seen from `pose`."""
+        """Take one sweep of a ring of sensors, seen from `pose`."""
         seen_m = SEEN_SHARE * max_range_m
         if min(ranges_m, default=seen_m) >= seen_m and not self._remembers(
             pose, self._body_radius_m + max_range_m - THROUGH_M
@@ -67,12 +67,12 @@ class LocalMap:
                 self._add(pose.x_m + distance * math.cos(direction), pose.y_m + distance * math.sin(direction), now_s)
 
     def _remembers(self, pose: Pose, free_m: float) -> bool:
-        """Returns whether an echo may lie in some beam that reaches `free_m` from the body's centre."""
+        """Return whether an echo may lie in some beam that reaches `free_m` from the body's centre."""
         reach_m = free_m * _BEAM_EDGE
         return any(math.hypot(echo.x_m - pose.x_m, echo.y_m - pose.y_m) < reach_m for echo in self._echoes)
 
     def around(self, pose: Pose, now_s: float) -> list[Point]:
-        """Returns the echoes in the frame of a body that stands at `pose`: x ahead, y to the left, in metres."""
+        """Return the echoes in the frame of a body that stands at `pose`: x ahead, y to the left, in metres."""
         if not self._echoes:
             return []
         oldest_s = now_s - self._memory_s
@@ -92,7 +92,7 @@ class LocalMap:
         self._echoes.append(_Echo(x_m, y_m, now_s))
 
     def _clear(self, pose: Pose, bearing_rad: float, free_m: float) -> None:
-        """Forgets what stood in a beam that has just reached `free_m` from the body's centre, and farther."""
+        """Forget what stood in a beam that has just reached `free_m` from the body's centre, and farther."""
         direction = pose.theta_rad + bearing_rad
         cos, sin = math.cos(direction), math.sin(direction)
         x_m, y_m, radius_m = pose.x_m, pose.y_m, self._body_radius_m

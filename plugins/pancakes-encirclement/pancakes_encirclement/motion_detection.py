@@ -13,7 +13,7 @@ from pancakes_encirclement.packets import MotionDetected
 
 
 def place_of(motion: Motion, pose: Pose) -> tuple[float, float] | None:
-    """Returns where in the world a motion sensor at `pose` sees something move.
+    """Return where in the world a motion sensor at `pose` sees something move.
 
     Returns:
         None where the sensor cannot tell.
@@ -29,7 +29,7 @@ QUIET_S = 10.0
 
 
 class MotionDetection(Task):
-    """Sends a place to the neighbours when the motion sensor senses something: its own, as in the paper.
+    """Send a place to the neighbours when the motion sensor senses something: its own, as in the paper.
 
     Event: `motion_detected`, when motion begins; not for each report.
     """
@@ -57,13 +57,13 @@ class MotionDetection(Task):
 
     @on(SYSTEM, Pose, keep="latest")
     def moved(self, packet: Packet) -> None:
-        """Remembers where the sensor stands."""
+        """Remember where the sensor stands."""
         if agent_of(packet.source) == self.agent:
             self._pose = packet.body
 
     @on(SYSTEM, Motion, keep="latest")
     def sensed(self, packet: Packet) -> None:
-        """Takes a reading of the motion sensor."""
+        """Take a reading of the motion sensor."""
         motion: Motion = packet.body
         if not motion.detected or self._pose is None:
             return

@@ -9,20 +9,20 @@ from pancakes_encirclement.packets import NeighbourPose
 
 
 class PoseSharing(Task):
-    """Publishes the robot's own pose to its neighbours, five times a second or as it is rescheduled."""
+    """Publish the robot's own pose to its neighbours, five times a second or as it is rescheduled."""
 
     requires = ("pose",)
     _pose: Pose | None = None
 
     @on(SYSTEM, Pose, keep="latest")
     def moved(self, packet: Packet) -> None:
-        """Remembers the newest pose."""
+        """Remember the newest pose."""
         if agent_of(packet.source) == self.agent:
             self._pose = packet.body
 
     @every(hz=5)
     def share(self, tick: Tick) -> None:
-        """Tells it."""
+        """Tell it."""
         if self._pose is not None:
             pose = NeighbourPose(self._pose.x_m, self._pose.y_m, self._pose.theta_rad)
             self.publish(SYSTEM, pose, to=NEIGHBOURS)

@@ -37,7 +37,7 @@ class Record(MissionRecord):
 
 
 def read_record(out_dir: Path) -> Record:
-    """Reads `trajectory.csv` and `events.jsonl` of a mission.
+    """Read `trajectory.csv` and `events.jsonl` of a mission.
 
     Raises:
         PancakesError: one of them is missing, or is not what it should be; it names the line.

@@ -54,7 +54,7 @@ class GuardedScan:
 
 
 def judge_rescue(run: Run, limits: RescueLimits = RescueLimits()) -> dict[str, Any]:
-    """Judges the mission in which the agent with `ScanTarget` is killed, and comes back.
+    """Judge the mission in which the agent with `ScanTarget` is killed, and comes back.
 
     Args:
         run: the mission; it left `trajectory.csv` and `events.jsonl`.
@@ -71,14 +71,14 @@ def judge_rescue(run: Run, limits: RescueLimits = RescueLimits()) -> dict[str, A
 
 
 def read_guard(configs: Mapping[str, Mapping[str, Any]], scenario: Scenario) -> GuardedScan:
-    """Reads how the task that goes round is guarded out of the configurations of all agents."""
+    """Read how the task that goes round is guarded out of the configurations of all agents."""
     first = configs[scenario.first]
     task, speed = first["tasks"][scenario.scan], float(first.get("clock", {}).get("speed", 1.0))
     return GuardedScan(float(task["lease_s"]) * speed, float(task["checkpoint_s"]) * speed, speed)
 
 
 def judge(record: Record, scenario: Scenario, guard: GuardedScan, run: Run, limits: RescueLimits) -> dict[str, Any]:
-    """Judges what has been read; see `judge_rescue`."""
+    """Judge what has been read; see `judge_rescue`."""
     scan, old = scenario.scan, scenario.first
     held = holders(record, scan, run.ended_s)
     lost_s, returned_s = first_time(record, "agent_lost"), first_time(record, "agent_returned")
@@ -118,20 +118,20 @@ def judge(record: Record, scenario: Scenario, guard: GuardedScan, run: Run, limi
 
 
 def _rolled_on_s(record: Record, scan: str, old: str, lost_s: float | None) -> float | None:
-    """Returns how long the wheels of the lost robot still followed its last command."""
+    """Return how long the wheels of the lost robot still followed its last command."""
     rows = driven(record.paths.get(old, ()), scan)
     return max(0.0, rows[-1].t_s - lost_s) if rows and lost_s is not None else None
 
 
 def _ran_after(held: Sequence[Holder], returned_s: float | None) -> list[str]:
-    """Returns the agents that ran the task at any time after the return of the first one."""
+    """Return the agents that ran the task at any time after the return of the first one."""
     if returned_s is None:
         return []
     return sorted({holder.agent for holder in held if holder.end_s > returned_s})
 
 
 def _drove_after(record: Record, scenario: Scenario, returned_s: float | None) -> list[str]:
-    """Returns the robots whose wheels followed the task after the return of the first agent."""
+    """Return the robots whose wheels followed the task after the return of the first agent."""
     if returned_s is None:
         return []
     scan = scenario.scan
@@ -149,7 +149,7 @@ def _covered(
     scenario: Scenario,
     limits: RescueLimits,
 ) -> float:
-    """Returns the share of the circle along which the copy has driven since the first agent is back."""
+    """Return the share of the circle along which the copy has driven since the first agent is back."""
     if centre is None or returned_s is None:
         return 0.0
     passed = set()
@@ -190,7 +190,7 @@ def _taking_reasons(summary: Mapping[str, Any], scenario: Scenario) -> list[str]
 
 
 def _state_reasons(record: Record, summary: Mapping[str, Any], guard: GuardedScan, limits: RescueLimits) -> list[str]:
-    """Looks whether the copy went on from a checkpoint that was no older than it may be."""
+    """Look whether the copy went on from a checkpoint that was no older than it may be."""
     old, new, state, circle = summary["lost"], summary["taken_by"], summary["state_taken"], summary["circle"]
     if not new:
         return []

@@ -21,7 +21,7 @@ FRESH_S = 3.0
 
 
 class ScanTarget(DrivingTask):
-    """Drives on a circle, clockwise, around the place of the last report of motion.
+    """Drive on a circle, clockwise, around the place of the last report of motion.
 
     Until there was a report it stands still. It shares the circle evenly with neighbours that are on it too and
     tell their poses. Events: `new_centre`, `on_circle` (once on each host), `revolution`.
@@ -70,7 +70,7 @@ class ScanTarget(DrivingTask):
 
     @on(SYSTEM, MotionDetected)
     def target_seen(self, packet: Packet) -> None:
-        """Takes the place of a report for the new centre, if it is a new place."""
+        """Take the place of a report for the new centre, if it is a new place."""
         place = (packet.body.x_m, packet.body.y_m)
         if self.state.centre_m is not None and math.dist(place, self.state.centre_m) <= NEW_CENTRE_M:
             return
@@ -80,12 +80,12 @@ class ScanTarget(DrivingTask):
 
     @on(SYSTEM, NeighbourPose)
     def neighbour_seen(self, packet: Packet) -> None:
-        """Remembers where a neighbour is."""
+        """Remember where a neighbour is."""
         self._neighbours[agent_of(packet.source)] = (self.now(), (packet.body.x_m, packet.body.y_m))
 
     @on(SYSTEM, Pose, keep="latest")
     def steer(self, packet: Packet) -> None:
-        """Drives on, from where the robot is now."""
+        """Drive on, from where the robot is now."""
         if not self.is_own(packet):
             return
         pose: Pose = packet.body
@@ -112,7 +112,7 @@ class ScanTarget(DrivingTask):
             self.event("revolution", count=math.floor(self.state.revolutions))
 
     def _speed(self, position: Point, centre: Point) -> float:
-        """Returns the speed that keeps the robots on the circle apart.
+        """Return the speed that keeps the robots on the circle apart.
 
         Never backwards: the law of curvature leads to the circle forwards, and away from it backwards.
         """

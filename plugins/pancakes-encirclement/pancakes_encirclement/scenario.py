@@ -54,7 +54,7 @@ class Scenario:
 
 
 def read_scenario(configs: Mapping[str, Table]) -> Scenario:
-    """Reads it out of the configurations of all agents.
+    """Read it out of the configurations of all agents.
 
     Args:
         configs: the agents' configurations, overrides included, by the agent's name; see

@@ -14,7 +14,7 @@ ENDINGS = ("task_stopped", "task_given_up")
 
 
 class Sentinel(Task):
-    """Starts a task of its own agent, by a control packet, at the first report of motion.
+    """Start a task of its own agent, by a control packet, at the first report of motion.
 
     The task begins at the place of that report, which is set as its `centre_m`. Where it has ended, the next
     report starts it again. Event: `alarm`.
@@ -38,7 +38,7 @@ class Sentinel(Task):
 
     @on(SYSTEM, MotionDetected)
     def reported(self, packet: Packet) -> None:
-        """Takes a report."""
+        """Take a report."""
         if self._running or self._asked is not None:
             return
         place = (packet.body.x_m, packet.body.y_m)
@@ -47,7 +47,7 @@ class Sentinel(Task):
 
     @on(SYSCTRL, Reply, addressed=True)
     def answered(self, packet: Packet) -> None:
-        """Learns whether the task was started."""
+        """Learn whether the task was started."""
         if packet.cause is None or packet.cause[1] != self._asked:
             return
         self._asked = None
@@ -57,7 +57,7 @@ class Sentinel(Task):
 
     @on(LOG, Event)
     def happened(self, packet: Packet) -> None:
-        """Learns that the task has ended."""
+        """Learn that the task has ended."""
         event: Event = packet.body
         if event.kind in ENDINGS and agent_of(packet.source) == self.agent:
             if event.fields.get("task") == self.settings.target.rpartition("/")[2]:

@@ -27,7 +27,7 @@ _Points = list[tuple[float, float]]
 
 
 class Steering:
-    """Leads a robot round what its sensors show.
+    """Lead a robot round what its sensors show.
 
     Args:
         avoidance: how carefully it drives.
@@ -43,16 +43,16 @@ class Steering:
         self._blocked_since_s: float | None = None
 
     def sweep(self, bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float, now_s: float) -> None:
-        """Takes a sweep of a ring of sensors; without a pose yet, it says nothing about the world."""
+        """Take a sweep of a ring of sensors; without a pose yet, it says nothing about the world."""
         if self._pose is not None:
             self._map.sweep(self._pose, bearings_rad, ranges_m, max_range_m, now_s)
 
     def moved(self, pose: Pose) -> None:
-        """Takes the robot's newest pose."""
+        """Take the robot's newest pose."""
         self._pose = pose
 
     def follow(self, wanted: Twist, now_s: float) -> Twist:
-        """Returns the wanted twist where its way is free.
+        """Return the wanted twist where its way is free.
 
         Elsewhere the robot waits a while for what may move on by itself, such as another robot that leaves the
         circle, and then takes a way round. Robots that did not wait would push each other off the circle.
@@ -73,7 +73,7 @@ class Steering:
         return self._detour(points, chord, bearing, math.inf, Homing(wanted.v_mps, self._avoidance.turn_radps))
 
     def drive_to(self, bearing_rad: float, distance_m: float, homing: Homing, now_s: float) -> Twist:
-        """Returns the twist that brings the robot to a goal, round what stands between.
+        """Return the twist that brings the robot to a goal, round what stands between.
 
         Args:
             bearing_rad: direction of the goal in the frame of the body.

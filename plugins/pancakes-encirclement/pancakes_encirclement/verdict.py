@@ -36,7 +36,7 @@ class Limits:
 
 
 def judge_encirclement(run: Run, limits: Limits = Limits()) -> dict[str, Any]:
-    """Judges the mission in which `ScanTarget` moves from the first robot to the second.
+    """Judge the mission in which `ScanTarget` moves from the first robot to the second.
 
     Args:
         run: the mission; it left `trajectory.csv` and `events.jsonl`.
@@ -52,7 +52,7 @@ def judge_encirclement(run: Run, limits: Limits = Limits()) -> dict[str, Any]:
 
 
 def judge(record: Record, scenario: Scenario, run: Run, limits: Limits) -> dict[str, Any]:
-    """Judges what has been read; see `judge_encirclement`."""
+    """Judge what has been read; see `judge_encirclement`."""
     held = holders(record, scenario.scan, run.ended_s)
     old, new = (held[0].agent, held[1].agent) if len(held) > 1 else (scenario.first, "")
     centre = place(record, scenario.sensor)
@@ -91,7 +91,7 @@ def judge(record: Record, scenario: Scenario, run: Run, limits: Limits) -> dict[
 
 
 def common_reasons(summary: Mapping[str, Any], run: Run) -> list[str]:
-    """Returns why no mission of any kind could pass: it broke off, or something was run into."""
+    """Return why no mission of any kind could pass: it broke off, or something was run into."""
     reasons = [f"the mission broke off: {run.ended_because}"] if run.ended_because else []
     if summary["collisions"]:
         reasons.append(f"there were {summary['collisions']} collisions: {', '.join(summary['collided'])}")
@@ -158,18 +158,18 @@ def _state_reasons(summary: Mapping[str, Any], scenario: Scenario, limits: Limit
 
 
 def finish(summary: dict[str, Any], reasons: list[str]) -> dict[str, Any]:
-    """Returns the summary with its verdict in front, and with numbers of a readable length."""
+    """Return the summary with its verdict in front, and with numbers of a readable length."""
     return {"verdict": "FAIL" if reasons else "PASS", "reasons": reasons, **_rounded(summary)}
 
 
 def place(record: Record, name: str) -> tuple[float, float] | None:
-    """Returns where a body was at first; None where nothing is known of it."""
+    """Return where a body was at first; None where nothing is known of it."""
     path = record.paths.get(name)
     return (path[0].x_m, path[0].y_m) if path else None
 
 
 def mishaps(record: Record, scenario: Scenario) -> dict[str, Any]:
-    """Returns `collisions` and `out_of_bounds` (how many), and which bodies `collided`."""
+    """Return `collisions` and `out_of_bounds` (how many), and which bodies `collided`."""
     collided = [" with ".join(event.fields.get("names", ("?",))) for event in record.told("collision")]
     outside = [
         robot
@@ -183,12 +183,12 @@ def mishaps(record: Record, scenario: Scenario) -> dict[str, Any]:
 
 
 def revolutions(record: Record) -> dict[str, int]:
-    """Returns the last count of revolutions that each agent told."""
+    """Return the last count of revolutions that each agent told."""
     return {event.agent: int(event.fields["count"]) for event in record.told("revolution")}
 
 
 def first_time(record: Record, kind: str) -> float | None:
-    """Returns when an event of this kind was first told; None where never."""
+    """Return when an event of this kind was first told; None where never."""
     return next((event.t_s for event in record.told(kind)), None)
 
 
@@ -202,7 +202,7 @@ def _home_error(record: Record, agent: str, homes: Mapping[str, tuple[float, flo
 
 
 def named(position: tuple[float, float] | None) -> dict[str, float | None]:
-    """Returns a place as it stands in a summary."""
+    """Return a place as it stands in a summary."""
     return {"x_m": position[0] if position else None, "y_m": position[1] if position else None}
 
 

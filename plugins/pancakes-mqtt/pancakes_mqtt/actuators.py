@@ -69,11 +69,11 @@ class MqttActuator(Actuator):
 
     @abstractmethod
     def command_payload(self, command: Any, ttl_s: float) -> bytes:
-        """Returns what the device is told."""
+        """Return what the device is told."""
 
     @abstractmethod
     def hold_payload(self) -> bytes:
-        """Returns what the device is told at its safe hold; empty: nothing."""
+        """Return what the device is told at its safe hold; empty: nothing."""
 
     def open(self) -> None:
         refuse_virtual_time(self.context)

@@ -27,7 +27,7 @@ class Arrivals:
         self._closed = False
 
     def put(self, message: Message) -> bool:
-        """Adds a message; returns whether the reader is to be told that something waits."""
+        """Add a message; returns whether the reader is to be told that something waits."""
         while not self._spool.put_patiently(message, PATIENCE_S):
             with self._lock:
                 if self._closed or not message.promised:
@@ -35,7 +35,7 @@ class Arrivals:
         return self.ring()
 
     def ring(self) -> bool:
-        """Returns whether the reader is to be told that something waits: it has not been told yet."""
+        """Return whether the reader is to be told that something waits: it has not been told yet."""
         with self._lock:
             if self._rung or not len(self._spool):
                 return False
@@ -48,11 +48,11 @@ class Arrivals:
             self._rung = False
 
     def take(self) -> Message | None:
-        """Takes the oldest message; None where none waits."""
+        """Take the oldest message; None where none waits."""
         return self._spool.take()
 
     def close(self) -> None:
-        """Takes nothing more."""
+        """Take nothing more."""
         with self._lock:
             self._closed = True
         self._spool.close()

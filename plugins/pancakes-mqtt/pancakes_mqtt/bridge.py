@@ -42,7 +42,7 @@ MOST_PUBLISHERS: Final = 4096
 
 
 class MqttBridge(Service):
-    """Publishes packets as messages, and makes packets of messages, as its tables say."""
+    """Publish packets as messages, and makes packets of messages, as its tables say."""
 
     @dataclass(kw_only=True)
     class Settings(BrokerSettings):
@@ -186,7 +186,7 @@ class MqttBridge(Service):
         return True
 
     def _publish_in_hand(self) -> bool:
-        """Publishes what a message says, for each row that means it; returns False where a reader has no room."""
+        """Publish what a message says, for each row that means it; returns False where a reader has no room."""
         message = self._in_hand
         assert message is not None
         while self._rows_left:

@@ -60,7 +60,7 @@ class Counts(msgspec.Struct, frozen=True):
 
 
 class BrokerConnection:
-    """Keeps a connection to a broker, in a thread of its own, once it is started; all that is paho's happens there.
+    """Keep a connection to a broker, in a thread of its own, once it is started; all that is paho's happens there.
 
     A broker that is not there, or goes away, is tried again until it is there. What is promised (QoS 1 and 2) waits
     meanwhile, in both directions, as far as it fits; what is not is dropped and counted.
@@ -114,13 +114,13 @@ class BrokerConnection:
     # Any thread ------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begins to connect. What is listened to by then misses nothing that the broker has kept."""
+        """Begin to connect. What is listened to by then misses nothing that the broker has kept."""
         # A process that ends waits for the last words: a switch may have to be told to go off.
         atexit.register(self._outlast)
         self._thread.start()
 
     def publish(self, message: Message) -> bool:
-        """Sends a message, as soon as there is a broker where it is promised; returns False where it is lost."""
+        """Send a message, as soon as there is a broker where it is promised; returns False where it is lost."""
         with self._lock:
             connected = self._counts.connected
         if not connected and not message.promised:
@@ -132,17 +132,17 @@ class BrokerConnection:
         return True
 
     def listen(self, filter_: str, qos: int, taker: Taker) -> None:
-        """Gives `taker` each message that the filter means, in this connection's thread, also after it was lost."""
+        """Give `taker` each message that the filter means, in this connection's thread, also after it was lost."""
         self._subscriptions.add(filter_, qos, taker)
         self._wake()
 
     def unlisten(self, taker: Taker) -> None:
-        """Ends what `listen` began."""
+        """End what `listen` began."""
         self._subscriptions.remove(taker)
         self._wake()
 
     def counts(self) -> Counts:
-        """Returns what has become of the messages so far."""
+        """Return what has become of the messages so far."""
         with self._lock:
             counts = self._counts
         return msgspec.structs.replace(
@@ -150,7 +150,7 @@ class BrokerConnection:
         )
 
     def close(self) -> None:
-        """Lets what waits leave, says `offline`, and ends. Does not wait for that."""
+        """Let what waits leave, says `offline`, and ends. Does not wait for that."""
         self._ending.set()
         self._wake()
 
@@ -178,7 +178,7 @@ class BrokerConnection:
         five = settings.protocol == "5"
 
         class SideBySide(paho.Client):
-            """Connects to what has several addresses; paho tries one after the other, each with the whole time."""
+            """Connect to what has several addresses; paho tries one after the other, each with the whole time."""
 
             def _create_socket_connection(self) -> socket.socket:
                 return connect(settings.host, settings.port, CONNECT_S)
@@ -208,7 +208,7 @@ class BrokerConnection:
         return client
 
     def _session(self) -> dict[str, Any]:
-        """Returns what MQTT 5.0 wants to know of the session; 3.1.1 knows whether there is to be one."""
+        """Return what MQTT 5.0 wants to know of the session; 3.1.1 knows whether there is to be one."""
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
@@ -240,7 +240,7 @@ class BrokerConnection:
             self._wake_out.close()
 
     def _attend(self) -> None:
-        """Speaks with the broker until the connection is gone."""
+        """Speak with the broker until the connection is gone."""
         client = self._client
         until_s = None
         while (broker := client.socket()) is not None:
@@ -273,7 +273,7 @@ class BrokerConnection:
             pass
 
     def _feed(self) -> None:
-        """Hands paho what waits, so much that little waits there."""
+        """Hand paho what waits, so much that little waits there."""
         client = self._client
         if not client.is_connected():
             return
@@ -322,7 +322,7 @@ class BrokerConnection:
             self._client.unsubscribe(filter_)
 
     def _say_good_bye(self) -> float:
-        """Begins the end: the last word is on its way. Returns when it ends at the latest, in host time."""
+        """Begin the end: the last word is on its way. Returns when it ends at the latest, in host time."""
         if self._status and self._client.is_connected():
             self._spool.put(Message(self._status, OFFLINE, 1, True))
         return self._clock.now() + LAST_WORDS_S
@@ -380,7 +380,7 @@ class BrokerConnection:
             self._why = f"it ends one connection after the other: is another one called {self._client_id}, too?"
 
     def _say_once(self, level: str, text: str) -> None:
-        """Says a line, until the next connection once."""
+        """Say a line, until the next connection once."""
         if text not in self._said:
             self._said.add(text)
             self._say(level, text)

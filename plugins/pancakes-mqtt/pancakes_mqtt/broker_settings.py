@@ -85,7 +85,7 @@ class BrokerSettings:
 
 
 def fault_of_broker(broker: str) -> str:
-    """Says why a text is no address of a broker; empty: it is one."""
+    """Say why a text is no address of a broker; empty: it is one."""
     try:
         address = urlsplit(broker)
         sound = address.scheme in PORTS and bool(address.hostname) and address.port != 0
@@ -99,7 +99,7 @@ def fault_of_broker(broker: str) -> str:
 
 
 def password_of(settings: BrokerSettings) -> str:
-    """Returns the password.
+    """Return the password.
 
     Raises:
         PancakesError: its file cannot be read, or others can read it.
@@ -121,7 +121,7 @@ def password_of(settings: BrokerSettings) -> str:
 
 
 def check_files(settings: BrokerSettings) -> None:
-    """Raises PancakesError where a file that the settings name cannot be read."""
+    """Raise PancakesError where a file that the settings name cannot be read."""
     for name in ("ca", "certificate", "key"):
         path = getattr(settings, name)
         if path and not os.access(path, os.R_OK):

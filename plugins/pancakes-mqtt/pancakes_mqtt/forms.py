@@ -95,7 +95,7 @@ FORMS: Final[Mapping[str, Form]] = {
 
 
 def fault_of_device(form: str, device: str) -> str:
-    """Says why a form has no device of this name; empty: it has."""
+    """Say why a form has no device of this name; empty: it has."""
     if not form:
         return f"device = {device!r} says nothing without form" if device else ""
     if not device:
@@ -108,18 +108,18 @@ def fault_of_device(form: str, device: str) -> str:
 
 
 def named(template: str, device: str) -> str:
-    """Returns a topic of a form for one device."""
+    """Return a topic of a form for one device."""
     node, _, id_ = device.partition("/")
     return template.replace("{device}", device).replace("{node}", node).replace("{id}", id_)
 
 
 def light_payload(form: str, share: float) -> str:
-    """Returns what a light of a form is told so that it shines with this share of its brightness, above 0."""
+    """Return what a light of a form is told so that it shines with this share of its brightness, above 0."""
     if form == "tasmota":
         return str(max(1, round(100 * share)))
     return f'{{"state": "ON", "brightness": {max(1, round(FORMS[form].brightest * share))}}}'
 
 
 def dark_payload(form: str) -> str:
-    """Returns what a light of a form is told so that it is dark."""
+    """Return what a light of a form is told so that it is dark."""
     return "0" if form == "tasmota" else '{"state": "OFF"}'

@@ -16,7 +16,7 @@ from pancakes_mqtt.payloads import BadPayload, number_of, plain_json, truth_of, 
 
 
 def payload_of(packet: Packet, whole: bool) -> bytes:
-    """Returns a packet as JSON, in which NaN and infinity are null.
+    """Return a packet as JSON, in which NaN and infinity are null.
 
     Args:
         packet: the packet.
@@ -36,7 +36,7 @@ def payload_of(packet: Packet, whole: bool) -> bytes:
 
 
 def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> tuple[Any, list[str]]:
-    """Returns the body of a packet that a payload tells of, and what of the payload could not be read.
+    """Return the body of a packet that a payload tells of, and what of the payload could not be read.
 
     Numbers, and yes and no, are read as the drivers of sensors read them: as JSON's own, or as texts. A field that has
     a default keeps it if what the payload says of it cannot be read.
@@ -67,7 +67,7 @@ def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> tuple[Any, l
 
 
 def _read_fields(plain: dict[str, Any], cls: type) -> Iterator[str]:
-    """Reads the values of fields as their types want them; yields why a field is left out.
+    """Read the values of fields as their types want them; yields why a field is left out.
 
     Raises:
         BadPayload: a field cannot be read that the body needs.
@@ -88,7 +88,7 @@ def _read_fields(plain: dict[str, Any], cls: type) -> Iterator[str]:
 
 
 def _read_value(value: Any, kind: inspect.Type) -> Any:
-    """Returns a value as a type wants it: what is no number and no yes or no is left to `body_from_plain`."""
+    """Return a value as a type wants it: what is no number and no yes or no is left to `body_from_plain`."""
     if isinstance(kind, inspect.Metadata) and (kind.extra or {}).get("nan"):  # NaN says that it is not known
         return math.nan if value is None else value if isinstance(value, (int, float)) else number_of(value)
     kinds = kind.types if isinstance(kind, inspect.UnionType) else (kind,)

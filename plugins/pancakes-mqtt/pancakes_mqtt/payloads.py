@@ -35,7 +35,7 @@ class BadPayload(ValueError):
 
 
 def value_at(payload: bytes, path: str) -> Any:
-    """Returns the value that a path leads to in a payload.
+    """Return the value that a path leads to in a payload.
 
     Args:
         payload: JSON, or any text where the path is empty.
@@ -58,7 +58,7 @@ def value_at(payload: bytes, path: str) -> Any:
 
 
 def decoded(payload: bytes) -> Any:
-    """Returns what a payload says in JSON, as far as it can be read: see `oddities`. Raises BadPayload."""
+    """Return what a payload says in JSON, as far as it can be read: see `oddities`. Raises BadPayload."""
     try:
         return _decode(payload)
     except MALFORMED as error:
@@ -69,7 +69,7 @@ def decoded(payload: bytes) -> Any:
 
 
 def oddities(payload: bytes) -> str:
-    """Returns what in a payload that can be read is no JSON: `humidity is nan`; empty: nothing, or all of it."""
+    """Return what in a payload that can be read is no JSON: `humidity is nan`; empty: nothing, or all of it."""
     try:
         _decode(payload)
         return ""
@@ -79,7 +79,7 @@ def oddities(payload: bytes) -> str:
 
 
 def _decoded_leniently(payload: bytes) -> tuple[bool, Any]:
-    """Reads what devices write for JSON: with NaN and inf, bytes of other alphabets, a mark of their order, a zero."""
+    """Read what devices write for JSON: with NaN and inf, bytes of other alphabets, a mark of their order, a zero."""
     text = payload.decode("utf-8", "replace").removeprefix("\ufeff").rstrip("\0")
     try:
         # Python knows these words in one spelling only.
@@ -150,7 +150,7 @@ def _listed(value: Mapping[Any, Any]) -> str:
 
 
 def number_of(value: Any) -> float | None:
-    """Returns a value as a number; None where the device says that it cannot tell.
+    """Return a value as a number; None where the device says that it cannot tell.
 
     Raises:
         BadPayload: it is none, or not finite.
@@ -169,7 +169,7 @@ def number_of(value: Any) -> float | None:
 
 
 def truth_of(value: Any, yes: Sequence[str] = (), no: Sequence[str] = ()) -> bool | None:
-    """Returns a value as yes or no; None if the device says that it cannot tell. Raises BadPayload.
+    """Return a value as yes or no; None if the device says that it cannot tell. Raises BadPayload.
 
     Args:
         value: what the device says.
@@ -193,26 +193,26 @@ def truth_of(value: Any, yes: Sequence[str] = (), no: Sequence[str] = ()) -> boo
 
 
 def celsius_of(value: float, unit: str) -> float:
-    """Returns a temperature in degrees Celsius; the unit is C, F or K."""
+    """Return a temperature in degrees Celsius; the unit is C, F or K."""
     if unit == "F":
         return (value - 32.0) / 1.8
     return value - 273.15 if unit == "K" else value
 
 
 def text_of(value: Any) -> bytes:
-    """Returns a value as a payload: a text as it is, all else as JSON."""
+    """Return a value as a payload: a text as it is, all else as JSON."""
     return value.encode() if isinstance(value, str) else codecs.encode_json(value)
 
 
 def written(template: str, values: Mapping[str, float]) -> bytes:
-    """Returns a template with numbers in the places of their names, such as `{"v": {v_mps}}`."""
+    """Return a template with numbers in the places of their names, such as `{"v": {v_mps}}`."""
     for name, value in values.items():
         template = template.replace(f"{{{name}}}", format(value, ".6g"))
     return template.encode()
 
 
 def plain_json(value: Any) -> bytes:
-    """Returns plain values as JSON, in which NaN and infinity are null.
+    """Return plain values as JSON, in which NaN and infinity are null.
 
     Raises:
         BadPayload: there is no JSON for it.
@@ -224,7 +224,7 @@ def plain_json(value: Any) -> bytes:
 
 
 def shown(value: Any) -> str:
-    """Returns a value as it stands in a sentence, not too long."""
+    """Return a value as it stands in a sentence, not too long."""
     text = value.decode(errors="replace") if isinstance(value, bytes) else value
     text = repr(text)
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."

@@ -29,7 +29,7 @@ TAKEN_OVER: Final = 0x8E
 
 
 def why_refused(code: int, name: str) -> str:
-    """Returns why a broker has refused or ended a connection, as a clause.
+    """Return why a broker has refused or ended a connection, as a clause.
 
     Args:
         code: the reason code.
@@ -39,7 +39,7 @@ def why_refused(code: int, name: str) -> str:
 
 
 def why_unreachable(error: OSError, encrypted: bool) -> str:
-    """Returns why no connection came to be, as a clause.
+    """Return why no connection came to be, as a clause.
 
     Args:
         error: what connecting has raised.

@@ -87,7 +87,7 @@ class MqttSensor(Sensor):
 
     @abstractmethod
     def body(self, payload: bytes, field: str) -> Any | None:
-        """Returns the reading in a payload; None where the device cannot tell. In the connection's thread.
+        """Return the reading in a payload; None where the device cannot tell. In the connection's thread.
 
         Raises:
             BadPayload: there is none.
@@ -153,14 +153,14 @@ class MqttSensor(Sensor):
             self.context.log("info" if there else "warning", text)
 
     def tell_once(self, text: str) -> None:
-        """Warns of something in the log, once: a device that is at odds with its settings would drown the rest."""
+        """Warn of something in the log, once: a device that is at odds with its settings would drown the rest."""
         if text not in self._told and len(self._told) < MOST_TOLD:
             self._told.add(text)
             self.context.log("warning", text)
 
 
 def _availability(payload: bytes, field: str) -> Any:
-    """Returns what a device says of its being there: older versions of Zigbee2MQTT say it without JSON."""
+    """Return what a device says of its being there: older versions of Zigbee2MQTT say it without JSON."""
     try:
         return value_at(payload, field)
     except BadPayload:
@@ -168,7 +168,7 @@ def _availability(payload: bytes, field: str) -> Any:
 
 
 def refuse_virtual_time(context: DeviceContext) -> None:
-    """Raises PancakesError where the agent runs in virtual time: no broker waits for that."""
+    """Raise PancakesError where the agent runs in virtual time: no broker waits for that."""
     if context.virtual:
         raise PancakesError(
             f"{context.agent}/device/{context.device} speaks to a broker, which knows no virtual time:"
@@ -267,7 +267,7 @@ class MqttBattery(MqttSensor):
             raise BadPayload(str(error)) from None
 
     def _volts(self, payload: bytes) -> float:
-        """Returns the voltage; NaN if it is not told, or is no number: the level is a reading all the same."""
+        """Return the voltage; NaN if it is not told, or is no number: the level is a reading all the same."""
         settings = self.settings
         if not settings.voltage:
             return math.nan

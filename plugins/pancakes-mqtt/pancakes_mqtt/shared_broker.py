@@ -41,15 +41,15 @@ class SharedBroker:
             self._voices.pop(device, None)
 
     def listen(self, filter_: str, qos: int, taker: Taker) -> None:
-        """Gives `taker` each message that the filter means, in the connection's thread."""
+        """Give `taker` each message that the filter means, in the connection's thread."""
         self._connection.listen(filter_, qos, taker)
 
     def publish(self, message: Message) -> bool:
-        """Sends a message; returns False where it is lost."""
+        """Send a message; returns False where it is lost."""
         return self._connection.publish(message)
 
     def close(self) -> None:
-        """Ends the connection, with all that waits sent before; does not wait for that."""
+        """End the connection, with all that waits sent before; does not wait for that."""
         self._connection.close()
 
     def _say(self, level: str, text: str) -> None:
@@ -60,7 +60,7 @@ class SharedBroker:
 
 
 def shared_broker(context: DeviceContext, settings: BrokerSettings) -> SharedBroker:
-    """Returns the connection that all devices of this agent with the same settings of a broker share."""
+    """Return the connection that all devices of this agent with the same settings of a broker share."""
     return context.shared(
         f"mqtt {settings.connection_key}",
         lambda: SharedBroker(settings, client_id_of(context.agent, "devices"), context.log),

@@ -36,12 +36,12 @@ class Spool:
         self._open = True
 
     def put(self, message: Message) -> bool:
-        """Adds a message; returns whether it waits now. Once it is closed, none does."""
+        """Add a message; returns whether it waits now. Once it is closed, none does."""
         with self._lock:
             return self._put(message)
 
     def put_patiently(self, message: Message, patience_s: float) -> bool:
-        """Adds a message, and waits for room for so long where it is promised and there is none.
+        """Add a message, and waits for room for so long where it is promised and there is none.
 
         Returns:
             Whether it waits now. What found no room in time is not counted: it may be tried again.
@@ -53,7 +53,7 @@ class Spool:
             return self._put(message)
 
     def take(self) -> Message | None:
-        """Takes the oldest; None where nothing waits."""
+        """Take the oldest; None where nothing waits."""
         with self._room:
             first = min((line for line in (self._promised, self._others) if line), key=_age, default=None)
             if first is None:
@@ -64,7 +64,7 @@ class Spool:
             return message
 
     def forget_unpromised(self) -> int:
-        """Forgets what may be lost, and returns how much that was; it counts as fallen out."""
+        """Forget what may be lost, and returns how much that was; it counts as fallen out."""
         with self._room:
             count = len(self._others)
             self._bytes -= sum(message.weight for _, message in self._others)
@@ -74,7 +74,7 @@ class Spool:
             return count
 
     def close(self) -> None:
-        """Takes nothing more; a thread that waits for room goes on."""
+        """Take nothing more; a thread that waits for room goes on."""
         with self._room:
             self._open = False
             self._room.notify_all()

@@ -23,13 +23,13 @@ class Subscriptions:
         self._asked: dict[int, tuple[str, int]] = {}
 
     def add(self, filter_: str, qos: int, taker: Taker) -> None:
-        """Adds one that listens to a filter."""
+        """Add one that listens to a filter."""
         with self._lock:
             self._takers.setdefault(filter_, []).append((qos, taker))
             self._known.discard(filter_)  # it is asked for again, so that what the broker keeps comes for this one too
 
     def remove(self, taker: Taker) -> None:
-        """Removes one from all filters."""
+        """Remove one from all filters."""
         with self._lock:
             for filter_ in list(self._takers):
                 left = [it for it in self._takers[filter_] if it[1] != taker]
@@ -49,7 +49,7 @@ class Subscriptions:
                 self._known.clear()
 
     def changes(self) -> tuple[dict[str, int], list[str]]:
-        """Returns the filters that the broker is to be told of, with their QoS, and those that it is to forget."""
+        """Return the filters that the broker is to be told of, with their QoS, and those that it is to forget."""
         with self._lock:
             wanted = {it: _qos(takers) for it, takers in self._takers.items() if it not in self._known}
             given_up = sorted(self._known - set(self._takers))
@@ -70,7 +70,7 @@ class Subscriptions:
             return found
 
     def give(self, message: Message) -> bool:
-        """Gives a message to all that listen to its topic, once each; returns whether there are any."""
+        """Give a message to all that listen to its topic, once each; returns whether there are any."""
         with self._lock:
             found = [takers for filter_, takers in self._takers.items() if means(filter_, message.topic)]
         takers = list(dict.fromkeys(take for each in found for _, take in each))

@@ -11,12 +11,12 @@ from pancakes_mqtt.broker_settings import BrokerSettings
 
 
 class PromptContext(ssl.SSLContext):
-    """Shakes hands at once, in a time of its own, and closes the socket where that fails: paho leaves it open."""
+    """Shake hands at once, in a time of its own, and closes the socket where that fails: paho leaves it open."""
 
     handshake_s = 3.0
 
     def wrap_socket(self, sock: socket.socket, *args: Any, **others: Any) -> ssl.SSLSocket:
-        """Returns the encrypted socket, with its handshake done. Raises OSError."""
+        """Return the encrypted socket, with its handshake done. Raises OSError."""
         sock.settimeout(self.handshake_s)
         try:
             wrapped = super().wrap_socket(sock, *args, **others)
@@ -32,7 +32,7 @@ class PromptContext(ssl.SSLContext):
 
 
 def tls_context(settings: BrokerSettings) -> PromptContext:
-    """Returns how a broker is believed, and what it is shown.
+    """Return how a broker is believed, and what it is shown.
 
     Raises:
         PancakesError: a file cannot be used.

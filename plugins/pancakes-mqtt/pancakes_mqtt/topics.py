@@ -13,7 +13,7 @@ _PLACE: Final = re.compile(r"\{([^{}]*)\}")
 
 
 def client_id_of(agent: str, part: str) -> str:
-    """Returns the name of a connection: no two agents, and no two services, have one, as a broker takes one of a name.
+    """Return the name of a connection: no two agents, and no two services, have one, as a broker takes one of a name.
 
     A dash of a name is doubled, as a single one stands between the two: agent `a-b` with `c` is not `a` with `b-c`.
     """
@@ -21,7 +21,7 @@ def client_id_of(agent: str, part: str) -> str:
 
 
 def fault_of_topic(topic: str) -> str:
-    """Says why no message can be published to a topic; empty: one can."""
+    """Say why no message can be published to a topic; empty: one can."""
     if found := next((sign for sign in "+#" if sign in topic), ""):
         return f"{topic!r} is no topic: {found} stands only in what is subscribed to"
     if topic.startswith("$"):
@@ -30,7 +30,7 @@ def fault_of_topic(topic: str) -> str:
 
 
 def fault_of_filter(filter_: str) -> str:
-    """Says why a filter cannot be subscribed to; empty: it can."""
+    """Say why a filter cannot be subscribed to; empty: it can."""
     if filter_.split("/")[0] == SHARE:
         group, inner = _shared(filter_)
         if not group or not inner or any(sign in group for sign in "+#"):
@@ -55,21 +55,21 @@ def _fault(topic: str, kind: str) -> str:
 
 
 def fault_of_retained(filter_: str) -> str:
-    """Says why what a broker has kept never comes for a filter (MQTT 5.0, 4.8.2); empty: it comes."""
+    """Say why what a broker has kept never comes for a filter (MQTT 5.0, 4.8.2); empty: it comes."""
     if filter_.startswith(f"{SHARE}/"):
         return f"retained = true says nothing of {filter_!r}: a broker sends what it has kept to no shared subscription"
     return ""
 
 
 def _shared(filter_: str) -> tuple[str, str]:
-    """Returns the group of a shared subscription, `$share/GROUP/FILTER`, and its filter; else none, and the filter."""
+    """Return the group of a shared subscription, `$share/GROUP/FILTER`, and its filter; else none, and the filter."""
     first, _, rest = filter_.partition("/")
     group, slash, inner = rest.partition("/")
     return (group, inner) if first == SHARE and slash else ("", filter_)
 
 
 def means(filter_: str, topic: str) -> bool:
-    """Returns whether a filter means a topic (MQTT 5.0, 4.7 and 4.8.2)."""
+    """Return whether a filter means a topic (MQTT 5.0, 4.7 and 4.8.2)."""
     wanted, levels = _shared(filter_)[1].split("/"), topic.split("/")
     if topic.startswith("$") and wanted[0] in ("+", "#"):
         return False
@@ -82,7 +82,7 @@ def means(filter_: str, topic: str) -> bool:
 
 
 def fault_of_template(template: str, known: Mapping[str, str]) -> str:
-    """Says why no topic can be made of a template with these places; empty: one can."""
+    """Say why no topic can be made of a template with these places; empty: one can."""
     for name in _PLACE.findall(template):
         if name not in known:
             places = ", ".join(f"{{{place}}}" for place in known)
@@ -91,7 +91,7 @@ def fault_of_template(template: str, known: Mapping[str, str]) -> str:
 
 
 def filled(template: str, values: Mapping[str, str]) -> str:
-    """Returns a template with its places, such as `{agent}`, filled in; signs that no topic may have become `_`."""
+    """Return a template with its places, such as `{agent}`, filled in; signs that no topic may have become `_`."""
 
     def fill(found: re.Match[str]) -> str:
         return re.sub(r"[+#\0]", "_", values.get(found[1], found[0]))

@@ -13,7 +13,7 @@ from pancakes_sensor_field.packets import AlarmCleared, AlarmRaised, Report
 
 
 class Alarm(Task):
-    """Fuses the reports of all nodes into one judgement of the field.
+    """Fuse the reports of all nodes into one judgement of the field.
 
     Reports are addressed to it wherever it is, so none is lost while it moves. It publishes `AlarmRaised`, again and
     again while there is an alarm, and `AlarmCleared`, here and to all neighbours. Events: `alarm_raised`,
@@ -46,13 +46,13 @@ class Alarm(Task):
 
     @on(SYSTEM, Report)
     def reported(self, packet: Packet) -> None:
-        """Takes a node's report."""
+        """Take a node's report."""
         remember(self.state, packet.body, packet.stamp, self.settings)
         self._judge()
 
     @every(hz=1)
     def look(self, tick: Tick) -> None:
-        """Sees whether evidence has grown old."""
+        """See whether evidence has grown old."""
         self._judge()
         if self.now() >= self._tally_s:
             self._tally_s += self.settings.tally_s

@@ -14,7 +14,7 @@ SIMULATED_LINES: Final = {"shed": "tcp://127.0.0.1:7522", "gate": "tcp://127.0.0
 
 
 def arrange(out: Path, live: bool) -> Mapping[str, Sequence[str]]:
-    """Says where the tiny nodes are: on a line that belongs to this run alone, or on simulated ones in virtual time."""
+    """Say where the tiny nodes are: on a line that belongs to this run alone, or on simulated ones in virtual time."""
     if live:
         port = out / "state" / "shed.tty"
         return {

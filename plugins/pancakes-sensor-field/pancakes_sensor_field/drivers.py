@@ -75,11 +75,11 @@ class LineNodes(Sensor):
 
     @abstractmethod
     def make_line(self) -> Line:
-        """Returns the line that the settings mean."""
+        """Return the line that the settings mean."""
 
     @abstractmethod
     def line_name(self) -> str:
-        """Returns what people call the line."""
+        """Return what people call the line."""
 
     def open(self) -> None:
         self._heard_s = self.context.now()
@@ -92,7 +92,7 @@ class LineNodes(Sensor):
         self._forget()
 
     def sample(self) -> LineReport:
-        """Says how well the nodes are heard."""
+        """Say how well the nodes are heard."""
         self._look_for_silence()
         station = self._station
         if station.crc_errors > self._told_errors:
@@ -109,7 +109,7 @@ class LineNodes(Sensor):
         )
 
     def receive(self, packet: Packet) -> None:
-        """Takes a `ReportPeriod`."""
+        """Take a `ReportPeriod`."""
         wish = packet.body
         if not isinstance(wish, ReportPeriod):
             self.context.log("warning", f"{packet.source} sent {packet.type!r}, which no tiny node understands")
@@ -197,7 +197,7 @@ class LineNodes(Sensor):
                 pass  # the line has gone since; its thread says so, and the node is told when it next speaks
 
     def _show(self, reading: Reading) -> None:
-        """Hands a reading to the virtual device that stands for it."""
+        """Hand a reading to the virtual device that stands for it."""
         body: Any
         if reading.kind == TEMPERATURE:
             device, body = f"{reading.node}_temperature", Temperature(reading.value)
@@ -344,7 +344,7 @@ class TinySiren(Actuator):
         return hold_after_s
 
     def hold(self) -> None:
-        """Silences it."""
+        """Silence it."""
         self._sound(0)
 
     def _sound(self, tenths: int) -> None:

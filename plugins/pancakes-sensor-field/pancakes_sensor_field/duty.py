@@ -45,5 +45,5 @@ class Duty:
         return changed
 
     def calm_in(self, now_s: float) -> float | None:
-        """Returns in how many seconds it will be calm if nothing else happens; None: not by itself, or it is."""
+        """Return in how many seconds it will be calm if nothing else happens; None: not by itself, or it is."""
         return None if self._observers or not self.busy else max(0.0, self._calm_s - now_s)

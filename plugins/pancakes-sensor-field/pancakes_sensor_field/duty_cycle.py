@@ -47,7 +47,7 @@ class Periods:
 
 
 class DutyCycle(Task):
-    """Saves an agent's power, by control packets that any client could send.
+    """Save an agent's power, by control packets that any client could send.
 
     While nothing happens, tasks and devices run at their low rates, tiny nodes report seldom, and the Network Service
     sleeps most of the time. When something does (`sensor_field.activity` of a task here, or an alarm), all that ends at
@@ -106,7 +106,7 @@ class DutyCycle(Task):
 
     @on(LOG, Event)
     def told(self, packet: Packet) -> None:
-        """Learns when the Network Service falls asleep or awakes, and when a task comes that must stay in reach."""
+        """Learn when the Network Service falls asleep or awakes, and when a task comes that must stay in reach."""
         event: Event = packet.body
         if agent_of(packet.source) != self.agent:
             return
@@ -119,7 +119,7 @@ class DutyCycle(Task):
     # What is done about it -------------------------------------------------------------------------------------
 
     def _decide(self, because: str = "") -> None:
-        """Sees whether the node is busy now, and when that has to be looked at again."""
+        """See whether the node is busy now, and when that has to be looked at again."""
         if self._duty.decide(self.now()):
             self.event("duty", busy=self._duty.busy, because=because or "nothing happens")
             self._apply()
@@ -131,7 +131,7 @@ class DutyCycle(Task):
             self._look = self.after(calm_in_s, self._decide)
 
     def _apply(self) -> None:
-        """Sets all rates, and sees to the network."""
+        """Set all rates, and sees to the network."""
         busy = self._duty.busy
         for target, rates in self.settings.rates.items():
             self._ask(Reschedule(target, rates.busy_hz if busy else rates.quiet_hz), target)
@@ -152,7 +152,7 @@ class DutyCycle(Task):
             self._ask(Start(NETWORK), NETWORK)
 
     def _rest_later(self) -> None:
-        """Lets the network sleep after a while, if it still may then."""
+        """Let the network sleep after a while, if it still may then."""
         if self._nap is not None:
             self._nap.cancel()
             self._nap = None
@@ -177,7 +177,7 @@ class DutyCycle(Task):
 
     @on(SYSCTRL, Reply, addressed=True)
     def answered(self, packet: Packet) -> None:
-        """Learns what could be done, and says what could not."""
+        """Learn what could be done, and says what could not."""
         seq = packet.cause[1] if packet.cause is not None else 0
         reply: Reply = packet.body
         if seq == self._describe and reply.ok:

@@ -71,7 +71,7 @@ class Field(Task):
 
     @every(hz=5)
     def tell(self, tick: Tick) -> None:
-        """Publishes how the field is."""
+        """Publish how the field is."""
         self._advance()
         now_s = self._now_s
         nodes = tuple(self._truth(name, now_s) for name in self.settings.nodes)
@@ -98,14 +98,14 @@ class Field(Task):
         return BodyState(name, "sensor", node.x_m, node.y_m, 0.0, 0.0, 0.0, volts, spent=spent)
 
     def _advance(self) -> None:
-        """Lets the batteries pay for the time up to now."""
+        """Let the batteries pay for the time up to now."""
         now_s = self.now()
         for battery in self._batteries.values():
             battery.passed(now_s - self._now_s, 0.0)
         self._now_s = now_s
 
     def _serve(self, request: Request) -> Reply | None:
-        """Answers a request of a simulated device."""
+        """Answer a request of a simulated device."""
         self._advance()
         try:
             return self._answer(request)

@@ -16,7 +16,7 @@ HEADER: Final = "t_s,node,celsius,moving,level,radio,idle_j,sensing_j,listening_
 
 
 def row(time_s: float, node: NodeTruth) -> str:
-    """Returns the row of a node, with fixed decimals, so that equal runs give equal files."""
+    """Return the row of a node, with fixed decimals, so that equal runs give equal files."""
     battery = "," * 5
     if node.level is not None and node.spent is not None:
         spent = node.spent
@@ -26,7 +26,7 @@ def row(time_s: float, node: NodeTruth) -> str:
 
 
 class FieldRecord(RowFile):
-    """Writes how a field is to a file. Needs the task `sensor_field.Field` on the same agent."""
+    """Write how a field is to a file. Needs the task `sensor_field.Field` on the same agent."""
 
     header = HEADER
 
@@ -46,6 +46,6 @@ class FieldRecord(RowFile):
 
     @on(SYSTEM, FieldTruth)
     def passed(self, packet: Packet) -> None:
-        """Hears of one moment."""
+        """Hear of one moment."""
         truth: FieldTruth = packet.body
         self.write(truth.time_s, lambda: [row(truth.time_s, node) for node in truth.nodes])

@@ -33,7 +33,7 @@ _STYLE = {
 
 
 def draw_sensor_field(run: Run, summary: Mapping[str, Any]) -> None:
-    """Draws a mission.
+    """Draw a mission.
 
     Args:
         run: the mission; `paths.png` is written to its folder.
@@ -68,7 +68,7 @@ def draw_sensor_field(run: Run, summary: Mapping[str, Any]) -> None:
 
 
 def _map(axes: Axes, field: Table, colours: Mapping[str, str]) -> None:
-    """Draws where nodes stand, where persons walk, and what burns."""
+    """Draw where nodes stand, where persons walk, and what burns."""
     from matplotlib.patches import Circle
 
     axes.set_aspect("equal")
@@ -108,7 +108,7 @@ def _map(axes: Axes, field: Table, colours: Mapping[str, str]) -> None:
 
 
 def _energy(axes: Axes, energy: Mapping[str, Table], colours: Mapping[str, str]) -> None:
-    """Draws what each node that sleeps has used, beside what it would have used always on."""
+    """Draw what each node that sleeps has used, beside what it would have used always on."""
     for place, (name, used) in enumerate(energy.items()):
         axes.barh(place, used["always_on_j"], 0.62, color="none", ec=_GREY, lw=0.8, ls="--")
         axes.barh(place, used["spent_j"], 0.62, color=colours[name])
@@ -130,7 +130,7 @@ def _energy(axes: Axes, energy: Mapping[str, Table], colours: Mapping[str, str])
 
 
 def _heat(axes: Axes, record: Record, colours: Mapping[str, str], summary: Table, end_s: float) -> None:
-    """Draws the temperature at each node, and the alarms."""
+    """Draw the temperature at each node, and the alarms."""
     for name, rows in record.nodes.items():
         if name != "gateway":
             axes.plot([row.t_s for row in rows], [row.celsius for row in rows], color=colours[name], lw=1.1, label=name)
@@ -143,7 +143,7 @@ def _heat(axes: Axes, record: Record, colours: Mapping[str, str], summary: Table
 
 
 def _awake(axes: Axes, record: Record, colours: Mapping[str, str], summary: Table, end_s: float) -> None:
-    """Draws when each node saw motion, when its radio listened, and which agent had the alarm."""
+    """Draw when each node saw motion, when its radio listened, and which agent had the alarm."""
     names = [name for name in record.nodes if name != "gateway"]
     lanes = ["alarm", *names]
     for holder in summary["holders"]:
@@ -170,7 +170,7 @@ def _awake(axes: Axes, record: Record, colours: Mapping[str, str], summary: Tabl
 def _batteries(
     axes: Axes, record: Record, colours: Mapping[str, str], summary: Table, rule: Table, end_s: float
 ) -> None:
-    """Draws what is left of each battery, and the level at which the alarm moves."""
+    """Draw what is left of each battery, and the level at which the alarm moves."""
     labels: list[tuple[float, list[str]]] = []
     for name, rows in record.nodes.items():
         levels = [(row.t_s, 100.0 * row.level) for row in rows if row.level is not None]
@@ -210,7 +210,7 @@ def _alarms(axes: Axes, summary: Table, end_s: float, named: bool = False) -> No
 
 
 def _spans(rows: Sequence[Row], holds: Sequence[bool]) -> list[tuple[float, float]]:
-    """Returns (start, duration) of the times in which something holds."""
+    """Return (start, duration) of the times in which something holds."""
     spans: list[tuple[float, float]] = []
     since_s: float | None = None
     for row, now in zip(rows, holds, strict=True):

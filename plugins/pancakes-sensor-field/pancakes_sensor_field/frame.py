@@ -55,7 +55,7 @@ class Frame:
 
 
 def encode(frame: Frame) -> bytes:
-    """Returns a frame's eight bytes.
+    """Return a frame's eight bytes.
 
     Raises:
         ValueError: one of its numbers does not fit.
@@ -70,7 +70,7 @@ def encode(frame: Frame) -> bytes:
 
 
 class Decoder:
-    """Finds the frames in a stream of bytes, in which others may lie and some may be wrong.
+    """Find the frames in a stream of bytes, in which others may lie and some may be wrong.
 
     After anything that is no frame it looks for the next sync byte, also among the bytes that it took for a frame: so
     it does not lose a good frame that lies in one piece behind the bad one, unless the good one's first bytes happen to
@@ -89,7 +89,7 @@ class Decoder:
         self._waiting = bytearray()
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Takes bytes, however the line cut them, and returns the frames that are now complete."""
+        """Take bytes, however the line cut them, and returns the frames that are now complete."""
         waiting = self._waiting
         waiting += data
         found: list[Frame] = []
@@ -108,7 +108,7 @@ class Decoder:
             found.append(Frame(node, kind, number, value))
 
     def end(self) -> None:
-        """Forgets what is incomplete: a datagram has ended, or the line was lost."""
+        """Forget what is incomplete: a datagram has ended, or the line was lost."""
         self._skip(len(self._waiting))
 
     def _skip(self, count: int) -> None:

@@ -86,7 +86,7 @@ class Evidence:
 
 
 def remember(situation: Situation, report: Report, made_s: float, settings: FusionSettings) -> None:
-    """Takes a report into account.
+    """Take a report into account.
 
     Args:
         situation: what is known; it is changed.
@@ -107,7 +107,7 @@ def remember(situation: Situation, report: Report, made_s: float, settings: Fusi
 
 
 def weigh(situation: Situation, now_s: float, settings: FusionSettings) -> Evidence:
-    """Returns what counts at `now_s`."""
+    """Return what counts at `now_s`."""
 
     def counts(when_s: float | None) -> bool:
         return when_s is not None and now_s - when_s <= settings.window_s
@@ -118,7 +118,7 @@ def weigh(situation: Situation, now_s: float, settings: FusionSettings) -> Evide
 
 
 def judge(situation: Situation, now_s: float, settings: FusionSettings) -> tuple[Evidence, str]:
-    """Decides whether there is an alarm; `situation` is changed.
+    """Decide whether there is an alarm; `situation` is changed.
 
     Returns:
         What counts, and `raised`, `cleared`, or an empty string where nothing has changed.

@@ -23,7 +23,7 @@ Reply = Callable[[bytes], object]
 
 
 class Listener(Protocol):
-    """Hears a line. Called in the line's thread."""
+    """Hear a line. Called in the line's thread."""
 
     def found(self) -> None:
         """The line is there."""
@@ -43,11 +43,11 @@ class Line(ABC):
 
     @abstractmethod
     def open(self, listener: Listener) -> None:
-        """Begins to listen."""
+        """Begin to listen."""
 
     @abstractmethod
     def close(self) -> None:
-        """Listens no more. What is on its way may still be heard."""
+        """Listen no more. What is on its way may still be heard."""
 
 
 class _ThreadLine(Line):
@@ -77,7 +77,7 @@ class _ThreadLine(Line):
 
     @abstractmethod
     def _attend(self, listener: Listener) -> None:
-        """Opens the line and hears it until it is closed or breaks. Raises OSError."""
+        """Open the line and hears it until it is closed or breaks. Raises OSError."""
 
 
 class SerialLine(_ThreadLine):

@@ -94,7 +94,7 @@ class Mote:
 
 
 def spoilt(data: bytes) -> bytes:
-    """Returns frames as a bad line would bring them: one bit of the first value is wrong."""
+    """Return frames as a bad line would bring them: one bit of the first value is wrong."""
     return data[:5] + bytes((data[5] ^ 0x10,)) + data[6:]
 
 

@@ -33,7 +33,7 @@ class LineReport(msgspec.Struct, frozen=True):
 
 @packet_type("sensor_field.report_period")
 class ReportPeriod(msgspec.Struct, frozen=True):
-    """Asks tiny nodes to report in another period; sent on `system` to the device of their line.
+    """Ask tiny nodes to report in another period; sent on `system` to the device of their line.
 
     Attributes:
         period_s: seconds between two reports, 0.1 to 3276.7.

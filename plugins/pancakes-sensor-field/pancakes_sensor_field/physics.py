@@ -112,7 +112,7 @@ class Scene:
         self._settings = settings
 
     def celsius(self, node: str, time_s: float) -> float:
-        """Returns the true temperature where a node stands."""
+        """Return the true temperature where a node stands."""
         settings = self._settings
         place = settings.nodes[node]
         celsius = settings.ambient_c + settings.drift_c_per_hour * time_s / 3600
@@ -122,7 +122,7 @@ class Scene:
         return celsius
 
     def moving(self, node: str, time_s: float) -> bool:
-        """Returns whether a person moves before a node."""
+        """Return whether a person moves before a node."""
         place = self._settings.nodes[node]
         return any(
             walker.speed_mps > 0 and math.hypot(walker.x_m - place.x_m, walker.y_m - place.y_m) <= place.sees_m
@@ -130,7 +130,7 @@ class Scene:
         )
 
     def walkers(self, time_s: float) -> list[Walker]:
-        """Returns the persons that are in the field."""
+        """Return the persons that are in the field."""
         there = (_walker(name, settings, time_s) for name, settings in self._settings.walkers.items())
         return [walker for walker in there if walker is not None]
 

@@ -38,7 +38,7 @@ class Record(MissionRecord):
 
 
 def read_record(out_dir: Path) -> Record:
-    """Reads `field.csv` and `events.jsonl` of a mission.
+    """Read `field.csv` and `events.jsonl` of a mission.
 
     Raises:
         PancakesError: one of them is missing, or is not what it should be; it names the line.
@@ -68,7 +68,7 @@ def _row(cells: Mapping[str, str]) -> Row:
 
 
 def find_task(configs: Mapping[str, Table], kind: str) -> tuple[str, str, Table]:
-    """Returns the first task of a type: its agent, its name, and its table.
+    """Return the first task of a type: its agent, its name, and its table.
 
     Args:
         configs: the agents' configurations, by the agent's name (`pancakes.tools.demo.Run.configs`).

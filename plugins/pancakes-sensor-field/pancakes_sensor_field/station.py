@@ -56,7 +56,7 @@ class _Node:
 
 
 class Station:
-    """Hears the tiny nodes of one line.
+    """Hear the tiny nodes of one line.
 
     Args:
         nodes: the number of each node, by its name.
@@ -92,7 +92,7 @@ class Station:
         return self._decoder.skipped_bytes
 
     def want_period(self, period_s: float, name: str = "") -> bool:
-        """Lets a node report in another period, or all of them; it is told when it next speaks, until it says so.
+        """Let a node report in another period, or all of them; it is told when it next speaks, until it says so.
 
         Returns:
             Whether there is such a node.
@@ -103,7 +103,7 @@ class Station:
         return bool(meant)
 
     def received(self, data: bytes) -> Heard:
-        """Takes bytes from the line."""
+        """Take bytes from the line."""
         heard = Heard()
         for frame in self._decoder.feed(data):
             self._take(frame, heard)
@@ -137,7 +137,7 @@ class Station:
             heard.answer += encode(Frame(frame.node, PERIOD, frame.number, node.wanted))
 
     def _is_next(self, node: _Node, frame: Frame) -> bool:
-        """Counts what is missing before a frame; returns whether it is a new one."""
+        """Count what is missing before a frame; returns whether it is a new one."""
         before, node.number = node.number, frame.number
         if before is None:
             return True

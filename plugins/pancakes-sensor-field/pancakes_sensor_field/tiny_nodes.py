@@ -59,7 +59,7 @@ class TinyNodesSettings:
 
 
 class TinyNodes(Task):
-    """Runs the tiny nodes of a field as processes, and lets them feel what the field is like.
+    """Run the tiny nodes of a field as processes, and lets them feel what the field is like.
 
     Each ends with its standard input, so none outlives this agent, however that ends.
     """
@@ -113,7 +113,7 @@ class TinyNodes(Task):
 
     @on(SYSTEM, FieldTruth, keep="latest")
     def feel(self, packet: Packet) -> None:
-        """Lets the nodes feel what has changed."""
+        """Let the nodes feel what has changed."""
         for name, celsius, moving in _changes(packet.body, self.settings.nodes, self._felt):
             process = self._processes[name]
             assert process.stdin is not None
@@ -148,13 +148,13 @@ class SimulatedTinyNodes(Task):
 
     @on(SYSTEM, FieldTruth, keep="latest")
     def feel(self, packet: Packet) -> None:
-        """Lets the nodes feel what has changed."""
+        """Let the nodes feel what has changed."""
         for name, celsius, moving in _changes(packet.body, self.settings.nodes, self._felt):
             self._nodes[name].feel(celsius, moving)
 
     @every(hz=10)
     def pass_time(self, tick: Tick) -> None:
-        """Lets the nodes say what is due."""
+        """Let the nodes say what is due."""
         for node in self._nodes.values():
             node.tick(tick.time_s)
 
@@ -224,7 +224,7 @@ class _End(ConnectionHandler):
 def _changes(
     truth: FieldTruth, nodes: Mapping[str, Any], felt: dict[str, tuple[float, bool]]
 ) -> list[tuple[str, float, bool]]:
-    """Returns what each tiny node feels now and did not before, as (name, degrees, whether something moves)."""
+    """Return what each tiny node feels now and did not before, as (name, degrees, whether something moves)."""
     new: list[NodeTruth] = []
     for node in truth.nodes:
         if node.name in nodes and felt.get(node.name) != (round(node.celsius, 2), node.moving):

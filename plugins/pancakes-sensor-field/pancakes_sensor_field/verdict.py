@@ -35,7 +35,7 @@ SEEN_BEFORE_S = 30.0
 
 
 def judge_sensor_field(run: Run, limits: Limits = Limits()) -> dict[str, Any]:
-    """Judges a mission in which fires break out and the alarm moves.
+    """Judge a mission in which fires break out and the alarm moves.
 
     Args:
         run: the mission; it left `field.csv` and `events.jsonl`.
@@ -89,7 +89,7 @@ def judge_sensor_field(run: Run, limits: Limits = Limits()) -> dict[str, Any]:
 
 
 def _alarms(record: Record, fires: Mapping[str, Table]) -> list[dict[str, Any]]:
-    """Returns each alarm, with the fire that it was for: the latest that had begun, if no other alarm was for it."""
+    """Return each alarm, with the fire that it was for: the latest that had begun, if no other alarm was for it."""
     alarms: list[dict[str, Any]] = []
     cleared = {event.fields["number"]: event.t_s for event in record.told("alarm_cleared")}
     for event in record.told("alarm_raised"):
@@ -116,7 +116,7 @@ def _missed(alarms: Sequence[Table], fires: Mapping[str, Table], until_s: float)
 
 
 def _fell(rows: Sequence[Row], below: float | None) -> float | None:
-    """Returns when a battery first was below a level; None where never."""
+    """Return when a battery first was below a level; None where never."""
     if below is None:
         return None
     return next((row.t_s for row in rows if row.level is not None and row.level < below), None)
@@ -132,7 +132,7 @@ def _state(state: Table) -> dict[str, Any]:
 
 
 def _energy(record: Record, configs: Mapping[str, Table], field: Table) -> dict[str, dict[str, float]]:
-    """Returns what each node that sleeps has used, and what it would have used always on.
+    """Return what each node that sleeps has used, and what it would have used always on.
 
     Always on means: its radio always listens, all its sensors are asked at their busy rates, and it sends no more than
     it did.
@@ -224,7 +224,7 @@ def _energy_reasons(summary: Table, hosts: Sequence[str], limits: Limits) -> lis
 
 
 def _said(summary: Table, name: str) -> list[str]:
-    """Returns the results as lines for a terminal."""
+    """Return the results as lines for a terminal."""
     said = []
     for alarm in summary["alarms"]:
         if alarm["fire"] is not None:

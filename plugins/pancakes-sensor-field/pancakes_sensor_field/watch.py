@@ -12,7 +12,7 @@ from pancakes_sensor_field.packets import Activity, Report
 
 
 class Watch(Task):
-    """Reports one node's temperature and motion to the alarm, wherever that task is now.
+    """Report one node's temperature and motion to the alarm, wherever that task is now.
 
     It reports at its rate, and at once when something begins or ceases to move, or to be warm. Reports wait on this
     agent while its network sleeps. To its own agent it says `sensor_field.activity`, so that others can save power.
@@ -61,14 +61,14 @@ class Watch(Task):
 
     @on(SYSTEM, Temperature)
     def measured(self, packet: Packet) -> None:
-        """Takes a temperature."""
+        """Take a temperature."""
         if packet.source == join(self.agent, "device", self.settings.temperature):
             self._celsius = packet.body.celsius
             self._look(self._moving, packet.body.celsius >= self.settings.warm_c)
 
     @on(SYSTEM, Motion)
     def sensed(self, packet: Packet) -> None:
-        """Takes what the motion sensor says."""
+        """Take what the motion sensor says."""
         if packet.source == join(self.agent, "device", self.settings.motion):
             self._look(packet.body.detected, self._warm)
 
@@ -84,7 +84,7 @@ class Watch(Task):
 
     @every(hz=0.1)
     def tell(self, tick: Tick) -> None:
-        """Reports how things are."""
+        """Report how things are."""
         if self._celsius is not None:
             self._report()
 

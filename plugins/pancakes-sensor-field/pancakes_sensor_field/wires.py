@@ -20,7 +20,7 @@ class Wires:
         self._replies.pop(node, None)
 
     def send(self, node: str, data: bytes) -> bool:
-        """Sends bytes to a node; returns whether there is a way to it."""
+        """Send bytes to a node; returns whether there is a way to it."""
         reply = self._replies.get(node)
         if reply is None:
             return False
@@ -31,5 +31,5 @@ class Wires:
         return True
 
     def close(self) -> None:
-        """Forgets all of them."""
+        """Forget all of them."""
         self._replies.clear()
