@@ -51,7 +51,7 @@ def test_record_starts_lists_stops_and_looks_at_recordings(rig):
         grown(rig.directory / "run" / f"{name}.mcap", 2000)
     assert [row["done"] for row in rows(rig, "stop", "--dry-run")] == ["dry run", "dry run"]
     assert [(row["agent"], row["done"]) for row in rows(rig, "stop")] == [("a", "complete"), ("b", "complete")]
-    assert rig.pancakes("record", "stop").stderr == "no agent records\n"
+    assert rig.pancakes("record", "stop").stderr == "no agent is recording\n"
     (info,) = rows(rig, "info", "run")
     assert info["whole"]
     assert {(topic["agent"], topic["channel"], topic["type"]) for topic in info["topics"]} == {
@@ -66,13 +66,13 @@ def test_record_start_doubts_channels_and_tasks_that_are_not_there(rig):
     rig.ready("a", '[channel.map]\n[task.Idle]\ntype = "records.Idle"\n', agent=HERE)
     rig.ready("b", agent=HERE)
     result = rig.pancakes("record", "start", "--channel", "mapp")
-    assert (result.returncode, result.stderr.partition(",")[0]) == (1, "no agent has a channel 'mapp'")
+    assert (result.returncode, result.stderr.partition(".")[0]) == (1, "no agent has a channel 'mapp'")
     assert {row["path"] for row in rows(rig, "list")} == {None}
     result = rig.pancakes("record", "start", "--channel", "map", "--channel", "recording", "--path", "{agent}.mcap")
-    assert (result.returncode, result.stderr) == (0, "b: no channel 'map', so nothing of it is recorded there\n")
+    assert (result.returncode, result.stderr) == (0, "b: no channel 'map', so it is not recorded there\n")
     rows(rig, "stop")
 
-    told = "no task a/Idel runs there now: of it nothing is recorded before it comes\n"
+    told = "the task a/Idel does not run there now: its packets are recorded when it arrives\n"
     for task, said in (("a/Idel", told), ("a/Idle", "")):
         result = rig.pancakes("record", "start", "a", "--task", task, "--path", "r.mcap")
         assert (result.returncode, result.stderr) == (0, said)
@@ -139,4 +139,4 @@ def test_record_repair_recovers_all_but_the_last_moment(rig):
     (rig.directory / "x.mcap").write_text("hello")
     for verb in ("info", "repair"):
         result = rig.pancakes("record", verb, "x.mcap")
-        assert (result.returncode, result.stdout) == (1, "") and "x.mcap is no recording" in result.stderr
+        assert (result.returncode, result.stdout) == (1, "") and "x.mcap is not a recording" in result.stderr

@@ -122,7 +122,7 @@ def test_replay_ends_in_order_on_ctrl_c(walk):
     running.process.send_signal(signal.SIGINT)
     assert running.ended() == 0, running.everything()
     text = running.everything()
-    assert "the replay was ended" in text
+    assert "the replay was interrupted" in text
     assert next(row["packets"] for row in json.loads(text[text.index("[") :]) if row["type"] == "pose") < 10
 
 
@@ -142,7 +142,7 @@ def test_replay_into_virtual_agents_records_them(walk):
     ("arguments", "code", "text"),
     [
         (("none",), 1, "there is no recording none"),
-        (("r", "--config", "x.toml"), 2, "--config and --out go together"),
+        (("r", "--config", "x.toml"), 2, "--config and --out need each other"),
         (("r", "--from", "3s", "--to", "2s"), 2, "--to 2s is not after --from 3s"),
         (("r", "--config", "x.toml", "--out", "o"), 4, "x.toml"),
         (("r",), 3, "no agent runs on this machine"),

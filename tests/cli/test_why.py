@@ -114,9 +114,9 @@ def test_why_shows_a_chain_as_a_table(why):
     assert "a motors at 0.308 s, from a/client/Scan for a/Scan (#3)" in text
     assert ["0", "world/client/Mocap", "pose", "#3", "4", "1", "x_m", "1,", "y_m", "2,", "theta_rad", "0"] in lines
     assert ["5", "a/device/pose", "pose", "#3", "0", "3", "x_m", "1,", "y_m", "2,", "theta_rad", "0"] in lines
-    assert "8 ms from the first cause to the command. Of 20 that came about like this: p50 16" in text
+    assert "8 ms from the first cause to the command. Of 20 commands with such a chain: p50 16" in text
 
-    assert "it answers no packet that was recorded" in why("--type", "gripper", "--seq", "1").stdout
+    assert "it answers no recorded packet" in why("--type", "gripper", "--seq", "1").stdout
 
 
 def test_why_lists_commands_each_in_a_line(why, found):
@@ -128,11 +128,11 @@ def test_why_lists_commands_each_in_a_line(why, found):
 
 def test_why_of_what_is_not_there_is_a_sentence(why, tmp_path):
     for options, code, sentence in (
-        (("--agent", "b"), 1, "has no such command, only such to a gripper, a motors of a/Scan"),
+        (("--agent", "b"), 1, "has no such command. It has commands to a gripper, a motors of a/Scan"),
         (("--task", "a/Other"), 1, "has no such command"),
-        (("--at", "10ms"), 1, "there is no such command before 0.01 s of mission time"),
-        (("--seq", "99"), 1, "there is no such command with the number 99"),
-        (("--type", "gripper", "--slowest", "1"), 1, "no such command that answers a packet that was recorded"),
+        (("--at", "10ms"), 1, "the recording has no such command before 0.01 s of mission time"),
+        (("--seq", "99"), 1, "the recording has no such command with the number 99"),
+        (("--type", "gripper", "--slowest", "1"), 1, "no such command that answers a recorded packet"),
         (("--at", "1s", "--list"), 2, "ask one of them"),
         (("--at", "soon"), 2, "is not a time"),
     ):
@@ -146,7 +146,7 @@ def test_why_begins_a_chain_where_the_packet_arrived(recording):
     (it, *_) = json.loads(invoked(*arguments, "--type", "motors").stdout)
     assert it["latency_ms"] == 4.0 and it["chain"][0]["travel_ms"] is None
     shown = invoked("why", str(recording / "a.mcap"), "--seq", "3").stdout
-    assert "nobody recorded when the packet left" in shown
+    assert "no agent recorded when the packet left" in shown
 
 
 def test_why_knows_mission_time_of_an_agent_started_again(recording, found):

@@ -28,9 +28,9 @@ def test_a_move_shows_its_bids_and_what_it_would_do(rig: Rig):
     assert done.returncode == 0, done.stderr
     assert "measuring for 1 s" in done.stderr
     out = done.stdout
-    for text in ("Bids", "active tasks 0", "If a/client/One moves to b", "load then", "Known from", "How sure", "±"):
+    for text in ("Bids", "active tasks 0", "If a/client/One migrates to b", "then", "Based on", "Uncertainty", "±"):
         assert text in out, out
-    assert "battery" in out and "not known" in out
+    assert "battery" in out and "unknown" in out
 
 
 def test_the_same_as_json_and_nothing_has_changed(rig: Rig):
@@ -60,11 +60,11 @@ def test_an_agent_that_goes_names_the_place_of_each_task(rig: Rig):
         (["move", "a/One", "--to", "x"], 1, "x"),
         (["move", "x/One"], 3, "x"),
         (["move", "a/One", "--cost", "nonsense"], 1, "knows no cost function 'nonsense'"),
-        (["move", "a"], 2, "'a' names no task"),
+        (["move", "a"], 2, "'a' is not a valid task name"),
         (["rate", "a/One", "-1"], 2, "-1"),
         (["rate", "a/One", "5", "--timer", "x"], 1, "has no timer 'x', only burn"),
-        (["rate", "a/One", "5", "--for", "0.01s"], 2, "a measurement takes from 0.1 to 600 s"),
-        (["rate", "a/One", "5", "--for", "x"], 2, "'x' is no time"),
+        (["rate", "a/One", "5", "--for", "0.01s"], 2, "a measurement takes 0.1 to 600 s"),
+        (["rate", "a/One", "5", "--for", "x"], 2, "'x' is not a time"),
         (["without", "x"], 3, "x"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,

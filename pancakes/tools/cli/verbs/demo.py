@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 
 class DemoPage:
-    """One page for all missions of a demo, one after the other.
+    """One page for all missions of a demo, which run one after the other.
 
     Args:
-        control: whether it may change something.
+        control: whether the page may control agents.
         port: its port, see `open_page`.
-        speed: mission seconds for each second, in virtual time.
+        speed: mission seconds per second, in virtual time.
         interrupted: ends all waiting.
     """
 
@@ -55,11 +55,11 @@ class DemoPage:
 
     @property
     def address(self) -> str:
-        """Its address; empty while it is not served."""
+        """The page's address; empty while it is not served."""
         return self._server.address if self._server is not None else ""
 
     def beside_live(self, plan: DemoPlan, mission: Mission) -> None:
-        """Show a mission of processes; to be called before they start."""
+        """Show a mission of processes; call this before they start."""
         from pancakes.tools.web.feed import Feed
         from pancakes.tools.web.page import Shown
         from pancakes.tools.web.watch import Watch
@@ -84,7 +84,7 @@ class DemoPage:
         return watch
 
     def end(self, sentence: str) -> None:
-        """Say how the mission went."""
+        """Show the verdict of the mission."""
         self._stop_watching()
         if self._feed is not None:
             self._feed.end(sentence)
@@ -96,7 +96,7 @@ class DemoPage:
             self._interrupted.wait()
 
     def close(self) -> None:
-        """Take the page away."""
+        """Stop serving the page."""
         self._stop_watching()
         if self._server is not None:
             self._server.close()
@@ -139,27 +139,25 @@ class DemoNames(click.ParamType):
 @click.option(
     "--virtual/--live",
     default=None,
-    help="In virtual time, in one process (same seed, same bytes), or as processes. [default: as the demo says]",
+    help="In virtual time, in one process (same seed, same bytes), or as processes. [default: set by the demo]",
 )
 @click.option(
-    "--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws noise, the mover's way, the start."
+    "--seed", default=1, show_default=True, type=click.IntRange(0), help="The seed of noise, movements and starts."
 )
-@click.option(
-    "--seeds", type=Seeds(), help="Many missions, one for each seed of a range: 1-200, or 3,17,20-29 (virtual)."
-)
-@click.option("--jobs", type=click.IntRange(1), help="So many of them at once. [default: one for each core]")
+@click.option("--seeds", type=Seeds(), help="Run a mission for each seed of a range: 1-200, or 3,17,20-29 (virtual).")
+@click.option("--jobs", type=click.IntRange(1), help="How many missions run at once. [default: one for each core]")
 @click.option(
     "--speed",
     default=5.0,
     show_default=True,
     type=FiniteRange(0.01, 1000.0),
-    help="Mission seconds a second (live, or with --view).",
+    help="Mission seconds per second (live, or with --view).",
 )
 @click.option(
     "--duration",
     metavar="TIME",
     type=Duration(1.0),
-    help="How long, in mission time; the demo's own length if left out.",
+    help="The length of the mission, in mission time. [default: set by the demo]",
 )
 @click.option(
     "--out",
@@ -169,16 +167,16 @@ class DemoNames(click.ParamType):
 @click.option(
     "--configs",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder with the agents' configurations. [default: those that come with the demo]",
+    help="Folder with the agents' configurations. [default: those of the demo]",
 )
 @agent_sets_option
-@click.option("--headless", is_flag=True, help="Plain lines instead of the live view, or of the bar of many missions.")
-@click.option("--record", is_flag=True, help="Record what all agents say, into the folder for the results.")
-@click.option("--view", "view_", is_flag=True, help="Show it on a page in the browser, which stays until Ctrl-C.")
-@click.option("--control", is_flag=True, help="Let that page move and stop tasks and change settings (live).")
+@click.option("--headless", is_flag=True, help="Print plain lines instead of the live view or the progress bar.")
+@click.option("--record", is_flag=True, help="Record the packets of all agents, into the folder for the results.")
+@click.option("--view", "view_", is_flag=True, help="Show the mission on a page in the browser, until Ctrl-C.")
+@click.option("--control", is_flag=True, help="Let the page migrate and stop tasks and change settings (live).")
 @port_option
-@click.option("--local", is_flag=True, help="The agents speak only within this machine, and take no port (live).")
-@click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")
+@click.option("--local", is_flag=True, help="Let the agents talk only within this machine, without ports (live).")
+@click.option("--faults", is_flag=True, help="Add latency, jitter and broken links between the agents (virtual).")
 @format_option
 @click.pass_context
 def demo(
@@ -197,9 +195,9 @@ def demo(
     port: int | None,
     faults: bool,
     local: bool,
-    **asked: Any,
+    **others: Any,
 ) -> None:
-    """Run a demo and judge it: exit code 0 only where the verdict is PASS.
+    """Run a demo and judge it; the exit code is 0 only if the verdict is PASS.
 
     \b
     Example:
@@ -216,39 +214,39 @@ def demo(
     if virtual is None:
         virtual = found.virtual
     if faults and not virtual:
-        raise click.UsageError("--faults needs --virtual: a live network has faults of its own")
+        raise click.UsageError("--faults needs --virtual: a live network has its own faults")
     if local and virtual:
-        raise click.UsageError("--local does not go with --virtual: such a run has no network but its own memory")
+        raise click.UsageError("--local and --virtual exclude each other: a virtual run uses no network")
     if not view_ and (control or port is not None):
-        raise click.UsageError("--control and --port are about the page: they need --view")
+        raise click.UsageError("--control and --port are for the page: they need --view")
     if control and virtual:
-        raise click.UsageError("--control does not go with --virtual: such a run repeats, and takes no orders")
+        raise click.UsageError("--control and --virtual exclude each other: control would make the run unrepeatable")
     mission = _mission(found)
     if virtual and mission.live_only:
         raise click.UsageError(f"the demo {name!r} runs only live: {mission.live_only}")
     if seeds is None and (jobs is not None or printer.is_json):
-        raise click.UsageError("--jobs and --format are about many missions: they need --seeds")
+        raise click.UsageError("--jobs and --format are for many missions: they need --seeds")
     if seeds is not None:
         _refuse_beside_seeds(ctx, virtual, view_)
-        sys.exit(_many(found, seeds, jobs, printer, out, faults, plugins, **asked))
+        sys.exit(_many(found, seeds, jobs, printer, out, faults, plugins, **others))
     fastest = mission.fastest
     if not virtual and speed > fastest:
         raise click.UsageError(
-            f"live, the demo {name!r} runs at {fastest:g} mission seconds a second at most, not at {speed:g}: what it"
-            " shows takes its time on the machine's own clock"
+            f"live, the demo {name!r} runs at no more than {fastest:g} mission seconds per second, not at {speed:g}:"
+            " it needs time on this machine's own clock"
         )
-    agent_process.tune_interpreter()  # the launcher is an agent, and in virtual time all of them are in this process
-    # The agents end with the launcher, also where a second signal ends that at once.
+    agent_process.tune_interpreter()  # this process is an agent, or in virtual time has all of them
+    # The agents end with the launcher, even if a second signal ends the launcher at once.
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)
     page = DemoPage(control, port, speed, interrupted) if view_ else None
     out = (out or Path("runs") / f"{name}-{seed}-{'virtual' if virtual else 'live'}").absolute()
     speed = 1.0 if virtual else speed
-    options = _Options(plugins, virtual, seed, speed, faults, local, interrupted, page, **asked)
+    options = _Options(plugins, virtual, seed, speed, faults, local, interrupted, page, **others)
     try:
         try:
             code = _run(found, out, options)
         except PancakesError:
-            if not interrupted.is_set():  # else it follows from that
+            if not interrupted.is_set():  # otherwise the interruption caused the error
                 raise
             code = INTERRUPTED
         if page is not None and code != INTERRUPTED:
@@ -257,19 +255,19 @@ def demo(
         if page is not None:
             page.close()
     end_by_signals(*SIGNALS)
-    if page is None and interrupted.is_set():  # a page is ended in this way
+    if page is None and interrupted.is_set():  # with a page, Ctrl-C is the normal end
         code = INTERRUPTED
     sys.exit(code)
 
 
 def _refuse_beside_seeds(ctx: click.Context, virtual: bool, view: bool) -> None:
-    """Refuse what does not go with many missions."""
+    """Refuse options that exclude `--seeds`."""
     if not virtual:
-        raise click.UsageError("--seeds needs --virtual: live missions would share the machine, and its time")
+        raise click.UsageError("--seeds needs --virtual: live missions would compete for this machine")
     if view:
-        raise click.UsageError("--view shows one mission: it does not go with --seeds")
+        raise click.UsageError("--view and --seeds exclude each other: the page shows one mission")
     if ctx.get_parameter_source("seed") is not ParameterSource.DEFAULT:
-        raise click.UsageError("--seed and --seeds do not go together: name all seeds in --seeds, as 3,17,20-29")
+        raise click.UsageError("--seed and --seeds exclude each other: give all seeds to --seeds, such as 3,17,20-29")
 
 
 def _many(
@@ -304,7 +302,7 @@ def _mission(found: Demo | Comparison) -> Demo:
 
 
 LIVE_ONLY: Final = " (live only)"
-"""What the list of demos says of one that does not run in virtual time."""
+"""The mark, in the list of demos, of a demo that does not run in virtual time."""
 
 
 def _list(plugins: Plugins) -> None:
@@ -316,7 +314,7 @@ def _list(plugins: Plugins) -> None:
 
 @dataclass(frozen=True)
 class _Options:
-    """What the command line says about how to run a mission, and what ends and shows it."""
+    """The options of a mission, and the event and the page that end and show it."""
 
     plugins: Plugins
     virtual: bool
@@ -347,10 +345,10 @@ def _run(found: Demo | Comparison, out: Path, options: _Options) -> int:
 
     if isinstance(found, Comparison):
         return _compare(found, out, options)
-    flown = _fly(found, out, options)
-    if flown is None:
+    mission = _fly(found, out, options)
+    if mission is None:
         return INTERRUPTED
-    run, summary, timing = flown
+    run, summary, timing = mission
     if found.draw is not None and not options.interrupted.is_set():
         found.draw(run, summary)
     if options.interrupted.is_set():
@@ -361,7 +359,7 @@ def _run(found: Demo | Comparison, out: Path, options: _Options) -> int:
 
 
 def _interrupted_late(out: Path) -> int:
-    show_text(f"interrupted after the mission: no verdict; what is written so far is in {nice_path(out)}", err=True)
+    show_text(f"interrupted after the mission: no verdict; the files written so far are in {nice_path(out)}", err=True)
     return INTERRUPTED
 
 
@@ -393,17 +391,17 @@ def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any]
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()
     show_text(f"{found.title}: seed {seed}, {duration_s:g} s, results in {nice_path(out)}")
-    # The page first: what is printed while the live view draws would stand in its way, and be erased.
-    onlooker = None
+    # Open the page first: the live view would erase the line with its address.
+    watch = None
     if page is not None and virtual:
-        onlooker = page.beside_virtual(found.title)
+        watch = page.beside_virtual(found.title)
     elif page is not None:
         page.beside_live(plan, mission)
     with PlainView(found, mission) if plain else LiveView(found, mission, page.address if page is not None else ""):
         if virtual:
             faults = NetworkFaults(seed) if options.faults else None
             timing = run_virtual(
-                plan, mission, options.interrupted, faults, onlooker, lambda text: show_text(text, err=True)
+                plan, mission, options.interrupted, faults, watch, lambda text: show_text(text, err=True)
             )
         else:
             timing = run_live(plan, mission, interrupted)
@@ -419,7 +417,7 @@ def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any]
 
 
 def _compare(found: Comparison, out: Path, options: _Options) -> int:
-    """Run all variants of a mission one after the other, and judge what is different about them."""
+    """Run all variants of a mission one after the other, and judge how they differ."""
     from pancakes.tools.demo.conductor import how_slow
     from pancakes.tools.demo.launcher import fresh, write_results
 
@@ -429,12 +427,12 @@ def _compare(found: Comparison, out: Path, options: _Options) -> int:
     timings: dict[str, dict[str, Any]] = {}
     for variant in found.variants:
         mission = replace(found.mission, title=f"{found.mission.title}, {variant.title}")
-        # What the command line says comes last, and so goes before what is different by itself.
+        # The command line comes last, so that it overrides the variant.
         own = replace(options, sets=(*variant.sets, *options.sets))
-        flown = _fly(mission, out / variant.name, own)
-        if flown is None or options.interrupted.is_set():
-            return INTERRUPTED if flown is None else _interrupted_late(out)
-        runs[variant.name], summaries[variant.name], timings[variant.name] = flown
+        result = _fly(mission, out / variant.name, own)
+        if result is None or options.interrupted.is_set():
+            return INTERRUPTED if result is None else _interrupted_late(out)
+        runs[variant.name], summaries[variant.name], timings[variant.name] = result
         _say_pace(timings[variant.name])
     summary = found.judge(out, runs, summaries)
     write_results(out, summary, timings)
@@ -445,8 +443,8 @@ def _compare(found: Comparison, out: Path, options: _Options) -> int:
     slow = [(variant.title, how_slow(timings[variant.name])) for variant in found.variants]
     folders = _listed(variant.name for variant in found.variants)
     where = "; ".join(f"{title}: {text}" for title, text in slow if text)
-    told = f"summary.json and {found.picture}, and the folders {folders}, are in {nice_path(out)}"
-    return _verdict(summary, where, list(timings.values()), told)
+    results = f"summary.json and {found.picture}, and the folders {folders}, are in {nice_path(out)}"
+    return _verdict(summary, where, list(timings.values()), results)
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -455,13 +453,13 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _say_pace(timing: dict[str, Any]) -> None:
-    """Say how fast a mission in virtual time went."""
+    """Print how fast a mission in virtual time ran."""
     if timing["mode"] == "virtual":
         show_text(f"took {timing['wall_s']:.2f} s, {timing['times_real_time']:.0f} times real time")
 
 
 def _verdict(summary: dict[str, Any], slow: str, timings: Sequence[dict[str, Any]], results: str) -> int:
-    """Say how it went, in the manner of Robotarium, where the machine was too slow, and where the results are."""
+    """Print the verdict in the style of Robotarium, where the machine was too slow, and where the results are."""
     from pancakes.tools.demo.conductor import hint_of, verdict_line
 
     for line in summary.get("said", ()):

@@ -1,4 +1,4 @@
-"""`pancakes demo NAME --seeds`: many missions in virtual time, and what came of them all."""
+"""`pancakes demo NAME --seeds`: run many missions in virtual time, and summarise their results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pancakes.util.plugins import Plugins
 
 MOST_NAMED: Final = 10
-"""So many missions that did not pass are named with their reasons; the others are in `missions.json`."""
+"""At most this many missions that did not pass are printed with their reasons; `missions.json` has all."""
 
 
 class Seeds(click.ParamType):
@@ -54,21 +54,21 @@ def run_seeds(
     plugins: Plugins,
     interrupted: Callable[[], bool],
 ) -> tuple[bool, int]:
-    """Run a demo under many seeds, and show what came of it.
+    """Run a demo with many seeds, and print the results.
 
     Args:
         found: the demo.
         seeds: the seeds.
         out: the folder for the results.
-        wishes: what else is asked for.
-        jobs: so many processes at once; None: one for each core that this process may use.
-        plain: a line for each mission, and no bar.
-        printer: prints the answer.
+        wishes: the other options of the missions.
+        jobs: how many processes run at once; None: one for each core that this process may use.
+        plain: print a line for each mission instead of a progress bar.
+        printer: prints the results.
         plugins: where drivers and tasks come from.
-        interrupted: whether it was.
+        interrupted: returns whether the run was interrupted.
 
     Returns:
-        Whether all missions were run; and how many did not pass.
+        Whether all missions were run, and how many did not pass.
 
     Raises:
         PancakesError: the demo cannot be run at all, or its results cannot be written.
@@ -77,7 +77,7 @@ def run_seeds(
     from pancakes.tools.demo.launcher import fresh
     from pancakes.tools.demo.monte_carlo import PASSED, fly_many, plan_of
 
-    # What is wrong with all of them is said once, before anything is written.
+    # Report a fault of all missions once, before anything is written.
     plan_of(found.mission if isinstance(found, Comparison) else found, out, seeds[0], wishes, plugins)
     fresh(out, ("missions.json",))
     count = min(jobs or len(os.sched_getaffinity(0)), len(seeds))
@@ -85,12 +85,12 @@ def run_seeds(
     printer.note(text)
     outcomes: list[MissionOutcome] = []
     failed = 0
-    with _progress(len(seeds), plain) as tell:
-        flown = fly_many(seeds, out, wishes, count, interrupted, partial(_prepare, os.getpid()))
-        for outcome in flown:
+    with _progress(len(seeds), plain) as report:
+        missions = fly_many(seeds, out, wishes, count, interrupted, partial(_prepare, os.getpid()))
+        for outcome in missions:
             outcomes.append(outcome)
             failed += outcome.verdict != PASSED
-            tell(outcome, failed)
+            report(outcome, failed)
     outcomes.sort(key=lambda outcome: outcome.seed)
     _show(outcomes, out, wishes, printer)
     if len(outcomes) < len(seeds):
@@ -99,7 +99,7 @@ def run_seeds(
 
 
 def _prepare(parent_pid: int) -> None:
-    """Make a process fit for agents, and let it end with this one, however this one ends."""
+    """Tune a worker process for agents, and tie its life to this process."""
     agent_process.tune_interpreter()
     die_with_parent(parent_pid)
 
@@ -109,21 +109,21 @@ def _missions(count: int) -> str:
 
 
 def _progress(total: int, plain: bool) -> AbstractContextManager[Callable[[MissionOutcome, int], None]]:
-    """Return what takes each outcome, and how many failed so far, while missions run."""
+    """Return the function that reports each outcome, with the number of failures so far."""
     if plain:
-        return nullcontext(_tell_line)
+        return nullcontext(_report_line)
     if not sys.stderr.isatty():
         return nullcontext(lambda outcome, failed: None)
     return _Bar(total)
 
 
-def _tell_line(outcome: MissionOutcome, failed: int) -> None:
+def _report_line(outcome: MissionOutcome, failed: int) -> None:
     why = f": {outcome.reasons[0]}" if outcome.reasons else ""
     show_text(f"seed {outcome.seed}: {outcome.verdict}{why}", err=True)
 
 
 class _Bar(AbstractContextManager[Callable[..., None]]):
-    """A bar on a terminal: how many missions are over, how many of them failed, and how long the others will take."""
+    """A progress bar: how many missions are over, how many of them failed, and the remaining time."""
 
     def __init__(self, total: int) -> None:
         from rich.console import Console
@@ -135,9 +135,9 @@ class _Bar(AbstractContextManager[Callable[..., None]]):
 
     def __enter__(self) -> Callable[[MissionOutcome, int], None]:
         self._progress.start()
-        return self._tell
+        return self._report
 
-    def _tell(self, outcome: MissionOutcome, failed: int) -> None:
+    def _report(self, outcome: MissionOutcome, failed: int) -> None:
         self._progress.update(self._task, advance=1, description=f"{failed or 'none'} failed")
 
     def __exit__(self, *error: object) -> None:
@@ -145,7 +145,7 @@ class _Bar(AbstractContextManager[Callable[..., None]]):
 
 
 def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, printer: Printer) -> None:
-    """Show what came of all missions, and write it to `missions.json`."""
+    """Print the results of all missions, and write them to `missions.json`."""
     import json
 
     from pancakes.tools.demo.monte_carlo import PASSED
@@ -159,7 +159,7 @@ def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, 
         for verdict, seeds in sorted(verdicts.items(), key=lambda item: (item[0] != PASSED, item[0]))
     ]
     spreads = spreads_of(outcome.summary for outcome in outcomes)
-    fallen = [outcome for outcome in outcomes if outcome.verdict != PASSED]
+    failed = [outcome for outcome in outcomes if outcome.verdict != PASSED]
     said = [f"seed {outcome.seed}: {text}" for outcome in outcomes for text in outcome.said]
     whole = {
         "demo": wishes.demo,
@@ -174,7 +174,7 @@ def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, 
                 "out": str(outcome.out),
                 "again": again(outcome.seed, wishes),
             }
-            for outcome in fallen
+            for outcome in failed
         ],
         "said": said,
     }
@@ -184,25 +184,25 @@ def _show(outcomes: Sequence[MissionOutcome], out: Path, wishes: MissionWishes, 
         show_text(f"{out / 'missions.json'} cannot be written: {error.strerror}", err=True)
     for text in said:
         show_text(text, err=True)
-    apart = [asdict(spread) for spread in spreads if spread.differs]
+    differing = [asdict(spread) for spread in spreads if spread.differs]
     lines = []
-    for outcome in fallen[:MOST_NAMED]:
+    for outcome in failed[:MOST_NAMED]:
         lines.append(f"seed {outcome.seed}: {outcome.verdict}")
         lines += [f"  - {reason}" for reason in outcome.reasons]
         lines.append(f"  run again: {again(outcome.seed, wishes)}")
-    if len(fallen) > MOST_NAMED:
-        lines.append(f"{len(fallen) - MOST_NAMED} more did not pass: {nice_path(out / 'missions.json')} has them all")
-    printer.emit(whole, {"Verdicts": rows, "Spreads": apart}, *lines)
+    if len(failed) > MOST_NAMED:
+        lines.append(f"{len(failed) - MOST_NAMED} more did not pass: {nice_path(out / 'missions.json')} lists all")
+    printer.emit(whole, {"Verdicts": rows, "Spreads": differing}, *lines)
 
 
 def nice_path(path: Path) -> str:
-    """Return a path as a person writes it from here."""
+    """Return a path relative to the present folder if it is below it."""
     relative = os.path.relpath(path)
     return relative if not relative.startswith("..") else str(path)
 
 
 def again(seed: int, wishes: MissionWishes) -> str:
-    """Return the command that runs one of the missions again, alone."""
+    """Return the command that runs only this mission again."""
     words = ["pancakes", "demo", wishes.demo, "--virtual", "--seed", str(seed)]
     if wishes.duration_s is not None:
         words += ["--duration", f"{wishes.duration_s:g}"]

@@ -1,4 +1,4 @@
-"""`pancakes record ...`: recordings of what agents say, in MCAP files."""
+"""`pancakes record ...`: record the packets of agents in MCAP files, and show and repair recordings."""
 
 from __future__ import annotations
 
@@ -28,34 +28,38 @@ from pancakes.tools.cli.streaming import load_packets
 
 RECORDER: Final = "log/Recorder"
 BY_ITSELF: Final = "it stopped itself"
-"""What an agent says of a task that ended unasked."""
+"""The reason that an agent gives for a task that ended by itself."""
 COLUMNS = ("agent", "done", "path")
 
 
 @click.group()
 def record() -> None:
-    """Recordings of what agents say.
+    """Record the packets of agents, and show and repair recordings.
 
-    Each agent records what is seen on its own channels. The files of several agents in one folder are one recording,
-    in which a task that moves can be followed. Foxglove opens them.
+    Each agent records the packets on its own channels. The files of several agents in one folder are one recording,
+    which follows a task when it migrates. Foxglove can open them.
     """
 
 
 @record.command()
 @agents
-@click.option("--path", metavar="FILE", default="", help="Where to, on the agent's machine; {agent} is its name.")
+@click.option(
+    "--path", metavar="FILE", default="", help="The file, on the agent's machine; {agent} stands for its name."
+)
 @click.option("--channel", "channels", metavar="NAME", multiple=True, help="Only this channel. Repeatable.")
 @click.option("--type", "types", metavar="TYPE", multiple=True, help="Only this packet type. Repeatable.")
-@click.option("--task", metavar="ID", default="", help="Only what this task (BIRTHPLACE/NAME) reads and publishes.")
-@click.option("--limit-mib", type=FiniteRange(min=0.0), default=None, help="How large it may become.")
-@click.option("--split-mib", type=FiniteRange(min=0.0, min_open=True), help="A new file begins at this size.")
+@click.option(
+    "--task", metavar="ID", default="", help="Only the packets that this task (BIRTHPLACE/NAME) reads and publishes."
+)
+@click.option("--limit-mib", type=FiniteRange(min=0.0), default=None, help="The largest size.")
+@click.option("--split-mib", type=FiniteRange(min=0.0, min_open=True), help="Begin a new file at this size.")
 @dry_run_option
 @orders_agents
 def start(agents: tuple[str, ...], channels: tuple[str, ...], task: str, dry_run: bool, ask: Ask, **given: Any) -> None:
-    """Begin to record on all agents, or on those that are named.
+    """Start recording on all agents, or only on those named.
 
-    What is not said here is as the table [record] of the agent's configuration says. A file that is there already is
-    left alone: the new one gets a number.
+    For omitted options the table [record] of the agent's configuration counts. An existing file is never overwritten:
+    the new file gets a number.
 
     \b
     Example:
@@ -68,11 +72,11 @@ def start(agents: tuple[str, ...], channels: tuple[str, ...], task: str, dry_run
     settings = {key: value for key, value in given.items() if value not in ("", (), None)}
     with ask.client() as client:
         rows = []
-        there = survey_with(client, *agents)
-        _check_channels(channels, there)
-        if task and not _runs(client, task, there):
-            show_text(f"no task {task} runs there now: of it nothing is recorded before it comes", err=True)
-        for agent in [described["agent"] for described in there]:
+        found = survey_with(client, *agents)
+        _check_channels(channels, found)
+        if task and not _runs(client, task, found):
+            show_text(f"the task {task} does not run there now: its packets are recorded when it arrives", err=True)
+        for agent in [described["agent"] for described in found]:
             request(client, agent, Start(RECORDER, settings, dry_run))
             done = DRY_RUN if dry_run else "recording"
             rows.append({"agent": agent, "done": done, "path": None if dry_run else _path(client, agent)})
@@ -84,7 +88,7 @@ def start(agents: tuple[str, ...], channels: tuple[str, ...], task: str, dry_run
 @dry_run_option
 @orders_agents
 def stop(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
-    """End the recordings of all agents, or of those that are named, and wait until the files are complete.
+    """Stop the recordings of all agents, or only of those named, and wait until the files are complete.
 
     \b
     Example:
@@ -100,7 +104,7 @@ def stop(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
             request(client, agent, Stop(RECORDER, dry_run=dry_run))
             rows.append({"agent": agent, "done": DRY_RUN if dry_run else "complete", "path": path})
     if not rows:
-        raise ControlRefused("no agent records")
+        raise ControlRefused("no agent is recording")
     ask.printer.table(rows, COLUMNS)
 
 
@@ -108,7 +112,7 @@ def stop(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
 @agents
 @asks_agents
 def list_(agents: tuple[str, ...], ask: Ask) -> None:
-    """List which agents record, and where to.
+    """List which agents record, and into which files.
 
     \b
     Example:
@@ -117,11 +121,11 @@ def list_(agents: tuple[str, ...], ask: Ask) -> None:
     with ask.client() as client:
         rows = []
         for agent in _names(client, agents):
-            told = request(client, agent, Describe(RECORDER)).result
-            done, path = told["reason"] or told["state"], None
-            if told["state"] == "running":
+            recorder = request(client, agent, Describe(RECORDER)).result
+            done, path = recorder["reason"] or recorder["state"], None
+            if recorder["state"] == "running":
                 done, path = "recording", _path(client, agent)
-            elif told["reason"] == BY_ITSELF and (ended := _last(client, agent, "recording_stopped")) is not None:
+            elif recorder["reason"] == BY_ITSELF and (ended := _last(client, agent, "recording_stopped")) is not None:
                 done, path = f"ended: {ended['reason']}", ended["path"]
             rows.append({"agent": agent, "done": done, "path": path})
     ask.printer.table(rows, COLUMNS)
@@ -131,9 +135,9 @@ def list_(agents: tuple[str, ...], ask: Ask) -> None:
 @click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
 @format_option
 def info(path: Path, printer: Printer) -> None:
-    """Show what is in a recording: a file with its parts, or all files of a folder.
+    """Show the contents of a recording: a file with its parts, or all files of a folder.
 
-    Times are the mission's, from its beginning on; duration_s is that of the recording.
+    Times are mission times; duration_s is the duration of the recording.
 
     \b
     Example:
@@ -179,11 +183,16 @@ def info(path: Path, printer: Printer) -> None:
 
 @record.command()
 @click.argument("paths", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Write it there, and leave FILE alone.")
+@click.option(
+    "--out",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Write the repaired file there, and do not change FILE.",
+)
 @dry_run_option
 @format_option
 def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, printer: Printer) -> None:
-    """Make files whole again whose recorder was killed: everything that had reached the disk, with an index.
+    """Repair files whose recorder was killed: keep all packets that reached the disk, and add an index.
 
     \b
     Example:
@@ -191,12 +200,12 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, printer: Pr
     """
     from pancakes.recording.mcap_records import opened
     from pancakes.recording.reader import FileReading, files_of, messages
-    from pancakes.recording.reader import repair as mend
+    from pancakes.recording.reader import repair as repair_file
     from pancakes.recording.records import RecordingError
 
     files = [file for given in paths for file in files_of(given)]
     if out is not None and len(files) > 1:
-        raise click.UsageError(f"--out goes with one file, these are {len(files)}")
+        raise click.UsageError(f"--out works with one file, not with {len(files)}")
     rows: list[dict[str, Any]] = []
     failed = False
     for path in files:
@@ -208,15 +217,16 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, printer: Pr
             rows.append({"file": str(path), "done": done, "messages": count, "bytes_lost": None})
             continue
         try:
-            made = mend(path, out)
+            repaired = repair_file(path, out)
         except RecordingError as error:
             if len(files) == 1:
                 raise
-            show_text(str(error), err=True)  # the others can be mended all the same
+            show_text(str(error), err=True)  # still repair the other files
             failed = True
             continue
-        done = "whole already" if made.whole else "repaired"
-        rows.append({"file": str(made.path), "done": done, "messages": made.messages, "bytes_lost": made.bytes_lost})
+        done = "whole already" if repaired.whole else "repaired"
+        counts = {"messages": repaired.messages, "bytes_lost": repaired.bytes_lost}
+        rows.append({"file": str(repaired.path), "done": done, **counts})
     printer.table(rows, ("file", "done", "messages", "bytes_lost"))
     if failed:
         sys.exit(REFUSED)
@@ -227,7 +237,7 @@ def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
 
 
 def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> None:
-    """Refuse channels that no agent has; of those that only some have it tells."""
+    """Refuse channels that no agent has; print those that only some agents have."""
     from pancakes.recording.records import CHANNEL
 
     known = list(dict.fromkeys(name for agent in agents for name in agent["channels"]))
@@ -236,28 +246,28 @@ def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> 
         if channel == CHANNEL or not lacking:
             continue
         if len(lacking) == len(agents):
-            raise ControlRefused(f"no agent has a channel {channel!r}, only {', '.join(known)}")
-        show_text(f"{', '.join(lacking)}: no channel {channel!r}, so nothing of it is recorded there", err=True)
+            raise ControlRefused(f"no agent has a channel {channel!r}. They have {', '.join(known)}")
+        show_text(f"{', '.join(lacking)}: no channel {channel!r}, so it is not recorded there", err=True)
 
 
 def _runs(client: Client, task_id: str, agents: list[dict[str, Any]]) -> bool:
-    """Return whether a task runs on any of these agents, in whatever service."""
+    """Return whether a task runs on any of these agents, in any service."""
     for row in [row for agent in agents for row in agent["tasks"]]:
         if row["state"] == "running" and row["task"] == task_id.partition("/")[2]:
-            told = client.request(row["agent"], Describe(f"{row['service']}/{row['task']}"))
-            if told.ok and (told.result["fence"] or {}).get("task_id") == task_id:
+            reply = client.request(row["agent"], Describe(f"{row['service']}/{row['task']}"))
+            if reply.ok and (reply.result["fence"] or {}).get("task_id") == task_id:
                 return True
     return False
 
 
 def _path(client: Client, agent: str) -> str | None:
-    """Return the file that an agent records into, as its log says."""
+    """Return the file that an agent records into, according to its log."""
     started = _last(client, agent, "recording_started")
     return started["path"] if started is not None else None
 
 
 def _last(client: Client, agent: str, kind: str) -> dict[str, Any] | None:
-    """Return the last event of a kind in an agent's log, as far back as it is remembered."""
+    """Return the last event of a kind that an agent's log remembers."""
     found, after = None, 0
     while records := request(client, agent, History(after=after)).result:
         after = records[-1]["entry"]

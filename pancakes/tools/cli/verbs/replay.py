@@ -1,4 +1,4 @@
-"""`pancakes replay`: feeds recorded packets into agents that run, or into agents in virtual time."""
+"""`pancakes replay`: feed recorded packets into running agents, or into agents in virtual time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
     type=FiniteRange(min=0.0, min_open=True, max=1000.0),
     default=1.0,
     show_default=True,
-    help="So many times as fast as then, in mission time.",
+    help="Replay this many times as fast, in mission time.",
 )
 @click.option(
     "--from", "from_s", metavar="TIME", type=Duration(), help="Begin at this mission time (see pancakes record info)."
@@ -40,10 +40,10 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
     "--only",
     metavar="GLOB",
     multiple=True,
-    help="All packets whose AGENT/CHANNEL/TYPE or whose source fits, and no others. Repeatable.",
+    help="Only packets whose AGENT/CHANNEL/TYPE or whose source matches. Repeatable.",
 )
 @click.option(
-    "--as", "as_name", metavar="AGENT", type=AGENT_NAME, default="", help="Feed everything to this agent instead."
+    "--as", "as_name", metavar="AGENT", type=AGENT_NAME, default="", help="Feed all packets to this agent instead."
 )
 @click.option(
     "--config",
@@ -51,16 +51,16 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
     metavar="AGENT.toml",
     multiple=True,
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Run this agent in virtual time and feed it, instead of agents that run. Repeatable.",
+    help="Run this agent in virtual time and feed it, instead of running agents. Repeatable.",
 )
 @click.option(
     "--out",
     metavar="DIR",
     type=click.Path(file_okay=False, path_type=Path),
-    help="With --config: the folder that the agents' own recordings are written to.",
+    help="With --config: the folder for the recordings of these agents.",
 )
 @click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="With --config: draws what is drawn."
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="With --config: the seed of random numbers."
 )
 @dry_run_option
 @orders_agents
@@ -77,14 +77,14 @@ def replay(
     dry_run: bool,
     ask: Ask,
 ) -> None:
-    """Feed a recording into a fleet: each packet goes to the agent that it was seen on, at its time.
+    """Feed a recording into a fleet: each packet goes to the agent on which it was recorded, at its time.
 
-    Without --only, these are the packets on system and on channels of your own: readings, and news of others. What a
-    component says that runs in the fleet is left out, as it says that itself; a null device says nothing, so that its
-    readings are fed. Packets keep their recorded source, and bear the mission time of the agent that
-    gets them. Ctrl-C ends it.
+    Without --only, it feeds the packets on system and on channels of tasks: readings, and packets from other agents.
+    Packets of a component that runs in the fleet are skipped, because it publishes its own. A null device publishes
+    nothing, so its recorded readings are fed. Packets keep their recorded source, and get the mission time of the
+    agent that receives them. Ctrl-C ends the replay.
 
-    With --config the agents run in virtual time, in this process, and what they say is recorded into --out.
+    With --config the agents run in virtual time, in this process, and their packets are recorded into --out.
 
     \b
     Example:
@@ -98,32 +98,32 @@ def replay(
     from pancakes.util.plugins import Plugins
 
     if bool(configs) != bool(out):
-        raise click.UsageError("--config and --out go together: the result is recorded into --out")
+        raise click.UsageError("--config and --out need each other: the result is recorded into --out")
     if configs and ask.where != Where():
-        raise click.UsageError("--at and --fleet name agents that run, --config agents to start: give one of them")
+        raise click.UsageError("--at and --fleet are for running agents, --config starts agents: use only one of them")
     if to_s is not None and to_s <= (from_s or 0.0):
         raise click.UsageError(f"--to {to_s:g}s is not after --from {from_s or 0.0:g}s")
     plugins = Plugins()
     load_packets(plugins)
     reader = RecordingReader(path)
     selection = Selection({}, only, from_s or 0.0, to_s, as_name, reader.mission_time())
-    wanted = _ReplayRequest(reader, speed, selection)
+    replay_request = _ReplayRequest(reader, speed, selection)
     if out is not None:
-        _feed_virtual(wanted, configs, out, plugins, seed, dry_run, ask.printer)
+        _feed_virtual(replay_request, configs, out, plugins, seed, dry_run, ask.printer)
     else:
-        _feed_live(wanted, dry_run, ask)
+        _feed_live(replay_request, dry_run, ask)
 
 
 @dataclass(frozen=True)
 class _ReplayRequest:
-    """What the command line says of what is to be fed."""
+    """The recording and the options of a replay."""
 
     reader: RecordingReader
     speed: float
     wanted: Selection
 
     def select(self, agents: dict[str, Live]) -> tuple[Selection, Tally]:
-        """Return what is fed into agents, and how much that is."""
+        """Return the selection of packets for these agents, and its counts."""
         from pancakes.errors import Unreachable
         from pancakes.tools.replay.replay import tally_of
 
@@ -137,37 +137,38 @@ class _ReplayRequest:
         return selection, tally
 
     def recorded_speed(self) -> float:
-        """Return how many mission seconds a second of the recording is."""
+        """Return the mission seconds per second of the recording."""
         from pancakes.recording.clock_alignment import speed_of
 
         speeds = {speed_of(reading.about): reading.path for reading in self.reader.readings}
         if len(speeds) > 1:
-            told = ", ".join(f"{path} at {speed:g}" for speed, path in speeds.items())
-            say(f"the files were recorded at different speeds of the mission, the first counts: {told}")
+            listed = ", ".join(f"{path} at {speed:g}" for speed, path in speeds.items())
+            say(f"the files were recorded at different mission speeds; the first one is used: {listed}")
         return next(iter(speeds))
 
 
-def _feed_live(wanted: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
+def _feed_live(replay_request: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
     from pancakes.tools.replay.replay import Feeder, Live
 
     with until_ended(), ask.client() as client:
-        agents = {told["agent"]: Live.of(told) for told in survey_with(client)}
-        selection, tally = wanted.select(agents)
+        agents = {described["agent"]: Live.of(described) for described in survey_with(client)}
+        selection, tally = replay_request.select(agents)
         if dry_run:
             ask.printer.table(_rows(tally, tally, True), COLUMNS)
             return
         assert tally.first_ns is not None
         feeder = Feeder(client, selection, say)
         try:
-            feeder.feed(wanted.reader.entries(), tally.first_ns, wanted.speed, wanted.recorded_speed())
+            recorded_speed = replay_request.recorded_speed()
+            feeder.feed(replay_request.reader.entries(), tally.first_ns, replay_request.speed, recorded_speed)
         except KeyboardInterrupt:
-            say("the replay was ended")
+            say("the replay was interrupted")
         feeder.settle()
         ask.printer.table(_rows(tally, feeder.tally, False), COLUMNS)
 
 
 def _feed_virtual(
-    wanted: _ReplayRequest,
+    replay_request: _ReplayRequest,
     paths: tuple[Path, ...],
     out: Path,
     plugins: Plugins,
@@ -186,18 +187,18 @@ def _feed_virtual(
         except OSError as error:
             raise PancakesError(f"the output folder {out} cannot be used: {error.strerror}") from None
     with until_ended(), VirtualReplay(configs, None if dry_run else out, plugins, seed) as fleet:
-        selection, tally = wanted.select(fleet.start())
+        selection, tally = replay_request.select(fleet.start())
         if dry_run:
             printer.table(_rows(tally, tally, True), COLUMNS)
             return
         assert tally.first_ns is not None
-        scale = wanted.recorded_speed() / wanted.speed
-        fleet.feed(selection, wanted.reader.entries(), tally.first_ns, scale)
+        scale = replay_request.recorded_speed() / replay_request.speed
+        fleet.feed(selection, replay_request.reader.entries(), tally.first_ns, scale)
         for sentence in dict.fromkeys(fleet.refused):
             say(sentence)
         fed = fleet.tally
     printer.table(_rows(tally, fed, False), COLUMNS)
-    say(f"what the agents made of it is in {out}")
+    say(f"the recordings of these agents are in {out}")
 
 
 def _rows(planned: Tally, done: Tally, dry_run: bool) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""`pancakes rerun`: runs one task of a recording through its present code, and shows what it does otherwise now."""
+"""`pancakes rerun`: run a recorded task again with its present code, and show what differs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ LONGEST: Final = 100
     type=FiniteRange(min=0.0),
     default=1e-6,
     show_default=True,
-    help="Numbers are equal that differ by less, as a share of themselves, or from 0.",
+    help="Numbers count as equal if they differ by at most this share, or from 0 by at most this value.",
 )
 @click.option(
     "--time-tolerance",
@@ -48,11 +48,11 @@ LONGEST: Final = 100
     type=Duration(),
     default="50ms",
     show_default=True,
-    help="Packets are compared that were published no further apart, in mission time.",
+    help="Compare packets that were published at most this far apart, in mission time.",
 )
 @click.option(
     "--show", "most", metavar="N", type=click.IntRange(min=0), default=SHOWN, show_default=True,
-    help="How many differences of each stay are shown.",
+    help="How many differences of each stay to show.",
 )  # fmt: skip
 @format_option
 def rerun(
@@ -66,12 +66,12 @@ def rerun(
     most: int,
     printer: Printer,
 ) -> None:
-    """Run a recorded task through its present code, and show where its packets differ from the recorded ones.
+    """Run a recorded task again with its present code, and show where its packets differ from the recorded ones.
 
-    TASK is the task's identity for life, BIRTHPLACE/NAME, or its name if only one task bears it. It is run in
-    virtual time, alone: it gets the packets that it got then, at their times, its timers tick as they did, and what was
-    changed while it ran is changed again. Each of its stays on an agent is run by itself. Exit code 0 if all that it
-    publishes is as it was, 1 if not.
+    TASK is the task's identity, BIRTHPLACE/NAME, or its name if only one task has it. The task runs alone, in virtual
+    time: it gets the recorded packets at their times, its timers tick as recorded, and recorded changes of settings are
+    made again. Each of its stays on an agent is run separately. The exit code is 0 if all packets that it publishes
+    agree with the recording, 1 if not.
 
     \b
     Example:
@@ -96,8 +96,8 @@ def rerun(
     for stay in choose_stays(stays, task, agent, number):
         cls = class_of(stay, plugins)
         settings = param_file.changes_of(stay.task.settings, dict(sets))
-        told = about.get(stay.agent, {})
-        speed, virtual = speed_of(told), told.get("clock") == "mission time"
+        header = about.get(stay.agent, {})
+        speed, virtual = speed_of(header), header.get("clock") == "mission time"
         script = read_script(RecordingReader(path).entries(), stay, cls, speed, virtual)
         outcome = Rerun(stay, script, cls, settings).run()
         comparison = compare(script.outputs, outcome.outputs, stay.task.address, Tolerance(tolerance, time_s))
@@ -139,7 +139,7 @@ def _row(stay: Stay, script: Script, outcome: Outcome, comparison: RunComparison
 
 
 def _error(text: str) -> str:
-    """Return the sentence of a failure without its place in the code, which an edit moves."""
+    """Return the sentence of a failure without its line in the code, which an edit may change."""
     return re.sub(r" \([^()]+:\d+, in \S+\)$", "", text)
 
 
@@ -147,8 +147,8 @@ def _notes(stay: Stay) -> list[str]:
     if stay.whole:
         return []
     return [
-        "the recording begins while the task ran already: what it kept outside of its state is not known, nor where"
-        " its random numbers were"
+        "the task ran already when the recording began: data outside its state, and the position of its random"
+        " numbers, are not known"
     ]
 
 

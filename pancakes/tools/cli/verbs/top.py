@@ -1,4 +1,4 @@
-"""`pancakes top`: watches agents and tasks."""
+"""`pancakes top`: watch agents and tasks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ AGENTS: Final = {
     "dropped": "dropped",
     "battery %": "battery_level",
 }
-"""The columns of the upper table, and what is in them."""
+"""The columns of the upper table, each with its key."""
 TASKS: Final = {
     "task": "name",
     "state": "word",
@@ -46,19 +46,19 @@ TASKS: Final = {
     "dropped": "dropped",
     "restarts": "restarts",
 }
-"""The columns of the lower table."""
+"""The columns of the lower table, each with its key."""
 SORTS: Final = {"name": "", "rate": "achieved_hz", "late": "lateness_s", "missed": "missed", "dropped": "dropped"}
-"""The orders of tasks, and what goes by the largest first."""
+"""The orders of tasks, each with the key whose largest values come first."""
 
 SHORTEST_LOOK_S: Final = 0.5
-"""An agent may take that long for its answer, however often it is looked."""
+"""The shortest time limit for an agent's answer, even if `--every` is shorter."""
 SLOW: Final = 0.8
-"""A task that reaches a smaller share of the rate that is wanted of it stands out."""
+"""A task that reaches a smaller share of its wanted rate is highlighted."""
 
 
 @click.command()
 @some_agents
-@click.option("--once", is_flag=True, help="Print one table and end.")
+@click.option("--once", is_flag=True, help="Print one table, then exit.")
 @click.option(
     "--every",
     "every_s",
@@ -66,24 +66,24 @@ SLOW: Final = 0.8
     type=Duration(),
     default="1s",
     show_default=True,
-    help="How often to look; with --once, how long to watch.",
+    help="The period of updates; with --once, how long to measure.",
 )
 @click.option(
     "--sort",
     type=click.Choice(list(SORTS)),
     default="name",
     show_default=True,
-    help="The order of the tasks; all but names begin with the largest.",
+    help="The order of the tasks: by name, or the largest value first.",
 )
 @asks_agents
 def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask) -> None:
-    """Watch all agents, or those named, and their tasks, until Ctrl-C.
+    """Watch all agents, or only those named, and their tasks, until Ctrl-C.
 
-    Of an agent: the share of one processor that it uses, its memory, how late its tasks tick in the mean, to how many
-    other agents it has links, the ticks that never came and the packets that fell out of mailboxes since its tasks were
-    started, and its battery. Of a task: the rate that is wanted, and the one that it reaches, over up to 10 s; "-" as
-    long as too few ticks tell. Rates and lateness are in mission time.
-    JSON is a list of agents with --once, and else an agent a line at each look.
+    For an agent it shows its share of one processor, its memory, the mean lateness of its tasks' ticks, its links to
+    other agents, the missed ticks and the packets dropped from mailboxes since its tasks started, and its battery. For
+    a task it shows the wanted rate, and the achieved rate over up to 10 s, or "-" after too few ticks. Rates and
+    lateness are in mission time.
+    JSON is a list of agents with --once, otherwise one agent per line at each update.
 
     \b
     Example:
@@ -108,7 +108,7 @@ def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask
 
 
 def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) -> Iterator[list[dict[str, Any]]]:
-    """Yield what is to be shown: at each look, or once after the second."""
+    """Yield the rows of agents: at each update, or with `once` only after the second look."""
     meter = RateMeter()
     found = survey_with(client, *agents)
     due_s = client.now()
@@ -127,7 +127,7 @@ def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) ->
         rows = meter.update(described)
         if once:
             if not described:
-                raise Unreachable(f"{', '.join(row['agent'] for row in rows)} answered once, and then no more")
+                raise Unreachable(f"{', '.join(row['agent'] for row in rows)} answered once, but not again")
             yield rows
             return
 
@@ -148,7 +148,7 @@ def picture(agents: Sequence[Row], sort: str, height: int | None = None) -> Grou
     Args:
         agents: the rows of `RateMeter`.
         sort: one of `SORTS`.
-        height: how many lines there are; None: as many as it takes.
+        height: the number of lines on the screen; None: no limit.
     """
     from rich.console import Group
     from rich.text import Text
@@ -156,7 +156,7 @@ def picture(agents: Sequence[Row], sort: str, height: int | None = None) -> Grou
     tasks = _sorted([task for agent in agents for task in agent["tasks"]], sort)
     shown_agents, shown_tasks = list(agents), tasks
     if height is not None:
-        room = max(2, height - 6)  # headings and lines take 4, one is empty, and the last says what is left out
+        room = max(2, height - 6)  # headings and rules take 4 lines, one is empty, the last counts the hidden rows
         shown_agents = shown_agents[: max(1, room // 3, room - len(tasks))]
         shown_tasks = tasks[: max(1, room - len(shown_agents))]
     table = _table(AGENTS)
@@ -184,7 +184,7 @@ def _cells(row: Row, columns: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     for column, key in columns.items():
         if key == "name":
             yield key, f"{row['agent']}/{row['service']}/{row['task']}"
-        elif key == "word":  # as `pancakes task list` has it
+        elif key == "word":  # the same word as in `pancakes task list`
             yield key, row["rest"] or row["state"]
         else:
             yield key, _cell(column, row[key])

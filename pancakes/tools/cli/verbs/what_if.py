@@ -1,4 +1,4 @@
-"""`pancakes what-if move|rate|without`: what a change would do, before it is done."""
+"""`pancakes what-if move|rate|without`: show what a change would do, before you make it."""
 
 from __future__ import annotations
 
@@ -34,48 +34,59 @@ if TYPE_CHECKING:
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 BIDDING_S: Final = 10.0
-"""How long the answer to a question takes at the most that asks for bids."""
+"""The time limit for answers to requests that collect bids."""
 KEPT_APART: Final = ("device", "network", "log")
-"""The services whose tasks belong to their agent, and never go to another."""
+"""The services whose tasks never migrate."""
 
 
 class MeasuredTime(Duration):
-    """A time such as `5s`, as long as a measurement may take."""
+    """A time such as `5s`, within the limits of a measurement."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         for_s = super().convert(value, param, ctx)
         if not SHORTEST_S <= for_s <= LONGEST_S:
-            self.fail(f"a measurement takes from {SHORTEST_S:g} to {LONGEST_S:g} s, not {for_s:g} s", param, ctx)
+            self.fail(f"a measurement takes {SHORTEST_S:g} to {LONGEST_S:g} s, not {for_s:g} s", param, ctx)
         return for_s
 
 
 _for_option = click.option(
-    "--for", "for_s", metavar="TIME", type=MeasuredTime(), default=5.0, help="Measure for so long. [default: 5s]"
+    "--for", "for_s", metavar="TIME", type=MeasuredTime(), default=5.0, help="How long to measure. [default: 5s]"
 )
 _cost_option = click.option(
-    "--cost", metavar="NAME", default="tasks", show_default=True, shell_complete=costs, help="The cost to bid with."
+    "--cost",
+    metavar="NAME",
+    default="tasks",
+    show_default=True,
+    shell_complete=costs,
+    help="The cost function to bid with.",
 )
 
 
 @click.group("what-if")
 def what_if() -> None:
-    """What a change would do, before it is done: loads, ticks that would be missed, batteries.
+    """Show what a change would do to loads, missed ticks and batteries, before you make it.
 
-    All agents are measured for some seconds: the processor time of each turn of each task. What would be follows from
-    that, with bounds; the answer says what it is known from. Nothing is changed.
+    All agents measure for some seconds the processor time of each turn of each task. The forecast follows from these
+    figures, with bounds, and says what it is based on. Nothing is changed.
     """
 
 
 @what_if.command()
 @a_task
-@click.option("--to", metavar="AGENT", type=AGENT_NAME, default="", help="To this agent. [default: the lowest bid]")
+@click.option(
+    "--to",
+    metavar="AGENT",
+    type=AGENT_NAME,
+    default="",
+    help="The destination. [default: the agent with the lowest bid]",
+)
 @_cost_option
 @_for_option
 @asks_agents_for(BIDDING_S)
 def move(name: TaskName, to: str, cost: str, for_s: float, ask: Ask) -> None:
-    """A running task moves to another agent.
+    """Show what the migration of a running task to another agent would do.
 
-    Its neighbours are asked for bids first, as the move itself would. The exit code is 1 if none would take it.
+    The neighbours are asked for bids first, as in the migration itself. The exit code is 1 if none would take the task.
 
     \b
     Example:
@@ -90,17 +101,17 @@ def move(name: TaskName, to: str, cost: str, for_s: float, ask: Ask) -> None:
         fleet = _measured(client, ask, for_s)
     winner = str(ledger["winner"])
     forecast = forecast_move(fleet, name.agent, name.task, winner, name.service)
-    _show(f"{name} moves to {winner}", forecast, ask.printer, {"bids": _bid_rows(ledger)})
+    _show(f"{name} migrates to {winner}", forecast, ask.printer, {"bids": _bid_rows(ledger)})
 
 
 @what_if.command(cls=TakesNumbers)
 @a_task
 @click.argument("rate_hz", metavar="HZ", type=FiniteRange(min=0.0))
-@click.option("--timer", metavar="NAME", default="", help="Which of its timers. [default: its first]")
+@click.option("--timer", metavar="NAME", default="", help="The timer, if the task has several. [default: the first]")
 @_for_option
 @asks_agents_for(BIDDING_S)
 def rate(name: TaskName, rate_hz: float, timer: str, for_s: float, ask: Ask) -> None:
-    """A running task ticks at another rate, in ticks for each second of mission time.
+    """Show what another rate of a running task would do; HZ is in ticks per second of mission time.
 
     \b
     Example:
@@ -122,10 +133,10 @@ def rate(name: TaskName, rate_hz: float, timer: str, for_s: float, ask: Ask) -> 
 @_for_option
 @asks_agents_for(BIDDING_S)
 def without(agent: str, cost: str, for_s: float, ask: Ask) -> None:
-    """An agent goes, and its tasks move to others before, each to the lowest bid of now.
+    """Show what would happen if an agent left and its tasks migrated before, each to its present lowest bid.
 
-    A task that no other agent takes, or that cannot move, ends with it. A later bid may differ from that of now: a
-    cost may depend on the tasks that an agent has got meanwhile.
+    A task that no other agent takes, or that cannot migrate, ends with the agent. The later bids may differ: a cost may
+    depend on the tasks that an agent has taken meanwhile.
 
     \b
     Example:
@@ -151,14 +162,14 @@ def without(agent: str, cost: str, for_s: float, ask: Ask) -> None:
             (bid,) = [line for line in ledger["lines"] if line["peer"] == ledger["winner"]]
             rows.append({"task": target, "goes to": places[target], "cost": bid["cost"], "reason": ""})
         fleet = _measured(client, ask, for_s)
-    _show(f"{agent} goes", forecast_without(fleet, agent, places), ask.printer, {"tasks": rows})
+    _show(f"{agent} leaves", forecast_without(fleet, agent, places), ask.printer, {"tasks": rows})
 
 
 def _bids(client: Client, agent: str, target: str, to: str, cost: str) -> Mapping[str, Any]:
-    """Return the account of a move that is only asked about.
+    """Return the ledger of a dry run of a migration.
 
     Raises:
-        ControlRefused: no agent would take the task; the message says why.
+        ControlRefused: no agent would take the task; the message is the reason.
     """
     ledger: Mapping[str, Any] = request(client, agent, Migrate(target, to, "", cost, dry_run=True)).result
     return ledger
@@ -178,7 +189,7 @@ def _bid_rows(ledger: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _measured(client: Client, ask: Ask, for_s: float) -> list[MeasuredAgent]:
-    """Measure all agents that can be reached, at the same time; name on standard error those that did not answer."""
+    """Measure all reachable agents at the same time; print to standard error those that do not answer."""
     from pancakes.tools.forecast import MeasuredAgent
 
     show_text(f"measuring for {for_s:g} s ...", err=True)
@@ -193,7 +204,7 @@ def _measured(client: Client, ask: Ask, for_s: float) -> list[MeasuredAgent]:
             figures.append(codecs.convert(reply.result, MeasuredAgent))
         except msgspec.ValidationError as error:
             raise RemoteProtocolError(
-                f"{agent} answers what cannot be read here, so it is of another version: {error}"
+                f"the answer of {agent} cannot be read here, so {agent} runs another version: {error}"
             ) from None
     return figures
 
@@ -220,13 +231,13 @@ def _show(change: str, forecast: Forecast, printer: Printer, more: Mapping[str, 
         for it in forecast.agents
         if it.load_after.value or it.load_after.high
     ]
-    facts = {"Known from": "\n".join(forecast.known_from), "How sure": "\n".join(sure)}
+    facts = {"Based on": "\n".join(forecast.known_from), "Uncertainty": "\n".join(sure)}
     sections = {**tables, f"If {change}": rows, **facts, "Notes": "\n".join(forecast.notes)}
     printer.emit({"change": change, **asdict(forecast), **more}, sections)
 
 
 def _share(share: float) -> str:
-    return f"±{100 * share:.1f} %" if share <= 1.0 else "not known well"
+    return f"±{100 * share:.1f} %" if share <= 1.0 else "unknown"
 
 
 def _expected(expected: Expected) -> str:
@@ -237,7 +248,7 @@ def _expected(expected: Expected) -> str:
 def _left(left_s: float | Expected | None) -> str:
     """Return how long a battery lasts, in words."""
     if left_s is None:
-        return "not known"
+        return "unknown"
     if isinstance(left_s, (int, float)):
         minutes = left_s / 60.0
         return f"{minutes / 60.0:.1f} h" if minutes >= 120.0 else f"{minutes:.0f} min"

@@ -1,4 +1,4 @@
-"""`pancakes why`: what led to the commands of a recording's actuators, and how long each step took."""
+"""`pancakes why`: explain the commands to actuators in a recording, and how long each step took."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from pancakes.tools.report.command_latency import Reaction, Reactions
 
 LONGEST: Final = 100
-"""At most this many characters of what a packet says are shown in a line."""
+"""At most this many characters of a packet's body are shown on a line."""
 MOST_ALIKE: Final = 50
-"""So many commands that fit are shown with their chains; --list shows all."""
+"""At most this many matching commands are shown with their chains; --list shows all."""
 
 
 @click.command()
@@ -34,20 +34,20 @@ MOST_ALIKE: Final = 50
 @click.option("--task", metavar="ID", default="", help="Only commands of this task (BIRTHPLACE/NAME).")
 @click.option(
     "--at", "at_s", metavar="TIME", type=Duration(),
-    help="Of each actuator the command that was in force at this mission time: 42.5s, 2min.",
+    help="The command of each actuator that was in force at this mission time: 42.5s, 2min.",
 )  # fmt: skip
-@click.option("--seq", metavar="N", type=click.IntRange(min=1), help="The commands with this number, as --list has it.")
-@click.option("--slowest", metavar="N", type=click.IntRange(min=1), help="The N that took longest from their cause.")
-@click.option("--list", "list_", is_flag=True, help="All commands, each in a line, as they are read.")
+@click.option("--seq", metavar="N", type=click.IntRange(min=1), help="The commands with this number, as in --list.")
+@click.option("--slowest", metavar="N", type=click.IntRange(min=1), help="The N commands with the longest latency.")
+@click.option("--list", "list_", is_flag=True, help="List all commands, one per line.")
 @format_option
-def why(path: Path, list_: bool, printer: Printer, **asked: Any) -> None:
-    """Say why the actuators of a recording were commanded, and how long that took from the reading on.
+def why(path: Path, list_: bool, printer: Printer, **options: Any) -> None:
+    """Show what led to the commands to actuators in a recording, and how long that took.
 
-    Alone it shows the kinds of chains that led to commands, with the distribution of the time from the first cause to
-    the command. With --at, --seq or --slowest it shows single commands: the chain of packets back to the sensor
-    reading, with what each said, its time on its way between agents, and the time until the next one was published,
-    in which it waited in a mailbox and was handled. Mission time is the recording's, as in its report: an agent that is
-    started again does not begin from scratch.
+    Without options it shows the kinds of chains that led to commands, with the distribution of the latency from the
+    first cause to the command. With --at, --seq or --slowest it shows single commands: the chain of packets back to
+    the sensor reading, with the body of each packet, its travel time between agents, and the time in a mailbox and in
+    a handler until the next packet was published. Mission time is that of the whole recording, as in its report: it
+    does not begin again when an agent is restarted.
 
     \b
     Example:
@@ -58,12 +58,12 @@ def why(path: Path, list_: bool, printer: Printer, **asked: Any) -> None:
     """
     from pancakes.recording.reader import RecordingReader
 
-    single = [asked[name] for name in ("at_s", "seq", "slowest") if asked[name] is not None]
+    single = [options[name] for name in ("at_s", "seq", "slowest") if options[name] is not None]
     if len(single) + list_ > 1:
-        raise click.UsageError("--at, --seq, --slowest and --list are different questions: ask one of them")
+        raise click.UsageError("--at, --seq, --slowest and --list exclude each other: use only one of them")
     load_packets()
     reader = RecordingReader(path)
-    question = _CommandQuestion(reader, **asked)
+    question = _CommandQuestion(reader, **options)
     if list_:
         with printer.stream(True, _line) as stream:
             for command in question.commands():
@@ -75,13 +75,13 @@ def why(path: Path, list_: bool, printer: Printer, **asked: Any) -> None:
     for note in reader.notes():
         say(note)
     if not question.time.known:
-        say(f"mission_s is the {question.time.name}: its agents' missions did not begin together")
+        say(f"mission_s is the {question.time.name}, because the missions of its agents did not begin together")
     if not question.found.commands:
-        raise PancakesError(question.nothing())
+        raise PancakesError(question.none_found())
 
 
 class _CommandQuestion:
-    """Which commands are meant, and what is found of all of them while they are read."""
+    """Select the commands that the options ask for, and collect statistics while they are read."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class _CommandQuestion:
         at_s: float | None,
         seq: int | None,
         slowest: int | None,
-        **asked: str,
+        **filters: str,
     ) -> None:
         from pancakes.tools.report.command_latency import Reactions
 
@@ -97,30 +97,30 @@ class _CommandQuestion:
         self.found: Reactions = Reactions()
         self.time = reader.mission_time()
         self._reader = reader
-        self._asked = asked
+        self._filters = filters
         self._others: set[str] = set()
 
     def commands(self) -> Iterator[ActuatorCommand]:
-        """Give the commands that are meant, oldest first."""
+        """Yield the selected commands, oldest first."""
         from pancakes.recording.causal_chains import CommandChains
 
         chains = CommandChains()
         for entry in self._reader.entries():
-            yield from self._meant(chains.add(entry))
-        yield from self._meant(chains.close())
+            yield from self._matching(chains.add(entry))
+        yield from self._matching(chains.close())
 
-    def nothing(self) -> str:
-        """Say that there is no command, and which ones there are."""
+    def none_found(self) -> str:
+        """Return a sentence that no command was found, with the commands that exist."""
         if not self._others:
             return f"{self._reader.path} has no command to an actuator"
-        return f"{self._reader.path} has no such command, only such to {', '.join(sorted(self._others))}"
+        return f"{self._reader.path} has no such command. It has commands to {', '.join(sorted(self._others))}"
 
-    def _meant(self, commands: list[ActuatorCommand]) -> Iterator[ActuatorCommand]:
+    def _matching(self, commands: list[ActuatorCommand]) -> Iterator[ActuatorCommand]:
         for command in commands:
             fence = command.packet.fence
             task_id = fence.task_id if fence is not None else ""
-            there = {"agent": command.agent, "type_": command.packet.type, "task": task_id}
-            if all(asked in ("", there[name]) for name, asked in self._asked.items()):
+            values = {"agent": command.agent, "type_": command.packet.type, "task": task_id}
+            if all(wanted in ("", values[name]) for name, wanted in self._filters.items()):
                 self.found.add_command(command)
                 yield command
             else:
@@ -135,11 +135,11 @@ def _show_kinds(question: _CommandQuestion, printer: Printer) -> None:
         return
     kinds = [_distribution(it) for it in found.reactions()]
     counts = {"commands": found.commands, "uncaused": found.uncaused, "left_out": found.left_out}
-    alone = f"{found.uncaused:,} of them answer no packet" if found.uncaused else "each of them answers a packet"
+    answers = f"{found.uncaused:,} of them answer no packet" if found.uncaused else "each of them answers a packet"
     rows = [{**it, "chain": " → ".join(it["steps"])} for it in kinds]
     printer.emit(
         {**counts, "kinds": kinds},
-        f"{found.commands:,} commands; {alone} that was recorded",
+        f"{found.commands:,} commands; {answers} that was recorded",
         Rows(rows, ("count", "p50_ms", "p90_ms", "p99_ms", "max_ms", "chain")) if rows else "",
         f"{found.left_out:,} more have chains of rarer kinds" if found.left_out else "",
     )
@@ -152,17 +152,17 @@ def _show_chains(question: _CommandQuestion, printer: Printer) -> None:
     ]
     printer.emit(rows, *map(_parts, rows))
     if more:
-        say(f"{more:,} more fit: name one with --agent and --type, or see them with --list")
+        say(f"{more:,} more match: narrow them with --agent and --type, or see all with --list")
     if question.found.commands and not chosen:
         at_s = question.at_s
-        asked = f"before {at_s:g} s of mission time" if at_s is not None else f"with the number {question.seq}"
+        condition = f"before {at_s:g} s of mission time" if at_s is not None else f"with the number {question.seq}"
         if question.slowest is not None:
-            asked = "that answers a packet that was recorded"
-        raise PancakesError(f"there is no such command {asked}")
+            condition = "that answers a recorded packet"
+        raise PancakesError(f"the recording has no such command {condition}")
 
 
 def _choose(question: _CommandQuestion) -> tuple[list[ActuatorCommand], int]:
-    """Return the commands that are asked for, and how many more there would be."""
+    """Return the commands to show, and how many more match."""
     at_s, slowest = question.at_s, question.slowest
     if slowest is not None:
         heap: list[tuple[float, int, ActuatorCommand]] = []
@@ -172,15 +172,15 @@ def _choose(question: _CommandQuestion) -> tuple[list[ActuatorCommand], int]:
                 (heappush if len(heap) < slowest else heappushpop)(heap, item)
         return [command for *_, command in sorted(heap, key=lambda it: (-it[0], -it[1]))], 0
     newest: dict[tuple[str, str], ActuatorCommand] = {}
-    fitting: list[ActuatorCommand] = []
+    matching: list[ActuatorCommand] = []
     more = 0
     for command in question.commands():
         if at_s is not None and question.time.at(command.time_ns) <= at_s:
             newest[command.agent, command.packet.type] = command
         elif question.seq in (command.packet.seq, command.packet.number):
-            fitting = [*fitting, command][:MOST_ALIKE]
+            matching = [*matching, command][:MOST_ALIKE]
             more += 1
-    return [command for _, command in sorted(newest.items())] + fitting, more - len(fitting)
+    return [command for _, command in sorted(newest.items())] + matching, more - len(matching)
 
 
 def _row(command: ActuatorCommand, time: MissionTime) -> dict[str, Any]:
@@ -242,26 +242,26 @@ def _parts(row: dict[str, Any]) -> Iterator[Part]:
     of = f" for {row['task_id']}" if row["task_id"] else ""
     yield f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['number']})"
     if row["cause"] is None:
-        yield "it answers no packet that was recorded: a timer led to it, or its cause is not in the recording"
+        yield "it answers no recorded packet: a timer led to it, or its cause is not in the recording"
     last = len(row["chain"]) - 1
     steps = [
         {
             "at ms": step["at_ms"],
             "packet": f"{step['source']} {step['type']} #{step['number']}",
-            "on its way ms": step["travel_ms"] if place < last else None,
-            "until the next ms": step["handling_ms"] if place < last else None,
-            "says": body_text(step["body"], LONGEST),
+            "travel ms": step["travel_ms"] if place < last else None,
+            "handling ms": step["handling_ms"] if place < last else None,
+            "body": body_text(step["body"], LONGEST),
         }
         for place, step in enumerate(row["chain"])
     ]
     yield Rows(steps, list(steps[0]))
     if any(step["travel_ms"] is None for step in row["chain"]):
-        yield "if nothing stands under `on its way`, nobody recorded when the packet left: it took longer"
+        yield "an empty `travel ms` means that no agent recorded when the packet left: the whole chain took longer"
     alike = row["alike"]
     if alike is not None:
         yield (
-            f"{row['latency_ms']:g} ms from the first cause to the command. Of {alike['count']:,} that came about like"
-            f" this: p50 {alike['p50_ms']:g}, p90 {alike['p90_ms']:g}, p99 {alike['p99_ms']:g}, longest"
+            f"{row['latency_ms']:g} ms from the first cause to the command. Of {alike['count']:,} commands with such a"
+            f" chain: p50 {alike['p50_ms']:g}, p90 {alike['p90_ms']:g}, p99 {alike['p99_ms']:g}, longest"
             f" {alike['max_ms']:g} ms"
         )
     yield "\n"
